@@ -287,7 +287,7 @@ def test_rotations_are_degrees_counter_clockwise() -> None:
     assert any("states clockwise rotations" in note for note in clockwise.notes)
     assert read(text.format("Rotation (CCW)", "90")).parts[0].rotation == 90
     assert read(text.format("Rotation (rad)", "1.5707963")).parts[0].rotation == pytest.approx(90, abs=1e-4)
-    with pytest.raises(InputError, match="rotation is '2700', but must be from -360"):
+    with pytest.raises(InputError, match="rotation is '2700', but must be a number from -360"):
         read(text.format("Rotation", "2700"))
     assert read(text.format("Rotation", "2700"), columns="rotation=none").parts[0].rotation == 0
 
@@ -311,7 +311,7 @@ def test_empty_sides_and_rotations_are_named() -> None:
 
 @pytest.mark.parametrize(
     ("xs", "negated"),
-    [((-60, -20), True), ((-60, 20), False), ((-60, -160), False), ((-10, -90), True), ((60, 20), False)],
+    [((-60, -20), True), ((-60, 20), False), ((-60, -190), False), ((-10, -90), True), ((60, 20), False)],
 )
 def test_negated_x_of_the_bottom_is_made_positive_where_the_top_shows_it(xs: tuple[int, int], negated: bool) -> None:
     top = "R1,10,20,90,Top,a\nR2,90,20,90,Top,a\n"
@@ -341,3 +341,94 @@ def test_a_table_without_header_whose_fourth_column_is_no_rotation_is_refused() 
 def test_any_text_is_read_or_refused(text: str) -> None:
     with contextlib.suppress(InputError):
         assert read(text).parts
+
+
+def places(text: str) -> list[tuple[object, ...]]:
+    return [(p.ref, p.side, round(p.origin[0], 2), round(p.origin[1], 2), p.rotation) for p in read(text).parts]
+
+
+R1, C1 = ("R1", "top", 10.0, 20.0, 90.0), ("C1", "bottom", 30.0, 40.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Ref;X (mm);Y (mm);Rot;Seite\nR1;10;20;90;B\nC1;30;40;0;L\n",
+        "Ref;X (mm);Y (mm);Rot;Unterseite\nR1;10;20;90;nein\nC1;30;40;0;ja\n",
+        "Ref;X (mm);Y (mm);Rot;Top side\nR1;10;20;90;X\nC1;30;40;0;\n",
+        "Ref;X (mm);Y (mm);Rot\nTop side\nR1;10;20;90\nBottom side\nC1;30;40;0\n",
+        "Ref;X (mm);Y (mm);Rot;Side\nR1;10;20;90 Deg;Copper Top\nC1;30;40;0 Deg;Copper Bottom\n",
+        "Ref;X;Y;Rot;Side\n;mm;mm;deg;\nR1;10;20;90;Top\nC1;30;40;0;Bottom\n",
+        "Alle Maße in mm\nRef;X;Y;Rot;Side\nR1;10;20;90;Top\nC1;30;40;0;Bottom\n",
+        "Ref;X;Y;Unit;Rot;Side\nR1;10;20;mm;90;Top\nC1;30;40;mm;0;Bottom\n",
+        "Ref;X;Y;Rot;Side\nR1;10MM;20MM;90;Top\nC1;30MM;40MM;0;Bottom\n",
+        "Height unit: mil\nUnits used: mm\nRef;X;Y;Rot;Side\nR1;10;20;90;Top\nC1;30;40;0;Bottom\n",
+        "Ref;Mid X;Mid Y;Ref X;Ref Y;Rot;Side\nR1;;;10mm;20mm;90;Top\nC1;;;30mm;40mm;0;Bottom\n",
+        "# Rotation: degrees clockwise\nRef;X (mm);Y (mm);Rot;Side\nR1;10;20;270;Top\nC1;30;40;0;Bottom\n",
+        "UUNITS = MILLIMETERS\nR1 ! 10.00 20.00 ! 90.000 ! ! R0603\nC1 ! 30.00 40.00 ! 0.000 ! m ! C0402\n",
+        "Designator Mid X Mid Y Layer Rotation\nR1 10mm 20mm Top 90\nC1 30mm 40mm Bot 0\n",
+        "X [mm] Y [mm] Ref  Rot Side\n10.00  20.00 R1    90 Top\n30.00  40.00 C1     0 Bot\n",
+        "Ref     X(mm)  Y(mm)  Rot     Comment  Side\n R1     10.00  20.00   90  100 nF 50V   Top\n"
+        " C1     30.00  40.00    0  100 nF 16V   Bot\n",
+        "Ref\tX(mm)\tY(mm)\tRot\tSide\nR1\t10\t20\t90\tTop\t\nC1\t30\t40\t0\tBottom\t\n",
+        'Ref;X (mm);Y (mm);Rot;Side;Value\nR1;10;20;90;Top;"HDR 2.54"" pitch\nC1;30;40;0;Bottom;"x"\n',
+    ],
+)
+def test_unusual_tables_are_read_as_they_are_meant(text: str) -> None:
+    assert places(text) == [R1, C1]
+
+
+@pytest.mark.parametrize(
+    ("text", "refs"),
+    [
+        ("Designator,Part,X (mm),Y (mm),Rot,Layer\nR001,BC847,1,2,90,Top\nC002,LM358,3,4,0,Top\n", ["R001", "C002"]),
+        ("Name,Component,X (mm),Y (mm),Rot,Layer\nX$1,BC847,1,2,90,Top\nD?,LM358,3,4,0,Top\n", ["X$1", "D?"]),
+        ("Bezeichner;Bauteil;X (mm);Y (mm);Rot;Seite\n1J5;BC847;1;2;90;Oben\nUSB;LM358;3;4;0;Oben\n", ["1J5", "USB"]),
+        ("Bauteil-Nr,Device,X (mm),Y (mm),Rot,Layer\nR01,BC847,1,2,90,Top\nC02,LM358,3,4,0,Top\n", ["R01", "C02"]),
+        ("C1 10 10 0 100n C0402\nC2 15 75 270 1u C0402\nR1 15 70 270 1k R0402\nR2 15 25 270 2k R0402\n",
+         ["C1", "C2", "R1", "R2"]),
+    ],
+)  # fmt: skip
+def test_designators_of_all_kinds(text: str, refs: list[str]) -> None:
+    assert [part.ref for part in read(text).parts] == refs
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("Ref,X(mm),Y(mm),,Ref,X(mm),Y(mm)\nR1,100,200,,C1,60,50\n", "names the columns of ref and x and y twice"),
+        ("Ref,X (mm),Y (mm),Rot\nR1,10,5,20,3,90\nR2,30,5,40,3,0\n", "2 lines cannot be read as parts"),
+        ("Ref,Value,X (mm),Y (mm),Rot\nR1,10k,1%,10,20,90\nR2,1k,1%,30,40,0\n", "2 of 2 lines have more cells than"),
+        ('Ref,X(mil),Y(mil),Rot\nR1,"1,000",500,0\nR2,"2,400","2,500",0\n', "'1,000' may have a decimal sign, or"),
+        ("Ref,X(0.01mm),Y(0.01mm),Rot\nR1,100,200,0\n", "states the unit '0.01mm'"),
+        ("# in mm\n# in mils\nRef,X,Y,Rot\nR1,100,200,0\n", "states several units: mm in line 1, mil in line 2"),
+        ("Ref,X (mm),Y (mm),Rot\nR1,1,2,90\nRef,Rot,X (mm),Y (mm)\nC1,0,60,50\n", "line 3: is a second header with"),
+        ("Ref,X (mm),Y (mm),Rot\nR1,(10.5),2,90\n", r"line 2: x is '\(10.5\)', but must be a number"),
+        ("Ref,X (mm),Y (mm),Orientation\nR1,10.5,2,East\n", "rotation is 'East', but must be a number from -360"),
+        ("R1,10.2,20.3,0,90\nC1,30.2,70.3,0,180\nC2,30.2,44.3,1,180\n", "its lines are not designator, x, y, rotation"),
+        ("Ref,Val,PosX,PosY,Rot,Side\nR1,10k,1,1,90,top\nR2,10k,9,5,90,top\n", "usual board in mm and in inch"),
+        (
+            "Ref,X(mm),Y(mm),Rot,Lg\nR1,1,2,90,T,\nR2,3,4,0,B,\n",
+            "no column is recognised as the side, but it may be 'Lg'",
+        ),
+    ],
+)
+def test_a_table_that_may_mean_several_things_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(text)
+
+
+def test_a_unit_by_the_size_of_the_board_and_sides_by_number_are_remarked() -> None:
+    design = read("Ref,X,Y,Rot,Layer\nR1,0,0,0,0\nR2,160,90,0,1\n")
+    assert any(note.startswith("the file states no unit; mm is taken") for note in design.notes)
+    assert any("taken so: 0 as top, 1 as bottom" in note for note in design.notes)
+
+
+def test_a_column_of_mirrored_parts_beside_the_side_is_compared() -> None:
+    notes = read("Ref;X (mm);Y (mm);Rot;Side;Mirror\nR1;1;2;0;Top;No\nC1;3;4;0;Top;Yes\n").notes
+    assert any("'Mirror' says that 1 parts of the top are mirrored; they stay on the top: C1" in note for note in notes)
+
+
+def test_a_column_that_marks_the_fitted_parts_leaves_the_others_empty() -> None:
+    design = read("Ref,X (mm),Y (mm),Rot,Side,Fitted\nR1,1,2,0,T,x\nR2,3,4,0,B,\nR3,3,4,0,B,-\n")
+    assert [part.fitted for part in design.parts] == [True, False, False]

@@ -11,7 +11,7 @@ from vaoi_station.board_data.readers.table_columns import (
     named_columns,
     number_in,
     plain_key,
-    side_of,
+    sides_of,
 )
 
 
@@ -73,25 +73,35 @@ def test_angles_may_be_those_of_eagle() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cells", "marks_mirrored", "sides"),
+    ("header", "top", "bottom"),
     [
-        (("T", "TopLayer", "F.Cu", "Oben", "Component side", "A", "BS"), False, "top"),
-        (("B", "BottomLayer", "B.Cu", "Unterseite", "Solder", "Rückseite", "LS"), False, "bottom"),
-        (("no", "0", "", "-", "Nein"), True, "top"),
-        (("YES", "1", "m", "Mirror", "ja"), True, "bottom"),
+        ("Layer", ["TopLayer", "F.Cu", "Copper Top", "Front"], ["BottomLayer", "B.Cu", "Copper Bottom", "Back"]),
+        ("Seite", ["Oben", "Oben (Bestückungsseite)", "BS"], ["Unten", "Rückseite", "LS"]),
+        ("Side", ["T"], ["B"]),
+        ("Side", ["A"], ["b"]),
+        ("Seite", ["B"], ["L"]),
+        ("Side", ["U"], ["L"]),
+        ("Seite", ["O"], ["U"]),
+        ("Side", ["1"], ["2"]),
+        ("Layer", ["1"], ["16"]),
+        ("Layer", ["0"], ["31"]),
+        ("Layer", ["L1"], ["L4"]),
+        ("Side (1=Top, 0=Bottom)", ["1"], ["0"]),
+        ("Mirror", ["no", "0", "", "-", "F"], ["YES", "1", "m", "Mirror", "T"]),
+        ("Unterseite", ["nein", ""], ["ja", "x"]),
+        ("Top side", ["Yes", "X"], ["No", ""]),
     ],
 )
-def test_words_of_both_sides(cells: tuple[str, ...], marks_mirrored: bool, sides: str) -> None:
-    assert [side_of(cell, marks_mirrored, frozenset()) for cell in cells] == [sides] * len(cells)
+def test_sides_are_words_letters_or_numbers(header: str, top: list[str], bottom: list[str]) -> None:
+    expected = dict.fromkeys(top, "top") | dict.fromkeys(bottom, "bottom")
+    assert sides_of([*top, *bottom], header) == expected
 
 
-def test_numbers_of_layers_are_sides_where_there_are_two() -> None:
-    for numbers in ({"1", "16"}, {"0", "31"}, {"0", "1"}, {"1", "4"}):
-        low, high = sorted(numbers, key=int)
-        assert side_of(low, False, frozenset(numbers)) == "top"
-        assert side_of(high, False, frozenset(numbers)) == "bottom"
-    assert side_of("1", False, frozenset({"1"})) is None, "the only layer may be either"
-    assert side_of("2", False, frozenset({"1", "2", "3"})) is None
+@pytest.mark.parametrize(
+    "values", [["1"], ["0"], ["1", "2", "3"], ["L"], ["left", "right"], ["U", "B"], ["top bottom"]]
+)
+def test_what_may_be_either_side_is_none(values: list[str]) -> None:
+    assert not sides_of(values, "Side")
 
 
 def test_signs_of_fitting() -> None:

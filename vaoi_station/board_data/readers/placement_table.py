@@ -11,39 +11,42 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vaoi_station.board_data.design import Design, Part, Side, TableReading, extent, normalised
+from vaoi_station.board_data.design import Design, Part, Side, TableReading, normalised
 from vaoi_station.board_data.readers.table_columns import (
     COLUMNS,
     NOT_THERE,
     REQUIRED,
     TableLayout,
     angle_in,
+    are_numbers,
     columns_by_header,
     columns_without_header,
     doubtful_columns,
     given_columns,
     has_required,
-    header_cells,
-    is_comment,
     is_fitted,
-    is_mirror_header,
     looks_like_part,
+    marks_only_fitted,
+    mirror_column,
     number_in,
-    side_of,
+    repeated_columns,
+    side_in_words,
+    sides_of,
+    unit_column,
 )
-from vaoi_station.board_data.readers.table_header import DELIMITERS, FIXED, HEADER_LINES, Table, find_table
-from vaoi_station.board_data.readers.table_lines import RULER, Record, split_lines
-from vaoi_station.board_data.readers.table_units import UNITS, PartRow, StatedUnits, unit_of
+from vaoi_station.board_data.readers.table_header import FIXED, HEADER_LINES, Table, find_table
+from vaoi_station.board_data.readers.table_lines import Record, split_lines
+from vaoi_station.board_data.readers.table_rows import DELIMITER_NAMES, Account, PartRow, part_rows
+from vaoi_station.board_data.readers.table_units import UNITS, StatedUnits, unit_of
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
 from vaoi_station.model.note import Note
 
 MOST_ROWS = 200_000
 MOST_DEGREES = 360.0
-_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", " ": "spaces", "|": "bar"}
 _STATES_SIDE = re.compile(r"\b(?:side|seite)\s*[:=]\s*\"?([A-Za-zäöüß]+)", re.IGNORECASE)
 _SIDES_OF_SUFFIXES: dict[str, Side] = {".mnt": "top", ".mnb": "bottom"}
 """EAGLE writes one file per side."""
@@ -52,6 +55,9 @@ _SIDE_IN_NAME: tuple[tuple[Side, re.Pattern[str]], ...] = (
     ("bottom", re.compile(r"(?:^|[^a-z])(bottom|bot|back|unten|unterseite|bottomside)(?:[^a-z]|$)", re.IGNORECASE)),
 )
 _CLOCKWISE = re.compile(r"(?<![a-z])(?<!counter)(?<!counter-)(?<!anti)(?<!anti-)(cw|clockwise)(?![a-z])", re.IGNORECASE)
+_STATES_ROTATION = re.compile(r"rotat|angle|orient|winkel|drehung", re.IGNORECASE)
+_BESIDE_TOP, _LEAST_BESIDE, _LEAST_DIFFERENCE = 0.25, 0.8, 0.5
+"""Parts of the bottom lie beside those of the top if they are within their extent, widened by this share."""
 _RADIANS = re.compile(r"(?<![a-z])(rad|radians?)(?![a-z])", re.IGNORECASE)
 
 
@@ -84,20 +90,6 @@ class TableOptions:
         return cls(units, tuple(pairs), delimiter)
 
 
-@dataclass
-class _Account:
-    """What became of every line."""
-
-    comments: int = 0
-    """Comments, titles, rulers and blank lines."""
-    headers: int = 0
-    continued: int = 0
-    """Lines after the first one of a record."""
-    unplaced: list[str] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
-    """What each line seems to hold."""
-
-
 def read_placement_table(data: bytes, path: Path, options: TableOptions) -> Design:
     """Read a centroid file.
 
@@ -109,35 +101,38 @@ def read_placement_table(data: bytes, path: Path, options: TableOptions) -> Desi
         raise InputError.field(path, "its number of lines", len(lines), f"at most {MOST_ROWS}")
     table = find_table(lines, options.delimiter)
     layout = _layout(table, path, options)
-    account = _Account()
-    rows = list(_part_rows(table, layout, account))
+    account = Account()
+    rows = list(part_rows(table, layout, account, path))
     if not rows:
         raise _without_parts(path, account)
-    reader = _Reader(
-        path, layout, rows, StatedUnits.of(table, layout, rows, path, options.unit), _stated_side(table, path)
-    )
+    if 2 * account.merged > len(rows) > 1:
+        raise InputError(
+            f"{path}: {account.merged} of {len(rows)} lines have more cells than the header.",
+            action="If numbers have decimal commas, or values commas, export it with another delimiter.",
+        )
+    reader = _Reader(path, table, layout, rows, StatedUnits.of(table, layout, rows, path, options.unit), account)
     parts = []
     for record, cells in rows:
         if not any(cells[layout.columns[name]] for name in ("x", "y")):
             account.unplaced.append(cells[layout.columns["ref"]])
         else:
             parts.append(reader.part(record, cells))
-    if not parts or len(account.left_out) > len(parts):
+    if not parts or account.damaged > len(parts):
         raise _without_parts(path, account)
     parts, mirrored = _with_bottom_mirrored_back(parts)
     notes = [*_notes(table, layout, reader, account, len(lines), len(parts)), *mirrored]
     columns = tuple((name, index + 1) for name, index in layout.columns.items())
-    named = _NAMES.get(table.delimiter, table.delimiter)
+    named = DELIMITER_NAMES.get(table.delimiter, table.delimiter)
     reading = TableReading(named, reader.units.unit, reader.units.by, columns, layout.headers, layout.all_on)
     return Design(path.stem, "centroid", tuple(parts), table=reading, notes=tuple(notes))
 
 
-def _without_parts(path: Path, account: _Account) -> InputError:
+def _without_parts(path: Path, account: Account) -> InputError:
     if account.left_out:
         some = "; ".join(account.left_out[:4])
         return InputError(
             f"{path}: {len(account.left_out)} lines cannot be read as parts, more than can: {some}.",
-            action="Correct these lines, or state delimiter and columns by --delimiter and --columns.",
+            action="Export the table anew, with a delimiter between its cells.",
         )
     return InputError(
         f"{path}: no line has a part with {', '.join(REQUIRED)}.",
@@ -174,13 +169,19 @@ def _layout(table: Table, path: Path, options: TableOptions) -> TableLayout:
     order = {name: columns[name] for name in COLUMNS if name in columns}
     free = [n for n in range(most) if n not in order.values()]
     unused = tuple(headers[n] if n < len(headers) and headers[n] else str(n + 1) for n in free)
-    layout = TableLayout(
-        order, -1 if table.header is None else table.header, 0 if table.header is None else table.header + 1, all_on,
-        headers, without_rotation, unused,
-    )  # fmt: skip
-    layout = replace(layout, marks_mirrored=is_mirror_header(layout.header_of("side")))
+    header = -1 if table.header is None else table.header
+    layout = TableLayout(order, header, header + 1, all_on, headers, without_rotation, unused)
+    side = order.get("side")
+    values = [row[side] for row in rows if side is not None and side < len(row)]
+    sides = sides_of([*values, ""], layout.header_of("side") if headers else "mirror" if "m" in values else "")
+    layout = replace(layout, sides=sides, unit=unit_column(headers), mirror=mirror_column(headers, order))
     if table.header is not None:
         _refuse_doubtful(path, layout, rows)
+        if not all(name in given for name in REQUIRED) and (twice := repeated_columns(headers, order)):
+            raise InputError(
+                f"{path}: its header names the columns of {' and '.join(twice)} twice, as of tables side by side.",
+                action="Import each table from a file of its own, or name its columns by --columns ref=N,x=N,y=N.",
+            )
     return layout
 
 
@@ -209,108 +210,6 @@ def _not_recognised(path: Path, table: Table, missing: Sequence[str]) -> InputEr
     )
 
 
-def _part_rows(table: Table, layout: TableLayout, account: _Account) -> Iterator[PartRow]:
-    """Yield the records with a part, their cells in the columns of the layout; account for all others."""
-    width = table.usual_width()
-    seen_part = False
-    for n, record in enumerate(table.records):
-        account.continued += record.lines - 1
-        text = record.text.strip()
-        if n == table.header or (table.header is not None and tuple(header_cells(record.cells)) == table.headers):
-            account.headers += 1
-        elif not text or RULER.match(record.text) or n < layout.first:
-            account.comments += 1
-        elif is_comment(record.cells):
-            cells = tuple(header_cells(record.cells))
-            if len(cells) == width and looks_like_part(cells):
-                account.left_out.append(f"line {record.line} is a comment that holds {cells[layout.columns['ref']]!r}")
-            else:
-                account.comments += 1
-        else:
-            aligned = _aligned(record, width, layout, table.delimiter == " ")
-            if aligned is not None and _is_part(aligned, layout):
-                seen_part = True
-                yield record, aligned
-            elif not seen_part and not _may_hold_part(record.cells):
-                account.comments += 1
-            else:
-                account.left_out.append(_described(record, width, layout))
-
-
-def _may_hold_part(cells: Sequence[str]) -> bool:
-    """Return whether a line before the first part may be a damaged part: a designator and a number."""
-    is_named = any(re.match(r"[A-Za-z]{1,4}\d+$", cell) for cell in cells)
-    return is_named and any(number_in(cell) is not None for cell in cells)
-
-
-def _aligned(record: Record, width: int, layout: TableLayout, is_spaced: bool) -> tuple[str, ...] | None:
-    """Return the cells of a record in the columns of the header; None if that is not possible in one way only.
-
-    An unquoted value with the delimiter in it makes more cells; in a table of words, an empty value makes fewer.
-    """
-    cells = record.cells
-    if record.cut:
-        return None
-    while len(cells) > max(width, 1) and not cells[-1]:
-        cells = cells[:-1]
-    surplus = len(cells) - width
-    if surplus == 0 or not layout.headers:
-        return cells if len(cells) > layout.last else None
-    numeric = {layout.columns[name] for name in ("x", "y", "rotation", "side", "ref") if name in layout.columns}
-    texts = [n for n in range(width) if n not in numeric]
-    if surplus > 0:
-        tries = [(*cells[:n], " ".join(cells[n : n + surplus + 1]), *cells[n + surplus + 1 :]) for n in texts]
-    elif is_spaced and surplus >= -2:
-        tries = [(*cells[:n], *[""] * -surplus, *cells[n:]) for n in texts if n <= len(cells)]
-    else:
-        used = [n for n in layout.columns.values() if n >= len(cells)]
-        return None if used or len(cells) <= layout.last else (*cells, *[""] * -surplus)
-    valid = [found for found in tries if _is_valid(found, layout)]
-    kinds = {tuple(found[n] for n in sorted(numeric)) for found in valid}
-    return valid[0] if len(kinds) == 1 else None
-
-
-def _is_valid(cells: Sequence[str], layout: TableLayout) -> bool:
-    """Return whether the cells of a line are what its columns are to hold."""
-    columns = layout.columns
-    if any(number_in(cells[columns[name]]) is None for name in ("x", "y")):
-        return False
-    if "rotation" in columns and angle_in(cells[columns["rotation"]] or "0") is None:
-        return False
-    return "side" not in columns or side_of(cells[columns["side"]] or "top", layout.marks_mirrored) is not None
-
-
-def _is_part(cells: Sequence[str], layout: TableLayout) -> bool:
-    """Return whether the cells of a line are those of a part, perhaps with a wrong value."""
-    ref = cells[layout.columns["ref"]]
-    x, y = (cells[layout.columns[name]] for name in ("x", "y"))
-    if not ref or (not layout.headers and (number_in(x) is None or number_in(y) is None)):
-        return False
-    return (
-        (not x and not y)
-        or number_in(x) is not None
-        or number_in(y) is not None
-        or re.match(r"[A-Za-z]+\d+$", ref) is not None
-    )
-
-
-def _described(record: Record, width: int, layout: TableLayout) -> str:
-    """Return what a line that cannot be read seems to hold."""
-    at = f"line {record.line}"
-    shown = record.text.strip()[:40]
-    if record.cut:
-        return f"{at} has words across the columns: {shown!r}"
-    for delimiter in DELIMITERS:
-        if len(record.cells) < 3 and record.text.count(delimiter) >= 2:
-            return f"{at} seems to have another delimiter, {_NAMES[delimiter]}: {shown!r}"
-    ref_at = layout.columns["ref"]
-    ref = record.cells[ref_at] if ref_at < len(record.cells) else ""
-    what = f", it seems to be part {ref}" if re.match(r"[A-Za-z]+\d", ref) else f": {shown!r}"
-    if len(record.cells) != width:
-        return f"{at} has {len(record.cells)} of {width} cells{what}"
-    return f"{at} has no designator or no place{what}"
-
-
 # Parts.
 
 
@@ -321,9 +220,7 @@ def _stated_side(table: Table, path: Path) -> tuple[Side, str]:
     for record in table.records[:HEADER_LINES]:
         if record.cells == table.headers or looks_like_part(record.cells):
             break
-        if (match := _STATES_SIDE.search(record.text)) and (
-            side := side_of(match[1], marks_mirrored=False)
-        ) is not None:
+        if (match := _STATES_SIDE.search(record.text)) and (side := side_in_words(match[1])) is not None:
             return side, f"by line {record.line}"
     named = [side for side, pattern in _SIDE_IN_NAME if pattern.search(path.stem)]
     return (named[0], "by the name of the file") if len(named) == 1 else ("top", "")
@@ -335,22 +232,30 @@ class _Reader:
     def __init__(
         self,
         path: Path,
+        table: Table,
         layout: TableLayout,
         rows: Sequence[PartRow],
         units: StatedUnits,
-        side: tuple[Side, str],
+        account: Account,
     ) -> None:
-        self._path, self._layout, self.units = path, layout, units
-        self.default_side, self.side_by = side
-        self._side_numbers = frozenset(cell for _, cells in rows if (cell := self._cell(cells, "side")).isdigit())
+        self._path, self._layout, self.units, self._sections = path, layout, units, account.sections
+        self.default_side, self.side_by = _stated_side(table, path)
+        if "side" in layout.columns and set(layout.sides.values()) == {"bottom"} and "" not in layout.sides:
+            self.default_side = "top"  # a column with one word marks the parts of one side
         header = layout.header_of("rotation")
-        self.is_clockwise = _CLOCKWISE.search(header) is not None
+        comments = (r.text for r in table.records[:HEADER_LINES] if r.line < rows[0][0].line)
+        stated = [header, *(text for text in comments if _STATES_ROTATION.search(text))]
+        self.clockwise_by = next((text.strip() for text in stated if _CLOCKWISE.search(text)), "")
         self._in_radians = _RADIANS.search(header) is not None
+        fitted = [self._cell(cells, "fitted") for _, cells in rows]
+        self._marks_fitted = marks_only_fitted(fitted, layout.header_of("fitted"))
         self.units_of_values: Counter[str] = Counter()
         self.without_side: list[str] = []
         self.without_rotation: list[str] = []
-        self.marks_bottom = False
-        """Whether parts themselves say that they lie on the bottom: Allegro's cell "m", EAGLE's `MR90`."""
+        self.contradicting: list[str] = []
+        """Parts of the top that another column says are mirrored."""
+        self.marks_bottom = bool(account.sections)
+        """Whether titles or parts themselves state a side: Allegro's cell "m", EAGLE's `MR90`."""
 
     def _cell(self, cells: Sequence[str], name: str) -> str:
         at = self._layout.columns.get(name)
@@ -364,31 +269,40 @@ class _Reader:
         """
         where = f"{self._path}, line {record.line}"
         # Allegro marks parts of the bottom by an additional cell "m" before the package.
-        flipped = not self._layout.headers and len(cells) > 4 and cells[4] == "m"
+        flipped = not self._layout.headers and "side" not in self._layout.columns and cells[4:5] == ("m",)
         if flipped:
             cells = (*cells[:4], *cells[5:])
         ref, package, value = (self._cell(cells, name) for name in ("ref", "package", "value"))
-        x, y = (self._length(self._cell(cells, name), name, where) for name in ("x", "y"))
+        unit = cells[self._layout.unit].lower() if self._layout.unit is not None else ""
+        x, y = (self._length(self._cell(cells, name), unit, name, where) for name in ("x", "y"))
         mirrored, turn = self._rotation(self._cell(cells, "rotation"), ref, where)
         self.marks_bottom |= flipped or mirrored
-        side: Side = "bottom" if flipped or mirrored else self.default_side
+        side = next((side for line, side in self._sections[::-1] if line < record.line), self.default_side)
+        if flipped or mirrored:
+            side = "bottom"
         if self._layout.all_on is not None:
             side = self._layout.all_on
         elif "side" in self._layout.columns:
             side = self._side(self._cell(cells, "side"), ref, side, where)
+        if self._layout.mirror is not None and side == "top":
+            stated = sides_of([cells[self._layout.mirror]], self._layout.headers[self._layout.mirror])
+            self.contradicting += [ref] if "bottom" in stated.values() else []
         used = set(self._layout.columns.values())
         others = [cell for n, cell in enumerate(cells) if n not in used]
+        fitted = self._cell(cells, "fitted")
+        unmarked = self._marks_fitted and fitted in ("", "-")
         return Part(
             ref, side, (x, y), normalised(turn), package, value, size_from="guess",
-            fitted=is_fitted(self._cell(cells, "fitted"), self._layout.header_of("fitted"), (value, *others)),
+            fitted=not unmarked and is_fitted(fitted, self._layout.header_of("fitted"), (value, *others)),
             is_mark="fiducial" in package.lower(), line=record.line,
         )  # fmt: skip
 
-    def _length(self, cell: str, name: str, where: str) -> float:
+    def _length(self, cell: str, unit: str, name: str, where: str) -> float:
         value = number_in(cell, self.units.decimal)
         if value is None:
-            raise InputError.field(where, name, cell, "a number")
-        own = unit_of(cell)
+            action = f"If the column is not {name}, state another by --columns {name}=N; else write a plain number."
+            raise InputError(f"{where}: {name} is {cell!r}, but must be a number.", action=action)
+        own = unit_of(cell) or (unit_of(f"1{unit}") if unit else None)
         if own is not None and own not in UNITS:
             raise InputError.field(where, name, cell, f"a number in {', '.join(UNITS)}")
         self.units_of_values[own or self.units.unit] += 1
@@ -402,22 +316,20 @@ class _Reader:
             self.without_rotation.append(ref)
             return False, 0.0
         turn = angle_in(cell)
-        if turn is None:
-            raise InputError.field(where, "rotation", cell, "a number of degrees")
-        turn = math.degrees(turn) if self._in_radians else turn
-        if abs(turn) > MOST_DEGREES:
+        turn = math.degrees(turn) if self._in_radians and turn is not None else turn
+        if turn is None or abs(turn) > MOST_DEGREES:
             raise InputError(
-                f"{where}: rotation is {cell!r}, but must be from -360 to 360 degrees.",
+                f"{where}: rotation is {cell!r}, but must be a number from -360 to 360 degrees.",
                 action=f"If the column is not the rotation, state another by --columns rotation=N, or {NOT_THERE}.",
             )
-        mirrored = cell.lstrip().startswith(("M", "SM"))
-        return mirrored, -turn if mirrored or self.is_clockwise else turn
+        mirrored = cell.strip().upper().startswith(("MR", "SMR"))
+        return mirrored, -turn if mirrored or self.clockwise_by else turn
 
     def _side(self, cell: str, ref: str, default: Side, where: str) -> Side:
-        if not cell and not self._layout.marks_mirrored:
+        side = self._layout.sides.get(cell)
+        if side is None and not cell:
             self.without_side.append(ref)
             return default
-        side = side_of(cell, self._layout.marks_mirrored, self._side_numbers)
         if side is None:
             raise InputError(
                 f"{where}: side is {cell!r}, but must be top or bottom.",
@@ -431,40 +343,43 @@ def _with_bottom_mirrored_back(parts: list[Part]) -> tuple[list[Part], list[Note
 
     KiCad negates x of the bottom on request and leaves the rotations. The parts of the top show it.
     """
-    bottom = [part for part in parts if part.side == "bottom"]
-    top = [part for part in parts if part.side == "top"]
-    if len(bottom) < 2 or max(part.origin[0] for part in bottom) >= 0:
+    bottom = [part.origin[0] for part in parts if part.side == "bottom"]
+    top = [part.origin[0] for part in parts if part.side == "top"]
+    if not bottom or min(bottom) >= 0:
         return parts, []
-    if not top:
-        sentence = (
-            "x of all parts of the bottom is negative: if the program has negated it, the places are mirrored. Join "
-            "the file of the board by --join, or check the board type against a run by vaoi check-board."
-        )
-        return parts, [Note("bottom-maybe-negated", sentence)]
-    (low, _), (high, _) = extent([part.origin for part in top])
-    (left, _), (right, _) = extent([(-part.origin[0], part.origin[1]) for part in bottom])
-    width = max(high - low, 1e-9)
-    beside = low >= 0 and left >= low - 0.25 * width and right <= high + 0.25 * width
-    if not beside:
+    if top:
+        margin = _BESIDE_TOP * (max(top) - min(top))
+
+        def share(sign: int) -> float:
+            """Return the share of the parts of the bottom that lie beside those of the top, with x times a sign."""
+            return sum(min(top) - margin <= sign * x <= max(top) + margin for x in bottom) / len(bottom)
+
+        if len(bottom) > 1 and share(-1) >= _LEAST_BESIDE and share(-1) - share(1) >= _LEAST_DIFFERENCE:
+            back = [replace(p, origin=(-p.origin[0], p.origin[1])) if p.side == "bottom" else p for p in parts]
+            sentence = (
+                f"x of the {len(bottom)} parts of the bottom is negated: with the other sign they lie beside those of "
+                "the top, where they were put. Rotations are taken as they are written."
+            )
+            return back, [Note("bottom-negated", sentence, count=len(bottom))]
+    if max(bottom) >= 0 or (top and max(top) < 0):
         return parts, []
-    back = [replace(p, origin=(-p.origin[0], p.origin[1])) if p.side == "bottom" else p for p in parts]
     sentence = (
-        f"x of all {len(bottom)} parts of the bottom is negated, and they lie beside those of the top; it was made "
-        "positive. Rotations are taken as they are written."
+        "x of all parts of the bottom is negative: if the program has negated it, the places are mirrored. Join the "
+        "file of the board by --join, or check the board type against a run by vaoi check-board."
     )
-    return back, [Note("bottom-negated", sentence, count=len(bottom))]
+    return parts, [Note("bottom-maybe-negated", sentence)]
 
 
 # What is said about the reading.
 
 
 def _notes(
-    table: Table, layout: TableLayout, reader: _Reader, account: _Account, lines: int, parts: int
+    table: Table, layout: TableLayout, reader: _Reader, account: Account, lines: int, parts: int
 ) -> Iterator[Note]:
     shown = ", ".join(f"{name}: column {index + 1}" for name, index in layout.columns.items())
     units = reader.units_of_values
     unit = " and ".join(sorted(units)) if len(units) > 1 else next(iter(units), reader.units.unit)
-    how = FIXED if table.delimiter == FIXED else f"delimiter {_NAMES.get(table.delimiter, table.delimiter)}"
+    how = FIXED if table.delimiter == FIXED else f"delimiter {DELIMITER_NAMES.get(table.delimiter, table.delimiter)}"
     sentence = f"{how}; {shown}; unit {unit} ({reader.units.by}). Correct it by --columns, --delimiter or --units."
     yield Note("table-read-as", sentence, columns=shown, unit=unit)
     yield _lines_read(account, lines, parts)
@@ -484,10 +399,12 @@ def _notes(
         count, names = len(reader.without_rotation), ", ".join(reader.without_rotation[:8])
         sentence = f"{count} parts have no rotation in column {layout.header_of('rotation')!r}; 0° is taken: {names}."
         yield Note("rotation-empty", sentence, count=count, names=names)
-    if reader.is_clockwise:
-        header = layout.header_of("rotation")
-        sentence = f"the header {header!r} states clockwise rotations; they were made counter-clockwise."
+    if (header := reader.clockwise_by) and "rotation" in layout.columns:
+        sentence = f"{header!r} states clockwise rotations; they were made counter-clockwise."
         yield Note("rotation-clockwise", sentence, header=header)
+    if reader.units.is_guess:
+        size, unit = reader.units.by, reader.units.unit
+        yield Note("unit-guessed", f"the file states no unit; {unit} is taken, {size}. State it by --units.", unit=unit)
 
 
 def _notes_on_sides(layout: TableLayout, reader: _Reader) -> Iterator[Note]:
@@ -498,6 +415,15 @@ def _notes_on_sides(layout: TableLayout, reader: _Reader) -> Iterator[Note]:
             f"{side}: {names}."
         )
         yield Note("side-empty", sentence, count=count, side=side, names=names)
+    if are_numbers(layout.sides) and layout.all_on is None:
+        shown = ", ".join(f"{kind} as {side}" for kind, side in sorted(layout.sides.items()) if kind)
+        yield Note("sides-by-number", f"the side is stated by numbers; they are taken so: {shown}.", sides=shown)
+    if reader.contradicting:
+        assert layout.mirror is not None
+        count, names = len(reader.contradicting), ", ".join(reader.contradicting[:8])
+        header = layout.headers[layout.mirror]
+        sentence = f"column {header!r} says that {count} parts of the top are mirrored; they stay on the top: {names}."
+        yield Note("side-contradicted", sentence, count=count, header=header, names=names)
     if "side" not in layout.columns and layout.all_on is None and not reader.marks_bottom:
         side = reader.default_side
         by = f", {reader.side_by}" if reader.side_by else ""
@@ -508,7 +434,7 @@ def _notes_on_sides(layout: TableLayout, reader: _Reader) -> Iterator[Note]:
         yield Note("side-assumed", sentence, side=side)
 
 
-def _lines_read(account: _Account, lines: int, parts: int) -> Note:
+def _lines_read(account: Account, lines: int, parts: int) -> Note:
     """Return the account of all lines."""
     counts = [
         (parts, "parts"), (len(account.unplaced), "parts without a place"), (account.headers, "header"),

@@ -10,7 +10,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
@@ -22,8 +22,9 @@ COLUMNS = ("ref", "x", "y", "rotation", "side", "package", "value", "fitted")
 REQUIRED = ("ref", "x", "y")
 
 NUMBER = re.compile(
-    r"^\(?([+\-−]?)(\d+[.,]?\d*|[.,]\d+|\d{1,3}(?:,\d{3})+(?:\.\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?|\d{1,3}(?:'\d{3})+(?:[.,]\d*)?)"
-    r"(?:([eE][+-]?\d+))?\s*(mm|mils?|thou|inch(?:es)?|in|cm|[uµμ]m|\"|″|°|deg)?\)?$"
+    r"^([+\-−]?)(\d+[.,]?\d*|[.,]\d+|\d{1,3}(?:,\d{3})+(?:\.\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?|\d{1,3}(?:'\d{3})+(?:[.,]\d*)?)"
+    r"(?:(E[+-]?\d+))?\s*(mm|mils?|thou|inch(?:es)?|in|cm|[uµμ]m|\"|″|[°º]|deg(?:rees?)?|grad)?$",
+    re.IGNORECASE,
 )
 """A number with its unit, as tables write it: sign, digits with separators, exponent, unit."""
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "é": "e", "°": " deg "})
@@ -37,8 +38,11 @@ def _words(group: str) -> dict[str, tuple[str, ...]]:
 _TABLE = tomllib.loads((resources.files(__package__) / "table_words.toml").read_text(encoding="utf-8"))
 _VALUES = {name: frozenset(words) for name, words in _words("values").items()}
 _HEADERS = _words("headers")
-_OTHER, _MIRRORED = frozenset(_HEADERS.pop("other")), frozenset(_HEADERS["mirrored"])
-_HEADERS["side"] = (*_HEADERS["side"], *_HEADERS.pop("mirrored"))
+_OTHER, _MIRRORED, _UPRIGHT = (frozenset(_HEADERS.pop(name)) for name in ("other", "mirrored", "upright"))
+_UNIT_HEADERS = frozenset(_HEADERS.pop("unit"))
+_STATED_REF = frozenset(_HEADERS["ref"])
+_HEADERS["ref"] = (*_HEADERS["ref"], *_HEADERS.pop("maybe_ref"))
+_HEADERS["side"] = (*_HEADERS["side"], *sorted(_MIRRORED), *sorted(_UPRIGHT))
 _HEADERS["fitted"] = (*_HEADERS["fitted"], *sorted(_VALUES["not_fitted"]))
 _YES, _NO, _NOT_FITTED = _VALUES["yes"] | {"1"}, _VALUES["no"] | {"0"}, _VALUES["not_fitted"]
 _TOP_WORDS, _BOTTOM_WORDS = _VALUES["top"], _VALUES["bottom"]
@@ -50,7 +54,9 @@ _RANKS = {"center": 0, "place": 1, "": 2, "position": 3, "part": 4, "origin": 5}
 _RANKED = tuple((word, _RANKS[kind]) for kind, words in _BESIDE_AXIS.items() for word in words)
 _BESIDE = "|".join(sorted((word for word, _ in _RANKED), key=len, reverse=True))
 _AXIS = {axis: re.compile(rf"^((?:{_BESIDE})*){axis}((?:{_BESIDE})*)$") for axis in "xy"}
-_DESIGNATOR = re.compile(r"^([A-Za-z]{1,5})[-_]?([1-9]\d{0,4})([A-Za-z]{0,2}|[-_.:/]\w{1,3})$")
+_DESIGNATOR = re.compile(r"^([A-Za-z]{1,5})[-_$ ]?(\d{1,5}|\?)([A-Za-z]{0,2}|[-_.:/]\w{1,3})$")
+_WEAK_ROTATION = frozenset(("r", "phi", "direction", "drehrichtung", "orient", "ausrichtung"))
+"""Headers that are those of a rotation only if the values are angles."""
 _BARE_REF = re.compile(r"^[A-Za-z*_][\w*.\-/+$]*$")
 _LEAST_DESIGNATORS = 0.3
 """Score of a column of designators; below it values do not decide."""
@@ -78,8 +84,12 @@ class TableLayout:
     """Whether the user states that there is no rotation."""
     unused: tuple[str, ...] = ()
     """Headers of the columns that are not used; of a table without header their numbers."""
-    marks_mirrored: bool = False
-    """Whether the column of the side says which parts are mirrored."""
+    sides: Mapping[str, Side] = field(default_factory=dict)
+    """The side that each value of its column states."""
+    unit: int | None = None
+    """The column of the unit of each line."""
+    mirror: int | None = None
+    """A column beside that of the side which says which parts are mirrored."""
 
     def header_of(self, name: str) -> str:
         """Return the header of a column; empty without one."""
@@ -104,6 +114,8 @@ def plain_key(cell: str) -> str:
 def is_known_header(words: str) -> bool:
     """Return whether words are the header of one column."""
     key = plain_key(words)
+    if re.search(r"[\)\]}]\s*\w", words):  # "PosY [mm] Ref" are two
+        return False
     return bool(key) and (
         key in _OTHER or any(key in names for names in _HEADERS.values()) or any(p.match(key) for p in _AXIS.values())
     )
@@ -184,16 +196,18 @@ def columns_by_header(header: Sequence[str], rows: Sequence[Sequence[str]]) -> d
     named = named_columns(header)
     found: dict[str, int] = {}
     pairs = [(x, y) for x in named.get("x", ()) for y in named.get("y", ())]
+    # A pair may be empty where another one is filled.
+    pairs = [p for p in pairs if any(number_in(v) is not None for n in p for v in _values(rows, n))] or pairs
     if pairs:
         # Both axes are of one kind: no "Mid X" beside "Ref Y".
         x, y = min(pairs, key=lambda p: (_kind(header[p[0]]) != _kind(header[p[1]]), named["x"].index(p[0])))
         found |= {"x": x, "y": y}
     taken = set(found.values())
-    if (ref := _designators(named.get("ref", ()), rows, taken, len(header))) is not None:
+    if (ref := _designators(header, rows, taken)) is not None:
         found["ref"] = ref
         taken.add(ref)
     for role in ("side", "rotation", "fitted", "package", "value"):
-        column = next((n for n in named.get(role, ()) if n not in taken and _fits(role, n, rows)), None)
+        column = next((n for n in named.get(role, ()) if n not in taken and _fits(role, n, rows, header)), None)
         if column is not None:
             found[role] = column
             taken.add(column)
@@ -205,19 +219,19 @@ def _kind(header: str) -> str:
     return re.sub(r"[xy]", "", plain_key(header))
 
 
-def _fits(role: str, column: int, rows: Sequence[Sequence[str]]) -> bool:
+def _fits(role: str, column: int, rows: Sequence[Sequence[str]], header: Sequence[str]) -> bool:
     """Return whether the values of a column can be of the role that its header names.
 
     Words such as `Layer`, `Place`, `Type` and `Direction` are used for other things as well.
     """
     values = [value for value in _values(rows, column) if value]
-    if not values:
-        return True
-    if role == "rotation":
+    if role == "rotation" and values and plain_key(header[column]) in _WEAK_ROTATION:
         return sum(angle_in(value) is not None for value in values) * 2 > len(values)
-    if role == "fitted":
+    if role == "fitted" and values:
         known = _YES | _NO | _NOT_FITTED | {"fitted", "populated", "mounted", "placed", "bestueckt"}
         return any(value.lower() in known or plain_key(value) in known for value in values)
+    if role == "side" and plain_key(header[column]) in _UPRIGHT | _MIRRORED:
+        return all(value.lower() in _MIRROR_TOP | _MIRROR_BOTTOM for value in values)
     return True
 
 
@@ -225,17 +239,29 @@ def _values(rows: Sequence[Sequence[str]], column: int) -> list[str]:
     return [row[column] for row in rows if column < len(row)]
 
 
-def _designators(named: Sequence[int], rows: Sequence[Sequence[str]], taken: set[int], width: int) -> int | None:
-    """Return the column of the designators: of those that are named so, the one whose values look most like it."""
-    candidates = [n for n in named if n not in taken]
-    scores = {n: _designator_score(_values(rows, n)) for n in range(width) if n not in taken}
-    if not candidates:
-        best = max(scores, key=lambda n: scores[n], default=None)
+def _designators(header: Sequence[str], rows: Sequence[Sequence[str]], taken: set[int]) -> int | None:
+    """Return the column of the designators: the one that is named so, else the one whose values look most like it."""
+    keys = [plain_key(cell) for cell in header]
+    named = [n for n in named_columns(header).get("ref", ()) if n not in taken]
+    stated = [n for n in named if keys[n] in _STATED_REF]
+    several = [n for n in stated if len(set(_values(rows, n))) * 2 > len(_values(rows, n))]
+    if len(stated) == 1 or len(several) == 1:
+        return (several or stated)[0]
+    candidates = several or named
+    free = [n for n, key in enumerate(keys) if n not in taken and not _is_of_other_role(key)]
+    scores = {n: _designator_score(_values(rows, n)) for n in (candidates or free)}
+    best = max(scores, key=lambda n: scores[n], default=None)
+    if best is None or not candidates:
         return best if best is not None and scores[best] >= _CLEARLY_DESIGNATORS else None
-    best = max(candidates, key=lambda n: scores[n])
     if scores[best] < _LEAST_DESIGNATORS:
         return candidates[0]
     return next(n for n in candidates if scores[n] >= scores[best] - _SAME_SCORE)
+
+
+def _is_of_other_role(key: str) -> bool:
+    """Return whether a header names something else than designators."""
+    named = key in _OTHER or any(key in names for role, names in _HEADERS.items() if role != "ref")
+    return named or any(pattern.match(key) for pattern in _AXIS.values())
 
 
 def _designator_score(values: Sequence[str]) -> float:
@@ -253,9 +279,15 @@ def _designator_score(values: Sequence[str]) -> float:
     return total / len(values) * math.sqrt(len(set(values)) / len(values))
 
 
+def is_usual_designator(word: str) -> bool:
+    """Return whether a word is a designator with usual letters: `R12`, `IC3A`."""
+    match = _DESIGNATOR.match(word.strip())
+    return match is not None and match[1].lower() in _VALUES["prefixes"]
+
+
 def angle_in(cell: str) -> float | None:
     """Return the angle of a cell in degrees: a number, or EAGLE's `R90` and `MR90`."""
-    match = re.fullmatch(r"[MS]*R(-?\d+(?:\.\d+)?)", cell.strip())
+    match = re.fullmatch(r"[MS]*R(-?\d+(?:\.\d+)?)", cell.strip(), re.IGNORECASE)
     return number_of(match[1]) if match else number_in(cell)
 
 
@@ -270,34 +302,65 @@ def looks_like_part(cells: Sequence[str]) -> bool:
     return len(cells) > 2 and numbers >= 2 and numbers < len(cells)
 
 
-def side_of(cell: str, marks_mirrored: bool, numbers: frozenset[str] = frozenset()) -> Side | None:
-    """Return the side that a cell states; None if it states none.
+def sides_of(values: Iterable[str], header: str = "") -> dict[str, Side]:
+    """Return the side that each value of a column states; values that state none are absent.
 
-    Args:
-        cell: the cell.
-        marks_mirrored: whether the column says which parts are mirrored.
-        numbers: all numbers of the column. EAGLE has layers 1 and 16, KiCad 0 and 31, others 0 and 1, or 1 and 2.
+    The letters and numbers of a column have a meaning together only: `B` is the bottom beside `T`, and the
+    "Bestückungsseite", the top, beside `L`. EAGLE counts layers 1 and 16, KiCad 0 and 31, others 1 and 2.
     """
-    text = cell.strip().lower()
-    key = "".join(re.findall(r"[a-z]+", text.translate(_UMLAUTS)))
-    if marks_mirrored:
-        if text in _MIRROR_TOP:
-            return "top"
-        if text in _MIRROR_BOTTOM:
-            return "bottom"
-    if text.isdigit():
-        lowest = min(numbers, key=int, default="")
-        if numbers == {"1"} or len(numbers) > 2 or lowest not in ("0", "1"):
-            return None
-        return "top" if text == lowest else "bottom"
-    if key in _TOP_WORDS:
-        return "top"
-    return "bottom" if key in _BOTTOM_WORDS or (key in ("y", "yes") and marks_mirrored) else None
+    kinds = {value.strip() for value in values}
+    key = plain_key(header)
+    if key in _MIRRORED | _UPRIGHT:
+        top, bottom = (_MIRROR_TOP, _MIRROR_BOTTOM) if key in _MIRRORED else (_MIRROR_BOTTOM, _MIRROR_TOP)
+        return {kind: "top" if kind.lower() in top else "bottom" for kind in kinds if kind.lower() in top | bottom}
+    found: dict[str, Side] = {}
+    legend = dict(re.findall(r"(\w+)\s*=\s*([A-Za-z]+)", header))
+    for kind in kinds:
+        if (side := side_in_words(legend.get(kind, kind))) is not None:
+            found[kind] = side
+    letters = {kind.lower(): kind for kind in kinds if len(kind) == 1 and kind.isalpha()}
+    for pair in _TABLE["values"]["letters"].split():
+        alone = set(letters) in ({"t"}, {"b"}, {"f"}) and set(letters) <= set(pair)
+        if letters and (set(letters) == set(pair) or alone):
+            found |= {letters[c]: "top" if c == pair[0] else "bottom" for c in letters}
+            break
+    if "m" in letters and letters.keys() <= {"m", "t"}:
+        found |= {kind: "bottom" if c == "m" else "top" for c, kind in letters.items()}
+    numbers = {kind: int(match[1]) for kind in kinds if (match := re.fullmatch(r"[LM]?(\d+)", kind, re.IGNORECASE))}
+    if len(numbers) == 2 and min(numbers.values()) in (0, 1) and not numbers.keys() & found.keys():
+        found |= {kind: "top" if n == min(numbers.values()) else "bottom" for kind, n in numbers.items()}
+    return found
 
 
-def is_mirror_header(header: str) -> bool:
-    """Return whether the header of a side says that its values are those of mirrored parts."""
-    return plain_key(header) in _MIRRORED
+def unit_column(headers: Sequence[str]) -> int | None:
+    """Return the column of the unit of each line; None if there is none."""
+    return next((n for n, header in enumerate(headers) if plain_key(header) in _UNIT_HEADERS), None)
+
+
+def mirror_column(headers: Sequence[str], columns: Mapping[str, int]) -> int | None:
+    """Return a column of mirrored parts beside that of the side; None if there is none."""
+    beside = (n for n, header in enumerate(headers) if plain_key(header) in _MIRRORED and n != columns.get("side"))
+    return next(beside, None) if "side" in columns else None
+
+
+def repeated_columns(headers: Sequence[str], columns: Mapping[str, int]) -> list[str]:
+    """Return the required columns whose headers occur twice, as those of tables side by side do."""
+    return [name for name in REQUIRED if headers.count(headers[columns[name]]) > 1 and headers[columns[name]]]
+
+
+def are_numbers(sides: Mapping[str, Side]) -> bool:
+    """Return whether sides are stated by numbers, whose meaning differs from program to program."""
+    return any(kind.isdigit() for kind in sides)
+
+
+def side_in_words(text: str) -> Side | None:
+    """Return the side that words state, such as `Copper Top`; None if they state none, or both."""
+    words = re.findall(r"[a-z]+", text.lower().translate(_UMLAUTS))
+    if any(c.isdigit() for c in text):
+        return None
+    words.append("".join(words))
+    top, bottom = any(w in _TOP_WORDS for w in words), any(w in _BOTTOM_WORDS for w in words)
+    return None if top == bottom else "top" if top else "bottom"
 
 
 def is_fitted(cell: str, header: str, others: Iterable[str]) -> bool:
@@ -306,7 +369,13 @@ def is_fitted(cell: str, header: str, others: Iterable[str]) -> bool:
         return False
     word = cell.strip().lower()
     # A column "DNP" states of which parts the opposite holds.
-    return word not in _YES if plain_key(header) in _NOT_FITTED else word not in _NO
+    return word not in _YES if plain_key(header) in _NOT_FITTED else word not in _NO | {"-"}
+
+
+def marks_only_fitted(values: Iterable[str], header: str) -> bool:
+    """Return whether a column marks the parts that are fitted, so that an empty cell, or a dash, says the opposite."""
+    kinds = {value.strip().lower() for value in values} - {"", "-"}
+    return bool(kinds) and kinds <= _YES and plain_key(header) not in _NOT_FITTED
 
 
 def doubtful_columns(layout: TableLayout, rows: Sequence[Sequence[str]]) -> dict[str, list[int]]:
@@ -355,11 +424,11 @@ def _may_be_sides(values: Sequence[str], is_foreign: bool) -> bool:
     if not present or len(kinds) > 3 or len(present) < 0.9 * len(values):
         return False
     plain = {"".join(re.findall(r"[a-z]+", v.lower().translate(_UMLAUTS))) for v in kinds}
-    if plain <= _TOP_WORDS | _BOTTOM_WORDS and (is_foreign or all(len(word) > 1 for word in plain)):
+    if all(side_in_words(kind) is not None for kind in kinds) or (is_foreign and kinds <= {"T", "B", "t", "b", "F"}):
         return True
     if not is_foreign or len(kinds) != 2:
         return False
-    if kinds <= {"0", "1", "2", "16", "31"}:
+    if all(re.fullmatch(r"L?(0|1|2|16|31)", kind) for kind in kinds):
         return True
     # Two words in a column of an unknown name may be the sides in another language.
     words = all(number_in(kind) is None and len(kind) < 16 for kind in kinds)
@@ -380,14 +449,26 @@ def columns_without_header(rows: Sequence[Sequence[str]]) -> dict[str, int] | No
         return None
     found = {"ref": 0, "x": 1, "y": 2, "rotation": 3}
     width = Counter(map(len, usual)).most_common(1)[0][0]
-    rest = [n for n in range(4, width) if not any(row[4] == "m" for row in usual if len(row) > 4)]
-    if (side := next((n for n in rest if _may_be_sides(_values(usual, n), is_foreign=True)), None)) is not None:
+    rest = list(range(4, width))
+    # z or the number of a side may stand before the rotation.
+    if max(map(abs, angles)) <= 1 and any(_may_be_angles(_values(usual, n)) for n in rest):
+        return None
+    if any(len(row) != width for row in usual) and any(row[4:5] == ["m"] or row[4:5] == ("m",) for row in usual):
+        return found | {"package": 4}  # Allegro: "m" is an additional cell
+    mirrored = {"", "m"}
+    side = next((n for n in rest if _may_be_sides(_values(usual, n), is_foreign=False)), None)
+    if side is None:
+        side = next((n for n in rest if set(_values(usual, n)) in (mirrored, {"m"}, {"T", "B"}, {"t", "b"})), None)
+    if side is not None:
         found["side"] = side
         rest.remove(side)
+    rest = [n for n in rest if any(_values(usual, n))]
     if len(rest) == 2:  # EAGLE's .mnt
         found |= {"value": rest[0], "package": rest[1]}
-    elif rest or any(len(row) > 4 for row in usual):
-        found["package"] = rest[0] if rest else 4
+    elif rest:
+        found["package"] = rest[0]
+    elif any(len(row) > 4 for row in usual) and side is None:
+        found["package"] = 4
     return found
 
 

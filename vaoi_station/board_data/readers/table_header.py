@@ -17,12 +17,19 @@ from vaoi_station.board_data.readers.table_columns import (
     number_in,
     plain_key,
 )
-from vaoi_station.board_data.readers.table_lines import RULER, Record, delimited, fixed_width, spaced
+from vaoi_station.board_data.readers.table_lines import (
+    RULER,
+    Record,
+    delimited,
+    fixed_width,
+    header_phrases,
+    spaced,
+)
 
 FIXED = "columns of fixed width"
 HEADER_LINES = 200
 """A header stands in one of the first lines."""
-DELIMITERS = ("\t", ";", "|", ",")
+DELIMITERS = ("\t", ";", "|", ",", "!")
 _LENGTH = r"([+-]?[\d.]+\s*[a-z\"]*)"
 _PLACE_IN_ONE_CELL = re.compile(rf"^\(?\s*{_LENGTH}(?:\s*[,;]\s*|\s+){_LENGTH}\s*\)?$", re.IGNORECASE)
 _PLACE_HEADERS = frozenset(
@@ -56,8 +63,12 @@ class Table:
         """Return how many cells a part has."""
         if self.header is not None:
             return len(self.headers)
-        counts = Counter(len(r.cells) for r in self.records if looks_like_part(r.cells))
-        return counts.most_common(1)[0][0] if counts else 0
+        return _usual_width(self.records)
+
+
+def _usual_width(records: Sequence[Record]) -> int:
+    counts = Counter(len(r.cells) for r in records if looks_like_part(r.cells))
+    return counts.most_common(1)[0][0] if counts else 0
 
 
 def find_table(lines: Sequence[str], delimiter: str | None = None) -> Table:
@@ -133,37 +144,40 @@ def _unknown_header(records: Sequence[Record], delimiter: str) -> int | None:
 
 
 def _with_plain_header(records: Sequence[Record], header: int | None, delimiter: str) -> list[Record]:
-    """Return the records with a header without the signs of a comment."""
+    """Return the records with a header without the signs of a comment, and without empty cells at the ends of lines."""
     found = list(records)
     if header is None:
         return found
-    cells: tuple[str, ...] = found[header].cells
-    if delimiter == " " and len(cells) > 1 and not re.search(r"\w", cells[0]):
-        widths = Counter(len(r.cells) for r in found[header + 1 :] if looks_like_part(r.cells))
-        if widths and widths.most_common(1)[0][0] < len(cells):
-            cells = cells[1:]
+    cells = found[header].cells
+    usual = _usual_width(found[header + 1 :])
+    if delimiter == " " and len(cells) != usual:
+        # Headers of two words, and a `#` before the first one.
+        phrases = tuple(words for _, words in header_phrases(found[header].text, is_known_header))
+        ways = (phrases, cells[1:] if not re.search(r"\w", cells[0]) else ())
+        cells = next((way for way in ways if len(way) == usual), cells)
     cells = tuple(header_cells(cells))
-    while (
+    while len(cells) > 1 and not cells[-1] and usual < len(cells):
+        cells = cells[:-1]
+    found[header] = replace(found[header], cells=cells)
+    for n in range(header + 1, len(found)):
+        surplus = found[n].cells[len(cells) :]
+        if surplus and not any(surplus):
+            found[n] = replace(found[n], cells=found[n].cells[: len(cells)])
+    if (
         len(cells) > 1
         and not cells[-1]
-        and not any(
-            len(r.cells) >= len(cells) and r.cells[len(cells) - 1]
-            for r in found[header + 1 :]
-            if not is_comment(r.cells)
-        )
-    ):  # delimiters at the ends of all lines
-        cells = cells[:-1]
-        found = [
-            replace(r, cells=r.cells[: len(cells)]) if n > header and len(r.cells) == len(cells) + 1 else r
-            for n, r in enumerate(found)
-        ]
-    found[header] = replace(found[header], cells=cells)
+        and not any(r.cells[len(cells) - 1 : len(cells)] not in ((), ("",)) for r in found[header + 1 :])
+    ):
+        width = len(cells) - 1
+        found[header:] = [replace(r, cells=r.cells[:width]) for r in found[header:]]
     return found
 
 
 def _with_place_in_two_cells(records: list[Record], header: int | None) -> list[Record]:
     """Return the records with a column such as EAGLE's `Position (mil)`, "(1000 2000)", as two columns."""
-    if header is None or "x" in named_columns(records[header].cells):
+    if header is None:
+        return [_with_split_place(r) if r.cells[1:2] and not looks_like_part(r.cells) else r for r in records]
+    if "x" in named_columns(records[header].cells):
         return records
     cells = records[header].cells
     for n, cell in enumerate(cells):
@@ -181,3 +195,11 @@ def _with_place_in_two_cells(records: list[Record], header: int | None) -> list[
         named = replace(records[header], cells=(*cells[:n], f"X {unit}", f"Y {unit}", *cells[n + 1 :]))
         return [named if m == header else parted(record) for m, record in enumerate(records)]
     return records
+
+
+def _with_split_place(record: Record) -> Record:
+    """Return a record of a table without header, with a second cell that holds x and y as two cells (Allegro)."""
+    match = _PLACE_IN_ONE_CELL.match(record.cells[1])
+    if match is None or len(record.cells) < 3:
+        return record
+    return replace(record, cells=(record.cells[0], *match.groups(), *record.cells[2:]))

@@ -65,7 +65,13 @@ def _record(lines: Sequence[str], n: int, delimiter: str, usual: int) -> Record:
     one = [cells for cells in (_standard(line, delimiter), _lenient(line, delimiter)) if cells is not None]
     best = next((cells for cells in one if len(cells) == usual), None)
     if best is None and '"' in line:
+        literal = line.split(delimiter)
         for count in range(2, min(MOST_LINES_OF_A_RECORD, len(lines) - n) + 1):
+            # A quotation mark in a full line is an inch mark if another full line follows.
+            if len(literal) == usual and len(lines[n + count - 1].split(delimiter)) == usual:
+                break
+            if '"' not in lines[n + count - 1]:
+                continue
             text = "\n".join(lines[n : n + count])
             for read in (_standard, _lenient):
                 if (cells := read(text, delimiter)) is not None and len(cells) == usual:
@@ -125,27 +131,24 @@ def _words(line: str) -> list[str]:
 # At the positions of the header's words.
 
 
-def fixed_width(
-    lines: Sequence[str], header: int, is_known: Callable[[str], bool], most_header_words: int = 3
-) -> list[Record] | None:
+def fixed_width(lines: Sequence[str], header: int, is_known: Callable[[str], bool]) -> list[Record] | None:
     """Return the records of a table with columns of fixed width; None if its lines have no such columns.
 
     Args:
         lines: all lines.
         header: index of the line with the header.
         is_known: whether words are the header of one column, so that "Mid X" is one and "Pad Y TB" are two.
-        most_header_words: largest number of words of a known header.
     """
     lines = [line.expandtabs(8) for line in lines]
     if "  " not in lines[header].strip():
         return None
-    headers = _headers(lines[header], is_known, most_header_words)
+    headers = header_phrases(lines[header], is_known)
     body = [line for line in lines[header + 1 :] if line.strip() and not RULER.match(line) and line.lstrip()[:1] != "#"]
     if len(headers) < 3 or not body:
         return None
     bounds = [0]
-    for (start, _), following in pairwise(headers):
-        bounds.append(_boundary(body, max(start, bounds[-1]) + 1, *following))
+    for (start, words), following in pairwise(headers):
+        bounds.append(_boundary(body, max(start, bounds[-1]) + 1, start + len(words), *following))
     cut = [any(_cuts(line, bound) for bound in bounds[1:]) for line in body]
     if sum(cut) > MOST_CUT_WORDS * len(body):
         return None
@@ -161,9 +164,13 @@ def fixed_width(
     return records
 
 
-def _headers(line: str, is_known: Callable[[str], bool], most_words: int) -> list[tuple[int, str]]:
-    """Return position and words of every column of a header. A single `#` before the first one is left out."""
-    words = [(m.start(), m.end(), m[0]) for m in re.finditer(r"\S+", line)]
+def header_phrases(line: str, is_known: Callable[[str], bool], most_words: int = 3) -> list[tuple[int, str]]:
+    """Return position and words of every column of a header: `Mid X` is one, "Pad Y TB" are two.
+
+    A single `#` before the first one is left out.
+    """
+    # A unit in brackets belongs to the word before it.
+    words = [(m.start(), m.end(), m[0]) for m in re.finditer(r"[^\s(\[]+(?:\s?[(\[][^)\]]*[)\]])?|\S+", line)]
     if len(words) > 1 and not re.search(r"\w", words[0][2]):
         words = words[1:]
     found: list[tuple[int, str]] = []
@@ -180,15 +187,30 @@ def _headers(line: str, is_known: Callable[[str], bool], most_words: int) -> lis
     return found
 
 
-def _boundary(body: Sequence[str], first: int, header: int, words: str) -> int:
+def _boundary(body: Sequence[str], first: int, end: int, header: int, words: str) -> int:
     """Return where a column begins whose `words` are at `header`: behind a position that is blank in most lines.
 
-    Values may begin left of their header (numbers are set to the right) or right of it: the blank position nearest to
-    the left of the header is taken, else the nearest to its right.
+    Values may begin at their header, left of it (numbers are set to the right) or right of it. Where all begin at the
+    header, the column does; else behind the blank that is widest between the `end` of the header before and its own.
     """
-    candidates: list[int] = [*range(header, first - 1, -1), *range(header + 1, header + len(words))]
-    counts = [(sum(_cuts(line, at) for line in body), n) for n, at in enumerate(candidates)]
-    return candidates[min(counts)[1]]
+    candidates = range(first, header + len(words))
+    cuts = [sum(_cuts(line, at) for line in body) for at in candidates]
+    least = min(cuts)
+    free = [at for at, count in zip(candidates, cuts, strict=True) if count == least]
+    following = [line[header - 1 : header + len(words)] for line in body]
+    if header in free and all(part[:1].strip() == "" and (part[1:2].strip() or not part.strip()) for part in following):
+        return header
+    runs: list[list[int]] = []
+    for at in free:
+        if runs and runs[-1][-1] == at - 1:
+            runs[-1].append(at)
+        else:
+            runs.append([at])
+
+    def fitness(run: list[int]) -> tuple[int, int, int]:
+        return sum(end <= at <= header for at in run), len(run), -min(abs(at - header) for at in run)
+
+    return max(runs, key=fitness)[-1]
 
 
 def _cuts(line: str, at: int) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,27 +15,35 @@ from vaoi_station.board_data.readers.table_columns import (
     number_in,
 )
 from vaoi_station.board_data.readers.table_header import Table
-from vaoi_station.board_data.readers.table_lines import Record
+from vaoi_station.board_data.readers.table_rows import PartRow
 from vaoi_station.errors import InputError
 
 UNITS = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
-USUAL_SPREAD_MM = (15.0, 650.0)
-"""Distance of the outermost parts of a usual board along x or y."""
-PartRow = tuple[Record, tuple[str, ...]]
-"""A record, and its cells in the columns of the layout."""
-
+USUAL_SPREAD_MM = (8.0, 1000.0)
+"""Distance of the outermost parts of a board along x or y. Wide limits: a guess is hardly ever wrong."""
 _UNIT_WORDS = (
-    (re.compile(r"(?<![a-z])(millimet(er|re)s?|mm)(?![a-z])", re.IGNORECASE), "mm"),
+    (re.compile(r"(?<![a-z])(millimet(er|re)s?|mm|metric|metrisch)(?![a-z])", re.IGNORECASE), "mm"),
     (re.compile(r"(?<![a-z])(mils?|thou|th)(?![a-z])", re.IGNORECASE), "mil"),
-    # "in" is a word of sentences, too: "X, Y in mils".
-    (re.compile(r"(?<![a-z])(inch(es)?|zoll|in)(?![a-z])(?!\s+[a-z])|\"|″", re.IGNORECASE), "inch"),
+    # "in" is a word of sentences, too: it is a unit in brackets, behind a colon, or at the end of a header.
+    (
+        re.compile(r"(?<![a-z])(inch(es)?|zoll)(?![a-z])|[(\[:=,]\s*in\s*([)\],;]|$)|[\s_-]in$|\"|″", re.IGNORECASE),
+        "inch",
+    ),
     # Units that are recognised to be refused. A single m stands for metres in brackets only.
     (re.compile(r"(?<![a-z])(centimet(er|re)s?|cm)(?![a-z])", re.IGNORECASE), "cm"),
     (re.compile(r"(?<![a-z])(micromet(er|re)s?|microns?|[uµμ]m)(?![a-z])", re.IGNORECASE), "um"),
     (re.compile(r"(?<![a-z])(nanomet(er|re)s?|nm)(?![a-z])", re.IGNORECASE), "nm"),
     (re.compile(r"(?<![a-z])(met(er|re)s?)(?![a-z])|[(\[]m[)\]]", re.IGNORECASE), "m"),
+    (re.compile(r"(?<![a-z])imperial(?![a-z])", re.IGNORECASE), "imperial"),
 )
-_STATES_UNIT = re.compile(r"unit|einheit|\bx\s*[,;/]\s*y\b.*\b(in|-|:)\s", re.IGNORECASE)
+_FACTOR = re.compile(
+    r"(?<![\d.])(\d+(?:[.,]\d+)?(?:\s*/\s*\d+)?)\s*(?:mm|mils?|thou|inch(?:es)?|in)(?![a-z])", re.IGNORECASE
+)
+_STATES_UNIT = re.compile(
+    r"(?<![a-z])(units?|einheit(en)?|uunits)(?![a-z])\s*(used|of measure)?\s*[:=]?|\bx\s*[,;/]\s*y\b", re.IGNORECASE
+)
+_OF_OTHER_LENGTHS = re.compile(r"height|h(oe|ö)he|thick|dicke|drill|bohr|hole|width|breite|clearance", re.IGNORECASE)
+_BY_SIZE = "the only one at which the board has a usual size"
 
 
 @dataclass(frozen=True)
@@ -46,29 +54,30 @@ class StatedUnits:
     by: str
     """What states the unit."""
     decimal: str | None
+    is_guess: bool = False
+    """Whether the file states no unit, and the size of the board decided."""
 
     @classmethod
     def of(
-        cls, table: Table, layout: TableLayout, rows: Sequence[PartRow], path: Path,
-        given: str | None,
-    ) -> StatedUnits:  # fmt: skip
+        cls, table: Table, layout: TableLayout, rows: Sequence[PartRow], path: Path, given: str | None
+    ) -> StatedUnits:
         """Find them: as given, by the header, by the values, by a comment, or by the size of the board.
 
         Raises:
             InputError: the file states a unit that is none of `UNITS`, several, or none.
         """
-        places = [cells[layout.columns[name]] for _, cells in rows for name in ("x", "y")]
-        decimal = decimal_separator(places)
-        if given is not None:
-            return cls(given, "as given", decimal)
-        unit, by = _stated_unit(table, layout, rows, path)
-        if unit is None:
-            return cls(_plausible_unit(layout, rows, decimal, path), f"{by}; the file states none", decimal)
-        if unit not in UNITS:
+        places = [[cells[layout.columns[name]] for _, cells in rows] for name in ("x", "y")]
+        decimal = decimal_separator(cell for cells in places for cell in cells)
+        unit, by = (given, "as given") if given is not None else _stated_unit(table, layout, rows, path)
+        if unit is not None and unit not in UNITS:
             raise InputError(
                 f"{path}: states the unit {unit!r} ({by}), but must be one of {', '.join(UNITS)}.",
                 action="Export it in mm, or state the unit of its numbers by --units.",
             )
+        if decimal is None and _has_bare_and_separated(places):
+            decimal = _plausible_decimal(places, unit, path)
+        if unit is None:
+            return cls(_plausible_unit(places, decimal, path), _BY_SIZE, decimal, is_guess=True)
         return cls(unit, by, decimal)
 
 
@@ -79,58 +88,116 @@ def _unit_word(text: str) -> str | None:
 def unit_of(cell: str) -> str | None:
     """Return the unit that a value states."""
     match = NUMBER.match(cell.strip())
-    return _unit_word(match[4]) if match and match[4] else None
+    return _unit_word(f"({match[4]})") if match and match[4] else None
 
 
 def _stated_unit(table: Table, layout: TableLayout, rows: Sequence[PartRow], path: Path) -> tuple[str | None, str]:
     """Return the unit that a file states, which may be none of `UNITS`, and what states it."""
-    x, y = (_unit_word(layout.header_of(name)) for name in ("x", "y"))
+    headers = [layout.header_of(name) for name in ("x", "y")]
+    x, y = map(_unit_word, headers)
     if x and y and x != y:
         raise InputError(f"{path}: its header has x in {x} and y in {y}. Give --units.")
     if x or y:
-        return x or y, "by the header"
-    bare = []
-    units = set()
+        return _refused_factor(headers) or x or y, "by the header"
+    units, bare = set(), []
     for record, cells in rows:
+        of_line = layout.unit is not None and unit_of(f"1{cells[layout.unit].lower()}")
         for name in ("x", "y"):
             cell = cells[layout.columns[name]]
-            if (unit := unit_of(cell)) is not None:
+            if (unit := unit_of(cell) or of_line) is not None and unit:
                 units.add(unit)
             elif number_in(cell):
                 bare.append((record.line, name, cell))
-    first = rows[0][0].line
-    # What no line of the head states, a line below the parts may.
-    for record in table.records:
-        stands_apart = record.line < first or is_comment(record.cells)
-        if (
-            stands_apart
-            and record.cells != layout.headers
-            and _STATES_UNIT.search(record.text)
-            and (word := _unit_word(record.text))
-        ):
-            return word, f"by line {record.line}"
-    if units and bare:
+    if units and not bare:
+        return min(units, key=lambda unit: unit not in UNITS), "by the values"
+    by_lines = dict(_units_by_lines(table, layout, rows))
+    if len(set(by_lines.values())) > 1:
+        shown = ", ".join(f"{unit} in line {line}" for line, unit in by_lines.items())
+        raise InputError(f"{path}: states several units: {shown}.", action="State that of x and y by --units.")
+    if by_lines:
+        line, unit = next(iter(by_lines.items()))
+        return unit, f"by line {line}"
+    if units:
         line, name, cell = bare[0]
         raise InputError(
             f"{path}, line {line}: {name} is {cell!r} without a unit, but others state {', '.join(sorted(units))}.",
             action="State the unit of the values without one by --units.",
         )
-    if units:
-        return min(units, key=lambda unit: unit not in UNITS), "by the values"
-    return None, "the only one at which the board has a usual size"
+    return None, ""
 
 
-def _plausible_unit(layout: TableLayout, rows: Sequence[PartRow], decimal: str | None, path: Path) -> str:
-    """Return the only unit at which the parts are spread over a usual board; refuse if there are several or none."""
-    spread = []
-    for name in ("x", "y"):
-        values = [v for _, cells in rows if (v := number_in(cells[layout.columns[name]], decimal)) is not None]
-        spread.append(max(values, default=0.0) - min(values, default=0.0))
+def _units_by_lines(table: Table, layout: TableLayout, rows: Sequence[PartRow]) -> Iterator[tuple[int, str]]:
+    """Yield lines beside the parts that state a unit: those that say so, else those that have one."""
+    first = rows[0][0].line
+    beside = [
+        record
+        for record in table.records
+        if (record.line < first or is_comment(record.cells))
+        and record.cells != layout.headers
+        and not _OF_OTHER_LENGTHS.search(record.text)
+    ]
+    stating = [record for record in beside if _STATES_UNIT.search(record.text) and _unit_word(record.text)]
+    for record in stating or beside:
+        unit = _refused_factor([record.text]) if stating else None
+        if unit or (unit := _unit_word(record.text)) is not None:
+            yield record.line, unit
+
+
+def _refused_factor(texts: Iterable[str]) -> str | None:
+    """Return a unit with a factor, such as `0.01mm`, as it is written; None if there is none."""
+    for text in texts:
+        match = _FACTOR.search(text)
+        if match is not None and match[1] != "1":
+            return match[0]
+    return None
+
+
+def _has_bare_and_separated(places: Iterable[Sequence[str]]) -> bool:
+    """Return whether some numbers have a separator before three digits, and others none at all: `1,000` and `500`."""
+    cells = [match[2] for column in places for cell in column if (match := NUMBER.match(cell.strip()))]
+    return any("," in c or "." in c for c in cells) and any(c.isdigit() and c.strip("0") for c in cells)
+
+
+def _plausible_decimal(places: Sequence[Sequence[str]], unit: str | None, path: Path) -> str:
+    """Return whether the comma or the point separates decimals, by the size of the board.
+
+    Raises:
+        InputError: both are possible.
+    """
+    separator = "," if any("," in cell for column in places for cell in column) else "."
+    other = {",": ".", ".": ","}[separator]
+    units = [unit] if unit is not None else list(UNITS)
+    usual = [d for d in (separator, other) if any(_is_usual(_spread(places, d), of) for of in units)]
+    if len(usual) == 1:
+        return usual[0]
+    shown = next(cell for column in places for cell in column if separator in cell)
+    raise InputError(
+        f"{path}: {shown!r} may have a decimal sign, or separate thousands; nothing in the file shows which.",
+        action="Export it without thousands separators" + (", or state the unit by --units." if unit is None else "."),
+    )
+
+
+def _spread(places: Sequence[Sequence[str]], decimal: str | None) -> float:
+    """Return the distance of the outermost parts along x or y, in the unit of the file."""
+    spreads = []
+    for column in places:
+        values = [v for cell in column if (v := number_in(cell, decimal)) is not None]
+        spreads.append(max(values, default=0.0) - min(values, default=0.0))
+    return max(spreads)
+
+
+def _is_usual(spread: float, unit: str) -> bool:
     low, high = USUAL_SPREAD_MM
-    found = [unit for unit, mm in UNITS.items() if low <= max(spread) * mm <= high]
+    return low <= spread * UNITS.get(unit, 1.0) <= high
+
+
+def _plausible_unit(places: Sequence[Sequence[str]], decimal: str | None, path: Path) -> str:
+    """Return the only unit at which the parts are spread over a board; refuse if there are several or none."""
+    spread = _spread(places, decimal)
+    found = [unit for unit in UNITS if _is_usual(spread, unit)]
     if len(found) != 1:
         raise InputError(
-            f"{path}: states no unit, and its parts are {max(spread):g} units apart, which is a usual board in "
+            f"{path}: states no unit, and its parts are {spread:g} units apart, which is a usual board in "
             f"{' and in '.join(found) or 'no unit'}. Give --units mm, inch or mil."
         )
     return found[0]

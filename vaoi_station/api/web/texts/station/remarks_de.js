@@ -45,9 +45,12 @@ export const remarks = {
   "rotations-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile sind anders gedreht; es gilt die erste Datei: ${more(names)}.`,
   "several-steps": ({ names, step }) => `Mehrere Steps haben Bauteile: ${names}; gelesen wurde ${step}.`,
   "side-assumed": ({ side }) => `Keine Spalte nennt die Seite; alle Bauteile gelten als solche der ${SIDES[side]}.`,
+  "side-contradicted": ({ count, header, names }) => `Laut Spalte „${header}“ sind ${count} Bauteile der Oberseite gespiegelt; sie bleiben auf der Oberseite: ${more(names)}.`,
   "side-empty": ({ count, side, names }) => `${count} Bauteile haben in der Spalte keine Seite; sie gelten als solche der ${SIDES[side]}: ${more(names)}.`,
+  "sides-by-number": ({ sides }) => `Die Seite steht als Zahl da; genommen wird: ${sides.replaceAll(" as top", " als Oberseite").replaceAll(" as bottom", " als Unterseite")}.`,
   "sides-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile liegen in beiden Dateien auf verschiedenen Seiten: ${more(names)}.`,
   "sizes-guessed": ({ count, size, names }) => `${count} Bauteile haben keine Größe in der Datei, und ihr Gehäuse steht in keiner Tabelle: ${size} mm ist geschätzt für ${more(names)}.`,
   "step-is-panel": ({ step, count }) => `Der Step ${step} ist ein Nutzen aus ${count} Leiterplatten; ihre Positionen zählen von 1 an.`,
+  "unit-guessed": ({ unit }) => `Die Datei nennt keine Einheit; ${unit} wird angenommen, die einzige, bei der die Leiterplatte eine übliche Größe hat.`,
   "table-read-as": ({ columns, unit }) => `Als Tabelle gelesen, Einheit ${unit}; ${columns}. Sonst Spalten und Einheit berichtigen.`,
 };
