@@ -20,7 +20,7 @@ FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
     "eagle": ("b.brd", samples.EAGLE.encode),
     "html-bom": ("b.json", samples.HTML_BOM.encode),
 }
-CENTRES_OF_C1 = {"gencad": (15, 21), "ipc2581": (15, 29), "odb": (15, 29), "eagle": (15, 21)}
+CENTRES_OF_C1 = {"gencad": (15, 21), "ipc2581": (15, 29), "odb": (15, 21), "eagle": (15, 21)}
 """Where the body of C1 lies that the sample of a format describes: on the bottom, beside its origin."""
 
 

@@ -11,26 +11,80 @@ from vaoi_station.errors import InputError
 PATH = Path("b.xml")
 
 
-def read(*changes: tuple[str, str]) -> dict[str, tuple[float, tuple[float, float]]]:
+def read(*changes: tuple[str, str]) -> None:
     text = samples.IPC2581
     for before, after in changes:
         assert before in text
         text = text.replace(before, after)
+    read_ipc2581(text.encode(), PATH)
+
+
+PAD = '<Location x="0.6405512" y="1.184252"/>'
+"""Where pin 1 of C1 lies, at (0.2, 0.05) of its package, seen from its origin at (0.0050, 0.2) inch."""
+KICAD = '<HistoryRecord><SoftwarePackage name="KiCad"/></HistoryRecord><Bom>'
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "rotation", "center", "rule"),
+    [
+        (0.05, 0.2, 270, (15, 29), "mirrored in x, then turned clockwise by the angle"),
+        (-0.05, -0.2, 90, (15, 21), "mirrored in x, then turned counter-clockwise by the angle"),
+        (-0.05, 0.2, 90, (15, 29), "turned counter-clockwise by the angle"),
+        (0.05, -0.2, 270, (15, 21), "turned clockwise by the angle"),
+    ],
+)
+@pytest.mark.parametrize("history", ["<Bom>", KICAD])
+def test_the_pads_show_how_a_program_turns_and_mirrors_parts_of_the_bottom(
+    x: float, y: float, rotation: float, center: tuple[float, float], rule: str, history: str
+) -> None:
+    """At one angle, 90°, the rules with 180° are the others; the simpler ones come first."""
+    pad = f'<Location x="{0.5905512 + x:.7f}" y="{0.984252 + y:.7f}"/>'
+    text = samples.IPC2581.replace(PAD, pad).replace("<Bom>", history)
     design = read_ipc2581(text.encode(), PATH)
-    return {p.ref: (p.rotation, p.center) for p in design.parts}
+    part = next(p for p in design.parts if p.ref == "C1")
+    assert part.rotation == rotation
+    assert part.center == pytest.approx(center, abs=1e-3)
+    (note,) = [n for n in design.notes if n.code == "rotation-by-pins"]
+    assert (note.values["side"], note.values["fit"], note.values["pins"], note.values["rivals"]) == ("bottom", *"111")
+    assert history == KICAD or note.values["rule"] == rule
 
 
-def test_the_pads_show_how_the_program_rotates_parts_of_the_bottom() -> None:
-    assert read()["C1"][0] == 270
-    # The same pad on the other side of the origin: mirrored first, then rotated.
-    assert read(('<Location x="0.6405512" y="1.184252"/>', '<Location x="0.5405512" y="0.784252"/>'))["C1"][0] == 90
+@pytest.mark.parametrize(("history", "rotation", "center"), [("<Bom>", 270, (15, 29)), (KICAD, 90, (15, 29))])
+def test_without_pads_the_rule_of_the_standard_or_of_kicad_holds_and_a_note_says_so(
+    history: str, rotation: float, center: tuple[float, float]
+) -> None:
+    text = samples.IPC2581.replace('<PinRef componentRef="C1" pin="1"/>', "").replace("<Bom>", history)
+    design = read_ipc2581(text.encode(), PATH)
+    part = next(p for p in design.parts if p.ref == "C1")
+    assert part.rotation == rotation
+    assert part.center == pytest.approx(center, abs=1e-3)
+    assert [n.values["side"] for n in design.notes if n.code == "rotation-unconfirmed"] == ["top", "bottom"]
 
 
-def test_kicads_rule_is_known() -> None:
-    history = '<HistoryRecord><SoftwarePackage name="KiCad"/></HistoryRecord><Bom>'
-    rotation, center = read(("<Bom>", history))["C1"]
-    assert rotation == 90
-    assert center == pytest.approx((15, 21), abs=1e-3)
+@pytest.mark.parametrize(("x", "y", "rotation"), [(-0.05, 0.2, 90), (0.2, 0.05, 0), (-0.2, -0.05, 180)])
+def test_pads_on_the_top_decide_as_well(x: float, y: float, rotation: float) -> None:
+    """J1 states 90°; its pads show it, or another angle."""
+    pad = f'<Pad><Location x="{1.1811024 + x:.7f}" y="{0.7874016 + y:.7f}"/><PinRef componentRef="J1" pin="1"/></Pad>'
+    text = samples.IPC2581.replace("<Set><GlobalFiducial>", f"<Set>{pad}</Set><Set><GlobalFiducial>")
+    design = read_ipc2581(text.encode(), PATH)
+    assert next(p for p in design.parts if p.ref == "J1").rotation == rotation
+    assert any(n.code == "angles-by-pins" for n in design.notes) == (rotation != 90)
+
+
+def test_pins_of_one_number_may_lie_at_any_of_its_pads() -> None:
+    """A through-hole pin has a pad on every layer, a tab several pads of one number."""
+    first = '<Pin number="1"><Location x="0.2" y="0.05"/>'
+    tab = '<Pin number="1"><Location x="-0.2" y="0.05"/><StandardPrimitiveRef id="P1"/></Pin>'
+    text = samples.IPC2581.replace(first, tab + first)
+    pads = "".join(
+        f'<Pad><Location x="{0.5905512 + 0.05:.7f}" y="{0.984252 + y:.7f}"/><PinRef componentRef="C1" pin="1"/></Pad>'
+        for y in (-0.2, 0.2, 0.2)
+    )
+    design = read_ipc2581(
+        text.replace('<LayerFeature layerRef="BOT"><Set>', f'<LayerFeature layerRef="BOT"><Set>{pads}').encode(), PATH
+    )
+    (note,) = [n for n in design.notes if n.code == "rotation-by-pins"]
+    assert (note.values["fit"], note.values["pins"]) == ("2", "2")
 
 
 @pytest.mark.parametrize(
@@ -58,7 +112,8 @@ def test_a_file_without_components_and_one_of_several_steps() -> None:
     component = '<Component refDes="Z" packageRef="Q" layerRef="TOP"><Location x="0" y="0"/></Component>'
     second = f'<Step name="other">{component}</Step>'
     design = read_ipc2581(samples.IPC2581.replace("</CadData>", second + "</CadData>").encode(), PATH)
-    assert design.notes == ("the file has 2 steps with components (sample, other); sample was read. Choose by --step.",)
+    (note,) = [n for n in design.notes if n.code == "several-steps"]
+    assert note == "the file has 2 steps with components (sample, other); sample was read. Choose by --step."
 
 
 def test_kinds_of_marks_and_the_component_of_a_local_fiducial() -> None:

@@ -10,6 +10,8 @@ import pytest
 
 from tests.board_data.readers import samples
 from tests.board_data.readers.test_unix_compress import compressed
+from vaoi_station.board_data.design import Design, rotated
+from vaoi_station.board_data.pin_rules import RULES, Rule
 from vaoi_station.board_data.readers.odb import is_odb, read_odb
 from vaoi_station.errors import InputError
 
@@ -66,7 +68,8 @@ def test_a_compressed_member_is_read_to_its_end_or_refused(tmp_path: Path) -> No
 def test_every_file_has_its_own_unit(tmp_path: Path) -> None:
     parts = {p.ref: p for p in read_odb(write(tmp_path)).parts}
     assert parts["C1"].origin == pytest.approx((15, 25), abs=1e-4)
-    assert parts["C1"].rotation == 270
+    # As seen from its own side it turns clockwise.
+    assert parts["C1"].rotation == 90
 
 
 def test_courtyards_of_kicad_are_no_bodies_but_hulls_are(tmp_path: Path) -> None:
@@ -122,3 +125,101 @@ def test_a_design_without_components_and_an_archive_that_is_none(tmp_path: Path)
     assert not is_odb(tmp_path / "c.zip")
     with pytest.raises(InputError, match="has no file matrix/matrix"):
         read_odb(tmp_path / "c.zip")
+
+
+PKG_SOT = "UNITS=MM\nPKG SOT 1 -1.5 -1.4 1.5 1.4;\nRC -1.5 -0.65 3 1.3\n" + "".join(
+    f"PIN {name} S {x} {y} 0 U U\nRC {x - 0.3} {y - 0.3} 0.6 0.6\n"
+    for name, x, y in (("A", -0.95, -1.1), ("B", 0.95, -1.1), ("C", 0.0, 1.1))
+)
+PKG_CONN = "PKG CONN 1 0 -2 8 2;\nRC 0 -2 8 4\nPIN 1 S 0 0 0 U U\nCR 0 0 0.3\nPIN 2 S 7 0 0 U U\nCR 7 0 0.3\n"
+BOTTOM = "job/steps/pcb/layers/comp_+_bot/components"
+SOT = ((-0.95, -1.1), (0.95, -1.1), (0.0, 1.1))
+CONN = ((0.0, 0.0), (7.0, 0.0))
+
+
+def toeprints(
+    pins: tuple[tuple[float, float], ...], mirrored: bool, turn: float, first: int = 0, name: str = "t"
+) -> str:
+    """Return the toeprints of a part at (20, 10) that is turned counter-clockwise by an angle."""
+    lines = ""
+    for n, (x, y) in enumerate(pins, first):
+        dx, dy = rotated((-x if mirrored else x, y), turn)
+        lines += f"TOP {n} {20 + dx:.4f} {10 + dy:.4f} 0 N 0 0 {name}{n}\n"
+    return lines
+
+
+def read_side(folder: Path, layer: str, text: str, info: str = "UNITS=MM\n") -> Design:
+    other = TOP if layer == BOTTOM else BOTTOM
+    members = {PACKAGES: PKG_SOT + PKG_CONN, layer: "UNITS=MM\n" + text, other: "UNITS=MM\n", "job/misc/info": info}
+    return read_odb(write(folder, **members))
+
+
+@pytest.mark.parametrize("word", ["N", "M"])
+@pytest.mark.parametrize("layer", [TOP, BOTTOM])
+@pytest.mark.parametrize("rule", RULES)
+def test_toeprints_show_how_parts_are_turned_and_mirrored(rule: Rule, layer: str, word: str, tmp_path: Path) -> None:
+    text = ""
+    for degrees in (0, 45, 90, 270):
+        turn = rule.sign * degrees + rule.offset
+        text += f"CMP 0 20 10 {degrees} {word} Q{degrees} x ;\n" + toeprints(SOT, rule.mirrored, turn)
+        text += f"CMP 1 20 10 {degrees} {word} J{degrees} x ;\n" + toeprints(CONN, rule.mirrored, turn)
+    design = read_side(tmp_path, layer, text)
+    for part in design.parts:
+        turn = rule.rotation(float(part.ref[1:]))
+        assert part.rotation == turn, part.ref
+        dx, dy = rotated((-4 if rule.mirrored else 4, 0), turn)
+        assert part.center == pytest.approx((20 + dx, 10 + dy) if part.ref[0] == "J" else (20, 10), abs=1e-6)
+    (note,) = design.notes
+    assert (note.code, note.values["fit"], note.values["pins"]) == ("rotation-by-pins", "16", "16")
+
+
+@pytest.mark.parametrize(
+    ("info", "rotation", "center"),
+    [("UNITS=MM\n", 90, (20, 6)), ("UNITS=MM\nSAVE_APP=KiCad EDA 9.0.2\n", 270, (20, 6))],
+)
+def test_without_toeprints_the_specification_or_kicads_rule_holds(
+    info: str, rotation: float, center: tuple[float, float], tmp_path: Path
+) -> None:
+    design = read_side(tmp_path, BOTTOM, "CMP 1 20 10 90 M J1 x ;\n", info)
+    (part,), (note,) = design.parts, design.notes
+    assert (part.rotation, note.code) == (rotation, "rotation-unconfirmed")
+    assert part.center == pytest.approx(center)
+
+
+@pytest.mark.parametrize(
+    ("pins", "says"),
+    [
+        (toeprints(SOT, True, 90, first=7), "pins-unfit"),
+        (toeprints(SOT, True, 90, first=1), None),
+        (toeprints(SOT[::-1], True, 90), "pins-unfit"),
+        (toeprints(SOT, True, 45), "angles-by-pins"),
+        ("TOP 0 nan 3 0 N 0 0 A\n", "toeprints-left-out"),
+        ("TOP 0 3\n", "toeprints-left-out"),
+        ("TOP x 3 4 0 N 0 0 A\n", "toeprints-left-out"),
+        ("TOP -1 3 4 0 N 0 0 A\n", "toeprints-left-out"),
+    ],
+)
+def test_wrong_toeprints_of_one_part_are_named_and_spoil_no_other(pins: str, says: str | None, tmp_path: Path) -> None:
+    good = "".join(f"CMP 0 20 10 {a} N Q{a} x ;\n" + toeprints(SOT, True, a) for a in (0, 45, 90, 270))
+    design = read_side(tmp_path, BOTTOM, good + "CMP 0 20 10 90 N U9 x ;\n" + pins)
+    assert [p.rotation for p in design.parts] == [0, 45, 90, 270, 45 if says == "angles-by-pins" else 90]
+    named = {note.code for note in design.notes if "U9" in note}
+    assert named == ({says} if says else set())
+
+
+@pytest.mark.parametrize("name", ["A", "t"])
+def test_toeprints_are_matched_by_number_else_by_name(name: str, tmp_path: Path) -> None:
+    """Altium names toeprints by component and pin; of a file with other numbers the names may match."""
+    text = "CMP 0 20 10 90 N Q1 x ;\n" + toeprints(SOT, True, 90)
+    if name == "A":
+        for n, pin in enumerate("ABC"):
+            text = text.replace(f"TOP {n} ", f"TOP {n + 40} ").replace(f" t{n}\n", f" {pin}\n")
+    design = read_side(tmp_path, BOTTOM, text)
+    assert design.parts[0].rotation == 90
+    assert (design.notes[0].values["fit"], design.notes[0].values["pins"]) == ("3", "3")
+
+
+def test_a_package_that_the_file_does_not_have_is_no_fault_of_its_toeprints(tmp_path: Path) -> None:
+    design = read_side(tmp_path, BOTTOM, "CMP 9 20 10 90 N Q1 x ;\n" + toeprints(SOT, True, 90))
+    assert design.parts[0].rotation == 90
+    assert [note.code for note in design.notes] == ["rotation-unconfirmed", "pins-unfit"]

@@ -1,14 +1,16 @@
 """Read IPC-2581 files, revisions A to C.
 
-Packages are drawn as seen from the side of the part. Programs differ in how they rotate and mirror parts of the bottom;
-the pads in the file show it (`_bottom_rule`). Source: IPC-2581C and its schema.
+Packages are drawn as seen from the side of the part; on the bottom they are turned, then mirrored in x. KiCad 9 draws
+them as seen from the top. Pads that name component and pin show which rule holds (`pin_rules`); logical and
+physical nets state no places of pins. Source: IPC-2581C and its schema.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -22,27 +24,15 @@ from vaoi_station.board_data.design import (
     MarkKind,
     Part,
     Side,
-    body_of,
     box_around,
-    normalised,
     rotated,
 )
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
+from vaoi_station.board_data.pin_rules import DrawnPart, Pin, Rule, placed_parts
 from vaoi_station.board_data.source_text import number_of, parse_xml
 from vaoi_station.errors import InputError
 from vaoi_station.model.note import Note
 
-_BOTTOM_RULES: dict[str, Callable[[float], float]] = {
-    "rotated, then mirrored": lambda r: -r,
-    "mirrored, then rotated": lambda r: r,
-    "rotated, then mirrored at x": lambda r: 180 - r,
-    "mirrored at x, then rotated": lambda r: 180 + r,
-}
-"""Rotation in the file → rotation of the part after it was mirrored in x, counter-clockwise as seen from the top.
-
-The first is the standard's; KiCad 9 follows the third."""
-_ENOUGH_PADS = 400
-_LEAST_OFFSET_MM = 0.2
 _MARK_KINDS: dict[str, MarkKind] = {
     "GlobalFiducial": "global",
     "LocalFiducial": "local",
@@ -107,19 +97,21 @@ def _step_name(element: Element) -> str:
 
 @dataclass
 class _Package:
-    box: Box | None
+    drawing: Box | None
+    pads: Box | None
     height: float | None
     name: str
     pad: float | None
     """Largest extent of its first pad."""
-    pins: dict[str, XY]
-    """Number of a pin → its place."""
+    pins: tuple[tuple[str, XY], ...]
+    """Number and place of every pin."""
 
 
 class _Reader:
     def __init__(self, path: Path, root: Element, mm: float) -> None:
         self._path, self._root, self._mm = path, root, mm
         self._sides, self._primitives, self._not_fitted = _sides(root), _primitives(root), _not_fitted(root)
+        self._by_kicad = any("kicad" in (e.get("name") or "").lower() for e in root.iter("SoftwarePackage"))
 
     def step(self, step: Element, name: str) -> Step:
         """Return a step with what it repeats."""
@@ -152,14 +144,14 @@ class _Reader:
     def design(self, step: Element, name: str) -> Design:
         """Return a step without what it repeats. Wrong values of its datum and repeats change no board."""
         packages = {p.get("name", ""): self._package(p) for p in step.iter("Package")}
-        rule = self._bottom_rule(step, packages)
-        notes = []
-        parts, absent = [], set()
+        places = self._pin_places(step)
+        drawn, absent = [], set()
         for component in step.findall("Component"):
             package = packages.get(component.get("packageRef", ""))
             if package is None:
                 absent.add(component.get("packageRef", ""))
-            parts.append(self._part(component, package, rule))
+            drawn.append(self._part(component, package, places))
+        parts, notes = placed_parts(drawn, self._usual_rule)
         if absent:
             names = ", ".join(sorted(absent)[:8])
             sentence = f"{len(absent)} packages are not described: {names}."
@@ -172,88 +164,78 @@ class _Reader:
             name, "ipc2581", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), marks=marks, notes=tuple(notes)
         )
 
-    def _part(self, component: Element, package: _Package | None, rule: str) -> Part:
+    def _usual_rule(self, side: Side, word: str) -> Rule:
+        if side == "top" and word != "mirror":
+            return Rule(mirrored=False, sign=1)
+        return Rule(False, -1, 180.0) if self._by_kicad else Rule(mirrored=True, sign=-1)
+
+    def _part(
+        self, component: Element, package: _Package | None, places: Mapping[tuple[str, str], Sequence[XY]]
+    ) -> DrawnPart:
         ref = _plain(component.get("refDes", ""))
         transform, location = component.find("Xform"), component.find("Location")
         if not ref or location is None:
             raise InputError(f"{self._path}: a Component has no refDes or no Location (refDes {ref!r}).")
         side = self._sides.get(component.get("layerRef", ""), "top")
-        rotation = self._number(transform, "rotation", 0.0)
         mirror = transform is not None and transform.get("mirror", "false").lower() in ("true", "1")
-        box = package.box if package else None
-        if mirror or side == "bottom":
-            box = box.mirrored() if box else None
-            rotation = _BOTTOM_RULES[rule](rotation)
         name = package.name if package else _plain(component.get("packageRef", ""))
         is_mark = "fiducial" in name.lower()
-        return Part(
+        part = Part(
             ref=ref,
             side=side,
-            origin=(self._number(location, "x") * self._mm, self._number(location, "y") * self._mm),
-            rotation=normalised(rotation),
+            origin=self._place(location),
+            rotation=self._number(transform, "rotation", 0.0),
             package=name,
             value=_plain(component.get("part", "")),
-            box=box,
+            box=package.drawing if package else None,
             body_height=package.height if package else None,
             fitted=ref not in self._not_fitted,
             is_mark=is_mark,
             mark_diameter=package.pad if package else None,
         )
+        key = component.get("refDes", "")
+        numbers = Counter(number for number, _ in package.pins) if package else {}
+        # Pins of one number, such as the pads of a tab, may lie at any place of that number.
+        pins = tuple(
+            Pin(at, tuple(places[key, number]))
+            for number, at in (package.pins if package else ())
+            if (key, number) in places and (numbers[number] == 1 or len(places[key, number]) > 1)
+        )
+        return DrawnPart(part, (pins,), "mirror" if mirror else "", package.pads if package else None, pads_count=True)
 
     def _package(self, element: Element) -> _Package:
         outline = element.find("Outline")
         points = [p for shape in (outline if outline is not None else ()) for p in self._points(shape)]
-        drawing = element.find("AssemblyDrawing")
-        drawn = [p for shape in (drawing.iter() if drawing is not None else ()) for p in self._points(shape)]
+        assembly = element.find("AssemblyDrawing")
+        drawn = [p for shape in (assembly.iter() if assembly is not None else ()) for p in self._points(shape)]
         pads = [self._pad(pin) for pin in element.findall("Pin")]
         pins = box_around(p for pad in pads for p in pad)
-        box = body_of(box_around(drawn) or box_around(points), pins)
+        drawing = box_around(drawn) or box_around(points)
         first = box_around(pads[0]) if pads else None
         height = self._number(element, "height", 0.0) * self._mm
-        places = dict(self._pin_places(element))
-        return _Package(
-            box, height or None, _plain(element.get("name", "")), max(first.size) if first else None, places
+        places = tuple(
+            (pin.get("number", ""), self._place(location))
+            for pin in element.findall("Pin")
+            if (location := pin.find("Location")) is not None
         )
-
-    def _pin_places(self, package: Element) -> Iterator[tuple[str, XY]]:
-        for pin in package.findall("Pin"):
-            if (location := pin.find("Location")) is not None:
-                yield pin.get("number", ""), self._place(location)
+        pad = max(first.size) if first else None
+        return _Package(drawing, pins, height or None, _plain(element.get("name", "")), pad, places)
 
     def _place(self, location: Element) -> XY:
         return self._number(location, "x") * self._mm, self._number(location, "y") * self._mm
 
-    def _bottom_rule(self, step: Element, packages: dict[str, _Package]) -> str:
-        """Return the rule for rotations of parts on the bottom that explains where their pads are.
-
-        Programs differ in it. The file itself shows which rule its program follows: pads name component and pin.
-        """
-        # KiCad 9 writes pins of packages on the bottom as seen from the top, but not their outlines: its pads mislead.
-        if any("kicad" in (e.get("name") or "").lower() for e in self._root.iter("SoftwarePackage")):
-            return "rotated, then mirrored at x"
-        placed = {
-            component.get("refDes", ""): component
-            for component in step.findall("Component")
-            if self._sides.get(component.get("layerRef", "")) == "bottom"
-        }
-        errors = dict.fromkeys(_BOTTOM_RULES, 0.0)
-        count = 0
+    def _pin_places(self, step: Element) -> dict[tuple[str, str], list[XY]]:
+        """Return component and pin → places of its pads, on any layer."""
+        found: defaultdict[tuple[str, str], list[XY]] = defaultdict(list)
         for pad in step.iter("Pad"):
-            pin, location = pad.find("PinRef"), pad.find("Location")
-            component = placed.get(pin.get("componentRef", "")) if pin is not None else None
-            if component is None or pin is None or location is None or count >= _ENOUGH_PADS:
+            location = pad.find("Location")
+            if location is None:
                 continue
-            package, origin = packages.get(component.get("packageRef", "")), component.find("Location")
-            at = package.pins.get(pin.get("pin", "")) if package else None
-            if at is None or origin is None or math.hypot(*at) < _LEAST_OFFSET_MM:
-                continue
-            count += 1
-            (x0, y0), (x, y) = self._place(origin), self._place(location)
-            turn = self._number(component.find("Xform"), "rotation", 0.0)
-            for name, rule in _BOTTOM_RULES.items():
-                dx, dy = rotated((-at[0], at[1]), rule(turn))
-                errors[name] += min(math.hypot(x0 + dx - x, y0 + dy - y), 1.0)
-        return min(errors, key=lambda name: errors[name])
+            for pin in pad.findall("PinRef"):
+                places = found[pin.get("componentRef", ""), pin.get("pin", "")]
+                if (at := self._place(location)) not in places:
+                    places.append(at)
+        return dict(found)
 
     def _pad(self, pin: Element) -> list[XY]:
         location, transform = pin.find("Location"), pin.find("Xform")

@@ -1,8 +1,9 @@
 """Read ODB++ designs, versions 7 and 8, as a folder, a zip file or a tar file.
 
-A package is drawn as seen from the side of the part. A part on the bottom is mirrored in x first. Then the part turns
-clockwise as seen from the top, on either side. Every file states a unit. Source: ODB++ specification 8.1; KiCad's
-export and its board file agree in this. KiCad writes courtyards as outlines of packages.
+A package is drawn as seen from the side of the part, and turns clockwise as seen from there: a part on the bottom is
+mirrored in x, then turned counter-clockwise as seen from the top. KiCad draws packages on the bottom as seen from the
+top, and turns them clockwise. Toeprints, the places of pins, show which rule holds (`pin_rules`). Every file states a
+unit. Source: ODB++ specification 8.1 and designs of Allegro, Altium, PADS, Xpedition and KiCad.
 """
 
 from __future__ import annotations
@@ -12,25 +13,26 @@ import io
 import re
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from vaoi_station.board_data.contours import arc_points, circle_points
-from vaoi_station.board_data.design import (
-    KICAD_COURTYARD_MM,
-    XY,
-    Box,
-    Design,
-    Mark,
-    Part,
-    Side,
-    box_around,
-    normalised,
-)
+from vaoi_station.board_data.contours import arc_points
+from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_around
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
+from vaoi_station.board_data.pin_rules import DrawnPart, Rule, Usual, placed_parts
 from vaoi_station.board_data.readers import unix_compress
 from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
+from vaoi_station.board_data.readers.odb_packages import (
+    UNITS,
+    OdbFile,
+    Package,
+    Toeprint,
+    outline_points,
+    packages_of,
+    readings,
+    toeprint_of,
+)
 from vaoi_station.board_data.readers.odb_repeats import datum_of, has_repeats, repeats_of
 from vaoi_station.board_data.source_text import (
     MOST_BYTES,
@@ -43,9 +45,6 @@ from vaoi_station.board_data.source_text import (
 from vaoi_station.errors import InputError
 from vaoi_station.model.note import Note
 
-_UNITS = {"MM": 1.0, "INCH": 25.4}
-_LEAST_COURTYARD_MM = 0.05
-"""A courtyard is at least this far from every pin; KiCad's libraries have 0.15 and more."""
 _MARK_ATTRIBUTES = (".fiducial_name", ".fiducial_rotation")
 _LAYERS: tuple[tuple[Side, str], ...] = (("top", "comp_+_top"), ("bottom", "comp_+_bot"))
 
@@ -104,8 +103,8 @@ def _named_step(archive: Archive, root: str, path: Path, name: str) -> Step:
         raise InputError(f"{path}: a panel repeats step {name!r}, which the design does not have.")
     design, header = _design(archive, root, path, name), f"{root}steps/{name}/stephdr"
 
-    def header_file() -> _File:
-        return _File(f"{path}: {header}", _lines(archive, header) or [], _default_mm(archive, root))
+    def header_file() -> OdbFile:
+        return OdbFile(f"{path}: {header}", _lines(archive, header) or [], _default_mm(archive, root))
 
     @cache
     def datum() -> XY:
@@ -159,60 +158,30 @@ def _lines(archive: Archive, name: str) -> list[str] | None:
     return decode(data, where).splitlines()
 
 
-@dataclass
-class _Package:
-    name: str
-    points: list[XY]
-    pins: list[XY]
-    pad: float | None = None
-    """Largest extent of its first pin."""
-
-    def box(self, by_kicad: bool) -> Box | None:
-        """Return the box of the body; None if the package has none."""
-        outline, pins = box_around(self.points), box_around(self.pins)
-        # KiCad writes the courtyard. Where a footprint has none it writes a hull of everything, which touches the pins.
-        if by_kicad and outline is not None and pins is not None and outline.contains(pins, _LEAST_COURTYARD_MM):
-            return outline.shrunk(KICAD_COURTYARD_MM)
-        return outline
-
-
-class _File:
-    """The lines of one file, in its own unit."""
-
-    def __init__(self, where: str, lines: list[str], default: float | None) -> None:
-        self.where, self.lines = where, lines
-        unit = next(
-            (m[1].upper() for line in lines[:50] if (m := re.match(r"\s*(?:UNITS\s*=|U\s+)\s*(\w+)", line))), None
-        )
-        if unit is not None and unit not in _UNITS:
-            raise InputError.field(where, "UNITS", unit, "MM or INCH")
-        # Until version 7 a file without UNITS is in inches.
-        self.mm = _UNITS[unit] if unit else (default if default is not None else 25.4)
-
-    def numbers(self, number: int, words: list[str], count: int) -> list[float]:
-        """Return the first `count` words as numbers, unscaled."""
-        found = [v for w in words[:count] if (v := number_of(w)) is not None]
-        if len(found) != count:
-            raise InputError(f"{self.where}, line {number}: {self.lines[number - 1][:80]!r} must have {count} numbers.")
-        return found
-
-
 def _default_mm(archive: Archive, root: str) -> float | None:
     """Return the unit, mm, of files that state none; None if the design does not state it."""
     info = _lines(archive, f"{root}misc/info") or []
-    return next((_UNITS.get(line.partition("=")[2].strip().upper()) for line in info if line.startswith("UNITS")), None)
+    return next((UNITS.get(line.partition("=")[2].strip().upper()) for line in info if line.startswith("UNITS")), None)
 
 
 def _design(archive: Archive, root: str, path: Path, name: str) -> Design:
     """Return a step without what it repeats. Its header is not read: a wrong value there changes no board."""
     folder, default = f"{root}steps/{name}", _default_mm(archive, root)
-    packages = _packages(_file(archive, path, f"{folder}/eda/data", default))
+    packages = packages_of(_file(archive, path, f"{folder}/eda/data", default))
     by_kicad = _by_kicad(archive, root)
-    parts: list[Part] = []
+    drawn: list[DrawnPart] = []
+    unreadable: list[str] = []
     for side, layer in _LAYERS:
         file = _file(archive, path, f"{folder}/layers/{layer}/components", default)
         if file is not None:
-            parts += _components(file, side, packages, by_kicad)
+            more, faults = _components(file, side, packages, by_kicad)
+            drawn += more
+            unreadable += faults
+    parts, notes = placed_parts(drawn, _usual_rule(by_kicad))
+    if unreadable:
+        names = ", ".join(unreadable[:8])
+        sentence = f"{len(unreadable)} toeprints state no pin with a place; they were left out: {names}."
+        notes.append(Note("toeprints-left-out", sentence, count=len(unreadable), names=names))
     marks: list[Mark] = []
     for side, layer in outer_layers(_lines(archive, f"{root}matrix/matrix") or []).items():
         copper = _file(archive, path, f"{folder}/layers/{layer}/features", default)
@@ -220,98 +189,89 @@ def _design(archive: Archive, root: str, path: Path, name: str) -> Design:
     profile = _file(archive, path, f"{folder}/profile", default)
     contours = list(_contours(profile)) if profile else []
     outline = contours[0] if contours else []
-    return Design(name, "odb", tuple(parts), tuple(outline), tuple(map(tuple, contours[1:])), marks=tuple(marks))
+    return Design(
+        name,
+        "odb",
+        tuple(parts),
+        tuple(outline),
+        tuple(map(tuple, contours[1:])),
+        marks=tuple(marks),
+        notes=tuple(notes),
+    )
 
 
-def _file(archive: Archive, path: Path, name: str, default: float | None) -> _File | None:
+def _file(archive: Archive, path: Path, name: str, default: float | None) -> OdbFile | None:
     lines = _lines(archive, name)
-    return None if lines is None else _File(f"{path}: {name}", lines, default)
+    return None if lines is None else OdbFile(f"{path}: {name}", lines, default)
 
 
 def _by_kicad(archive: Archive, root: str) -> bool:
     return any(re.match(r"\s*SAVE_APP\s*=\s*KiCad\b", line) for line in _lines(archive, f"{root}misc/info") or ())
 
 
-def _packages(file: _File | None) -> list[_Package]:
-    """Return the packages in the order of their numbers, with the outline of their bodies and pins, mm."""
-    found: list[_Package] = []
-    in_pin = False
-    for number, line in enumerate(file.lines if file else [], 1):
-        words = line.split(";")[0].split()
-        if not words or file is None:
-            continue
-        if words[0] == "PKG" and len(words) >= 7:
-            box = [v * file.mm for v in file.numbers(number, words[3:], 4)]
-            found.append(_Package(words[1], [], []))
-            found[-1].points = [(box[0], box[1]), (box[2], box[3])]
-            in_pin, outlined = False, False
-        elif not found:
-            continue
-        elif words[0] == "PIN":
-            in_pin = True
-        elif words[0] in ("RC", "CR", "SQ", "OB", "OS", "OC"):
-            points = _outline_points(file, number, words)
-            if in_pin:
-                found[-1].pins += points
-                box_of_pad = box_around(points)
-                if box_of_pad and found[-1].pad is None:
-                    found[-1].pad = max(box_of_pad.size)
-            elif not outlined or words[0] in ("OS", "OC"):
-                # The first outline replaces the bounding box of the line PKG, which includes the pins.
-                found[-1].points = [*(found[-1].points if outlined else []), *points]
-                outlined = True
-    return found
-
-
-def _outline_points(file: _File, number: int, words: list[str]) -> list[XY]:
-    kind = words[0]
-    count = {"RC": 4, "CR": 3, "SQ": 3, "OB": 2, "OS": 2, "OC": 4}[kind]
-    v = [x * file.mm for x in file.numbers(number, words[1:], count)]
-    if kind == "RC":
-        return [(v[0], v[1]), (v[0] + v[2], v[1] + v[3])]
-    if kind == "CR":
-        return circle_points((v[0], v[1]), v[2])
-    if kind == "SQ":
-        return [(v[0] - v[2], v[1] - v[2]), (v[0] + v[2], v[1] + v[2])]
-    return [(v[0], v[1])]
-
-
-def _components(file: _File, side: Side, packages: list[_Package], by_kicad: bool) -> Iterator[Part]:
-    """Yield the parts of a component layer."""
+def _components(
+    file: OdbFile, side: Side, packages: list[Package], by_kicad: bool
+) -> tuple[list[DrawnPart], list[str]]:
+    """Return the parts of a component layer, and its toeprints that state no pin and place."""
     names: dict[str, str] = {}
+    found: list[DrawnPart] = []
+    toeprints: list[Toeprint] = []
+    unreadable: list[str] = []
+
+    def add_toeprints() -> None:
+        if found and toeprints:
+            found[-1] = replace(found[-1], readings=readings(package, toeprints))
+            toeprints.clear()
+
+    package = Package("")
     for number, line in enumerate(file.lines, 1):
         if match := re.match(r"@(\d+)\s+(\S+)", line):
             names[match[1]] = match[2].lower()
+        if line.startswith("TOP ") and found:
+            if (toeprint := toeprint_of(line, file.mm)) is not None:
+                toeprints.append(toeprint)
+            else:
+                unreadable.append(f"{found[-1].part.ref} (line {number})")
         if not line.startswith("CMP "):
             continue
+        add_toeprints()
         head, _, tail = line.partition(";")
         words = head.split()
         if len(words) < 7:
             raise InputError(
                 f"{file.where}, line {number}: {line[:80]!r} must be CMP package x y rotation mirror name part."
             )
-        index, x, y, clockwise = file.numbers(number, words[1:], 4)
-        package = packages[int(index)] if 0 <= index < len(packages) else _Package("", [], [])
+        index, x, y, degrees = file.numbers(number, words[1:], 4)
+        package = packages[int(index)] if 0 <= index < len(packages) else Package("")
         attributes = dict(_attributes(tail, names))
-        box = package.box(by_kicad)
-        if box is not None and side == "bottom":
-            box = box.mirrored()
         height = number_of(attributes.get(".comp_height"))
         is_mark = any(a in attributes for a in _MARK_ATTRIBUTES) or "fiducial" in package.name.lower()
-        yield Part(
+        part = Part(
             ref=words[6],
             side=side,
             origin=(x * file.mm, y * file.mm),
-            rotation=normalised(-clockwise),
+            rotation=degrees,
             package=package.name,
             value=words[7] if len(words) > 7 else "",
-            box=box,
+            box=package.box(by_kicad),
             body_height=height * file.mm if height else None,
             fitted=".no_pop" not in attributes and ".comp_ignore" not in attributes,
             is_mark=is_mark,
             mark_diameter=package.pad,
             line=number,
         )
+        found.append(DrawnPart(part, word=words[5], pads=box_around(package.pads)))
+    add_toeprints()
+    return found, unreadable
+
+
+def _usual_rule(by_kicad: bool) -> Usual:
+    """Return the rules of the specification, or those of KiCad."""
+
+    def usual(side: Side, _word: str) -> Rule:
+        return Rule(mirrored=False, sign=-1) if side == "top" or by_kicad else Rule(mirrored=True, sign=1)
+
+    return usual
 
 
 def _attributes(tail: str, names: dict[str, str]) -> Iterator[tuple[str, str]]:
@@ -322,7 +282,7 @@ def _attributes(tail: str, names: dict[str, str]) -> Iterator[tuple[str, str]]:
             yield names[key], value
 
 
-def _contours(file: _File) -> Iterator[list[XY]]:
+def _contours(file: OdbFile) -> Iterator[list[XY]]:
     """Yield the contours of a profile: the island first, then its holes."""
     points: list[XY] = []
     for number, line in enumerate(file.lines, 1):
@@ -330,9 +290,9 @@ def _contours(file: _File) -> Iterator[list[XY]]:
         if not words:
             continue
         if words[0] == "OB":
-            points = _outline_points(file, number, words)
+            points = outline_points(file, number, words)
         elif words[0] == "OS" and points:
-            points += _outline_points(file, number, words)
+            points += outline_points(file, number, words)
         elif words[0] == "OC" and points:
             x, y, cx, cy = (v * file.mm for v in file.numbers(number, words[1:], 4))
             clockwise = len(words) > 5 and words[5].upper() == "Y"

@@ -1,0 +1,305 @@
+"""Decide by pins how a file means the angles of its parts.
+
+Programs differ in how they place a package: they turn it clockwise or counter-clockwise, draw it as seen from its own
+side or from the top, and mirror it before or after the turn. Files that state where pins lie on the board show which of
+these rules holds. It is decided for each side, and for parts with another mirror word.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
+
+from vaoi_station.board_data.design import XY, Box, Part, Side, body_of, normalised, rotated
+from vaoi_station.model.note import Note
+
+FITS_MM = 0.05
+"""A pin fits a rule if it is nearer to its place on the board than this; files round to 10 µm or better."""
+LEAST_OFFSET_MM = 0.2
+"""A pin nearer to the origin of its part lies there by every rule."""
+LEAST_SHARE = 0.5
+"""A part fits a rule if more than this share of its pins fit: a few may be drawn elsewhere."""
+LOOSE_SHARE = 0.2
+"""A pin that lies beside its place by less than this share of its distance from the origin still confirms the angle."""
+LEAST_CONTRAST = 0.25
+"""Pins show how an outline is drawn if they extend beyond it, drawn one way, by less than this share of the other."""
+ROUNDING_MM = 0.005
+"""An angle found by pins is rounded if this moves no pin by more."""
+
+
+class Rule(NamedTuple):
+    """How the angle of a file places a package: mirror in x or not, then turn, as seen from the top."""
+
+    mirrored: bool
+    sign: int
+    """1: counter-clockwise; -1: clockwise."""
+    offset: float = 0.0
+    """0 or 180; with 180, mirroring in x is mirroring in y."""
+    outline_mirrored: bool = False
+    """Whether the outline is drawn as seen from the other side than the pins."""
+
+    def rotation(self, degrees: float) -> float:
+        """Return the rotation of the package, counter-clockwise as seen from the top."""
+        return normalised(self.sign * degrees + self.offset)
+
+    def __str__(self) -> str:
+        """Return the rule in words."""
+        axis = "x" if self.offset == 0 else "y"
+        turn = f"turned {'counter-clockwise' if self.sign > 0 else 'clockwise'} by the angle"
+        if self.mirrored:
+            return f"mirrored in {axis}, then {turn}"
+        return turn if self.offset == 0 else f"{turn} and by 180°"
+
+
+RULES = tuple(Rule(mirrored, sign, by) for by, mirrored, sign in product((0.0, 180.0), (False, True), (1, -1)))
+
+
+class Pin(NamedTuple):
+    """A pin of a part."""
+
+    drawn: XY | None
+    """Its place in the frame of the package; None if the package has no such pin."""
+    places: tuple[XY, ...]
+    """Where it lies on the board; if several, at one of them."""
+
+
+@dataclass(frozen=True)
+class DrawnPart:
+    """A part as its file states it: `part` has the angle of the file, and the body as the package draws it."""
+
+    part: Part
+    readings: tuple[tuple[Pin, ...], ...] = ((),)
+    """The pins; if the file can be read in several ways, such as by number and by name, once for each."""
+    word: str = ""
+    """What else may change the rule, such as the mirror word of the file."""
+    pads: Box | None = None
+    """The box of the pins in the frame of the package."""
+    pads_count: bool = False
+    """Whether pins extend a body that is drawn too small, or not at all."""
+
+    @property
+    def group(self) -> tuple[Side, str]:
+        """Parts for which one rule holds."""
+        return self.part.side, self.word
+
+
+Usual = Callable[[Side, str], Rule]
+"""Returns the rule of the specification, or of the program that wrote the file, for a side and mirror word."""
+
+
+@dataclass(frozen=True)
+class _Decision:
+    rule: Rule
+    reading: int
+    fitting: int
+    pins: int
+    rivals: int
+    """Number of other rules that fit as well."""
+
+
+def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True) -> tuple[list[Part], list[Note]]:
+    """Return the parts with rotations and bodies as seen from the top, and what decided on them.
+
+    Args:
+        parts: the parts of a file, both sides.
+        usual: the rule where pins do not decide.
+        exact: whether `places` are those of pins; else they may be others, and no single part is judged by them.
+    """
+    groups: defaultdict[tuple[Side, str], list[DrawnPart]] = defaultdict(list)
+    for drawn in parts:
+        groups[drawn.group].append(drawn)
+    decided: dict[tuple[Side, str], _Decision] = {}
+    # What the largest group of a side shows comes first where a smaller one shows nothing.
+    for key in sorted(groups, key=lambda key: -len(groups[key])):
+        first = [usual(*key), *(d.rule for other, d in decided.items() if other[0] == key[0])]
+        decided[key] = _decide(groups[key], first)
+    words = Counter(side for side, _ in groups)
+    notes = [_note_on_rule(key, decided[key], len(groups[key]), words[key[0]] > 1) for key in sorted(groups)[::-1]]
+    found = []
+    turned, unfit = [], []
+    for drawn in parts:
+        decision = decided[drawn.group]
+        part = _placed(drawn, decision.rule)
+        if exact and not _fits(drawn, decision):
+            own = _by_own_pins(drawn, decision)
+            if own is not None and (own.rotation != part.rotation or math.dist(own.center, part.center) > FITS_MM):
+                turned.append(f"{part.ref} ({own.rotation:g}° instead of {part.rotation:g}°{_shifted(own, part)})")
+                part = own
+            elif own is None and not _fits(drawn, decision, LOOSE_SHARE):
+                unfit.append(part.ref)
+        found.append(part)
+    if turned:
+        names = _some(turned)
+        sentence = (
+            f"the pins of {len(turned)} parts show another angle or place than the file states; it is used: {names}."
+        )
+        notes.append(Note("angles-by-pins", sentence, count=len(turned), names=names))
+    if unfit:
+        names = _some(unfit)
+        sentence = f"the pins of {len(unfit)} parts fit no angle of their package; check them in the picture: {names}."
+        notes.append(Note("pins-unfit", sentence, count=len(unfit), names=names))
+    return found, notes
+
+
+def _decide(parts: Sequence[DrawnPart], first: Sequence[Rule]) -> _Decision:
+    """Return the rule that fits most parts; of equals the first of `first`."""
+    rules = list(dict.fromkeys([*(rule._replace(outline_mirrored=False) for rule in first), *RULES]))
+    readings = max((len(drawn.readings) for drawn in parts), default=1)
+    best: tuple[tuple[float, int], int, Rule] | None = None
+    scores = {}
+    for reading, rule in product(range(readings), rules):
+        counts = [_count(drawn, reading, rule) for drawn in parts]
+        share = sum(fitting / pins for fitting, pins in counts if pins)
+        score = (round(share, 6), sum(fitting for fitting, _ in counts))
+        scores[reading, rule] = score
+        if best is None or score > best[0]:
+            best = score, reading, rule
+    assert best is not None
+    score, reading, rule = best
+    rivals = sum(scores[reading, other] == score for other in rules) - 1
+    outline = _outline_mirrored(parts, first[0]) if parts[0].part.side == "bottom" else first[0].outline_mirrored
+    pins = sum(_count(drawn, reading, rule)[1] for drawn in parts)
+    return _Decision(rule._replace(outline_mirrored=outline), reading, score[1], pins, rivals)
+
+
+def _pins(drawn: DrawnPart, reading: int) -> Iterable[Pin]:
+    """Return the pins by which rules differ, and those that the package does not have."""
+    pins = drawn.readings[min(reading, len(drawn.readings) - 1)]
+    return (pin for pin in pins if pin.drawn is None or math.hypot(*pin.drawn) >= LEAST_OFFSET_MM)
+
+
+def _count(drawn: DrawnPart, reading: int, rule: Rule, loose: float = 0.0) -> tuple[int, int]:
+    """Return how many pins of a part fit a rule, and how many it has."""
+    fitting = count = 0
+    at = _Placer(drawn.part.origin, rule.mirrored, rule.rotation(drawn.part.rotation))
+    for pin in _pins(drawn, reading):
+        count += 1
+        if pin.drawn is not None:
+            most = max(FITS_MM, loose * math.hypot(*pin.drawn))
+            fitting += any(math.dist(at.place(pin.drawn), place) <= most for place in pin.places)
+    return fitting, count
+
+
+def _fits(drawn: DrawnPart, decision: _Decision, loose: float = 0.0) -> bool:
+    """Return whether a part fits the rule of its group, in any reading; a part without pins does."""
+    counts = [_count(drawn, reading, decision.rule, loose) for reading in range(len(drawn.readings))]
+    return any(fitting > LEAST_SHARE * pins or not pins for fitting, pins in counts)
+
+
+class _Placer:
+    """Places points of a package on the board."""
+
+    def __init__(self, origin: XY, mirrored: bool, degrees: float) -> None:
+        a = math.radians(degrees)
+        self.origin, self.mirrored, self.c, self.s = origin, mirrored, math.cos(a), math.sin(a)
+
+    def place(self, point: XY) -> XY:
+        """Return where a point of the package lies."""
+        x, y = -point[0] if self.mirrored else point[0], point[1]
+        return self.origin[0] + self.c * x - self.s * y, self.origin[1] + self.s * x + self.c * y
+
+
+def _placed(drawn: DrawnPart, rule: Rule) -> Part:
+    """Return a part with its rotation and its body as seen from the top."""
+    part, pads = drawn.part, drawn.pads
+    box = part.box.mirrored() if part.box is not None and rule.mirrored != rule.outline_mirrored else part.box
+    if drawn.pads_count:
+        box = body_of(box, pads.mirrored() if pads is not None and rule.mirrored else pads)
+    return replace(part, rotation=rule.rotation(part.rotation), box=box)
+
+
+def _by_own_pins(drawn: DrawnPart, decision: _Decision) -> Part | None:
+    """Return a part at the angle at which all its pins fit, if need be beside its origin; None if there is none."""
+    pins = drawn.readings[min(decision.reading, len(drawn.readings) - 1)]
+    known = [(pin.drawn, pin.places[0]) for pin in pins if pin.drawn is not None and len(pin.places) == 1]
+    if len(known) < len(pins) or not any(math.hypot(*point) >= LEAST_OFFSET_MM for point, _ in known):
+        return None
+    for mirrored, shifted in product((decision.rule.mirrored, not decision.rule.mirrored), (False, True)):
+        pose = _pose(known, drawn.part.origin, mirrored, shifted)
+        if pose is not None:
+            degrees, (dx, dy) = pose
+            rule = decision.rule._replace(mirrored=mirrored, sign=1, offset=0.0)
+            part = _placed(replace(drawn, part=replace(drawn.part, rotation=degrees)), rule)
+            if shifted and part.box is not None:
+                x, y = rotated((dx, dy), -degrees)
+                (x0, y0), (x1, y1) = part.box.low, part.box.high
+                part = replace(part, box=Box((x0 + x, y0 + y), (x1 + x, y1 + y)))
+            return part
+    return None
+
+
+def _pose(known: Sequence[tuple[XY, XY]], origin: XY, mirrored: bool, shifted: bool) -> tuple[float, XY] | None:
+    """Return rotation and shift from the origin at which all pins fit, by least squares; None if they do not."""
+    points = [(-x if mirrored else x, y) for (x, y), _ in known]
+    places = [(x - origin[0], y - origin[1]) for _, (x, y) in known]
+    (px, py), (qx, qy) = (_mean(points), _mean(places)) if shifted else ((0.0, 0.0), (0.0, 0.0))
+    if shifted and max(math.dist(point, (px, py)) for point in points) < LEAST_OFFSET_MM:
+        return None
+    cross = dot = 0.0
+    for (x, y), (u, v) in zip(points, places, strict=True):
+        cross += (x - px) * (v - qy) - (y - py) * (u - qx)
+        dot += (x - px) * (u - qx) + (y - py) * (v - qy)
+    best = math.degrees(math.atan2(cross, dot))
+
+    def pose_at(degrees: float) -> tuple[float, XY]:
+        x, y = rotated((px, py), degrees)
+        shift = (qx - x, qy - y)
+        place = _Placer(shift, False, degrees).place
+        return max(math.dist(place(p), q) for p, q in zip(points, places, strict=True)), shift
+
+    least, _ = pose_at(best)
+    if least > FITS_MM:
+        return None
+    for degrees in (45 * round(best / 45), round(best), round(best, 2), best):
+        error, shift = pose_at(degrees)
+        if error <= least + ROUNDING_MM:
+            return normalised(degrees), shift
+    return None
+
+
+def _mean(points: Sequence[XY]) -> XY:
+    return sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
+
+
+def _outline_mirrored(parts: Sequence[DrawnPart], usual: Rule) -> bool:
+    """Return whether outlines are drawn as seen from the other side than pins: pins lie within the outline."""
+    votes = 0
+    for drawn in parts:
+        body, pads = drawn.part.box, drawn.pads
+        if body is None or pads is None:
+            continue
+        outside = [
+            max(0.0, b.low[0] - pads.low[0]) + max(0.0, pads.high[0] - b.high[0]) for b in (body, body.mirrored())
+        ]
+        # A body may lie beside its pins: only a large difference counts.
+        if max(outside) > FITS_MM and min(outside) < LEAST_CONTRAST * max(outside):
+            votes += 1 if outside[1] < outside[0] else -1
+    return votes > 0 if votes else usual.outline_mirrored
+
+
+def _note_on_rule(key: tuple[Side, str], decision: _Decision, count: int, name_word: bool) -> Note:
+    side, word = key
+    parts = f"parts on the {side}" + (f" with {word!r}" if name_word else "")
+    rule = str(decision.rule)
+    values = {"side": side, "word": word, "rule": rule, "fit": decision.fitting, "pins": decision.pins}
+    if not decision.fitting:
+        why = "states no places of pins" if not decision.pins else f"has {decision.pins} pins there, but none fits"
+        sentence = f"{count} {parts} are {rule}, which is usual; nothing in the file confirms it: it {why}."
+        return Note("rotation-unconfirmed", sentence, count=count, **values)
+    also = f"; {decision.rivals} other rules fit as well" if decision.rivals else ""
+    sentence = f"{count} {parts} are {rule}: {decision.fitting} of {decision.pins} pins fit{also}."
+    return Note("rotation-by-pins", sentence, count=count, rivals=decision.rivals, **values)
+
+
+def _shifted(own: Part, stated: Part) -> str:
+    """Return how far a body lies from the place that the file states, if not there."""
+    distance = math.dist(own.center, stated.center)
+    return f", body {distance:.2f} mm off" if distance > FITS_MM else ""
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
