@@ -27,6 +27,8 @@ LOOSE_SHARE = 0.2
 """A pin that lies beside its place by less than this share of its distance from the origin still confirms the angle."""
 LEAST_CONTRAST = 0.25
 """Pins show how an outline is drawn if they extend beyond it, drawn one way, by less than this share of the other."""
+LEAST_MARGIN = 3
+"""By as many pins another rule must fit better than the usual one where places may be those of other things."""
 ROUNDING_MM = 0.005
 """An angle found by pins is rounded if this moves no pin by more."""
 
@@ -116,7 +118,7 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
     # What the largest group of a side shows comes first where a smaller one shows nothing.
     for key in sorted(groups, key=lambda key: -len(groups[key])):
         first = [usual(*key), *(d.rule for other, d in decided.items() if other[0] == key[0])]
-        decided[key] = _decide(groups[key], first)
+        decided[key] = _decide(groups[key], first, 0 if exact else LEAST_MARGIN)
     words = Counter(side for side, _ in groups)
     notes = [_note_on_rule(key, decided[key], len(groups[key]), words[key[0]] > 1) for key in sorted(groups)[::-1]]
     found = []
@@ -145,8 +147,8 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
     return found, notes
 
 
-def _decide(parts: Sequence[DrawnPart], first: Sequence[Rule]) -> _Decision:
-    """Return the rule that fits most parts; of equals the first of `first`."""
+def _decide(parts: Sequence[DrawnPart], first: Sequence[Rule], margin: int) -> _Decision:
+    """Return the rule that fits most parts; the first of `first` if no other fits more pins by a margin."""
     rules = list(dict.fromkeys([*(rule._replace(outline_mirrored=False) for rule in first), *RULES]))
     readings = max((len(drawn.readings) for drawn in parts), default=1)
     best: tuple[tuple[float, int], int, Rule] | None = None
@@ -160,6 +162,8 @@ def _decide(parts: Sequence[DrawnPart], first: Sequence[Rule]) -> _Decision:
             best = score, reading, rule
     assert best is not None
     score, reading, rule = best
+    if score[1] < scores[0, rules[0]][1] + margin:
+        score, reading, rule = scores[0, rules[0]], 0, rules[0]
     rivals = sum(scores[reading, other] == score for other in rules) - 1
     outline = _outline_mirrored(parts, first[0]) if parts[0].part.side == "bottom" else first[0].outline_mirrored
     pins = sum(_count(drawn, reading, rule)[1] for drawn in parts)

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 from tests.board_data.readers import samples
+from vaoi_station.board_data.design import rotated
 from vaoi_station.board_data.readers.gencad import read_gencad
 from vaoi_station.errors import InputError
 
@@ -37,3 +39,81 @@ def test_components_without_a_place_are_named() -> None:
 def test_wrong_files_are_refused(before: str, after: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_gencad(samples.GENCAD.replace(before, after).encode(), PATH)
+
+
+PINS = {"1": (0.0, 0.0), "2": (7.0, 0.0), "3": (7.0, 1.0)}
+Map = Callable[[float, float], tuple[float, float]]
+AS_DRAWN: Map = lambda x, y: (x, y)  # noqa: E731
+ABOUT_X: Map = lambda x, y: (x, -y)  # noqa: E731
+ABOUT_Y: Map = lambda x, y: (-x, y)  # noqa: E731
+
+
+def board(
+    words: str, side: str, mirror: Map, sign: int = 1, *, routes: bool = True, angles: Sequence[int] = (0, 45, 90)
+) -> str:
+    """Return a file in mm with a connector at several angles; tracks end on its pins."""
+    shapes = "$SHAPES\nSHAPE J\nRECTANGLE 0 -2 8 4\n"
+    shapes += "".join(f"PIN {name} S {x} {y} TOP 0 0\n" for name, (x, y) in PINS.items()) + "$ENDSHAPES\n"
+    components, signals, tracks = "$COMPONENTS\n", "$SIGNALS\n", "$ROUTES\n"
+    for n, angle in enumerate(angles):
+        x0, y0 = 30.0 * n, 10.0
+        components += f"COMPONENT J{n}\nPLACE {x0} {y0}\nLAYER {side}\nROTATION {angle}\nSHAPE J {words}\n"
+        for name, pin in PINS.items():
+            dx, dy = rotated(mirror(*pin), sign * angle)
+            signals += f'SIGNAL "net {n} {name}"\nNODE J{n} {name}\n'
+            tracks += f'ROUTE "net {n} {name}"\nLINE {x0 + dx:.4f} {y0 + dy:.4f} 99 99\nVIA V 98 98 ALL 1 v\n'
+    head = "$HEADER\nGENCAD 1.4\nUNITS MM\n$ENDHEADER\n"
+    return f"{head}{shapes}{components}$ENDCOMPONENTS\n{signals}$ENDSIGNALS\n{tracks if routes else ''}$ENDROUTES\n"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("mirror", [AS_DRAWN, ABOUT_X, ABOUT_Y])
+@pytest.mark.parametrize("words", ["0 0", "MIRRORX FLIP", "MIRRORY FLIP", "MIRRORY 0", "0 FLIP"])
+@pytest.mark.parametrize("side", ["TOP", "BOTTOM"])
+def test_ends_of_tracks_show_what_the_words_mean(side: str, words: str, mirror: Map, sign: int) -> None:
+    design = read_gencad(board(words, side, mirror, sign).encode(), PATH)
+    for n, (part, angle) in enumerate(zip(design.parts, (0, 45, 90), strict=True)):
+        dx, dy = rotated(mirror(4, 0), sign * angle)
+        assert part.center == pytest.approx((30 * n + dx, 10 + dy), abs=1e-6)
+    (note,) = design.notes
+    assert (note.code, note.values["fit"], note.values["pins"]) == ("rotation-by-pins", "6", "6")
+
+
+@pytest.mark.parametrize(
+    ("words", "mirror"),
+    [
+        ("0 0", AS_DRAWN),
+        ("MIRRORX FLIP", ABOUT_X),
+        ("0 FLIP", ABOUT_X),
+        ("MIRRORY FLIP", ABOUT_Y),
+        ("MIRRORY 0", ABOUT_Y),
+    ],
+)
+@pytest.mark.parametrize("routes", [True, False])
+def test_the_angle_is_that_of_the_file_where_words_mean_what_is_usual(words: str, mirror: Map, routes: bool) -> None:
+    design = read_gencad(board(words, "BOTTOM", mirror, routes=routes).encode(), PATH)
+    assert [part.rotation for part in design.parts] == [0, 45, 90]
+    for n, (part, angle) in enumerate(zip(design.parts, (0, 45, 90), strict=True)):
+        dx, dy = rotated(mirror(4, 0), angle)
+        assert part.center == pytest.approx((30 * n + dx, 10 + dy), abs=1e-6)
+    assert design.notes[0].code == ("rotation-by-pins" if routes else "rotation-unconfirmed")
+
+
+def test_a_few_tracks_that_end_elsewhere_do_not_change_the_usual_rule() -> None:
+    text = board("MIRRORX FLIP", "BOTTOM", ABOUT_Y, angles=(0,))
+    (part,) = read_gencad(text.encode(), PATH).parts
+    assert part.center == pytest.approx((4, 10))
+
+
+@pytest.mark.parametrize("line", ["LINE nan 1 2 3", "LINE 1", "VIA", "ARC a b c d e f", "ROUTE", "LINE 1e300 0 0 0"])
+def test_tracks_that_cannot_be_read_are_left_out(line: str) -> None:
+    text = board("MIRRORX FLIP", "BOTTOM", ABOUT_X)
+    design = read_gencad(text.replace("$ROUTES\n", f"$ROUTES\n{line}\n").encode(), PATH)
+    assert design.notes[0].values["fit"] == "6"
+
+
+def test_places_of_nails_are_places_of_pins() -> None:
+    nails = "NAILLOC J0 2 -1 7 10 -1 -1 100T BOTTOM\nNAILLOC J0 3 -1 7 9 -1 -1 100T BOTTOM\nNAILLOC J0\n"
+    text = board("MIRRORX FLIP", "BOTTOM", ABOUT_X, routes=False, angles=(0,))
+    design = read_gencad(text.replace("$ENDSIGNALS", f"{nails}$ENDSIGNALS").encode(), PATH)
+    assert (design.notes[0].values["fit"], design.notes[0].values["pins"]) == ("2", "2")

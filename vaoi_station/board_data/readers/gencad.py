@@ -1,24 +1,31 @@
 """Read GenCAD 1.4 files.
 
-Shapes are drawn as seen from their own side. A component on the bottom names its shape with MIRRORX and FLIP, or with
-MIRRORY. Rotations are counter-clockwise as seen from the top. Source: GenCAD specification 1.4, Mitron 1997.
+Shapes are drawn as seen from their own side. A component on the bottom names its shape with MIRRORX and FLIP, with
+FLIP alone (EasyEDA), or with MIRRORY. Rotations are counter-clockwise as seen from the top. No section states where
+pins lie; but tracks of their signal end on them, which shows what the words mean (`pin_rules`). Source: GenCAD
+specification 1.4, Mitron 1997; files of KiCad and EasyEDA.
 """
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from vaoi_station.board_data.contours import arc_points, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Part, Side, body_of, box_around, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Part, Side, box_around, normalised, rotated
+from vaoi_station.board_data.pin_rules import FITS_MM, DrawnPart, Pin, Rule, placed_parts
 from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
 from vaoi_station.model.note import Note
 
 _UNITS = {"INCH": 25.4, "THOU": 0.0254, "MM": 1.0, "MM100": 0.01}
+_SECTIONS = frozenset(("HEADER", "BOARD", "PADS", "PADSTACKS", "SHAPES", "COMPONENTS", "SIGNALS", "ROUTES"))
 LEAST_UNITS = 1e-3
 """Smallest n of `USER n`: a unit of 25 m."""
 Line = tuple[int, list[str]]
@@ -35,12 +42,9 @@ class _Shape:
     drawing: list[list[XY]] = field(default_factory=list)
     pins: list[tuple[str, XY, float]] = field(default_factory=list)
     """Pad stack, place and rotation of every pin."""
+    names: list[str] = field(default_factory=list)
+    """Names of the pins."""
     height: float | None = None
-
-    def body(self, pads: dict[str, Box]) -> Box | None:
-        """Return the box of the body from drawing and pads."""
-        drawn = box_around(p for piece in self.drawing for p in piece)
-        return body_of(drawn, box_around(p for pin in self.pins for p in _pad_corners(pin, pads)))
 
 
 def read_gencad(data: bytes, path: Path) -> Design:
@@ -56,15 +60,20 @@ def read_gencad(data: bytes, path: Path) -> Design:
     pads = reader.pads(sections["PADS"], sections["PADSTACKS"])
     shapes = reader.shapes(sections["SHAPES"])
     contours, stray = join(_without_art(reader, sections["BOARD"]))
-    parts, unknown = [], set()
+    signals = _Signals(sections["SIGNALS"], sections["ROUTES"], mm)
+    drawn, unknown = [], set()
     for component in _components(sections["COMPONENTS"]):
-        part = reader.part(component, shapes, pads)
+        part = reader.part(component, shapes, pads, signals)
         if part is None:
             unknown.add(component["COMPONENT"][1][1])
         else:
-            parts.append(part)
-    sentence = f"{stray} lines of $BOARD close no contour; they were left out."
-    notes = [Note("lines-left-out", sentence, count=stray)] if stray else []
+            drawn.append(part)
+    # Tracks have corners where other pins would be, so that they show the rule of a side, but not the angle of a part.
+    parts, notes = placed_parts(drawn, _usual_rule, exact=False)
+    parts = [_with_angle_of_file(part, of) for part, of in zip(parts, drawn, strict=True)]
+    if stray:
+        sentence = f"{stray} lines of $BOARD close no contour; they were left out."
+        notes.append(Note("lines-left-out", sentence, count=stray))
     if unknown:
         names = ", ".join(sorted(unknown)[:8])
         sentence = f"{len(unknown)} components are not placed; they were left out: {names}."
@@ -83,7 +92,7 @@ def _sections(text: str, path: Path) -> dict[str, list[Line]]:
             current = ""
         elif line.startswith("$"):
             current = line[1:].split()[0].upper() if len(line) > 1 else ""
-        elif line and current in ("HEADER", "BOARD", "PADS", "PADSTACKS", "SHAPES", "COMPONENTS"):
+        elif line and current in _SECTIONS:
             found[current].append((number, _words(line)))
     if not found["HEADER"] or not found["COMPONENTS"]:
         missing = "$HEADER" if not found["HEADER"] else "$COMPONENTS"
@@ -175,13 +184,16 @@ class _Reader:
                 x, y = self.numbers(line, 3, 2)
                 turn = number_of(words[6]) if len(words) > 6 else None
                 shape.pins.append((words[2], (x, y), turn or 0.0))
+                shape.names.append(words[1])
             elif words[0] == "HEIGHT":
                 shape.height = self.numbers(line, 1, 1)[0]
             elif (piece := self.piece(line)) is not None:
                 shape.drawing.append(piece)
         return found
 
-    def part(self, found: dict[str, Line], shapes: dict[str, _Shape], pads: dict[str, Box]) -> Part | None:
+    def part(
+        self, found: dict[str, Line], shapes: dict[str, _Shape], pads: dict[str, Box], signals: _Signals
+    ) -> DrawnPart | None:
         """Return a component; None if it is not placed."""
         if "PLACE" not in found:
             return None
@@ -191,22 +203,79 @@ class _Reader:
         words = found.get("SHAPE", (0, ["SHAPE", ""]))[1]
         name = words[1] if len(words) > 1 else ""
         shape = shapes.get(name, _Shape())
-        box = shape.body(pads)
-        # MIRRORY is about the y axis: x changes its sign. MIRRORX with FLIP is the same, rotated by 180°.
-        mirrored = any(w.upper() in ("MIRRORX", "MIRRORY") for w in words[2:])
-        if box is not None and mirrored:
-            box = box.mirrored()
-        if box is not None and "MIRRORX" in [w.upper() for w in words[2:]]:
-            box = Box((-box.high[0], -box.high[1]), (-box.low[0], -box.low[1]))
         package = name.rpartition(":")[2]
         is_mark = "fiducial" in package.lower()
         sizes = [max(pads[stack].size) for stack, _, _ in shape.pins if stack in pads]
         height = self.numbers(found["HEIGHT"], 1, 1)[0] if "HEIGHT" in found else shape.height
         line, (_, ref, *_) = found["COMPONENT"]
-        return Part(
-            ref, side, (x, y), normalised(rotation), package, box=box, body_height=height or None, is_mark=is_mark,
+        drawing = box_around(p for piece in shape.drawing for p in piece)
+        part = Part(
+            ref, side, (x, y), rotation, package, box=drawing, body_height=height or None, is_mark=is_mark,
             mark_diameter=sizes[0] if sizes else None, line=line,
         )  # fmt: skip
+        pins = (
+            Pin(at, signals.ends(ref, pin, (x, y), math.hypot(*at)))
+            for pin, (_, at, _) in zip(shape.names, shape.pins, strict=True)
+        )
+        pad_box = box_around(p for pin in shape.pins for p in _pad_corners(pin, pads))
+        word = " ".join(w.upper() for w in words[2:4] if w != "0")
+        return DrawnPart(part, (tuple(pin for pin in pins if pin.places),), word, pad_box, pads_count=True)
+
+
+class _Signals:
+    """The ends of the tracks of every signal."""
+
+    def __init__(self, signals: list[Line], routes: list[Line], mm: float) -> None:
+        self._of_pin: dict[tuple[str, str], str] = {}
+        nails: defaultdict[tuple[str, str], list[XY]] = defaultdict(list)
+        ends: defaultdict[str, set[XY]] = defaultdict(set)
+        name = ""
+        for _, words in signals:
+            if words[0] == "SIGNAL" and len(words) > 1:
+                name = words[1]
+            elif words[0] == "NODE" and len(words) > 2:
+                self._of_pin[words[1], words[2]] = name
+            elif words[0] == "NAILLOC" and len(words) > 5:
+                nails[words[1], words[2]] += _points(words[4:6], mm)
+        for _, words in routes:
+            if words[0] == "ROUTE" and len(words) > 1:
+                name = words[1]
+            elif words[0] in ("LINE", "ARC"):
+                ends[name].update(_points(words[1:5], mm))
+            elif words[0] == "VIA":
+                ends[name].update(_points(words[2:4], mm))
+        self._ends = {name: np.array(sorted(points)) for name, points in ends.items() if points}
+        self._nails = dict(nails)
+
+    def ends(self, ref: str, pin: str, origin: XY, distance: float) -> tuple[XY, ...]:
+        """Return the ends on which a pin may lie: those of its signal at its distance from the origin of its part."""
+        ends = self._ends.get(self._of_pin.get((ref, pin), ""))
+        if ends is None:
+            return tuple(self._nails.get((ref, pin), ()))
+        near = ends[np.abs(np.hypot(*(ends - origin).T) - distance) <= FITS_MM]
+        return (*self._nails.get((ref, pin), ()), *((float(x), float(y)) for x, y in near))
+
+
+def _points(words: list[str], mm: float) -> list[XY]:
+    """Return the points that pairs of words state, mm; none if a word is no number."""
+    values = [value * mm for word in words if (value := number_of(word)) is not None]
+    return (
+        list(zip(values[::2], values[1::2], strict=True)) if len(values) == len(words) and len(words) % 2 == 0 else []
+    )
+
+
+def _usual_rule(_side: Side, word: str) -> Rule:
+    """Return the rule of the specification: MIRRORY is about the y axis, MIRRORX and FLIP alone about the x axis."""
+    return Rule(bool(word), 1, 180.0 if word and "MIRRORY" not in word else 0.0)
+
+
+def _with_angle_of_file(part: Part, drawn: DrawnPart) -> Part:
+    """Return a part that was mirrored about the x axis with the angle of the file; its frame turns by 180°."""
+    if _usual_rule(part.side, drawn.word).offset == 0.0:
+        return part
+    box = part.box
+    turned = Box((-box.high[0], -box.high[1]), (-box.low[0], -box.low[1])) if box is not None else None
+    return replace(part, rotation=normalised(part.rotation + 180), box=turned)
 
 
 def _components(lines: list[Line]) -> Iterator[dict[str, Line]]:
