@@ -1,14 +1,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import XY, Box, Design, Part, normalised, rotated
 from vaoi_station.board_data.joining import join_designs
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 BODY = Box((0.0, -1.0), (4.0, 1.0))
 PLACES: dict[str, XY] = {"U1": (5, 5), "U2": (20, 8), "U3": (33, 30), "U4": (8, 27), "R1": (26, 19)}
@@ -72,8 +77,7 @@ def test_conflicts_are_listed_and_the_places_of_the_first_file_are_kept() -> Non
     text = "\n".join(found.notes)
     for expected in (
         "1 parts are at another place in the second file; the first file's is used: U1 (1.00 mm)",
-        "1 parts have another rotation; the first file's is used: U3 (213°)",
-        "1 parts have another rotation by quarter turns",
+        "2 parts have another rotation by their pads in the second file; that is used: U2 (90°), U3 (213°)",
         "1 parts lie on different sides in both files: R1 (bottom, top)",
         "1 parts are in the first file only, without a body: X9",
         "2 parts are in the second file only; they were left out: FID1, R1",
@@ -81,7 +85,7 @@ def test_conflicts_are_listed_and_the_places_of_the_first_file_are_kept() -> Non
         assert expected in text, expected
     parts = {p.ref: p for p in found.parts}
     assert parts["U1"].origin == pytest.approx((6, 5))
-    # The placer's 0° of this package is another one; its body stays where the CAD system draws it.
+    assert [parts[ref].rotation for ref in ("U1", "U2", "U3", "U4")] == [0, 90, 180, 270]
     assert parts["U2"].center == pytest.approx(bodies().parts[1].center)
 
 
@@ -114,3 +118,100 @@ def test_a_guess_of_the_second_file_does_not_replace_a_size_of_the_table() -> No
     second = tuple(replace(p, size_from="guess") for p in bodies().parts)
     found = join_designs(replace(places(), parts=first), replace(bodies(), parts=second), "top")
     assert {(p.box, p.size_from, p.body_height) for p in found.parts} == {(known, "table", 1.5)}
+
+
+ANGLE_RULES: dict[str, Callable[[float], float]] = {
+    "counter-clockwise": lambda r: r,
+    "clockwise": lambda r: -r,
+    "clockwise from 180°": lambda r: 180 - r,
+    "counter-clockwise from 180°": lambda r: 180 + r,
+}
+"""What the placer writes of an angle; each is its own inverse, but for whole turns."""
+
+
+def many(count: int = 20) -> Design:
+    """Return a board with parts of five packages at all multiples of 45°, with bodies beside their origin."""
+    parts = [
+        Part(f"U{n}", "bottom", (7.0 * n, 1.0 * (n * n % 23)), normalised(45.0 * n), f"P{n % 5}", box=BODY)
+        for n in range(count)
+    ]
+    return Design("cad", "kicad", tuple(parts))
+
+
+def placer(
+    rule: Callable[[float], float], offsets: Mapping[str, float] = MappingProxyType({}), *, mirrored: bool = False
+) -> Design:
+    parts = []
+    for part in many().parts:
+        x, y = part.origin
+        angle = normalised(rule(part.rotation + offsets.get(part.package, 0.0)))
+        parts.append(Part(part.ref, "bottom", (-x if mirrored else x, y), angle, size_from="guess"))
+    return Design("placer", "centroid", tuple(parts))
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("offsets", [{}, {"P1": 90.0}, {"P0": 180.0, "P2": 270.0}])
+@pytest.mark.parametrize("name", ANGLE_RULES)
+def test_what_angles_of_a_side_mean_is_found_by_all_parts(name: str, offsets: dict[str, float], mirrored: bool) -> None:
+    found = join_designs(placer(ANGLE_RULES[name], offsets, mirrored=mirrored), many(), "bottom")
+    (note,) = [n for n in found.notes if n.code == "angles-joined"]
+    assert (note.values["rule"], note.values["fit"], note.values["count"]) == (name, "20", "20")
+    for part, cad in zip(found.parts, many().parts, strict=True):
+        assert part.center == pytest.approx(cad.center), part.ref
+        assert part.rotation == normalised(cad.rotation + offsets.get(cad.package, 0.0))
+    assert [n.code for n in found.notes if "differ" in n.code] == (["quarter-turns-differ"] if offsets else [])
+
+
+@pytest.mark.parametrize("wrong", [45.0, 90.0, 180.0, 7.0, 270.5])
+@pytest.mark.parametrize("name", ANGLE_RULES)
+def test_a_part_with_a_wrong_angle_gets_that_of_its_pads_and_is_named(name: str, wrong: float) -> None:
+    first = placer(ANGLE_RULES[name])
+    parts = tuple(replace(p, rotation=p.rotation + wrong) if p.ref == "U5" else p for p in first.parts)
+    found = join_designs(replace(first, parts=parts), many(), "bottom")
+    for part, cad in zip(found.parts, many().parts, strict=True):
+        assert part.rotation == cad.rotation
+        assert part.center == pytest.approx(cad.center)
+    (note,) = [n for n in found.notes if n.code == "rotations-differ"]
+    assert note.values["names"].startswith("U5 (")
+
+
+def test_a_file_without_pads_proves_no_angle() -> None:
+    first = placer(ANGLE_RULES["counter-clockwise"])
+    parts = tuple(replace(p, rotation=33.0) if p.ref == "U5" else p for p in first.parts)
+    second = tuple(replace(p, size_from="table") for p in many().parts)
+    found = join_designs(replace(first, parts=parts), replace(many(), parts=second), "bottom")
+    assert found.parts[5].rotation == 33
+    assert [n.values["names"][:2] for n in found.notes if n.code == "rotations-unproven"] == ["U5"]
+
+
+def test_a_file_that_states_no_angles_proves_none() -> None:
+    """The generator of InteractiveHtmlBom for Altium draws boxes along the axes, at angle 0."""
+    second = [replace(p, rotation=0.0) for p in many().parts]
+    note = Note("angles-not-stated", "none")
+    found = join_designs(
+        placer(ANGLE_RULES["counter-clockwise"]), replace(many(), parts=tuple(second), notes=(note,)), "bottom"
+    )
+    assert [p.rotation for p in found.parts] == [p.rotation for p in many().parts]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    name=st.sampled_from(sorted(ANGLE_RULES)),
+    degrees=st.sampled_from([0.0, 90.0, 180.0, 270.0]),
+    angles=st.lists(st.floats(0, 360), min_size=8, max_size=20),
+    wrong=st.sets(st.integers(0, 19), max_size=2),
+)
+def test_bodies_are_right_by_any_rule_at_any_angles(
+    name: str, degrees: float, angles: list[float], wrong: set[int]
+) -> None:
+    cad = [
+        Part(f"U{n}", "bottom", (7.0 * n, float(n * n % 23)), normalised(angle), f"P{n % 3}", box=BODY)
+        for n, angle in enumerate(angles)
+    ]
+    first = [
+        Part(p.ref, "bottom", rotated(p.origin, degrees), ANGLE_RULES[name](p.rotation + degrees) + 33 * (n in wrong))
+        for n, p in enumerate(cad)
+    ]
+    found = join_designs(Design("placer", "centroid", tuple(first)), Design("cad", "odb", tuple(cad)), "bottom")
+    for part, of in zip(found.parts, cad, strict=True):
+        assert part.center == pytest.approx(rotated(of.center, degrees), abs=5e-3)

@@ -1,15 +1,16 @@
 """Join two files of one board: places from a centroid file, bodies and outline from a file of the CAD system.
 
 Parts are matched by designator. Origins, and sometimes the direction of the axes, differ from program to program: the
-shift and the rotation between both files are found from the parts that both have.
+shift and the rotation between both files are found from the parts that both have. So is what the angles of the
+centroid file mean: the other file has pads, which prove its angles.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from statistics import median
 
@@ -25,6 +26,15 @@ AGREES_MM = 0.1
 SAME_SCALE = 2e-3
 SAME_ANGLE_DEG = 0.05
 _QUARTER_DEG = (0.0, 90.0, 180.0, 270.0)
+_ANGLE_RULES: dict[str, Callable[[float], float]] = {
+    "counter-clockwise": lambda r: r,
+    "clockwise": lambda r: -r,
+    "clockwise from 180°": lambda r: 180 - r,
+    "counter-clockwise from 180°": lambda r: 180 + r,
+}
+"""What the angles of a side may mean, as seen from the top of the board; the first is that of board types."""
+LEAST_SAME_PACKAGE = 2
+"""As many parts of a package show that both libraries disagree about its 0°."""
 
 
 def join_designs(places: Design, bodies: Design, side: Side) -> Design:
@@ -56,7 +66,7 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
         notes.append(Note("designators-repeated", sentence, names=names))
     if found.mirrored:
         # The board type describes both sides as seen from the top, so the places are mirrored back.
-        placed, found = _unmirrored(placed, drawn, common, found)
+        placed, found = _unmirrored(placed, found)
         pairs = [(placed[ref], drawn[ref]) for ref in common]
         sentence = "the first file describes this side mirrored in x; its places were mirrored back."
         notes.append(Note("places-mirrored", sentence))
@@ -74,8 +84,10 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
     notes.insert(0, Note("files-joined", sentence, **values))
     if 2 * len(good) < len(common):
         raise _misfit(places, bodies, pairs, len(good), found.degrees)
-    joined = [_joined(a, drawn.get(a.ref), found, by_center) for a in placed.values()]
-    notes += _conflicts(placed, drawn, off, found, _sides(places, bodies))
+    angles = _angles(pairs, found.degrees, turned=all(note.code != "angles-not-stated" for note in bodies.notes))
+    notes.insert(1, _note_on_angles(angles))
+    joined = [_joined(a, drawn.get(a.ref), found, by_center, angles) for a in placed.values()]
+    notes += _conflicts(placed, drawn, off, angles, _sides(places, bodies))
     return Design(
         name=places.name,
         format=f"{places.format} + {bodies.format}",
@@ -153,8 +165,8 @@ def _agreeing(pairs: Sequence[tuple[Part, Part]], by_center: bool, found: Placem
 
 def _best(pairs: Sequence[tuple[Part, Part]]) -> tuple[bool, Placement]:
     """Return whether places are centres of bodies, and the placement with which most parts agree."""
-    turns = Counter(round((a.rotation - b.rotation) % 360, 2) % 360 for a, b in pairs)
-    angles = (*_QUARTER_DEG, *(angle for angle, _ in turns.most_common(3)))
+    turns = Counter(round((sign * a.rotation - b.rotation) % 360, 2) % 360 for a, b in pairs for sign in (1, -1))
+    angles = (*_QUARTER_DEG, *(angle for angle, _ in turns.most_common(5)))
     candidates: list[tuple[int, float, int, bool, Placement]] = []
     for by_center, mirrored, degrees in product((False, True), (False, True), dict.fromkeys(angles)):
         turned = [(a.origin, Placement(mirrored, degrees, (0.0, 0.0)).apply(_place(b, by_center))) for a, b in pairs]
@@ -168,31 +180,90 @@ def _best(pairs: Sequence[tuple[Part, Part]]) -> tuple[bool, Placement]:
     return by_center, found
 
 
-def _unmirrored(
-    placed: dict[str, Part], drawn: dict[str, Part], common: Sequence[str], found: Placement
-) -> tuple[dict[str, Part], Placement]:
-    """Return the parts mirrored in x, and the placement that then holds."""
+def _unmirrored(placed: dict[str, Part], found: Placement) -> tuple[dict[str, Part], Placement]:
+    """Return the parts with their places mirrored in x, and the placement that then holds."""
     # (x, y) → R·(−x, y) + s, mirrored in x again, is a rotation by the negative angle and a shift with −sx.
     placement = Placement(False, normalised(-found.degrees), (-found.shift[0], found.shift[1]))
-    rules: tuple[Callable[[float], float], ...] = (lambda r: r, lambda r: -r, lambda r: 180 - r, lambda r: 180 + r)
+    return {ref: replace(part, origin=(-part.origin[0], part.origin[1])) for ref, part in placed.items()}, placement
 
-    def agreeing(rule: int) -> int:
-        turns = [rules[rule](placed[ref].rotation) - drawn[ref].rotation - placement.degrees for ref in common]
-        return sum(_is_near(turn, 0.0) for turn in turns)
 
-    rule = rules[max(range(len(rules)), key=agreeing)]
-    return {
-        ref: replace(part, origin=(-part.origin[0], part.origin[1]), rotation=normalised(rule(part.rotation)))
-        for ref, part in placed.items()
-    }, placement
+@dataclass(frozen=True)
+class _Angles:
+    """What the angles of the first file mean."""
+
+    rule: str
+    offsets: dict[str, float]
+    """Package → angle from its 0° in the first file to that in the second, where they differ."""
+    fitting: frozenset[str]
+    """Designators of the parts whose angle agrees with the second file."""
+    own: dict[str, float]
+    """Designator → angle by the second file, of the parts that do not fit and have pads."""
+    turns: dict[str, float]
+    """Designator → angle by the second file less that by the first, of the parts that do not fit."""
+    count: int
+
+    def rotation(self, part: Part) -> float:
+        """Return the rotation of a part of the first file, counter-clockwise as seen from the top."""
+        return normalised(self.own.get(part.ref, _ANGLE_RULES[self.rule](part.rotation)))
+
+
+def _package(placed: Part, drawn: Part) -> str:
+    return drawn.package or placed.package
+
+
+def _angles(pairs: Sequence[tuple[Part, Part]], degrees: float, turned: bool) -> _Angles:
+    """Return the rule and the offsets of packages by which most angles of the first file agree with the second.
+
+    An offset must explain more than one part, since libraries that disagree about a package do so for all its parts.
+    If the second file states no angles (`turned` is false), it proves none.
+    """
+    best: tuple[int, _Angles] | None = None
+    for name, rule in _ANGLE_RULES.items():
+        turns = {b.ref: (b.rotation + degrees - rule(a.rotation)) % 360 for a, b in pairs}
+        quarters = {
+            ref: next((quarter for quarter in _QUARTER_DEG if _is_near(turn, quarter)), None)
+            for ref, turn in turns.items()
+        }
+        of_package: defaultdict[str, list[str]] = defaultdict(list)
+        for a, b in pairs:
+            of_package[_package(a, b)].append(b.ref)
+        offsets, fitting = {}, set()
+        for package, refs in of_package.items():
+            counts = Counter(quarters[ref] for ref in refs)
+            quarter = max(_QUARTER_DEG, key=lambda quarter: counts[quarter])
+            if quarter and package and LEAST_SAME_PACKAGE <= counts[quarter] > len(refs) / 2:
+                offsets[package] = quarter
+            fitting |= {ref for ref in refs if quarters[ref] == offsets.get(package, 0.0)}
+        own = {b.ref: b.rotation + degrees for _, b in pairs if turned and b.ref not in fitting and _has_pads(b)}
+        others = {ref: turn for ref, turn in turns.items() if ref not in fitting}
+        found = _Angles(name, offsets, frozenset(fitting), own, others, len(pairs))
+        # An offset costs as much as the first part that it explains, so that it is no free choice.
+        score = len(fitting) - len(offsets)
+        if best is None or score > best[0]:
+            best = score, found
+    assert best is not None
+    return best[1]
+
+
+def _has_pads(part: Part) -> bool:
+    """Return whether a part is of a file that states its body, and with it how it is turned."""
+    return part.box is not None and part.size_from == "file"
+
+
+def _note_on_angles(angles: _Angles) -> Note:
+    fit, count = len(angles.fitting), angles.count
+    agree = f"{fit} of {count} parts agree with the second"
+    sentence = f"the first file's angles are {angles.rule}, as seen from the top: {agree}."
+    return Note("angles-joined", sentence, rule=angles.rule, fit=fit, count=count)
 
 
 def _is_near(degrees: float, expected: float) -> bool:
     return abs((degrees - expected + 180) % 360 - 180) <= SAME_ANGLE_DEG
 
 
-def _joined(placed: Part, drawn: Part | None, found: Placement, by_center: bool) -> Part:
+def _joined(placed: Part, drawn: Part | None, found: Placement, by_center: bool, angles: _Angles) -> Part:
     """Return a part with the body of the other file."""
+    placed = replace(placed, rotation=angles.rotation(placed))
     if drawn is None or drawn.box is None:
         return placed
     turn = drawn.rotation + found.degrees - placed.rotation
@@ -226,7 +297,7 @@ def _conflicts(
     placed: dict[str, Part],
     drawn: dict[str, Part],
     off: dict[str, float],
-    found: Placement,
+    angles: _Angles,
     sides: dict[str, tuple[Side, Side]],
 ) -> list[Note]:
     """Return a note for every kind of conflict."""
@@ -240,21 +311,22 @@ def _conflicts(
         worst = sorted(off, key=lambda ref: -off[ref])
         words = "are at another place in the second file; the first file's is used"
         add_conflict("places-differ", len(off), words, [f"{ref} ({off[ref]:.2f} mm)" for ref in worst])
-    turned, skewed = [], []
-    for ref in sorted(placed.keys() & drawn.keys()):
-        turn = drawn[ref].rotation + found.degrees - placed[ref].rotation
-        if not any(_is_near(turn, q) for q in _QUARTER_DEG):
-            skewed.append(f"{ref} ({(-turn) % 360:g}°)")
-        elif not _is_near(turn, 0.0):
-            turned.append(f"{ref} ({(-turn) % 360:.0f}°)")
-    if skewed:
-        add_conflict("rotations-differ", len(skewed), "have another rotation; the first file's is used", skewed)
-    if turned:
-        words = "have another rotation by quarter turns; the body stays as the second file draws it"
-        add_conflict("quarter-turns-differ", len(turned), words, turned)
+    turned = [[f"{ref} ({normalised(-t):g}°)" for ref, t in angles.turns.items() if (ref in angles.own) is own]
+              for own in (True, False)]  # fmt: skip
+    if turned[0]:
+        words = "have another rotation by their pads in the second file; that is used"
+        add_conflict("rotations-differ", len(turned[0]), words, turned[0])
+    if turned[1]:
+        words = "have another rotation; the first file's is used, since the second has no pads of them"
+        add_conflict("rotations-unproven", len(turned[1]), words, turned[1])
+    if angles.offsets:
+        names = [f"{package} ({(-offset) % 360:g}°)" for package, offset in sorted(angles.offsets.items())]
+        shown = _some(names)
+        sentence = f"0° of {len(names)} packages differs in both files; bodies stay as the second draws them: {shown}."
+        notes.append(Note("quarter-turns-differ", sentence, count=len(names), names=shown))
     if sides:
-        shown = [f"{ref} ({first}, {second})" for ref, (first, second) in sides.items()]
-        add_conflict("sides-differ", len(sides), "lie on different sides in both files", shown)
+        shown_sides = [f"{ref} ({first}, {second})" for ref, (first, second) in sides.items()]
+        add_conflict("sides-differ", len(sides), "lie on different sides in both files", shown_sides)
     if missing := sorted(placed.keys() - drawn.keys()):
         add_conflict("parts-without-body", len(missing), "are in the first file only, without a body", missing)
     if more := sorted(drawn.keys() - placed.keys()):

@@ -1,7 +1,10 @@
 """Read the data of InteractiveHtmlBom: its HTML page, or the object `pcbdata` as JSON.
 
-y points down, lengths are in mm, angles are counter-clockwise as seen on the screen from the top. Source:
-openscopeproject/InteractiveHtmlBom, DATAFORMAT.md.
+y points down, lengths are in mm, angles are counter-clockwise as seen on the screen from the top. All generators use
+one page, which draws the boxes so; pads, whose places the file states, lie within them. The generators for EAGLE,
+EasyEDA and Altium state the corner of a box in the place of the origin; the last two draw boxes along the axes, at
+angle 0. Source: openscopeproject/InteractiveHtmlBom, DATAFORMAT.md, render.js and ecad;
+lianlian33/InteractiveHtmlBomForAD, ecad/AD10.js.
 """
 
 from __future__ import annotations
@@ -12,14 +15,20 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from vaoi_station.board_data.contours import arc_points, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Part, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
+from vaoi_station.board_data.pin_rules import FITS_MM, LEAST_MARGIN, RULES, Rule
 from vaoi_station.board_data.readers.lz_string import decompress
 from vaoi_station.board_data.source_text import MOST_BYTES, decode
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
+USUAL = Rule(mirrored=False, sign=1)
+"""The page draws boxes so."""
+LEAST_UNTURNED = 3
+"""With fewer parts, all may lie along the axes by chance."""
 _COMPRESSED = re.compile(r'pcbdata\s*=\s*JSON\.parse\(LZString\.decompressFromBase64\("([^"]*)"\)\)')
 _PLAIN = re.compile(r"pcbdata\s*=\s*(?=\{)")
 
@@ -37,15 +46,22 @@ def read_html_bom(data: bytes, path: Path) -> Design:
     """Read a page of InteractiveHtmlBom, or its data."""
     board = _board(decode(data, path), path)
     try:
-        parts = tuple(_part(footprint) for footprint in board["footprints"])
+        stated = [_part(footprint) for footprint in board["footprints"]]
+        pads = [_pads(footprint) for footprint in board["footprints"]]
         contours, _ = join(_edges(board.get("edges", [])))
         title = str((board.get("metadata") or {}).get("title") or path.stem)
         hidden = {int(n) for n in (board.get("bom") or {}).get("skipped", [])}
     except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(f"{path}: pcbdata lacks or has a wrong value at {error}.") from error
+    parts, notes = _by_pads(stated, pads)
+    if len(parts) >= LEAST_UNTURNED and all(part.box and part.box.low[0] == 0 == part.box.high[1] for part in stated):
+        parts = [_at_center(part) for part in parts]
+        if all(part.rotation == 0 for part in stated):
+            sentence = "all boxes lie along the axes, at angle 0: the file states no angles of parts."
+            notes.append(Note("angles-not-stated", sentence))
     fitted = tuple(p if n not in hidden else _unfitted(p) for n, p in enumerate(parts))
     outline, *cut_outs = contours or [[]]
-    return Design(title, "html-bom", fitted, tuple(outline), tuple(map(tuple, cut_outs)))
+    return Design(title, "html-bom", fitted, tuple(outline), tuple(map(tuple, cut_outs)), notes=tuple(notes))
 
 
 def _board(text: str, path: Path) -> dict[str, Any]:
@@ -78,6 +94,67 @@ def _part(footprint: dict[str, Any]) -> Part:
         rotation=normalised(float(bbox.get("angle", 0.0))),
         box=box if min(box.size) > 0 else None,
     )
+
+
+def _pads(footprint: dict[str, Any]) -> list[XY]:
+    """Return the places of the pads, y up."""
+    found = [(float(pad["pos"][0]), -float(pad["pos"][1])) for pad in footprint.get("pads") or ()]
+    if not all(map(math.isfinite, (v for at in found for v in at))):
+        raise ValueError("pads")
+    return found
+
+
+def _by_pads(stated: list[Part], pads: list[list[XY]]) -> tuple[list[Part], list[Note]]:
+    """Return the parts with boxes turned so that pads lie within them, for each side, and what decided."""
+    parts, notes, outside = list(stated), [], []
+    for side in get_args(Side):
+        of_side = [n for n, part in enumerate(stated) if part.side == side and part.box is not None]
+        judged = [n for n in of_side if pads[n]]
+        counts = {rule: sum(_holds(_turned(stated[n], rule), pads[n]) for n in judged) for rule in (USUAL, *RULES)}
+        rule = max(counts, key=lambda rule: counts[rule])
+        if counts[rule] < counts[USUAL] + LEAST_MARGIN:
+            rule = USUAL
+        for n in of_side:
+            parts[n] = _turned(stated[n], rule)
+        outside += [parts[n].ref for n in judged if not _holds(parts[n], pads[n])]
+        if of_side and rule != USUAL:
+            sentence = (
+                f"boxes of parts on the {side} are {rule}, which is not usual: {counts[rule]} of {len(judged)} parts "
+                f"have their pads within their box so, {counts[USUAL]} by the usual rule."
+            )
+            values = {
+                "side": side,
+                "rule": str(rule),
+                "fit": counts[rule],
+                "parts": len(judged),
+                "usual": counts[USUAL],
+            }
+            notes.append(Note("boxes-by-pads", sentence, **values))
+    if outside:
+        names = ", ".join(outside[:8]) + (f" and {len(outside) - 8} more" if len(outside) > 8 else "")
+        sentence = f"pads of {len(outside)} parts lie outside their box; check them in the picture: {names}."
+        notes.append(Note("pads-outside-box", sentence, count=len(outside), names=names))
+    return parts, notes
+
+
+def _turned(part: Part, rule: Rule) -> Part:
+    box = part.box.mirrored() if part.box is not None and rule.mirrored else part.box
+    return replace(part, rotation=rule.rotation(part.rotation), box=box)
+
+
+def _holds(part: Part, pads: list[XY]) -> bool:
+    """Return whether the pads of a part lie within its box."""
+    at = Placement(False, part.rotation, part.origin)
+    low, high = (part.box.low, part.box.high) if part.box is not None else ((0.0, 0.0), (0.0, 0.0))
+    points = (at.undo(pad) for pad in pads)
+    return all(a - FITS_MM <= v <= b + FITS_MM for p in points for a, v, b in zip(low, p, high, strict=True))
+
+
+def _at_center(part: Part) -> Part:
+    """Return a part with the centre of its box as its origin."""
+    assert part.box is not None
+    width, height = part.box.size
+    return replace(part, origin=part.center, box=Box((-width / 2, -height / 2), (width / 2, height / 2)))
 
 
 def _unfitted(part: Part) -> Part:
