@@ -2,8 +2,8 @@
 
     python -m tests.board_data.fleet FOLDER…
 
-Prints two tables and every kind of refusal. A refusal is one sentence with an action; an exception of another kind is a
-crash.
+Prints three tables and every kind of refusal. A refusal is one sentence with an action; an exception of another kind is
+a crash.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ class Seen:
     """Sides with two fiducials or more."""
     outlines: int = 0
     """Sides whose board has an outline."""
+    pins: Counter[str] = field(default_factory=Counter)
+    """Number of pins that the files place, and of those that fit the rule by which parts are turned, by side."""
     slowest_s: float = 0.0
 
 
@@ -79,6 +81,11 @@ class Fleet:
         shown.append("|---|---|---|---|---|---|")
         for name, s in sorted(self.formats.items()):
             shown.append(f"| {name} | {s.sides} | {s.components} | {s.guessed} | {s.fiducials} | {s.outlines} |")
+        shown += ["", "| format | side | pins with a place | that fit |", "|---|---|---|---|"]
+        for name, s in sorted(self.formats.items()):
+            for side in get_args(Side):
+                if s.pins[side]:
+                    shown.append(f"| {name} | {side} | {s.pins[side]} | {s.pins[f'{side}, fit']} |")
         for sentence, files in sorted(self.refusals.items(), key=lambda item: -len(item[1])):
             shown += ["", f"{len(files)} × {sentence}", f"    {files[0]}"]
         return shown
@@ -95,6 +102,10 @@ class Fleet:
         except Exception as fault:  # noqa: BLE001  that is what is searched
             self.refusals[f"CRASH: {type(fault).__name__}: {fault}"].append(str(path))
             return "crash"
+        for note in design.notes:
+            if note.code == "rotation-by-pins":
+                seen.pins[note.values["side"]] += int(note.values["pins"])
+                seen.pins[f"{note.values['side']}, fit"] += int(note.values["fit"])
         for board, _ in found:
             seen.sides += 1
             seen.components += len(board.components)

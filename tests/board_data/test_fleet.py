@@ -8,6 +8,7 @@ import pytest
 
 from tests.board_data import fleet as module
 from tests.board_data.fleet import FOLDER, Fleet, files_in
+from tests.board_data.readers import samples
 
 BOARD = """(kicad_pcb (version 20240108) (generator "x")
   (gr_rect (start 0 0) (end 40 30) (layer "Edge.Cuts"))
@@ -44,3 +45,11 @@ def test_a_folder_of_a_design_is_one_file(tmp_path: Path) -> None:
     for inner in ("odb/matrix/matrix", "odb/inner.zip", "outer.zip", "notes.txt"):
         (tmp_path / inner).write_text("x")
     assert list(files_in(tmp_path)) == [(FOLDER, tmp_path / "odb"), ("ODB++", tmp_path / "outer.zip")]
+
+
+def test_pins_that_fit_are_counted_for_each_side(tmp_path: Path) -> None:
+    (tmp_path / "b.xml").write_text(samples.IPC2581)
+    fleet = Fleet()
+    assert fleet.add("IPC-2581", tmp_path / "b.xml") == "warned"
+    assert "| IPC-2581 | bottom | 1 | 1 |" in fleet.lines()
+    assert not any(line.startswith("| IPC-2581 | top") for line in fleet.lines())

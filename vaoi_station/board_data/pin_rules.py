@@ -114,11 +114,8 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
     groups: defaultdict[tuple[Side, str], list[DrawnPart]] = defaultdict(list)
     for drawn in parts:
         groups[drawn.group].append(drawn)
-    decided: dict[tuple[Side, str], _Decision] = {}
-    # What the largest group of a side shows comes first where a smaller one shows nothing.
-    for key in sorted(groups, key=lambda key: -len(groups[key])):
-        first = [usual(*key), *(d.rule for other, d in decided.items() if other[0] == key[0])]
-        decided[key] = _decide(groups[key], first, 0 if exact else LEAST_MARGIN)
+    margin = 0 if exact else LEAST_MARGIN
+    decided = {key: _decide(group, usual(*key), margin) for key, group in groups.items()}
     words = Counter(side for side, _ in groups)
     notes = [_note_on_rule(key, decided[key], len(groups[key]), words[key[0]] > 1) for key in sorted(groups)[::-1]]
     found = []
@@ -147,27 +144,25 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
     return found, notes
 
 
-def _decide(parts: Sequence[DrawnPart], first: Sequence[Rule], margin: int) -> _Decision:
-    """Return the rule that fits most parts; the first of `first` if no other fits more pins by a margin."""
-    rules = list(dict.fromkeys([*(rule._replace(outline_mirrored=False) for rule in first), *RULES]))
-    readings = max((len(drawn.readings) for drawn in parts), default=1)
-    best: tuple[tuple[float, int], int, Rule] | None = None
-    scores = {}
-    for reading, rule in product(range(readings), rules):
-        counts = [_count(drawn, reading, rule) for drawn in parts]
-        share = sum(fitting / pins for fitting, pins in counts if pins)
-        score = (round(share, 6), sum(fitting for fitting, _ in counts))
-        scores[reading, rule] = score
-        if best is None or score > best[0]:
-            best = score, reading, rule
-    assert best is not None
-    score, reading, rule = best
-    if score[1] < scores[0, rules[0]][1] + margin:
-        score, reading, rule = scores[0, rules[0]], 0, rules[0]
-    rivals = sum(scores[reading, other] == score for other in rules) - 1
-    outline = _outline_mirrored(parts, first[0]) if parts[0].part.side == "bottom" else first[0].outline_mirrored
-    pins = sum(_count(drawn, reading, rule)[1] for drawn in parts)
-    return _Decision(rule._replace(outline_mirrored=outline), reading, score[1], pins, rivals)
+def _decide(parts: Sequence[DrawnPart], usual: Rule, margin: int) -> _Decision:
+    """Return the rule that fits most parts; the usual one if no other fits more pins by a margin."""
+    rules = list(dict.fromkeys([usual._replace(outline_mirrored=False), *RULES]))
+    scores: dict[tuple[int, Rule], tuple[float, int, int]] = {}
+    for reading in range(max(len(drawn.readings) for drawn in parts)):
+        for rule in rules:
+            counts = [_count(drawn, reading, rule) for drawn in parts]
+            share = sum(fitting / pins for fitting, pins in counts if pins)
+            scores[reading, rule] = round(share, 6), sum(n for n, _ in counts), sum(n for _, n in counts)
+        if any(fitting == pins for _, fitting, pins in scores.values()):
+            break
+    # Of equals `max` takes the first.
+    best = max(scores, key=lambda key: scores[key][:2])
+    if scores[best][1] < scores[0, rules[0]][1] + margin:
+        best = 0, rules[0]
+    (reading, rule), (_, fitting, pins) = best, scores[best]
+    rivals = sum(scores[reading, other] == scores[best] for other in rules) - 1
+    outline = _outline_mirrored(parts, usual) if parts[0].part.side == "bottom" else usual.outline_mirrored
+    return _Decision(rule._replace(outline_mirrored=outline), reading, fitting, pins, rivals)
 
 
 def _pins(drawn: DrawnPart, reading: int) -> Iterable[Pin]:

@@ -130,3 +130,11 @@ def test_kinds_of_marks_and_the_component_of_a_local_fiducial() -> None:
         "GoodPanelMark1": ("panel", ()),
         "BadBoardMark1": ("bad-board", ()),
     }
+
+
+@pytest.mark.parametrize(("mirror", "side"), [("true", "bottom"), ("false", "top")])
+def test_a_part_on_an_inner_layer_is_seen_from_the_side_that_it_faces(mirror: str, side: str) -> None:
+    """Parts of rigid-flex boards lie on inner layers, too."""
+    before, after = 'layerRef="BOT"><Xform rotation="90" mirror="true"', 'layerRef="INT_1"><Xform rotation="90" mirror='
+    text = samples.IPC2581.replace(before, f'{after}"{mirror}"')
+    assert next(p for p in read_ipc2581(text.encode(), PATH).parts if p.ref == "C1").side == side

@@ -176,8 +176,9 @@ class _Reader:
         transform, location = component.find("Xform"), component.find("Location")
         if not ref or location is None:
             raise InputError(f"{self._path}: a Component has no refDes or no Location (refDes {ref!r}).")
-        side = self._sides.get(component.get("layerRef", ""), "top")
         mirror = transform is not None and transform.get("mirror", "false").lower() in ("true", "1")
+        # Of a rigid-flex board parts may lie on inner layers; those that are mirrored are seen from below.
+        side = self._sides.get(component.get("layerRef", ""), "bottom" if mirror else "top")
         name = package.name if package else _plain(component.get("packageRef", ""))
         is_mark = "fiducial" in name.lower()
         part = Part(
