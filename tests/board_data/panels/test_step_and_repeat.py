@@ -7,6 +7,7 @@ import pytest
 from vaoi_station.board_data.design import Design, Mark, Part
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
 from vaoi_station.errors import InputError
+from vaoi_station.model.note import Note
 
 BOARD = Step(Design("pcb", "odb", (Part("R1", "top", (3.0, 2.0), 0.0),)), lambda: (1.0, 1.0))
 
@@ -17,7 +18,7 @@ def grid(step: str, x: float = 0.0, nx: int = 1, ny: int = 1) -> Repeat:
 
 def panel(**steps: Step) -> Design:
     """Return the panel of a step `top`, among the steps given and that of the board."""
-    return panel_of("top", (steps | {"pcb": BOARD}).__getitem__, "file")
+    return panel_of("top", ({"pcb": BOARD} | steps).__getitem__, "file")
 
 
 def step(*repeats: Repeat, marks: tuple[Mark, ...] = ()) -> Step:
@@ -35,6 +36,17 @@ def test_positions_count_along_x_first_and_datums_lie_at_the_places() -> None:
         "step top is a panel of 6 boards: 6 of step pcb; their positions count from 1.",
         "1 boards lie upside down, so that their other side is up: positions 6.",
     )
+
+
+def test_what_is_noted_of_a_step_that_is_repeated_is_noted_of_the_panel() -> None:
+    note = Note("pins-unfit", "check R1.", names="R1")
+    made = panel(
+        top=step(grid("array")),
+        array=step(grid("pcb", 0.0, 2)),
+        pcb=replace(BOARD, design=BOARD.design.with_notes(note)),
+    )
+    assert made.notes[-1] == "step pcb: check R1."
+    assert (made.notes[-1].code, made.notes[-1].values) == ("pins-unfit", {"names": "R1"})
 
 
 def test_panels_within_a_panel_belong_to_no_position() -> None:

@@ -166,6 +166,12 @@ def panel_of(name: str, read: Callable[[str], Step], where: str) -> Design:
     if layout.bare:
         names = ", ".join(sorted(layout.bare))
         notes.append(Note("bare-steps", f"repeated steps without components were left out: {names}.", names=names))
+    notes += [
+        Note(note.code, f"step {used}: {note}", **note.values)
+        for used, step in layout.known.items()
+        if used != name
+        for note in step.design.notes
+    ]
     return replace(top.design, boards=tuple(layout.boards), notes=(*top.design.notes, *notes))
 
 

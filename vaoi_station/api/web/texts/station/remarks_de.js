@@ -3,8 +3,14 @@ const more = (names) => names.replace(/ and (\d+) more$/, " und $1 weitere");
 const KINDS = { global: "Passmarken", local: "lokale Passmarken", panel: "Passmarken des Nutzens", "bad-board": "Schlechtmarken" };
 const BY = { element: "aus Elementen der Datei", attribute: "aus einem Attribut", package: "am Gehäuse erkannt", name: "am Namen erkannt", place: "am Ort erkannt" };
 const SIDES = { top: "Oberseite", bottom: "Unterseite" };
+const sense = (rule) => rule.includes("counter") ? "gegen den Uhrzeigersinn" : "im Uhrzeigersinn";
+const turned = (rule) => (rule.startsWith("mirrored") ? `in ${rule["mirrored in ".length]} gespiegelt, dann ` : "") + `${sense(rule)} um den Winkel${rule.endsWith("180°") ? " und um 180°" : ""} gedreht`;
+const others = (rivals) => rivals === "0" ? "" : `; ${rivals} andere Regeln passen ebenso`;
 
 export const remarks = {
+  "angles-by-pins": ({ count, names }) => `Die Anschlüsse von ${count} Bauteilen zeigen einen anderen Winkel oder Ort, als die Datei nennt; er gilt: ${more(names)}.`,
+  "angles-joined": ({ rule, fit, count }) => `Die Winkel der ersten Datei zählen von oben gesehen ${sense(rule)}${rule.endsWith("180°") ? ", von 180° aus" : ""}: ${fit} von ${count} Bauteilen stimmen mit der zweiten überein.`,
+  "angles-not-stated": () => "Alle Rechtecke liegen entlang der Achsen, bei 0°: Die Datei nennt keine Winkel von Bauteilen.",
   "bare-steps": ({ names }) => `Wiederholte Steps ohne Bauteile wurden weggelassen: ${names}.`,
   "board-repeated": ({ counts }) => `Die Leiterplatte wird ${counts}-mal wiederholt; Positionen zählen von 1 an, zuerst entlang x.`,
   "bottom-maybe-negated": () => "x ist bei allen Bauteilen der Unterseite negativ: Hat das Programm es umgekehrt, liegen sie spiegelverkehrt. Die Datei der Leiterplatte verbinden, oder den Typ an einem Lauf prüfen.",
@@ -13,6 +19,7 @@ export const remarks = {
   "boards-turned-over": ({ names }) => `Leiterplatten liegen gewendet und gedreht, wofür Programme Verschiedenes zuerst tun: Im Bild prüfen, ob sie im Nutzen liegen: ${more(names)}.`,
   "boards-upside-down": ({ count, names }) => `${count} Leiterplatten liegen gewendet, ihre andere Seite ist oben: Positionen ${more(names)}.`,
   "columns-not-used": ({ names }) => `Nicht verwendete Spalten: ${names}.`,
+  "boxes-by-pads": ({ side, rule, fit, parts, usual }) => `Rechtecke von Bauteilen der ${SIDES[side]} sind ${turned(rule)}, anders als üblich: So liegen bei ${fit} von ${parts} Bauteilen die Pads im Rechteck, nach der üblichen Regel bei ${usual}.`,
   "contours-left-out": ({ count }) => `${count} Konturen liegen außerhalb des Umrisses oder taugen nicht als Ausschnitte; sie wurden weggelassen. Prüfen, ob die Datei einen Nutzen beschreibt.`,
   "contours-too-many": ({ count }) => `${count} Konturen der Leiterplatten sind zu viele oder zu fein; sie wurden weggelassen.`,
   "designators-repeated": ({ names }) => `Bezeichner, die mehrmals vorkommen, wurden weggelassen: ${more(names)}.`,
@@ -27,6 +34,7 @@ export const remarks = {
   "outline-elsewhere": () => "Passmarken liegen außerhalb des Umrisses; er wurde weggelassen. Prüfen, ob beide zur selben Leiterplatte gehören.",
   "outline-unusable": () => "Der Umriss kreuzt sich selbst oder hat zu viele Ecken; sein umschließendes Rechteck wird genommen.",
   "packages-not-described": ({ count, names }) => `${count} Gehäuse sind nicht beschrieben: ${names}.`,
+  "pads-outside-box": ({ count, names }) => `Pads von ${count} Bauteilen liegen außerhalb ihres Rechtecks; im Bild prüfen: ${more(names)}.`,
   "panel-edges-unknown": () => "Die Ränder des Nutzens sind nicht bekannt; er hat keinen Umriss, und die Ausdehnung von Bauteilen und Passmarken wird genommen. Den Rand angeben.",
   "panel-unresolved": ({ count, all }) => `${count} von ${all} Bezeichnern kommen mehrmals vor: Die Datei beschreibt wohl einen Nutzen und sagt nicht, welches Bauteil zu welcher Leiterplatte gehört. Die Datei einer Leiterplatte importieren und ihren Nutzen angeben.`,
   "panels-in-file": ({ names }) => `Steps, die Leiterplatten wiederholen: ${more(names)}. Laufen Nutzen durch die Linie, diesen Step wählen.`,
@@ -34,15 +42,20 @@ export const remarks = {
   "parts-of-second-file": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nur in der zweiten Datei; sie wurden weggelassen: ${more(names)}.`,
   "parts-outside": ({ count, names }) => `${count} Bauteile liegen außerhalb des Umrisses: ${more(names)}.`,
   "parts-without-body": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nur in der ersten Datei, ohne Körper: ${more(names)}.`,
+  "pins-unfit": ({ count, names }) => `Die Anschlüsse von ${count} Bauteilen passen zu keinem Winkel ihres Gehäuses; im Bild prüfen: ${more(names)}.`,
   "pitch-below-size": ({ axis, pitch_mm, size_mm }) => `Das Raster entlang ${axis} ist ${pitch_mm} mm, die Leiterplatte misst dort aber ${size_mm} mm.`,
   "places-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile liegen in der zweiten Datei woanders; es gilt die erste: ${more(names)}.`,
   "places-mirrored": () => "Die erste Datei beschreibt diese Seite in x gespiegelt; ihre Orte wurden zurückgespiegelt.",
-  "quarter-turns-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile sind um Vierteldrehungen anders gedreht; der Körper bleibt, wie die zweite Datei ihn zeichnet: ${more(names)}.`,
+  "quarter-turns-differ": ({ count, names }) => `0° von ${count} Gehäusen ist in beiden Dateien verschieden; Körper bleiben, wie die zweite sie zeichnet: ${more(names)}.`,
   "read-as-panel": ({ count }) => `Bezeichner kommen ${count}-mal an Orten vor, die Kopien voneinander sind: Die Datei wurde als Nutzen aus ${count} Leiterplatten gelesen, deren Positionen von 1 an zählen, von links nach rechts, dann nach oben.`,
   "rotation-assumed": () => "Keine Spalte nennt die Drehung; 0° wird angenommen.",
   "rotation-clockwise": ({ header }) => `Die Spalte „${header}“ nennt Drehungen im Uhrzeigersinn; sie wurden umgerechnet.`,
   "rotation-empty": ({ count, names }) => `${count} Bauteile haben in der Spalte keine Drehung; 0° wird angenommen: ${more(names)}.`,
   "rotations-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile sind anders gedreht; es gilt die erste Datei: ${more(names)}.`,
+  "rotation-by-pins": ({ side, rule, fit, pins, count, rivals }) => `${count} Bauteile der ${SIDES[side]} sind ${turned(rule)}: ${fit} von ${pins} Anschlüssen passen${others(rivals)}.`,
+  "rotation-unconfirmed": ({ side, rule, count }) => `${count} Bauteile der ${SIDES[side]} sind ${turned(rule)}, wie es üblich ist; nichts in der Datei bestätigt es.`,
+  "rotations-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nach ihren Pads in der zweiten Datei anders gedreht; es gilt die zweite: ${more(names)}.`,
+  "rotations-unproven": ({ count, names }) => `Widerspruch: ${count} Bauteile sind anders gedreht; es gilt die erste Datei, die zweite hat keine Pads von ihnen: ${more(names)}.`,
   "several-steps": ({ names, step }) => `Mehrere Steps haben Bauteile: ${names}; gelesen wurde ${step}.`,
   "side-assumed": ({ side }) => `Keine Spalte nennt die Seite; alle Bauteile gelten als solche der ${SIDES[side]}.`,
   "side-contradicted": ({ count, header, names }) => `Laut Spalte „${header}“ sind ${count} Bauteile der Oberseite gespiegelt; sie bleiben auf der Oberseite: ${more(names)}.`,
@@ -53,4 +66,5 @@ export const remarks = {
   "step-is-panel": ({ step, count }) => `Der Step ${step} ist ein Nutzen aus ${count} Leiterplatten; ihre Positionen zählen von 1 an.`,
   "unit-guessed": ({ unit }) => `Die Datei nennt keine Einheit; ${unit} wird angenommen, die einzige, bei der die Leiterplatte eine übliche Größe hat.`,
   "table-read-as": ({ columns, unit }) => `Als Tabelle gelesen, Einheit ${unit}; ${columns}. Sonst Spalten und Einheit berichtigen.`,
+  "toeprints-left-out": ({ count, names }) => `${count} Toeprints nennen keinen Anschluss mit Ort; sie wurden weggelassen: ${names}.`,
 };
