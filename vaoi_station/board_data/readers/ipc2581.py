@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -170,7 +170,7 @@ class _Reader:
         return Rule(False, -1, 180.0) if self._by_kicad else Rule(mirrored=True, sign=-1)
 
     def _part(
-        self, component: Element, package: _Package | None, places: Mapping[tuple[str, str], Sequence[XY]]
+        self, component: Element, package: _Package | None, places: Mapping[tuple[str, str], tuple[XY, ...]]
     ) -> DrawnPart:
         ref = _plain(component.get("refDes", ""))
         transform, location = component.find("Xform"), component.find("Location")
@@ -198,7 +198,7 @@ class _Reader:
         numbers = Counter(number for number, _ in package.pins) if package else {}
         # Pins of one number, such as the pads of a tab, may lie at any place of that number.
         pins = tuple(
-            Pin(at, tuple(places[key, number]))
+            Pin(at, places[key, number])
             for number, at in (package.pins if package else ())
             if (key, number) in places and (numbers[number] == 1 or len(places[key, number]) > 1)
         )
@@ -225,18 +225,16 @@ class _Reader:
     def _place(self, location: Element) -> XY:
         return self._number(location, "x") * self._mm, self._number(location, "y") * self._mm
 
-    def _pin_places(self, step: Element) -> dict[tuple[str, str], list[XY]]:
+    def _pin_places(self, step: Element) -> dict[tuple[str, str], tuple[XY, ...]]:
         """Return component and pin → places of its pads, on any layer."""
-        found: defaultdict[tuple[str, str], list[XY]] = defaultdict(list)
+        found: defaultdict[tuple[str, str], dict[XY, None]] = defaultdict(dict)
         for pad in step.iter("Pad"):
             location = pad.find("Location")
             if location is None:
                 continue
             for pin in pad.findall("PinRef"):
-                places = found[pin.get("componentRef", ""), pin.get("pin", "")]
-                if (at := self._place(location)) not in places:
-                    places.append(at)
-        return dict(found)
+                found[pin.get("componentRef", ""), pin.get("pin", "")][self._place(location)] = None
+        return {pin: tuple(places) for pin, places in found.items()}
 
     def _pad(self, pin: Element) -> list[XY]:
         location, transform = pin.find("Location"), pin.find("Xform")
