@@ -186,12 +186,14 @@ def test_a_file_without_pads_proves_no_angle() -> None:
 
 def test_a_file_that_states_no_angles_proves_none() -> None:
     """The generator of InteractiveHtmlBom for Altium draws boxes along the axes, at angle 0."""
-    second = [replace(p, rotation=0.0) for p in many().parts]
-    note = Note("angles-not-stated", "none")
-    found = join_designs(
-        placer(ANGLE_RULES["counter-clockwise"]), replace(many(), parts=tuple(second), notes=(note,)), "bottom"
-    )
-    assert [p.rotation for p in found.parts] == [p.rotation for p in many().parts]
+    cad = [replace(p, rotation=180.0 if n % 4 else 90.0) for n, p in enumerate(many().parts)]
+    second = tuple(replace(p, rotation=0.0) for p in cad)
+    first = tuple(replace(p, box=None, size_from="guess") for p in cad)
+    bodies_only = Design("bom", "html-bom", second, notes=(Note("angles-not-stated", "none"),))
+    found = join_designs(Design("placer", "centroid", first), bodies_only, "bottom")
+    assert [p.rotation for p in found.parts] == [p.rotation for p in cad]
+    for part, axis_parallel in zip(found.parts, second, strict=True):
+        assert part.center == pytest.approx(axis_parallel.center)
 
 
 @settings(max_examples=40, deadline=None)

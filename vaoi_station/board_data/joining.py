@@ -215,10 +215,10 @@ def _angles(pairs: Sequence[tuple[Part, Part]], degrees: float, turned: bool) ->
     """Return the rule and the offsets of packages by which most angles of the first file agree with the second.
 
     An offset must explain more than one part, since libraries that disagree about a package do so for all its parts.
-    If the second file states no angles (`turned` is false), it proves none.
+    If the second file states no angles (`turned` is false), it proves none, and those of the first stay as they are.
     """
     best: tuple[int, _Angles] | None = None
-    for name, rule in _ANGLE_RULES.items():
+    for name, rule in list(_ANGLE_RULES.items())[: None if turned else 1]:
         turns = {b.ref: (b.rotation + degrees - rule(a.rotation)) % 360 for a, b in pairs}
         quarters = {
             ref: next((quarter for quarter in _QUARTER_DEG if _is_near(turn, quarter)), None)
