@@ -119,6 +119,14 @@ def test_tls_and_password(broker: Broker, tmp_path: Path) -> None:
     untrusted = transport(broker, **secure).idle()
     assert untrusted is not None
     assert "certificate verify failed" in untrusted.detail
+    password.write_bytes(PASSWORD.encode("utf-16"))
+    known = transport(broker, ca=broker.ca, **secure)
+    assert known.idle() == (True, "connected", 0.0, False)
+    known.close()
+    password.write_bytes(PASSWORD.encode("utf-16-le"))
+    unread = transport(broker, ca=broker.ca, **secure).idle()
+    assert unread is not None
+    assert "not UTF-8 text" in unread.detail
     password.write_text("wrong")
     refused = transport(broker, ca=broker.ca, **secure).idle()
     assert refused is not None

@@ -28,6 +28,7 @@ from vaoi_station.errors import VaoiError
 from vaoi_station.files.atomic_directory import refuse_existing
 from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.files.documents import write_bytes
+from vaoi_station.files.text_files import read_text
 from vaoi_station.version import __version__
 
 UNIT = "vaoi-station"
@@ -118,7 +119,7 @@ def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials
 
 def _members(path: Path, credentials: CallerCredentials | None) -> Iterator[tuple[str, str]]:
     """Yield the name and the content of every member."""
-    yield "station.toml", _attempt(lambda: path.read_text(encoding="utf-8", errors="replace"))
+    yield "station.toml", _attempt(lambda: read_text(path, "replace"))
     yield "check-config.txt", _attempt(lambda: problems_as_text(path, check_config(path)))
     yield "doctor.json", _attempt(lambda: json.dumps(run_checks(path, credentials=credentials).document(), indent=1))
     for name in MACHINE_FILES:
@@ -130,7 +131,7 @@ def _members(path: Path, credentials: CallerCredentials | None) -> Iterator[tupl
     except VaoiError:
         yield "files.txt", f"{_MISSING}files, database and address are those of a station.toml without faults\n"
         return
-    yield "calibration.json", _attempt(lambda: config.calibration.read_text(encoding="utf-8", errors="replace"))
+    yield "calibration.json", _attempt(lambda: read_text(config.calibration, "replace"))
     yield "files.txt", _attempt(lambda: "\n".join(_listing(config)))
     yield "database.txt", _attempt(lambda: "\n".join(_database(config.data / "station.db")))
     yield "running/events.txt", _attempt(partial(_events, config, credentials))

@@ -13,10 +13,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from vaoi_station.errors import InputError
+from vaoi_station.files.text_files import text_of
 
 KEY_VARIABLE, KEY_FILE_VARIABLE, CA_VARIABLE = "VAOI_KEY", "VAOI_KEY_FILE", "VAOI_CA"
 _LONGEST = 200
 """Longest accepted key in characters; those of a station have 61."""
+_MOST_BYTES = 1024
+"""How much of a key file is read, bytes: more than the longest key in UTF-16."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +82,14 @@ def caller_credentials(
 
 def _read(path: Path, where: str) -> str:
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return _checked(file.read(_LONGEST + 10), f"{where} {path}")
+        with path.open("rb") as file:
+            content = file.read(_MOST_BYTES)
     except OSError as error:
         raise InputError(
             f"{where} {path}: cannot be read ({error.strerror}).",
             action="Write the key that vaoi keys create has printed to a file that only you can read.",
         ) from error
+    return _checked(text_of(content, f"{where} {path}", "replace"), f"{where} {path}")
 
 
 def _checked(text: str, where: str) -> str:

@@ -15,8 +15,9 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError
+from vaoi_station.errors import DeviceError, InputError, InternalError
 from vaoi_station.files.durability import make_directories, sync_directory
+from vaoi_station.files.text_files import read_text
 
 M = TypeVar("M", bound=BaseModel)
 UNKNOWN_KEY = "is an unknown key"
@@ -32,7 +33,7 @@ class DuplicateKeyError(ValueError):
 def read_json(path: Path) -> Any:
     """Parse a JSON file; refuse duplicate keys, NaN and infinities, which JSON does not have."""
     try:
-        data = json.loads(_text(path), object_pairs_hook=refuse_duplicate_keys)
+        data = json.loads(read_text(path), object_pairs_hook=refuse_duplicate_keys)
     except json.JSONDecodeError as error:
         raise InputError(
             f"{path}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}."
@@ -49,13 +50,14 @@ def read_json(path: Path) -> Any:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file."""
-    return parse_toml(_text(path), path)
+    return parse_toml(read_text(path), path)
 
 
 def parse_toml(text: str, where: str | Path) -> dict[str, Any]:
     """Parse a TOML text, which messages name `where`."""
     try:
-        return tomllib.loads(text)
+        # A text in a request may still have the mark of the file from which it was copied.
+        return tomllib.loads(text.removeprefix("\ufeff"))
     except RecursionError as error:
         raise InputError(f"{where}: is nested too deeply for a document of this station.") from error
     # Besides its own error tomllib raises that of `int`, for numbers of thousands of digits.
@@ -167,17 +169,6 @@ def _causes(faults: Sequence[ErrorDetails]) -> Iterator[ErrorDetails]:
         inside = (other["loc"][: len(fault["loc"])] == fault["loc"] for other in faults if other is not fault)
         if fault["type"] != "too_short" or not any(inside):
             yield fault
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise NotFoundError(f"{path}: there is no such file.") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text.") from error
 
 
 def _not_finite(data: Any, key: str = "") -> tuple[str, float] | None:

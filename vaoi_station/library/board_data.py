@@ -11,6 +11,7 @@ from vaoi_station.board_data.import_process import OF_PERSONS, ImportTask
 from vaoi_station.board_data.limited_import import import_limited
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import InputError
+from vaoi_station.files.text_files import read_text
 from vaoi_station.library.arguments import require_path
 from vaoi_station.library.replies import checked
 from vaoi_station.library.station.station_board_types import conditions
@@ -107,7 +108,7 @@ class StationImport:
     def correct(self, **options: Any) -> StationImport:
         """Read the file again with other options: `side`, `join` (id of another upload), and as for the upload."""
         if options.get("sizes") is not None:
-            options["sizes"] = _text(require_path("correct", "sizes", options["sizes"]))
+            options["sizes"] = read_text(require_path("correct", "sizes", options["sizes"]))
         reply = self._client.put_document(self._address, {k: v for k, v in options.items() if v is not None})
         return StationImport(dict(reply), self._client)
 
@@ -133,13 +134,6 @@ class StationImport:
     @property
     def _address(self) -> str:
         return f"{PREVIEWS}/{quote(str(self.document['id']))}"
-
-
-def _text(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: cannot be read: {error}.") from error
 
 
 def _known(choices: ImportChoices) -> None:

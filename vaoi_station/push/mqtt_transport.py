@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from vaoi_station.errors import VaoiError
+from vaoi_station.files.text_files import read_text
 from vaoi_station.model.receivers import MqttConfig
 from vaoi_station.push.messages import Message
 from vaoi_station.push.transport import Outcome
@@ -56,7 +57,7 @@ class MqttTransport:
             client = self._connected()
             self._publish(client, topic, message.body, retain=False)
             self._show_state(client, at_once=record.kind == "station")
-        except (OSError, ValueError, ImportError) as error:
+        except (OSError, ValueError, ImportError, VaoiError) as error:
             return self._failed(error)
         return Outcome(True, "acknowledged")
 
@@ -65,7 +66,7 @@ class MqttTransport:
         was_connected = self._client is not None and self._client.is_connected()
         try:
             self._show_state(self._connected())
-        except (OSError, ValueError, ImportError) as error:
+        except (OSError, ValueError, ImportError, VaoiError) as error:
             return self._failed(error)
         return None if was_connected else Outcome(True, "connected")
 
@@ -129,7 +130,7 @@ class MqttTransport:
         client.connect_timeout = self._limit_s / 2
         client.will_set(f"{self._prefix}/station/state", self._state_body(OFFLINE), qos=1, retain=True)
         if broker.user is not None:
-            password = None if broker.password_file is None else broker.password_file.read_text("utf-8").strip()
+            password = None if broker.password_file is None else read_text(broker.password_file).strip()
             client.username_pw_set(broker.user, password)
         if broker.tls:
             context = ssl.create_default_context(cafile=broker.ca)

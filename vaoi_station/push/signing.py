@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vaoi_station.errors import InputError
+from vaoi_station.files.text_files import text_of
 
 PREFIX = "whsec_"
 SHORTEST, LONGEST = 24, 64
@@ -53,12 +54,13 @@ def read_secrets(path: Path) -> tuple[str, ...]:
         InputError: the file cannot be read, or holds something else.
     """
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            lines = file.read(_LARGEST_FILE).split()
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_FILE)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror}).", action="Make it readable to the service."
         ) from error
+    lines = text_of(content, path, "replace").split()
     if not 1 <= len(lines) <= MOST_SECRETS:
         raise InputError(f"{path}: holds {len(lines)} secrets, but must hold 1 to {MOST_SECRETS}, one in each line.")
     for line in lines:

@@ -21,6 +21,7 @@ from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files.atomic_directory import new_directory, remove_directory
 from vaoi_station.files.documents import parse, read_json
 from vaoi_station.files.recordings import open_recording
+from vaoi_station.files.text_files import read_text
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
@@ -230,7 +231,7 @@ def _text(package: Path, folder: Path, name: str) -> str:
     if not (folder / name).is_file():
         raise InputError(f"{package}: has no {name}.", action="Export the run again.")
     read_json(folder / name)
-    return (folder / name).read_text()
+    return read_text(folder / name)
 
 
 def _refuse_other_digest(package: Path, name: str, document: str, expected: str) -> None:

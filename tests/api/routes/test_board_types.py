@@ -36,6 +36,15 @@ def test_a_board_type_is_returned_as_stored(client: Any) -> None:
     assert BoardType.model_validate(content) == BoardType.model_validate(NEW)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_body_with_a_byte_order_mark_is_stored_as_one_without(client: Any, encoding: str) -> None:
+    content = json.dumps(NEW).encode(encoding)
+    stored = client.put(f"{TYPES}/new", content=content, headers={"Content-Type": "application/json"})
+    assert (stored.status_code, stored.json()["components"][0]["ref"]) == (201, "U1"), stored.text
+    again = client.put(f"{TYPES}/new/state", content=json.dumps({"state": "approved"}).encode(encoding))
+    assert again.status_code == 200, again.text
+
+
 def test_an_unchanged_board_type_gives_304(client: Any) -> None:
     tag = client.put(f"{TYPES}/new", json=NEW).headers["etag"]
     assert client.get(f"{TYPES}/new", headers={"if-none-match": tag}).status_code == 304

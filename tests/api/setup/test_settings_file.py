@@ -126,3 +126,22 @@ def test_lights_by_name_and_further_cameras_can_be_added_and_removed(files: Stat
     assert [camera.name for camera in config.cameras] == ["cam1", "cam2", "cam3"]
     assert config.controller.lights["red"].on_us == 80.0
     assert "exposure_us = 100.0" in files.path.read_text()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_file_with_a_byte_order_mark_is_read_and_saved_without_it(files: StationFiles, encoding: str) -> None:
+    file, text = SettingsFile(files), files.path.read_text()
+    plain = file.read(file.content())
+    files.path.write_bytes(text.encode(encoding))
+    assert file.read(file.content()) == plain
+    proposal = file.propose(_change(line__tail_s=1), file.content())
+    assert (proposal.changed, proposal.text.startswith("# A station")) == (["line.tail_s"], True)
+    saved = file.save(_change(line__tail_s=1), _accept)
+    assert files.path.read_text() == text.replace("tail_s = 0.48", "tail_s = 1.0")
+    assert (files.path.parent / str(saved.backup)).read_bytes() == text.encode(encoding)
+
+
+def test_a_file_in_utf_16_without_a_mark_is_refused_with_an_action(files: StationFiles) -> None:
+    file = SettingsFile(files)
+    with pytest.raises(InputError, match=r"station\.toml: has a zero character.* Save it as UTF-8"):
+        file.read(files.path.read_text().encode("utf-16-le"))

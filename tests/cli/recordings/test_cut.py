@@ -149,3 +149,19 @@ def test_all_components_at_once(vaoi: Any, small_recording: Path, result: Path, 
     assert vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path).code == 0
     listed = {path.stem for path in tmp_path.glob("*.json")}
     assert listed == {c.address.replace("/", "_") for c in read_board_type(small_recording / "board.json").components}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_recording_whose_files_have_byte_order_marks_is_stitched_and_cut(
+    vaoi: Any, recording: Path, tmp_path: Path, encoding: str
+) -> None:
+    result, flat = tmp_path / "result.json", tmp_path / "plain.json"
+    assert vaoi("stitch", recording, "--out", flat).code == 0
+    for name in ("recording.json", "board.json", "calibration.json"):
+        (recording / name).write_bytes((recording / name).read_text().encode(encoding))
+    assert vaoi("stitch", recording, "--out", result).code == 0
+    assert json.loads(result.read_text())["image_matrices"] == json.loads(flat.read_text())["image_matrices"]
+    result.write_bytes(result.read_text().encode(encoding))
+    said = vaoi("cut", recording, "--result", result, "--component", "U1", "--out", tmp_path / "cut")
+    assert (said.code, said.err) == (0, "")
+    assert list((tmp_path / "cut").glob("U1_*.png"))

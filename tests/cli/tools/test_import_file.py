@@ -89,3 +89,13 @@ def test_panels_of_the_file_or_of_the_user(vaoi: Vaoi, board: Path, tmp_path: Pa
     for name, refs in (("a", {"1/R1", "4/C1"}), ("b", {"1/R1", "2/J1"})):
         document = json.loads((tmp_path / f"{name}.json").read_text())
         assert {f"{c['panel']}/{c['ref']}" for c in document["components"]} >= refs
+
+
+def test_a_table_of_sizes_may_have_a_byte_order_mark(vaoi: Vaoi, tmp_path: Path) -> None:
+    places, sizes = tmp_path / "places.csv", tmp_path / "sizes.toml"
+    places.write_bytes("Designator,Footprint,X (mm),Y (mm),Rotation,Layer\nK1,MY-RELAY,1,2,0,top\n".encode("utf-8-sig"))
+    sizes.write_bytes("[[package]]\npattern = '^MY-RELAY'\nsize = [15.0, 7.5]\n".encode("utf-16"))
+    done = vaoi("import", places, "--sizes", sizes, "--out", tmp_path / "board.json")
+    assert done.code == 0, done.err
+    (k1,) = json.loads((tmp_path / "board.json").read_text())["components"]
+    assert (k1["width"], k1["height"]) == (15.0, 7.5)

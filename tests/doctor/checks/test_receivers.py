@@ -90,6 +90,18 @@ def test_certificates_and_passwords_of_a_broker(context: CheckContext, tmp_path:
         assert any(word in f.message for f in found), word
 
 
+@pytest.mark.parametrize(("encoding", "sound"), [("utf-8-sig", True), ("utf-16", True), ("utf-16-le", False)])
+def test_a_password_may_have_a_byte_order_mark(
+    context: CheckContext, tmp_path: Path, encoding: str, sound: bool
+) -> None:
+    path = private(tmp_path / "password", "")
+    path.write_bytes("pass".encode(encoding))
+    found = list(receivers(with_push(context, mqtt={"host": "b", "user": "u", "password_file": path})))
+    faults = [f for f in found if "password_file" in f.message]
+    assert (faults == []) == sound
+    assert all("not UTF-8 text" in f.message and "Save it as UTF-8" in f.action for f in faults)
+
+
 def test_damaged_webhooks_of_rest_are_named(context: CheckContext) -> None:
     path = context.config.data / FOLDER / WEBHOOKS
     path.parent.mkdir(parents=True)

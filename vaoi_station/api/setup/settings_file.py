@@ -29,6 +29,7 @@ from vaoi_station.api.setup.station_files import (
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files.documents import key_at, parse, parse_toml
+from vaoi_station.files.text_files import text_of
 from vaoi_station.settings.edits import Edit, edit_toml, key_of, toml_value
 from vaoi_station.settings.faults import examine
 from vaoi_station.settings.hidden import MARK, hidden_edits, without_secrets
@@ -120,10 +121,7 @@ class SettingsFile:
         return SettingsSaved(path=str(path), backup=backup, changed=changed, restart=restart_command(path))
 
     def _parsed(self, content: bytes) -> tuple[str, dict[str, Any]]:
-        try:
-            text = content.decode("utf-8")
-        except UnicodeDecodeError as error:
-            raise InputError(f"{self._files.path}: is not UTF-8 text.") from error
+        text = text_of(content, self._files.path)
         return text, parse_toml(text, self._files.path)
 
     def _pending(self, data: dict[str, Any]) -> list[str]:

@@ -8,7 +8,6 @@ therefore each run contributes one value: the mean over its views.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 
 from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard, board_from_recording
 from vaoi_station.errors import InputError
+from vaoi_station.files.documents import read_json
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.adjustment.surface import basis
@@ -159,7 +159,7 @@ def recorded_runs(recordings: Iterable[Path], report: Callable[[str], object] = 
     """Stitch recordings, compare each with its truth file, and yield the errors."""
     for case in recordings:
         # A truth file holds no true surface, so only positions are compared.
-        truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
+        truth = read_json(case / "truth.json")
         run = compare_with_truth(replace(board_from_recording(case), truth=truth))
         report(run.summary)
         yield run

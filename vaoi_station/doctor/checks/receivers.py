@@ -15,6 +15,7 @@ from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks.private_files import readable_by_others
 from vaoi_station.doctor.finding import Finding, not_applicable, ok, warning
 from vaoi_station.errors import VaoiError
+from vaoi_station.files.text_files import read_text
 from vaoi_station.model.receivers import MqttConfig, WebhookConfig
 from vaoi_station.push.push_service import FOLDER, WEBHOOKS
 from vaoi_station.push.signing import read_secrets
@@ -73,12 +74,11 @@ def _broker(broker: MqttConfig) -> Iterator[Finding]:
         )
     if broker.password_file is not None:
         try:
-            empty = not broker.password_file.read_text("utf-8").strip()
-        except (OSError, UnicodeDecodeError) as error:
-            cause = getattr(error, "strerror", None) or "it is not UTF-8"
+            empty = not read_text(broker.password_file).strip()
+        except VaoiError as error:
             yield warning(
-                f"push.mqtt.password_file: {broker.password_file} cannot be read ({cause}).",
-                "Make it readable to the service.",
+                f"push.mqtt.password_file: {error.message}",
+                error.action or "Write the password to it, and make it readable to the service.",
                 subject="mqtt",
                 code="mqtt-password-unusable",
                 figures={"path": str(broker.password_file)},
