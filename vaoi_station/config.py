@@ -16,6 +16,7 @@ from vaoi_station.files.documents import parse, read_toml
 from vaoi_station.line_config import Line, NotNegative, Section
 from vaoi_station.model import CameraHead, Finite, Positive, Program, Visibility, Whole
 from vaoi_station.model.receivers import PushConfig
+from vaoi_station.model.root_path import RootPath
 from vaoi_station.pixel_formats import PIXEL_FORMATS, PixelFormatName
 
 MethodName = Literal["auto", "fiducials", "features", "reference"]
@@ -261,6 +262,8 @@ class ApiConfig(Section):
     """Port of REST and the page."""
     names: tuple[str, ...] = ()
     """Further host names by which callers may address the station, besides its own name and addresses."""
+    root_path: RootPath = ""
+    """Path under which a reverse proxy offers the station, if the proxy passes it on unchanged, such as /aoi."""
     open_loopback: bool = True
     """Whether programs on this machine may read, operate and teach without a key. All others need one."""
     certificate: Path | None = None

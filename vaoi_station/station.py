@@ -293,7 +293,7 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         if socket_ is None:
             return
         parts.enter_context(socket_)
-        with WaitingPage(socket_, names, tls) as page:
+        with WaitingPage(socket_, names, tls, api.root_path) as page:
             station = wait.until_started(lambda: _started(config, remount), page.report)
         if station is None:
             return
@@ -304,7 +304,7 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         access = AccessControl(keys, audit, open_loopback=api.open_loopback)
         files = None if file is None else StationFiles(file.resolve(), config)
         with no_collections():
-            app = create_app(station.coordinator, names, access, station.push, file, files)
+            app = create_app(station.coordinator, names, access, station.push, file, files, api.root_path)
         web = WebServer(app, socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)

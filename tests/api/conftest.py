@@ -37,9 +37,10 @@ class Served:
         certificate: Certificate | None = None,
         files: StationFiles | None = None,
         push: PushService | None = None,
+        root_path: str = "",
     ) -> None:
         self.station = station
-        self.app = create_app(station, access=access, push=push, files=files)
+        self.app = create_app(station, access=access, push=push, files=files, root_path=root_path)
         self._socket = open_listener("127.0.0.1", port, "test")
         self.port = self._socket.getsockname()[1]
         tls = None if certificate is None else CertificateFiles(*certificate)

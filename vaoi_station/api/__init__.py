@@ -11,6 +11,7 @@ from fastapi import Depends, FastAPI, Response
 
 from vaoi_station.api import openapi, pages, problems
 from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.addressing.hosts import allowed_names
 from vaoi_station.api.batch import batch_routes
 from vaoi_station.api.board_data import check_routes
 from vaoi_station.api.board_data import routes as board_data
@@ -18,7 +19,6 @@ from vaoi_station.api.board_data.previews import Previews
 from vaoi_station.api.cameras import routes as cameras
 from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.event_hub import EventHub
-from vaoi_station.api.hosts import allowed_names
 from vaoi_station.api.inspection import routes as inspection
 from vaoi_station.api.lighting import routes as lighting
 from vaoi_station.api.parameters import operation_id, refuse_unclear_parameters
@@ -60,12 +60,14 @@ def create_app(
     push: PushService | None = None,
     config: Path | None = None,
     files: StationFiles | None = None,
+    root_path: str = "",
 ) -> FastAPI:
     """Create the web application of a coordinator. The caller starts and stops the coordinator itself.
 
     Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
     Without `access`, every caller may send every request, and there are no keys; without `push`, no webhooks; without
     `config`, the station's station.toml, no findings of the doctor; without `files`, nothing to set the station up.
+    Paths may begin with `root_path`, which a proxy has not removed.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
@@ -121,7 +123,7 @@ def create_app(
     app.router.routes.extend(metrics.router(services).routes)
     openapi.install(app)
     # Added last, so that it is the outermost layer and sees each request first.
-    app.add_middleware(RequestGuard, names=allowed_names(names), access=access)
+    app.add_middleware(RequestGuard, names=allowed_names(names), access=access, root_path=root_path)
     return app
 
 

@@ -16,6 +16,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
 from vaoi_station.api.access.scopes import scope_needed
+from vaoi_station.api.addressing.path_prefix import path_of, root_of
 from vaoi_station.api.callers.repeated_requests import HEADER
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.description import headers, refusals, schemas
@@ -59,6 +60,8 @@ OLDER_URL = "/api/v1/openapi-3.0.json"
 """Address of the document in version 3.0."""
 C_URL = "/api/v1/openapi-c.json"
 """Address of the document of which a C client can be made."""
+_SERVER = b'"servers": [{"url": "/"'
+"""Begin of the address of the station, to which paths of the document are relative, in the document's text."""
 
 
 def install(app: FastAPI) -> None:
@@ -95,7 +98,9 @@ def install(app: FastAPI) -> None:
     @app.get(OLDER_URL, include_in_schema=False)
     @app.get(C_URL, include_in_schema=False)
     async def get_document(request: Request) -> Response:
-        content = await making.ask(text, request.url.path)
+        content = await making.ask(text, path_of(request.scope))
+        if root := root_of(request.scope):
+            content = content.replace(_SERVER, _SERVER.replace(b'"/"', f'"{root}"'.encode()), 1)
         return conditional_response(request, content, "application/json", cache=REVALIDATE)
 
 

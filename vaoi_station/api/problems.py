@@ -1,8 +1,8 @@
 """Problem details (RFC 9457): every refusal has the same JSON schema, with cause and action.
 
-`type` is the relative reference `/problems/KIND`, under which the station serves an explanation. `code` equals the kind
-or is more specific (kind `gone`, code `frames-gone`); both are stable. `detail` names field, value and limit; `action`
-is a sentence that the operator can follow.
+`type` is the relative reference `/problems/KIND`, below the prefix of a proxy if there is one, under which the station
+serves an explanation. `code` equals the kind or is more specific (kind `gone`, code `frames-gone`); both are stable.
+`detail` names field, value and limit; `action` is a sentence that the operator can follow.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import BaseRoute, Match, Mount
+from starlette.types import Scope
 
+from vaoi_station.api.addressing.path_prefix import path_of, root_of
 from vaoi_station.api.parameters import IN_WORDS
 from vaoi_station.errors import VaoiError
 
@@ -116,7 +118,7 @@ class NotAcceptableError(VaoiError):
 
 
 def problem_response(
-    request_path: str,
+    scope: Scope,
     code: str,
     detail: str,
     *,
@@ -129,13 +131,13 @@ def problem_response(
     kind = code if code in KINDS else _KIND_OF_STATUS.get(status or 500, "internal")
     usual_status, title, remedy = KINDS[kind]
     problem = Problem(
-        type=f"/problems/{kind}",
+        type=f"{root_of(scope)}/problems/{kind}",
         title=title,
         status=status or usual_status,
         detail=detail,
         code=code,
         action=action or remedy,
-        instance=quote(request_path),
+        instance=quote(scope["path"]),
         errors=errors,
     )
     extra = {"Cache-Control": "no-store", **(headers or {})}
@@ -158,7 +160,7 @@ async def _refusal(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, VaoiError)
     if error.status >= HTTPStatus.INTERNAL_SERVER_ERROR and error.code == "internal":
         log.error("%s %s: %s", request.method, request.url.path, error, exc_info=error)
-    return problem_response(request.url.path, error.code, error.message, status=error.status, action=error.action)
+    return problem_response(request.scope, error.code, error.message, status=error.status, action=error.action)
 
 
 async def _invalid(request: Request, error: Exception) -> JSONResponse:
@@ -169,7 +171,7 @@ async def _invalid(request: Request, error: Exception) -> JSONResponse:
     detail = "; ".join(f"{f.where}: {f.message}" for f in faults[:3])
     if len(error.errors()) > 3:
         detail += f"; and {len(error.errors()) - 3} more"
-    return problem_response(request.url.path, code, detail + ".", errors=faults)
+    return problem_response(request.scope, code, detail + ".", errors=faults)
 
 
 def _fault(fault: Mapping[str, Any]) -> Fault:
@@ -193,18 +195,16 @@ async def _http(request: Request, error: Exception) -> JSONResponse:
         "wrong-method": f"{path} does not take {request.method}, only {allow}.",
     }.get(code, str(error.detail))
     headers = {"Allow": allow} if code == "wrong-method" else error.headers
-    return problem_response(path, code, detail, status=error.status_code, headers=headers)
+    return problem_response(request.scope, code, detail, status=error.status_code, headers=headers)
 
 
 def allowed_methods(request: Request) -> list[str]:
     """Return all methods that the address of a request takes, sorted."""
     # Starlette names the methods of one route, but each method of an address has a route of its own.
-    # Within a mounted folder, `root_path` is the folder's.
-    root = request.scope.get("app_root_path", request.scope.get("root_path", ""))
-    address = {"type": "http", "path": request.scope["path"], "root_path": root}
+    address = {"type": "http", "path": request.scope["path"], "root_path": root_of(request.scope)}
     found = {method for method in METHODS if _takes(request.app.routes, {**address, "method": method})}
     # `RequestGuard` passes HEAD on as GET, except for the event stream, which has no end.
-    return sorted(found | {"HEAD"} if "GET" in found and request.url.path != STREAM else found)
+    return sorted(found | {"HEAD"} if "GET" in found and path_of(request.scope) != STREAM else found)
 
 
 def _takes(routes: Iterable[BaseRoute], scope: dict[str, Any]) -> bool:
@@ -220,4 +220,4 @@ async def _unexpected(request: Request, error: Exception) -> JSONResponse:
     incident = uuid.uuid4().hex[:12]
     log.error("incident %s: %s %s", incident, request.method, request.url.path, exc_info=error)
     detail = f"The request could not be completed. Incident {incident} is in the station's log."
-    return problem_response(request.url.path, "internal", detail)
+    return problem_response(request.scope, "internal", detail)

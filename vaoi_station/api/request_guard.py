@@ -1,6 +1,6 @@
 """Checks of every request and security headers of every reply.
 
-- Requests addressed to a host name that is not the station's are refused (`hosts.py`).
+- Requests addressed to a host name that is not the station's are refused (`addressing/hosts.py`).
 - A request that states its length twice (Content-Length and Transfer-Encoding) is refused. A proxy and the station
   could disagree about its end, so that the rest would count as a request of another caller.
 - Bodies are limited in size and time, and in the memory that they take, in total and for each caller. A key that
@@ -13,6 +13,7 @@
   in Sec-Fetch-Site where a request comes from. Only a link that a person follows is accepted.
 - A command that is repeated with the same Idempotency-Key acts once (`callers/repeated_requests.py`).
 - Replies are passed to the connection in pieces, so that a reply that is not read takes little memory.
+- A prefix that a proxy states is part of the addresses in replies (`addressing/`); one that is no path is refused.
 - Pages may load nothing from other sites (Content-Security-Policy).
 """
 
@@ -28,15 +29,16 @@ from http import HTTPStatus
 
 import anyio
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from vaoi_station.api.access.access_control import AccessControl
+from vaoi_station.api.addressing.hosts import addressed, allowed_names
+from vaoi_station.api.addressing.path_prefix import as_addressed, path_of, prefix_fault, root_of
 from vaoi_station.api.callers.caller import caller_in, set_caller
 from vaoi_station.api.callers.repeated_requests import RepeatedRequests
 from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.callers.thread_limit import ThreadLimit
-from vaoi_station.api.hosts import addressed, allowed_names
 from vaoi_station.api.problems import STREAM, problem_response
 from vaoi_station.errors import BusyError, InputError
 from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_keys
@@ -85,10 +87,12 @@ class RequestGuard:
         max_body_bytes: int = MAX_BODY_BYTES,
         body_limit_s: float = BODY_LIMIT_S,
         access: AccessControl | None = None,
+        root_path: str = "",
     ) -> None:
         """Wrap `app`; `names` are the accepted host names, by default loopback and the machine's.
 
-        Without `access`, every caller may send every request.
+        Without `access`, every caller may send every request. `root_path` is the prefix of paths that a proxy passes on
+        unchanged.
         """
         self._app = app
         self._names = allowed_names() if names is None else names
@@ -96,7 +100,7 @@ class RequestGuard:
         self._bodies = Seats("bytes of requests in memory", BODIES, BODIES_OF_CALLER)
         self._parsing = ThreadLimit(1)
         self._repeated = RepeatedRequests()
-        self._access = access
+        self._access, self._root_path = access, root_path
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request. If it is permitted, pass it on, and add the security headers to its reply."""
@@ -104,7 +108,7 @@ class RequestGuard:
             await self._app(scope, receive, send)
             return
 
-        begun = time.monotonic()
+        begun, scope = time.monotonic(), as_addressed(scope, self._root_path)
 
         async def send_safely(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -129,13 +133,16 @@ class RequestGuard:
         if refusal is not None:
             await refusal(scope, receive, send)
         # A HEAD request for the event stream is not handled as GET: the stream would start and never end.
-        elif scope["method"] == "HEAD" and scope["path"] != STREAM:
+        elif path_of(scope) == "" and scope["method"] in SAFE:
+            # The page names its files relative to its own address, which therefore ends with a slash.
+            await RedirectResponse(f"{root_of(scope)}/", HTTPStatus.TEMPORARY_REDIRECT)(scope, receive, send)
+        elif scope["method"] == "HEAD" and path_of(scope) != STREAM:
             await self._app({**scope, "method": "GET", _HEAD: True}, receive, _without_body(send))
-        elif scope["method"] in SAFE and scope["path"] == STREAM:
+        elif scope["method"] in SAFE and path_of(scope) == STREAM:
             await self._stream(scope, receive, send)
         elif scope["method"] in SAFE:
             await self._app(scope, receive, send)
-        elif scope["method"] == "POST" and scope["path"] == UPLOAD:
+        elif scope["method"] == "POST" and path_of(scope) == UPLOAD:
             await self._upload(scope, receive, send)
         else:
             await self._with_body(scope, receive, send)
@@ -147,7 +154,7 @@ class RequestGuard:
             known = f"{announced:.20} bytes" if announced else "not stated"
             detail = f"The size of the upload (Content-Length) is {known}; it must be at most {MAX_UPLOAD_BYTES} bytes."
 
-            await problem_response(scope["path"], "too-large", detail, headers=CLOSE)(scope, receive, send)
+            await problem_response(scope, "too-large", detail, headers=CLOSE)(scope, receive, send)
             return
         deadline = time.monotonic() + UPLOAD_LIMIT_S
 
@@ -186,7 +193,7 @@ class RequestGuard:
 
     async def _with_body(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read the body of a request, then pass it on."""
-        limit = self._max_body_bytes if BOARD_TYPE.fullmatch(scope["path"]) else MAX_COMMAND_BYTES
+        limit = self._max_body_bytes if BOARD_TYPE.fullmatch(path_of(scope)) else MAX_COMMAND_BYTES
         announced = Headers(scope=scope).get("content-length", "")
         # More than 15 digits are not converted, since `int` is slow on very long numbers.
         size = int(announced) if announced.isdecimal() and len(announced) <= 15 else limit
@@ -196,7 +203,7 @@ class RequestGuard:
                 try:
                     memory.enter_context(self._bodies.take(caller_in(scope).name, size))
                 except BusyError as busy:
-                    answer = problem_response(scope["path"], "busy", busy.message, action=busy.action, headers=CLOSE)
+                    answer = problem_response(scope, "busy", busy.message, action=busy.action, headers=CLOSE)
                     await answer(scope, receive, send)
                     return
             body = await self._body(scope, receive, limit)
@@ -207,24 +214,23 @@ class RequestGuard:
 
     def _refusal(self, scope: Scope) -> Response | None:
         """Return a refusal if the request's host or origin is not permitted, else None. The body is not read."""
-        headers, path = Headers(scope=scope), scope["path"]
-        if (fault := _ambiguous(headers)) is not None:
-            return problem_response(path, "malformed", fault, headers=CLOSE)
+        headers = Headers(scope=scope)
+        if (fault := _ambiguous(headers) or prefix_fault(scope)) is not None:
+            return problem_response(scope, "malformed", fault, headers=CLOSE)
         if not addressed(headers.get("host", ""), self._names):
             detail = f"The request was addressed to {headers['host']!r:.100}, which is not a name of this station."
-            return problem_response(path, "unknown-host", detail)
+            return problem_response(scope, "unknown-host", detail)
         if scope["method"] not in SAFE and _foreign(headers):
             page = f"{headers.get('origin', 'another site'):.100}"
             detail = f"The command came from a page of {page}, not from this station's page."
-            return problem_response(path, "foreign-origin", detail)
-        if path.startswith(API) and _foreign(headers) and not _followed_link(headers):
+            return problem_response(scope, "foreign-origin", detail)
+        if path_of(scope).startswith(API) and _foreign(headers) and not _followed_link(headers):
             detail = "The request came from a page of another site, not from this station's page."
-            return problem_response(path, "foreign-origin", detail)
+            return problem_response(scope, "foreign-origin", detail)
         return None if self._access is None else self._access.refusal(scope)
 
     async def _body(self, scope: Scope, receive: Receive, limit: int) -> bytes | Response:
         """Return the whole body of a request, or a refusal if the body is too slow, too large or has a repeated key."""
-        path = scope["path"]
         try:
             async with asyncio.timeout(self._body_limit_s):
                 body = await _read(Headers(scope=scope), receive, limit)
@@ -232,14 +238,14 @@ class RequestGuard:
             detail = f"The body did not arrive within {self._body_limit_s:g} s."
             # The rest of the body may still arrive. If the connection stayed open, it would be read as the next
             # request.
-            return problem_response(path, "too-slow", detail, headers=CLOSE)
+            return problem_response(scope, "too-slow", detail, headers=CLOSE)
         if body is None:
-            return problem_response(path, "too-large", f"The body is larger than {limit} bytes.")
+            return problem_response(scope, "too-large", f"The body is larger than {limit} bytes.")
         # A large body is parsed in a thread, so that other requests are answered meanwhile.
         large = len(body) > MAX_COMMAND_BYTES
         twin = await self._parsing.ask(_repeated_key, body) if large else _repeated_key(body)
         if twin is not None:
-            return problem_response(path, "malformed", f"body: {twin}.")
+            return problem_response(scope, "malformed", f"body: {twin}.")
         return body
 
 

@@ -50,8 +50,12 @@ class Client:
     """
 
     def __init__(self, address: str, credentials: CallerCredentials | None = None) -> None:
-        """Set the address of the station, `http://HOST:PORT` or `https://HOST:PORT`, and how the caller is let in."""
+        """Set the address of the station, `http://HOST:PORT` or `https://HOST:PORT`, and how the caller is let in.
+
+        Behind a proxy the address may have a path.
+        """
         self.address = address
+        self._path = urllib.parse.urlsplit(address).path
         self._base = f"{address}/api/v1"
         credentials = credentials or CallerCredentials()
         # Proxies of the environment are ignored: the service is on loopback or in the factory's own network.
@@ -92,7 +96,7 @@ class Client:
         return _parse(self._exchange(request), self.url(path))
 
     def content(self, path: str, **query: Any) -> bytes:
-        """Send GET and return the reply's body. `path` is relative to `/api/v1`, or begins with `/api/`."""
+        """Send GET and return the reply's body. `path` is one of those of `url`."""
         return self._exchange(urllib.request.Request(_with_query(self.url(path), query)))
 
     @contextmanager
@@ -126,7 +130,9 @@ class Client:
                     yield _parse(line[5:], url) or Reply.of(url)
 
     def url(self, path: str) -> str:
-        """Return the complete address of a path that is relative to `/api/v1`, or begins with `/api/`."""
+        """Return the complete address of a path: relative to `/api/v1`, from `/api/` on, or as a reply states it."""
+        if self._path and path.startswith(f"{self._path}/api/"):
+            return self.address.removesuffix(self._path) + path
         return (self.address if path.startswith("/api/") else self._base) + path
 
     def _act(

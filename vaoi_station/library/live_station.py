@@ -195,7 +195,8 @@ def connect(
     """Connect to a running station.
 
     Args:
-        address: `http://HOST:PORT`, or `https://HOST:PORT` if the station has a certificate.
+        address: `http://HOST:PORT`, or `https://HOST:PORT` if the station has a certificate; with the path of a proxy
+            such as `https://HOST/aoi`.
         key: the caller's key, needed from other machines than the station's. Better than a key in a program is a file.
         key_file: file that holds the key; by default the one that the environment variable VAOI_KEY_FILE names, or the
             key in VAOI_KEY.

@@ -88,7 +88,7 @@ class ViewReply(_Reply):
     plane: Plane = "board"
     height_mm: float = 0.0
     minus: tuple[Whole, Whole] | None = None
-    url: Annotated[str, Field(pattern=r"^/api/")]
+    url: Annotated[str, Field(pattern=r"^(/[^/?#]+)*/api/")]
 
 
 class MergedReply(_Reply):
@@ -107,7 +107,7 @@ class MergedReply(_Reply):
     """Height above the board of the plane in which frames are merged."""
     crop_from_cad: Matrix
     cad_from_crop: Matrix
-    url: Annotated[str, Field(pattern=r"^/api/.*\?")]
+    url: Annotated[str, Field(pattern=r"^(/[^/?#]+)*/api/.*\?")]
 
 
 class MergedListReply(_Reply):

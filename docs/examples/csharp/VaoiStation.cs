@@ -59,7 +59,7 @@ namespace Vaoi
                     errors == SslPolicyErrors.None || (shown != null && shown.RawData.SequenceEqual(known));
             }
             // Longer than the longest long poll (60 s) and the longest wait for a board that passes.
-            http = new HttpClient(handler) { BaseAddress = new Uri(address), Timeout = TimeSpan.FromSeconds(150) };
+            http = new HttpClient(handler) { BaseAddress = new Uri(address.TrimEnd('/') + "/"), Timeout = TimeSpan.FromSeconds(150) };
             if (key != null) http.DefaultRequestHeaders.Authorization = new AuthenticationHeaderValue("Bearer", key);
         }
 
@@ -173,7 +173,7 @@ namespace Vaoi
             CancellationToken cancel = default(CancellationToken))
         {
             string key = method == HttpMethod.Get ? null : "\"" + Guid.NewGuid() + "\"";
-            string address = path.StartsWith("/") ? path : "/api/v1/" + path;
+            string address = path.StartsWith("/") ? path : "api/v1/" + path;
             for (int attempt = 1; ; attempt++)
             {
                 TimeSpan pause = TimeSpan.FromMilliseconds(200 * attempt);

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import socket
 import ssl
-import subprocess
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import httpx2
@@ -16,26 +13,11 @@ import pytest
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.needs import need, program
+from tests.api.proxy.nginx import before, documented
 from tests.peers.certificates import make_certificate
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
-
-FRAME = """
-daemon off; master_process off; pid {folder}/pid; error_log stderr warn;
-events {{ worker_connections 256; }}
-http {{
-  access_log off;
-  client_body_temp_path {folder}; proxy_temp_path {folder}; fastcgi_temp_path {folder};
-  uwsgi_temp_path {folder}; scgi_temp_path {folder};
-  server {{
-    listen 127.0.0.1:{port} ssl;
-    ssl_certificate {certificate}; ssl_certificate_key {key};
-    {location}
-  }}
-}}
-"""
 
 
 class Proxied(NamedTuple):
@@ -51,44 +33,18 @@ class Proxied(NamedTuple):
         return {"authorization": f"Bearer {self.secret}"}
 
 
-def documented() -> str:
-    """Return the settings from the document."""
-    text = (Path(__file__).parents[3] / "docs" / "SECURITY.md").read_text(encoding="utf-8")
-    (found,) = re.findall(r"```\n(location / \{.*?\n\})\n```", text, re.DOTALL)
-    return str(found)
-
-
 @pytest.fixture(scope="module")
 def proxied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proxied]:
-    need("nginx")
     folder = tmp_path_factory.mktemp("nginx")
     keys, audit = KeyFile(folder / "keys.json"), AuditLog(folder / "audit.jsonl")
     station = HeldStation()
     station.film()
     served = Served(station, access=AccessControl(keys, audit))
-    made = make_certificate(folder)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    location = documented().replace("127.0.0.1:8350", f"127.0.0.1:{served.port}")
-    names = {"folder": folder, "port": port, "certificate": made.certificate, "key": made.private_key}
-    (folder / "nginx.conf").write_text(FRAME.format(location=location, **names))
-    command = [str(program("nginx")), "-e", "stderr", "-p", str(folder), "-c", str(folder / "nginx.conf")]
-    server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    trusted = ssl.create_default_context(cafile=str(made.certificate))
-    client = httpx2.Client(base_url=f"https://localhost:{port}", verify=trusted, timeout=20)
+    (location,) = documented("SECURITY.md")
     try:
-        while True:
-            assert server.poll() is None, server.stderr and server.stderr.read()
-            try:
-                client.get("/healthz")
-                break
-            except httpx2.TransportError:
-                continue
-        yield Proxied(station, client, audit, keys.create("tester", ["operate"]).secret)
+        with before(served.port, location, folder, make_certificate(folder)) as client:
+            yield Proxied(station, client, audit, keys.create("tester", ["operate"]).secret)
     finally:
-        client.close()
-        server.terminate()
-        server.communicate()
         served.stop()
         audit.close()
 
@@ -99,6 +55,21 @@ def test_a_caller_through_the_proxy_needs_a_key_although_the_proxy_is_on_loopbac
     assert proxied.client.get("/api/v1/station", headers=proxied.key).status_code == 200
     forged = {"x-forwarded-for": "127.0.0.1", "forwarded": "for=127.0.0.1"}
     assert proxied.client.get("/api/v1/station", headers=forged).status_code == 401
+
+
+def test_a_prefix_that_a_caller_states_does_not_pass_the_proxy(proxied: Proxied) -> None:
+    address = "/api/v1/runs/r000001/components/U1"
+    plain = proxied.client.get(address, headers=proxied.key)
+    assert plain.json()["views"][0]["url"].startswith(address)
+    for prefix in ("/other", "//evil.example"):
+        forged = proxied.client.get(address, headers=proxied.key | {"x-forwarded-prefix": prefix})
+        assert (forged.status_code, forged.content) == (200, plain.content)
+
+
+def test_an_upload_larger_than_the_limit_of_nginx_itself_passes(proxied: Proxied) -> None:
+    address = "/api/v1/board-data/previews?filename=b.csv"
+    upload = proxied.client.post(address, content=b"x" * 2_000_000, headers=proxied.key)
+    assert (upload.status_code, upload.json()["code"]) == (403, "missing-scope"), "the reply is the station's"
 
 
 def test_commands_and_logins_of_the_page_work_through_the_proxy(proxied: Proxied) -> None:

@@ -34,7 +34,7 @@ def listed(name: str) -> list[str]:
 
 
 def test_the_page_names_all_modules_of_its_frame() -> None:
-    linked = re.findall(r'<link rel="modulepreload" href="/web/(.+?)">', (WEB / "index.html").read_text())
+    linked = re.findall(r'<link rel="modulepreload" href="web/(.+?)">', (WEB / "index.html").read_text())
     assert sorted(linked) == sorted(modules_of("app.js") - {"app.js", "ahead.js"})
 
 

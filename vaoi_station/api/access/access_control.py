@@ -11,7 +11,6 @@ The caller is known by a key, by the login of a page, or by an address of the st
 
 from __future__ import annotations
 
-import ipaddress
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,6 +24,8 @@ from starlette.types import Scope
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.api.access.scopes import scope_needed
 from vaoi_station.api.access.sessions import COOKIE, Sessions
+from vaoi_station.api.addressing.hosts import is_loopback
+from vaoi_station.api.addressing.path_prefix import path_of
 from vaoi_station.api.callers.caller import Caller, caller_in, set_caller
 from vaoi_station.api.problems import problem_response
 from vaoi_station.errors import VaoiError
@@ -33,7 +34,7 @@ from vaoi_station.files.access_keys import AccessKey, KeyFile
 OPEN_SCOPES = frozenset({"read", "operate", "teach"})
 """Scopes of callers on the station's own machine that have no key. Keys are made with `vaoi keys`."""
 LOCAL = "loopback"
-_FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip", "via", "webhook-id")
+_FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-prefix", "x-real-ip", "via", "webhook-id")
 """Headers of a request that its sender made for another: by a proxy, or by a station as a webhook."""
 _REFUSALS_PER_MINUTE = 60
 _ADDRESS_OR_KEY = "Check the address, or use a key with this scope; /docs lists all addresses, vaoi keys list all keys."
@@ -57,29 +58,29 @@ class AccessControl:
 
         Return a refusal if the request is not permitted, else None.
         """
-        headers, path = Headers(scope=scope), scope["path"]
+        headers, path = Headers(scope=scope), path_of(scope)
         try:
             caller, with_cookie = self._caller(scope, headers)
         except VaoiError as error:
-            return problem_response(path, error.code, error.message, status=error.status, action=error.action)
+            return problem_response(scope, error.code, error.message, status=error.status, action=error.action)
         needed = scope_needed(scope["method"], path)
         if caller is None:
             if needed is None:
                 set_caller(scope)
                 return None
             detail = f"{scope['method']} {path} needs a key with the scope {needed}; the request has no valid one."
-            return problem_response(path, "no-key", detail, headers={"WWW-Authenticate": 'Bearer realm="vaoi"'})
+            return problem_response(scope, "no-key", detail, headers={"WWW-Authenticate": 'Bearer realm="vaoi"'})
         set_caller(scope, caller)
         scope["state"][_STILL_KNOWN] = lambda: self._still_known(caller)
         states_origin = "origin" in headers or "sec-fetch-site" in headers
         if with_cookie and not states_origin and scope["method"] not in ("GET", "HEAD", "OPTIONS"):
-            return problem_response(path, "foreign-origin", "The command with a cookie does not state its origin.")
+            return problem_response(scope, "foreign-origin", "The command with a cookie does not state its origin.")
         if needed is not None and needed not in caller.scopes:
             scopes = ", ".join(sorted(caller.scopes))
             detail = f"{scope['method']} {path} needs the scope {needed}; {caller.name} has {scopes or 'none'}."
             # Commands to addresses that do not exist need this scope too, so that the address may be wrong.
             action = _ADDRESS_OR_KEY if needed == "admin" else ""
-            return problem_response(path, "missing-scope", detail, action=action)
+            return problem_response(scope, "missing-scope", detail, action=action)
         return None
 
     def log_in(self, scope: Scope, key: AccessKey) -> tuple[Caller, str]:
@@ -102,14 +103,14 @@ class AccessControl:
             self._minute, self._refused = minute, self._refused + 1 if minute == self._minute else 1
             if self._refused > _REFUSALS_PER_MINUTE:
                 return
-        elif scope["method"] in ("GET", "HEAD", "OPTIONS") or scope["path"] in _CHANGE_NOTHING:
+        elif scope["method"] in ("GET", "HEAD", "OPTIONS") or path_of(scope) in _CHANGE_NOTHING:
             return
         caller: Caller = scope["state"]["caller"]
         entry: dict[str, Any] = {
             "key": caller.key or (LOCAL if caller.scopes else "none"),
             "address": caller.address,
             "method": scope["method"],
-            "path": scope["path"][:300],
+            "path": path_of(scope)[:300],
             "query": scope["query_string"].decode("latin-1")[:300],
             "status": status,
             "ms": round((time.monotonic() - begun) * 1000),
@@ -136,7 +137,7 @@ class AccessControl:
 
     def _is_open(self, scope: Scope, headers: Headers) -> bool:
         """Return whether the caller may do without a key: it is on this machine, and that is open."""
-        return self._open_loopback and not any(name in headers for name in _FORWARDED) and _is_loopback(scope)
+        return self._open_loopback and not any(name in headers for name in _FORWARDED) and is_loopback(scope)
 
     def _logged_in(self, scope: Scope, headers: Headers, address: str, key: AccessKey) -> Caller:
         """Return the caller of a page that has logged in. A login takes nothing away that is permitted without one."""
@@ -162,13 +163,3 @@ def session_token(headers: Headers) -> str | None:
 def _with_key(address: str, key: AccessKey) -> Caller:
     # Every key may read: a program that arms the line must also see the state.
     return Caller(address, key.name, frozenset({"read", *key.scopes}), key)
-
-
-def _is_loopback(scope: Scope) -> bool:
-    client = scope.get("client")
-    try:
-        address = ipaddress.ip_address(client[0] if client else "")
-    except ValueError:
-        return False
-    mapped = getattr(address, "ipv4_mapped", None)
-    return (mapped or address).is_loopback

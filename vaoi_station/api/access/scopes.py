@@ -7,7 +7,7 @@ import re
 from vaoi_station.files.access_keys import Scope
 
 PUBLIC = re.compile(
-    r"/|/docs|/favicon\.ico|/(web|problems)/.*|/healthz|/readyz|/api/v1/(openapi(-3\.0|-c)?\.json|session)"
+    r"/?|/docs|/favicon\.ico|/(web|problems)/.*|/healthz|/readyz|/api/v1/(openapi(-3\.0|-c)?\.json|session)"
 )
 """Addresses that need no key: the page itself, documentation, health for process supervisors, and the login."""
 _ADMIN = re.compile(r"/api/v1/(keys|audit|settings|webhooks|calibration/(artwork|layout|trial))(/.*)?")

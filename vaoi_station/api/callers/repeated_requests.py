@@ -75,7 +75,7 @@ class RepeatedRequests:
             return
         if len(given) > 1 or not _KEY.fullmatch(given[0]):
             detail = f"{HEADER} is {given[0]!r:.80}, but must be one text in quotes of 1 to 200 ASCII characters."
-            await problem_response(scope["path"], "malformed", detail)(scope, _no_body, send)
+            await problem_response(scope, "malformed", detail)(scope, _no_body, send)
             return
         self._forget_old()
         name = _Name(_identity(scope), given[0].strip('"'))
@@ -85,13 +85,11 @@ class RepeatedRequests:
             await self._perform(name, _Kept(fingerprint, self._clock()), work, send)
         elif known.fingerprint != fingerprint:
             detail = f"{HEADER} {name.key!r:.80} was sent before with another command or other values."
-            answer = problem_response(
-                scope["path"], code="key-of-another-request", detail=detail, status=422, action=_NEW_KEY
-            )
+            answer = problem_response(scope, code="key-of-another-request", detail=detail, status=422, action=_NEW_KEY)
             await answer(scope, _no_body, send)
         elif not known.reply:
             detail = f"The command with {HEADER} {name.key!r:.80} is still under way."
-            answer = problem_response(scope["path"], code="request-under-way", detail=detail, status=409, action=_AGAIN)
+            answer = problem_response(scope, code="request-under-way", detail=detail, status=409, action=_AGAIN)
             await answer(scope, _no_body, send)
         else:
             for message in known.reply:

@@ -6,11 +6,13 @@ from fastapi.routing import APIRoute
 from starlette.routing import Match
 from starlette.types import Scope
 
+from vaoi_station.api.addressing.path_prefix import path_of
+
 
 class RestRoute(APIRoute):
     """A route that compares the path first: a request is tried by some forty routes until one matches."""
 
     def matches(self, scope: Scope) -> tuple[Match, Scope]:
         """Match as other routes do. They read what included routers have added before they compare the path."""
-        other = not scope.get("root_path") and self.path_regex.match(scope["path"]) is None
+        other = self.path_regex.match(path_of(scope)) is None
         return (Match.NONE, {}) if other else super().matches(scope)

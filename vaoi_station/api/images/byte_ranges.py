@@ -32,7 +32,7 @@ def part_of(request: Request, whole: Response) -> Response:
     if start >= size:
         detail = f"The range begins at byte {start}, but there are {size} bytes."
         headers = {"Content-Range": f"bytes */{size}"}
-        return problem_response(request.url.path, "range-not-satisfiable", detail, headers=headers)
+        return problem_response(request.scope, "range-not-satisfiable", detail, headers=headers)
     headers = {name: value for name, value in whole.headers.items() if name != "content-length"}
     headers["Content-Range"] = f"bytes {start}-{end}/{size}"
     return Response(bytes(whole.body[start : end + 1]), 206, headers)

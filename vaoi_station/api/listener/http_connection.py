@@ -15,8 +15,8 @@ from uvicorn.server import ServerState
 from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, Idleness
 from vaoi_station.api.listener.joined_writes import JoinedWrites
 
-STREAMS = frozenset({"/api/v1/events"})
-"""Paths whose replies have no end, so that only the time without progress is limited."""
+STREAM = "/api/v1/events"
+"""Path, perhaps behind the prefix of a proxy, whose reply has no end: only the time without progress is limited."""
 _SLOW_READER_S = 2.0
 """A caller that has not read for this time, s, may lose its connection to a new one."""
 _LINGER_S = 1.0
@@ -161,7 +161,7 @@ class LimitedHttp(H11Protocol):
             return now - self._closing > self._limits.closing_s
         if self._paused is not None:
             paused_s = now - self._paused
-            stream = self.scope is not None and self.scope["path"] in STREAMS
+            stream = self.scope is not None and self.scope["path"].endswith(STREAM)
             too_long = self._waited_s + paused_s > self._limits.answer_s and not stream
             return paused_s > self._limits.stall_s or too_long
         return self._answered() and now - self._since > self._limits.head_s

@@ -34,7 +34,7 @@ def refuse(connected: socket.socket) -> bool:
 @lru_cache(64)
 def busy_answer(method: str, path: str) -> bytes:
     """Return a complete answer of HTTP: 503 with Retry-After and problem details."""
-    reply = problem_response(path, "busy", _DETAIL, action=_ACTION, headers={"Connection": "close"})
+    reply = problem_response({"path": path}, "busy", _DETAIL, action=_ACTION, headers={"Connection": "close"})
     lines = [b"HTTP/1.1 503 Service Unavailable", *(name + b": " + value for name, value in reply.raw_headers)]
     body = b"" if method == "HEAD" else bytes(reply.body)
     return b"\r\n".join([*lines, b"", body])

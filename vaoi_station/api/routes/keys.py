@@ -9,6 +9,7 @@ from pydantic import BaseModel, Field
 
 from vaoi_station.api.access.access_control import AccessControl, session_token
 from vaoi_station.api.access.sessions import COOKIE, SESSION_S
+from vaoi_station.api.addressing.path_prefix import root_of
 from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import rest_router
@@ -112,13 +113,13 @@ def router(services: Services, access: AccessControl) -> APIRouter:
         """Log a page in with a key: sets a cookie, valid for 12 h, so that the page need not keep the key."""
         key = await ask(keys.find, login.key.strip())
         if key is None:
-            return problem_response(request.url.path, "no-key", "The key is not valid.")
+            return problem_response(request.scope, "no-key", "The key is not valid.")
         caller, token = access.log_in(request.scope, key)
         state = SessionState(key=key.name, scopes=sorted(caller.scopes))
         answer = Response(state.model_dump_json(), media_type="application/json", headers={"Cache-Control": LIVE})
         # Behind a proxy the station itself sees no TLS; the proxy states it.
         tls = "https" in (request.url.scheme, request.headers.get("x-forwarded-proto"))
-        answer.set_cookie(COOKIE, token, max_age=SESSION_S, httponly=True, samesite="strict", secure=tls)
+        answer.set_cookie(COOKIE, token, max_age=SESSION_S, secure=tls, **_cookie(request))
         return answer
 
     @routes.delete("/session", status_code=204)
@@ -127,10 +128,15 @@ def router(services: Services, access: AccessControl) -> APIRouter:
         if (token := session_token(request.headers)) is not None:
             access.sessions.end(token)
         answer = Response(status_code=204)
-        answer.delete_cookie(COOKIE, httponly=True, samesite="strict")
+        answer.delete_cookie(COOKIE, **_cookie(request))
         return answer
 
     return routes
+
+
+def _cookie(request: Request) -> dict[str, Any]:
+    # Behind one proxy there may be several stations, each with logins of its own.
+    return {"httponly": True, "samesite": "strict", "path": root_of(request.scope) or "/"}
 
 
 def _fields(key: AccessKey) -> dict[str, Any]:

@@ -13,7 +13,8 @@ from fastapi import FastAPI, Response
 from fastapi.requests import Request
 from fastapi.responses import FileResponse, HTMLResponse
 
-from vaoi_station.api.hosts import allowed_names
+from vaoi_station.api.addressing.hosts import allowed_names
+from vaoi_station.api.addressing.path_prefix import path_of, root_of
 from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.pages import WEB
 from vaoi_station.api.problems import problem_response
@@ -53,9 +54,15 @@ class WaitingPage:
     It starts with the first report, and ends with the context.
     """
 
-    def __init__(self, listener: socket.socket, names: Iterable[str], tls: CertificateFiles | None = None) -> None:
-        """Prepare to reply on a copy of `listener`, under any of `names`; with TLS if `tls` is given."""
-        self._listener, self._names, self._tls = listener, tuple(names), tls
+    def __init__(
+        self,
+        listener: socket.socket,
+        names: Iterable[str],
+        tls: CertificateFiles | None = None,
+        root_path: str = "",
+    ) -> None:
+        """Prepare to reply on a copy of `listener`, under `names` and below `root_path`; with TLS if `tls` is given."""
+        self._listener, self._names, self._tls, self._root_path = listener, tuple(names), tls, root_path
         self._error: VaoiError | None = None
         self._server: WebServer | None = None
 
@@ -87,17 +94,17 @@ class WaitingPage:
         async def waiting(request: Request) -> Response:
             error = self._error
             assert error is not None
-            if "text/html" in request.headers.get("accept", "") and not request.url.path.startswith(API):
-                return _page(error)
+            if "text/html" in request.headers.get("accept", "") and not path_of(request.scope).startswith(API):
+                return _page(error, root_of(request.scope))
             detail = f"The station is not started yet: {error.message}"
-            return problem_response(request.url.path, error.code, detail, status=503, action=error.action)
+            return problem_response(request.scope, error.code, detail, status=503, action=error.action)
 
-        app.add_middleware(RequestGuard, names=allowed_names(self._names))
+        app.add_middleware(RequestGuard, names=allowed_names(self._names), root_path=self._root_path)
         return app
 
 
-def _page(error: VaoiError) -> HTMLResponse:
+def _page(error: VaoiError, root: str) -> HTMLResponse:
     """Return the page for a browser, which loads it again until the station is there."""
     cause = escape(f"{error.message} {error.action}".strip())
-    content = _PAGE.format(style=STYLE, code=escape(error.code), cause=cause)
+    content = _PAGE.format(style=escape(root + STYLE), code=escape(error.code), cause=cause)
     return HTMLResponse(content, status_code=503, headers={"Cache-Control": "no-store", "Refresh": str(AGAIN_S)})

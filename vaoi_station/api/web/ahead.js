@@ -26,7 +26,7 @@ const BOARD = [
 function ask(files) {
   const links = files.splice(0).map((file) => {
     const kind = file.startsWith("vendor/") ? { rel: "preload", as: "script" } : { rel: "modulepreload" };
-    return Object.assign(document.createElement("link"), { href: `/web/${file}`, ...kind });
+    return Object.assign(document.createElement("link"), { href: new URL(file, import.meta.url).href, ...kind });
   });
   document.head.append(...links);
 }

@@ -6,7 +6,7 @@ import { texts } from "../texts/texts.js";
 import { classOf } from "./colours.js";
 import { Drawings } from "./drawings.js";
 
-const LIBRARY = "/web/vendor/openseadragon/openseadragon.min.js";
+const LIBRARY = new URL("../vendor/openseadragon/openseadragon.min.js", import.meta.url).href;
 const TILE_PX = 256;
 const MARGIN = 2; // surroundings of a part that is flown to, in its own sizes
 

@@ -1,5 +1,6 @@
 // Calls to the station. A refusal carries the problem's detail and action.
-const api = "/api/v1";
+// A proxy may offer the station under a path of its own, of which this file knows only its own address.
+export const api = new URL("../../api/v1", import.meta.url).pathname;
 
 export class Refusal extends Error {
   constructor(problem) {

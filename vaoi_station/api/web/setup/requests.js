@@ -1,5 +1,5 @@
 // Calls to the station that only the pages under "Set up" make.
-import { call, part, request } from "../parts/rest.js";
+import { api, call, part, request } from "../parts/rest.js";
 
 const types = "/board-types";
 const previews = "/board-data/previews";
@@ -20,7 +20,7 @@ export const reference = (name) => call("GET", `${types}/${part(name)}/reference
 export const teach = (name, run) => call("PUT", `${types}/${part(name)}/reference`, { run });
 export const forget = (name) => call("DELETE", `${types}/${part(name)}/reference`);
 export const check = (run, name) => call("GET", `/runs/${part(run)}/board-check?${new URLSearchParams({ board_type: name })}`);
-export const checkPicture = (run, name) => `/api/v1/runs/${part(run)}/board-check/picture?${new URLSearchParams({ board_type: name })}`;
+export const checkPicture = (run, name) => `${api}/runs/${part(run)}/board-check/picture?${new URLSearchParams({ board_type: name })}`;
 export const correct = (name, run) => call("POST", `${types}/${part(name)}/correct`, { run });
 
 export const previewList = async () => (await call("GET", previews)).previews;
@@ -31,16 +31,16 @@ export const discard = (id) => call("DELETE", `${previews}/${part(id)}`);
 export const previewed = (id) => call("GET", `${previews}/${part(id)}/board-type`);
 
 const numbers = (options) => new URLSearchParams(stated(options));
-export const artwork = (file, options) => `/api/v1/calibration/artwork/${file}?${numbers(options)}`;
+export const artwork = (file, options) => `${api}/calibration/artwork/${file}?${numbers(options)}`;
 export const layout = (options) => call("GET", `/calibration/layout?${numbers(options)}`);
 export const findMarks = (wanted) => call("POST", "/calibration/marks", stated(wanted));
 export const trial = () => call("GET", "/calibration/trial");
 export const beginTrial = (wanted) => call("POST", "/calibration/trial", stated(wanted));
 export const discardTrial = () => call("DELETE", "/calibration/trial");
 export const acceptTrial = () => call("POST", "/calibration/trial/accept");
-export const trialCalibration = "/api/v1/calibration/trial/calibration";
-export const trialPicture = (name, begun) => `/api/v1/calibration/trial/pictures/${name}?_=${encodeURIComponent(begun)}`;
-export const frame = (run, camera, row) => `/api/v1/runs/${part(run)}/frames/${camera}/${row}?format=png&incomplete=show`;
+export const trialCalibration = `${api}/calibration/trial/calibration`;
+export const trialPicture = (name, begun) => `${api}/calibration/trial/pictures/${name}?_=${encodeURIComponent(begun)}`;
+export const frame = (run, camera, row) => `${api}/runs/${part(run)}/frames/${camera}/${row}?format=png&incomplete=show`;
 
 export const opticsRequirements = (of) => call("GET", `/optics/requirements?of=${of}`);
 export const opticsPlan = (values) => call("GET", `/optics/plan?${new URLSearchParams(values)}`);

@@ -2,7 +2,7 @@
 import { make, setText } from "../parts/elements.js";
 import { moment, number, texts, tick } from "../texts/texts.js";
 
-const LIBRARY = "/web/vendor/uplot/uPlot";
+const LIBRARY = new URL("../vendor/uplot/uPlot", import.meta.url).href;
 const HEIGHT = 170;
 const COLOURS = 6; // --series-1 … of the style sheet
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]]; // lines differ without colour too, from the seventh on

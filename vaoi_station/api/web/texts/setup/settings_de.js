@@ -108,6 +108,7 @@ export const settings = {
     "api.host": "Adresse von REST und Seite; 0.0.0.0: alle Schnittstellen.",
     "api.port": "Port von REST und Seite.",
     "api.names": "Weitere Rechnernamen, unter denen die Station angesprochen werden darf.",
+    "api.root_path": "Pfad, unter dem ein Reverse-Proxy die Station anbietet, wenn er ihn unverändert weitergibt, zum Beispiel /aoi.",
     "api.open_loopback": "Ob Programme auf diesem Rechner ohne Schlüssel lesen, bedienen und anlernen dürfen.",
     "api.certificate": "Zertifikat der Station mit seiner Kette (PEM); damit nimmt der Dienst nur TLS an.",
     "api.private_key": "Privater Schlüssel des Zertifikats (PEM).",

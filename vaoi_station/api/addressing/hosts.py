@@ -11,6 +11,8 @@ import ipaddress
 import socket
 from collections.abc import Iterable
 
+from starlette.types import Scope
+
 
 def allowed_names(configured: Iterable[str] = ()) -> frozenset[str]:
     """Return the station's names: loopback, the machine's host name, and the names from station.toml."""
@@ -35,3 +37,14 @@ def addressed(host: str, names: frozenset[str]) -> bool:
     except ValueError:
         return name.rstrip(".") in names
     return True
+
+
+def is_loopback(scope: Scope) -> bool:
+    """Return whether the connection of a request comes from this machine: from a program, or from a proxy."""
+    client = scope.get("client")
+    try:
+        address = ipaddress.ip_address(client[0] if client else "")
+    except ValueError:
+        return False
+    mapped = getattr(address, "ipv4_mapped", None)
+    return (mapped or address).is_loopback

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.api.hosts import addressed, allowed_names
+from vaoi_station.api.addressing.hosts import addressed, allowed_names, is_loopback
 
 NAMES = frozenset({"localhost", "aoi-3"})
 
@@ -38,3 +38,20 @@ def test_names_compare_without_case_port_and_final_dot(host: str) -> None:
 @pytest.mark.parametrize("host", ["aoi-3.evil.example", "xaoi-3", "127.0.0.1.evil", "[::1", "[evil]:80", "a:b:c"])
 def test_other_names_are_refused(host: str) -> None:
     assert addressed(host, NAMES) is (host == "[::1")
+
+
+@pytest.mark.parametrize(
+    ("client", "expected"),
+    [
+        (("127.0.0.1", 5), True),
+        (("127.8.0.1", 5), True),
+        (("::1", 5), True),
+        (("::ffff:127.0.0.1", 5), True),
+        (("192.0.2.7", 5), False),
+        (("::ffff:192.0.2.7", 5), False),
+        (("testclient", 5), False),
+        (None, False),
+    ],
+)
+def test_connections_of_this_machine_are_known_by_their_address(client: object, expected: bool) -> None:
+    assert is_loopback({"client": client}) is expected

@@ -1,0 +1,1 @@
+"""How callers address the station: the host names that it accepts, and the path of a proxy."""
