@@ -40,6 +40,26 @@ def test_a_browser_gets_a_page_and_programs_the_cause_as_json() -> None:
             assert client.post("/api/v1/station/arm").json()["code"] == "storage-full"
 
 
+@pytest.mark.parametrize(
+    ("root_path", "path", "stated"),
+    [("/aoi", "/aoi/", {}), ("/aoi", "/aoi/x", {}), ("", "/", {"X-Forwarded-Prefix": "/aoi"})],
+)
+def test_behind_a_proxy_the_page_finds_its_style_below_the_prefix(
+    root_path: str, path: str, stated: dict[str, str]
+) -> None:
+    browser = {"Accept": "text/html", **stated}
+    with open_listener("127.0.0.1", 0, "test") as listener:
+        address = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        page = WaitingPage(listener, [], root_path=root_path)
+        with page, httpx2.Client(base_url=address, headers=browser) as client:
+            page.report(DeviceError("The disk is full.", code="storage-full"))
+            assert 'href="/aoi/web/style.css"' in client.get(path).text
+            style = client.get("/aoi/web/style.css" if root_path else "/web/style.css")
+            assert style.headers["content-type"].startswith("text/css")
+            api = client.get(f"{root_path}/api/v1/station").json()
+            assert (api["code"], api["instance"]) == ("storage-full", "/aoi/api/v1/station")
+
+
 def test_nothing_is_served_without_a_cause() -> None:
     with open_listener("127.0.0.1", 0, "test") as listener, WaitingPage(listener, []) as page:
         assert page._server is None
