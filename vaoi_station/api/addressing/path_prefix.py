@@ -6,7 +6,6 @@ reply derives from the path of its request is one that the caller can use.
 
 from __future__ import annotations
 
-from starlette.datastructures import Headers
 from starlette.types import Scope
 
 from vaoi_station.api.addressing.hosts import is_loopback
@@ -26,7 +25,7 @@ def as_addressed(scope: Scope, root_path: str) -> Scope:
     could send them.
     """
     path = scope["path"]
-    if is_loopback(scope) and Headers(scope=scope).get(SCHEME) == "https":
+    if _forwarded(scope, SCHEME) == "https":
         scope = {**scope, "scheme": "https"}
     if root_path and f"{path}/".startswith(f"{root_path}/"):
         return {**scope, "root_path": root_path}
@@ -57,4 +56,11 @@ def path_of(scope: Scope) -> str:
 
 def _stated(scope: Scope) -> str:
     """Return the prefix that a proxy on this machine states; empty without one."""
-    return ", ".join(Headers(scope=scope).getlist(HEADER)).rstrip("/") if is_loopback(scope) else ""
+    return _forwarded(scope, HEADER).rstrip("/")
+
+
+def _forwarded(scope: Scope, header: str) -> str:
+    """Return a header of a proxy on this machine; empty without one."""
+    name = header.lower().encode()
+    found = [value.decode("latin-1") for key, value in scope["headers"] if key == name]
+    return ", ".join(found) if found and is_loopback(scope) else ""

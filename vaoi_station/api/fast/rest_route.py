@@ -14,5 +14,6 @@ class RestRoute(APIRoute):
 
     def matches(self, scope: Scope) -> tuple[Match, Scope]:
         """Match as other routes do. They read what included routers have added before they compare the path."""
-        other = self.path_regex.match(path_of(scope)) is None
+        path = path_of(scope) if scope.get("root_path") else scope["path"]
+        other = self.path_regex.match(path) is None
         return (Match.NONE, {}) if other else super().matches(scope)
