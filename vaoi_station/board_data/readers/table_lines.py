@@ -193,12 +193,11 @@ def _boundary(body: Sequence[str], first: int, end: int, header: int, words: str
     Values may begin at their header, left of it (numbers are set to the right) or right of it. Where all begin at the
     header, the column does; else behind the blank that is widest between the `end` of the header before and its own.
     """
-    candidates = range(first, header + len(words))
-    cuts = [sum(_cuts(line, at) for line in body) for at in candidates]
-    least = min(cuts)
-    free = [at for at, count in zip(candidates, cuts, strict=True) if count == least]
-    following = [line[header - 1 : header + len(words)] for line in body]
-    if header in free and all(part[:1].strip() == "" and (part[1:2].strip() or not part.strip()) for part in following):
+    columns = range(first - 1, header + len(words))
+    taken = [sum(line[at : at + 1].strip() != "" for line in body) for at in columns]
+    free = [at for at, count in zip(columns, taken, strict=True) if count == min(taken)]
+    following = [line[header : header + len(words)] for line in body]
+    if header - 1 in free and all(part[:1].strip() or not part.strip() for part in following):
         return header
     runs: list[list[int]] = []
     for at in free:
@@ -208,9 +207,9 @@ def _boundary(body: Sequence[str], first: int, end: int, header: int, words: str
             runs.append([at])
 
     def fitness(run: list[int]) -> tuple[int, int, int]:
-        return sum(end <= at <= header for at in run), len(run), -min(abs(at - header) for at in run)
+        return sum(end - 1 <= at <= header for at in run), len(run), -min(abs(at - header) for at in run)
 
-    return max(runs, key=fitness)[-1]
+    return max(runs, key=fitness)[-1] + 1
 
 
 def _cuts(line: str, at: int) -> bool:
