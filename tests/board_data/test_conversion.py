@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -36,7 +37,7 @@ def test_only_the_chosen_side_is_taken_and_an_empty_one_is_refused() -> None:
 
 
 def test_lines_of_repeated_designators_and_the_side_of_a_table_are_said() -> None:
-    twice = design(part("R1"), part("C1", line=3), part("C1", line=7))
+    twice = design(part("R1"), part("C1", line=3), part("C1", line=7, origin=(30.0, 20.0)))
     assert any("were left out: C1 (lines 3, 7)." in note for note in to_board_type(twice, "top")[1])
     table = TableReading("comma", "mm", "as given", (("ref", 1),))
     for change, advice in (({"table": table}, "state it by --columns side=bottom"), ({}, "Choose the side by --side")):
@@ -46,13 +47,13 @@ def test_lines_of_repeated_designators_and_the_side_of_a_table_are_said() -> Non
 
 
 def test_repeated_designators_are_left_out_and_named() -> None:
-    board, notes = to_board_type(design(part("R1"), part("G***"), part("G***")), "top")
+    board, notes = to_board_type(design(part("R1"), part("G***"), part("G***", origin=(30.0, 10.0))), "top")
     assert [c.ref for c in board.components] == ["R1"]
     assert any("occur more than once were left out: G***" in note for note in notes)
 
 
 def test_copies_of_a_board_that_no_position_tells_apart_are_named_or_refused() -> None:
-    copies = (part("R1"), part("R1"), part("C1"), part("C1"))
+    copies = tuple(part(ref, origin=(x, 10.0)) for ref in ("R1", "C1") for x in (10.0, 30.0))
     with pytest.raises(InputError, match=r"2 of 2 designators of the top occur more than once.* by --repeat and --pit"):
         to_board_type(design(*copies), "top")
     board, notes = to_board_type(design(*copies, part("J1")), "top")
@@ -124,3 +125,36 @@ def test_fiducials_outside_the_outline_drop_it() -> None:
     board, notes = to_board_type(design(part("FID1", origin=(90.0, 10.0))), "top")
     assert board.outline is None
     assert any("fiducials lie outside the outline" in note for note in notes)
+
+
+A, D, R = "parts-alternative", "parts-doubled", "designators-repeated"
+
+
+@pytest.mark.parametrize(
+    ("parts", "kept", "code"),
+    [
+        ([{}, {"fitted": False}], (10, True), A),
+        ([{"fitted": False}, {"origin": (30.0, 20.0)}], (30, True), A),
+        ([{"fitted": False}, {"fitted": False, "origin": (9.0, 5.0)}, {"origin": (30.0, 20.0)}], (30, True), A),
+        ([{"in_bom": False}, {"origin": (30.0, 20.0)}], (30, True), A),
+        ([{}, {"package": "other", "fitted": False}], (10, True), A),
+        ([{}, {}], (10, True), D),
+        ([{}, {"origin": (10.008, 10.0), "rotation": 359.95}, {}], (10, True), D),
+        ([{"fitted": False}, {"fitted": False}], (10, False), D),
+        ([{}, {"origin": (30.0, 20.0)}], None, R),
+        ([{}, {"package": "other"}], None, R),
+        ([{}, {"rotation": 90.0}], None, R),
+        ([{"fitted": False}, {"fitted": False, "origin": (30.0, 20.0)}], None, R),
+        ([{}, {"origin": (30.0, 20.0)}, {"fitted": False}], None, R),
+    ],
+)  # fmt: skip
+def test_of_parts_with_one_designator_the_fitted_one_stays(
+    parts: list[dict[str, Any]], kept: tuple[float, bool] | None, code: str
+) -> None:
+    """Drawn as alternatives, or twice; what is neither is left out."""
+    others = [part(f"C{n}", origin=(20.0, 20.0 + n)) for n in range(3)]
+    board, notes = to_board_type(design(*others, *(part("R1", **change) for change in parts)), "top")
+    found = [(c.center[0], c.fitted is not False) for c in board.components if c.ref == "R1"]
+    assert found == ([kept] if kept else [])
+    (note,) = (note for note in notes if "R1" in note)
+    assert note.code == code

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 
 from pydantic import ValidationError
 
-from vaoi_station.board_data.contours import area
+from vaoi_station.board_data.contours import area, places
 from vaoi_station.board_data.design import XY, Design, Mark, Part, Side
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.board_data.package_sizes import GUESS_MM
@@ -21,6 +21,8 @@ from vaoi_station.model.note import Note
 
 SAME_PLACE_MM = 1e-3
 """A body whose centre is nearer to the origin of its part than this is at it."""
+SAME_PART_MM, SAME_PART_DEG = 0.01, 0.1
+"""Two parts of one designator and package that are nearer to each other are one, drawn twice."""
 USUAL_MARK_MM = 1.0
 """Diameter of a fiducial of which the file states none: IPC-7351 recommends 1 mm."""
 LEAST_MARK_MM, MOST_MARK_MM = 0.05, 50.0
@@ -58,10 +60,11 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
         raise InputError(
             f"design {design.name!r} has no part on the {side}; parts: {found}.", action=_advice(design, side)
         )
-    counts = Counter(part.address for part in chosen)
-    repeated = sorted(address for address, count in counts.items() if count > 1)
-    parts = [part for part in chosen if counts[part.address] == 1 and part.box is not None]
     notes = list(design.notes)
+    single = _one_of_each(chosen, notes)
+    counts = Counter(part.address for part in single)
+    repeated = sorted(address for address, count in counts.items() if count > 1)
+    parts = [part for part in single if counts[part.address] == 1 and part.box is not None]
     if repeated:
         shown = [address + _lines(address, chosen) for address in repeated[:8]]
         names = _some([*shown, *repeated[8:]])
@@ -101,6 +104,42 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
         components=tuple(_component(part) for part in parts),
     )
     return board, tuple(notes)
+
+
+def _one_of_each(parts: Sequence[Part], notes: list[Note]) -> list[Part]:
+    """Return the parts without those that stand beside the fitted one, or twice at its place, under one designator.
+
+    Alternatives of which one is fitted are drawn as several parts. All parts of other repeated designators remain.
+    """
+    by_address: defaultdict[str, list[Part]] = defaultdict(list)
+    for part in parts:
+        by_address[part.address].append(part)
+    found, doubled, alternatives = [], [], []
+    for address, same in by_address.items():
+        distinct = [part for n, part in enumerate(same) if not any(_is_copy(part, other) for other in same[:n])]
+        fitted = [part for part in distinct if part.fitted]
+        listed = [part for part in fitted if part.in_bom]
+        kept = next((group for group in (fitted, listed) if len(group) == 1), distinct)
+        found += kept
+        if len(distinct) < len(same) and len(kept) == 1:
+            doubled.append(address + _lines(address, parts))
+        if len(kept) < len(distinct):
+            alternatives.append(f"{address} at {places([kept[0].origin])}")
+    if doubled:
+        names = _some(doubled)
+        notes.append(Note("parts-doubled", f"parts that stand twice at one place count once: {names}.", names=names))
+    if alternatives:
+        names = _some(alternatives)
+        sentence = f"of parts with one designator, the only one that is fitted was taken: {names}."
+        notes.append(Note("parts-alternative", sentence, names=names))
+    return found
+
+
+def _is_copy(part: Part, other: Part) -> bool:
+    """Return whether two parts of one designator are the same part."""
+    turn = abs((part.rotation - other.rotation + 180) % 360 - 180)
+    near = math.dist(part.origin, other.origin) <= SAME_PART_MM and turn <= SAME_PART_DEG
+    return near and (part.package, part.fitted, part.in_bom) == (other.package, other.fitted, other.in_bom)
 
 
 def _advice(design: Design, side: Side) -> str:
@@ -207,7 +246,8 @@ def _belongs(mark: Mark) -> str:
 def _cut_outs(design: Design, outline: Sequence[XY] | None, notes: list[Note]) -> tuple[tuple[XY, ...], ...]:
     """Return the cut-outs within the outline; other contours are of no use for one board."""
     found: list[tuple[XY, ...]] = []
-    left_out = count = 0
+    count = 0
+    left_out = []
     contours = sorted(design.cut_outs, key=lambda c: -abs(area(c))) if outline is not None else ()
     for contour in contours:
         corners = [_rounded(p) for p in contour]
@@ -218,13 +258,13 @@ def _cut_outs(design: Design, outline: Sequence[XY] | None, notes: list[Note]) -
             found.append(tuple(corners))
             count += len(corners)
         else:
-            left_out += 1
+            left_out.append(min(corners, default=(0.0, 0.0)))
     if left_out:
         sentence = (
-            f"{left_out} contours lie outside the outline or cannot be used as cut-outs; they were left out. "
-            "Check whether the file is of a panel."
+            f"{len(left_out)} contours lie outside the outline or cannot be used as cut-outs; they were left out: from "
+            f"{places(left_out)} on. Check whether the file is of a panel."
         )
-        notes.append(Note("contours-left-out", sentence, count=left_out))
+        notes.append(Note("contours-left-out", sentence, count=len(left_out), at=places(left_out)))
     return tuple(found)
 
 

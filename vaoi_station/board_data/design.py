@@ -93,6 +93,8 @@ class Part:
     size_from: SizeFrom = "file"
     body_height: float | None = None
     fitted: bool = True
+    in_bom: bool = True
+    """False if the file excludes the part from the bill of materials; it may be placed, as a fiducial is."""
     mark_diameter: float | None = None
     """Extent of the first pad, which is the diameter of the mark if the part is a fiducial; None if it is not known."""
     is_mark: bool = False

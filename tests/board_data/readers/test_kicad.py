@@ -78,3 +78,40 @@ def test_an_outline_of_a_footprint_without_a_place_is_left_out() -> None:
     text = """(kicad_pcb (footprint "L:F" (layer "F.Cu")
         (fp_line (start 0 0) (end 1 0) (layer "Edge.Cuts"))))"""
     assert not read_kicad(text.encode(), PATH).outline
+
+
+@pytest.mark.parametrize(
+    ("inside", "fitted", "in_bom"),
+    [
+        ("(attr smd)", True, True),
+        ("(attr smd dnp)", False, True),
+        ("(attr through_hole exclude_from_bom dnp)", False, False),
+        ("(attr smd exclude_from_bom)", True, False),
+        ('(property "dnp" "") (attr smd)', False, True),
+        ('(property "exclude_from_bom" "") (attr smd)', True, False),
+        ('(property "DNP" "") (attr smd)', True, True),
+        ('(property "DNP" "yes") (attr smd)', False, True),
+        ('(property "DNP" "DNP") (attr smd)', False, True),
+        ("(fp_text value DNP (at 0 0))", False, True),
+        ('(attr smd) (variant (name "LITE") (dnp yes))', True, True),
+    ],
+)
+def test_what_is_not_fitted_or_not_in_the_bill_of_materials(inside: str, fitted: bool, in_bom: bool) -> None:
+    text = f"""(kicad_pcb (footprint "L:R" (layer "F.Cu") (at 1 2) (property "Reference" "R1") {inside}
+        (pad "1" smd rect (at 0 0) (size 1 1))))"""
+    (part,) = read_kicad(text.encode(), PATH).parts
+    assert (part.fitted, part.in_bom) == (fitted, in_bom)
+
+
+@pytest.mark.parametrize(
+    "attributes", ["virtual", "exclude_from_pos_files", "smd exclude_from_pos_files exclude_from_bom"]
+)
+def test_what_is_excluded_from_position_files_is_no_part(attributes: str) -> None:
+    text = f"(kicad_pcb (module L:R (layer F.Cu) (at 1 2) (attr {attributes}) (fp_text reference R1 (at 0 0))))"
+    assert not read_kicad(text.encode(), PATH).parts
+
+
+def test_variants_of_version_10_are_named() -> None:
+    text = '(kicad_pcb (variants (variant (name "LITE")) (variant (name "FULL") (description "all"))))'
+    (note,) = read_kicad(text.encode(), PATH).notes
+    assert note == "the file has assembly variants (LITE, FULL); the default one was read."

@@ -1,4 +1,4 @@
-"""Read EAGLE boards (`.brd`, XML since version 6).
+"""Read EAGLE boards (`.brd`, XML since version 6; Autodesk Fusion exports the same).
 
 Lengths are in mm, y points up. `rot="MR90"`: rotated by 90° counter-clockwise, then mirrored in x, which is a rotation
 by −90° after the mirroring. Source: eagle.dtd, which comes with EAGLE; KiCad's importer for the order.
@@ -8,19 +8,35 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, tostring
 
-from vaoi_station.board_data.contours import arc_points, circle_points, join
-from vaoi_station.board_data.design import XY, Box, Design, Part, body_of, box_around, normalised
+from vaoi_station.board_data.contours import arc_points, circle_points, find_contours
+from vaoi_station.board_data.design import (
+    XY,
+    Box,
+    Design,
+    Part,
+    Placement,
+    body_of,
+    box_around,
+    extent,
+    normalised,
+    rotated,
+)
+from vaoi_station.board_data.readers.table_columns import is_fitted
 from vaoi_station.board_data.source_text import decode, number_of, parse_xml
 from vaoi_station.errors import InputError
 from vaoi_station.model.note import Note
 
 _DIMENSION, _DOCUMENTATION, _PLACEMENT = "20", "51", "21"
 """Numbers of the layers for the outline of the board, and for the drawing of parts."""
-_DOCTYPE = re.compile(r"<!DOCTYPE eagle SYSTEM \"eagle\.dtd\">")
+_DOCTYPE = re.compile(r"<!DOCTYPE\s+eagle\s+SYSTEM\s+[\"']eagle\.dtd[\"']\s*>")
+_PADS = ("smd", "pad")
+_FITTING = frozenset({"POPULATE", "FITTED", "DNP", "DNI", "DNF"})
+"""Attributes by which users state whether a part is fitted; `populate` is EAGLE's own."""
 
 
 def is_eagle(head: bytes) -> bool:
@@ -36,35 +52,109 @@ def read_eagle(data: bytes, path: Path) -> Design:
     board = next(root.iter("board"), None)
     if board is None:
         raise InputError(f"{path}: has no <board>; it is a library or a schematic of EAGLE. Give the .brd file.")
-    packages = {
-        (library.get("name", ""), package.get("name", "")): package
-        for library in board.iter("library")
-        for package in library.iter("package")
-    }
-    reader = _Reader(path)
-    parts = []
-    for element in next(board.iter("elements"), Element("elements")):
-        package = packages.get((element.get("library", ""), element.get("package", "")))
-        parts.append(reader.part(element, package))
+    variants = [(v.get("name", ""), v.get("current") == "yes") for v in board.iterfind("variantdefs/variantdef")]
+    current = next((name for name, is_current in variants if is_current), None)
+    reader, libraries = _Reader(path, current), _Libraries(board)
+    parts, without_pads = [], []
+    edges: list[list[XY]] = []
     plain = board.find("plain")
-    contours, stray = join(reader.drawing(plain, _DIMENSION) if plain is not None else ())
-    sentence = f"{stray} lines of layer 20 close no contour; they were left out."
-    notes = (Note("lines-left-out", sentence, count=stray),) if stray else ()
-    outline, *cut_outs = contours or [[]]
-    return Design(path.stem, "eagle", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), notes=notes)
+    if plain is not None:
+        edges += reader.drawing(plain, _DIMENSION)
+    for element in next(board.iter("elements"), Element("elements")):
+        package = libraries.package_of(element)
+        part = reader.part(element, package)
+        parts.append(part)
+        if package is not None:
+            at = Placement("M" in element.get("rot", ""), part.rotation, part.origin)
+            edges += [list(map(at.apply, piece)) for piece in reader.drawing(package, _DIMENSION)]
+            if not any(p.tag in _PADS for p in package):
+                without_pads.append(part.ref)
+    contours = find_contours(edges, "layer 20")
+    notes = [*libraries.notes(), *contours.notes]
+    # A board without variants may state a single, unnamed one: `<unnamed>`, or a translation of it.
+    if len(variants) > 1 or any(not re.fullmatch("<.*>", name) for name, _ in variants):
+        names = ", ".join(name for name, _ in variants)
+        which = f"{current!r}, the current one," if current is not None else "the default one"
+        sentence = f"the file has assembly variants ({names}); {which} was read."
+        notes.append(Note("variant-read", sentence, names=names, variant=current or ""))
+    if without_pads:
+        names = _some(without_pads)
+        sentence = f"{len(without_pads)} parts have no pads: {names}. Remove those that are a frame or a logo."
+        notes.append(Note("parts-without-pads", sentence, count=len(without_pads), names=names))
+    return Design(path.stem, "eagle", tuple(parts), contours.outline, contours.others, notes=tuple(notes))
+
+
+class _Libraries:
+    """The libraries of a board.
+
+    Since version 9 several may have one name; `urn` of the library and `library_urn` of the element distinguish them.
+    An element without it is of the library without, else of the only library of its name. Names are without regard to
+    case, as in EAGLE.
+    """
+
+    def __init__(self, board: Element) -> None:
+        """Take the packages of all libraries of a board."""
+        self._packages: defaultdict[tuple[str, str], list[tuple[str, Element]]] = defaultdict(list)
+        self._missing: dict[str, list[str]] = {}
+        self._ambiguous: dict[str, list[str]] = {}
+        for library in board.iterfind("libraries/library"):
+            for package in library.iter("package"):
+                key = (library.get("name", "").casefold(), package.get("name", "").casefold())
+                self._packages[key].append((library.get("urn", ""), package))
+
+    def package_of(self, element: Element) -> Element | None:
+        """Return the package of an element; None if the board has none, or several that differ."""
+        library, name, urn = (element.get(key, "") for key in ("library", "package", "library_urn"))
+        found = self._packages.get((library.casefold(), name.casefold()), [])
+        exact = [package for of, package in found if of == urn]
+        candidates = exact or [package for _, package in found]
+        if not candidates:
+            self._missing.setdefault(name, []).append(element.get("name", ""))
+            return None
+        if len({_drawn(package) for package in candidates}) > 1:
+            self._ambiguous.setdefault(f"{name} of {library}", []).append(element.get("name", ""))
+            return None
+        return candidates[0]
+
+    def notes(self) -> list[Note]:
+        """Return notes on packages that were not found."""
+        notes = []
+        if self._missing:
+            names = _some([f"{name} ({_some(refs)})" for name, refs in self._missing.items()])
+            sentence = f"{len(self._missing)} packages are not in the file: {names}."
+            notes.append(Note("packages-not-described", sentence, count=len(self._missing), names=names))
+        if self._ambiguous:
+            names = _some([f"{name} ({_some(refs)})" for name, refs in self._ambiguous.items()])
+            sentence = (
+                f"{len(self._ambiguous)} packages are in several libraries of one name, and their elements state no "
+                f"library_urn of one of them; their bodies were left out: {names}."
+            )
+            notes.append(Note("packages-ambiguous", sentence, count=len(self._ambiguous), names=names))
+        return notes
+
+
+def _drawn(package: Element) -> bytes:
+    """Return what a package consists of, without its own attributes, such as the version of its library."""
+    return b"".join(tostring(child) for child in package if child.tag != "description")
 
 
 class _Reader:
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, variant: str | None) -> None:
+        self._path, self._variant = path, variant
 
     def part(self, element: Element, package: Element | None) -> Part:
-        mirrored, turn = _rotation(element.get("rot", "R0"))
+        mirrored, turn = self._rotation(element)
+        variant = next((v for v in element.iterfind("variant") if v.get("name") == self._variant), Element("variant"))
+        value = str(variant.get("value") or element.get("value", ""))
+        populate = variant.get("populate") or element.get("populate", "yes")
         box = self._body(package) if package is not None else None
         name = element.get("package", "")
         is_mark = "fiducial" in name.lower()
-        populate = [a.get("value", "") for a in element.iter("attribute") if a.get("name", "").upper() == "POPULATE"]
-        pads = [p for p in (package if package is not None else ()) if p.tag in ("smd", "pad")]
+        stated = [a for a in element.iter("attribute") if a.get("name", "").upper() in _FITTING]
+        fitted = all(is_fitted(a.get("value", ""), a.get("name", ""), "") for a in stated) and is_fitted(
+            "", "", (value,)
+        )
+        pads = [p for p in (package if package is not None else ()) if p.tag in _PADS]
         sizes = [max(self._box_of_pad(p).size) for p in pads]
         return Part(
             ref=element.get("name", ""),
@@ -72,16 +162,16 @@ class _Reader:
             origin=(self._number(element, "x"), self._number(element, "y")),
             rotation=normalised(-turn if mirrored else turn),
             package=name,
-            value=element.get("value", ""),
+            value=value,
             box=box.mirrored() if box is not None and mirrored else box,
-            fitted=not any(v.lower() in ("no", "false", "0", "dnp") for v in populate),
+            fitted=fitted and populate != "no",
             is_mark=is_mark,
             mark_diameter=sizes[0] if sizes else None,
         )
 
     def _body(self, package: Element) -> Box | None:
         """Return the body: the documentation layer, else the silkscreen, with the pads."""
-        pads = [self._box_of_pad(p) for p in package if p.tag in ("smd", "pad")]
+        pads = [self._box_of_pad(p) for p in package if p.tag in _PADS]
         pins = box_around(corner for pad in pads for corner in (pad.low, pad.high))
         for layer in (_DOCUMENTATION, _PLACEMENT):
             drawn = box_around(p for piece in self.drawing(package, layer) for p in piece)
@@ -93,12 +183,14 @@ class _Reader:
         x, y = self._number(pad, "x"), self._number(pad, "y")
         if pad.tag == "smd":
             half = (self._number(pad, "dx") / 2, self._number(pad, "dy") / 2)
-            if round(_rotation(pad.get("rot", "R0"))[1]) % 180 == 90:
-                half = half[::-1]
         else:
             diameter = self._number(pad, "diameter", 0.0) or 2 * self._number(pad, "drill", 0.5)
-            half = (diameter / 2, diameter / 2)
-        return Box((x - half[0], y - half[1]), (x + half[0], y + half[1]))
+            # A long pad is twice as long as wide.
+            half = (diameter if pad.get("shape") == "long" else diameter / 2, diameter / 2)
+        turn = self._rotation(pad)[1]
+        corners = [rotated((sx * half[0], sy * half[1]), turn) for sx in (-1, 1) for sy in (-1, 1)]
+        (low, high) = extent(corners)
+        return Box((x + low[0], y + low[1]), (x + high[0], y + high[1]))
 
     def drawing(self, node: Element, layer: str) -> Iterator[list[XY]]:
         """Yield lines, arcs, circles and rectangles of a layer."""
@@ -118,6 +210,16 @@ class _Reader:
                 if points:
                     yield [*points, points[0]]
 
+    def _rotation(self, element: Element) -> tuple[bool, float]:
+        """Return whether a part is mirrored, and its rotation: `MR90`, `SR180` (spin, which turns its texts only)."""
+        text = element.get("rot", "R0")
+        match = re.fullmatch(r"([MS]{0,2})R(.+)", text)
+        degrees = number_of(match[2]) if match else None
+        if match is None or degrees is None:
+            where = f"{element.tag} {element.get('name', '')} rot"
+            raise InputError.field(self._path, where, text, "R and degrees, such as R90, MR90 or MSR90")
+        return "M" in match[1], degrees
+
     def _number(self, element: Element, key: str, default: float | None = None) -> float:
         text = element.get(key)
         if text is None and default is not None:
@@ -126,12 +228,6 @@ class _Reader:
         if found is None:
             raise InputError.field(self._path, f"{element.tag} {element.get('name', '')} {key}", text, "a number")
         return found
-
-
-def _rotation(text: str) -> tuple[bool, float]:
-    """Return whether a part is mirrored, and its rotation: `MR90`, `SR180` (spin)."""
-    match = re.fullmatch(r"([MS]*)R(-?\d{1,9}(?:\.\d+)?)", text)
-    return ("M" in match[1], float(match[2])) if match else (False, 0.0)
 
 
 def _arc(start: XY, end: XY, curve: float) -> list[XY]:
@@ -143,3 +239,7 @@ def _arc(start: XY, end: XY, curve: float) -> list[XY]:
     shift = 1 / (2 * math.tan(half))
     center = ((start[0] + end[0]) / 2 - dy * shift, (start[1] + end[1]) / 2 + dx * shift)
     return arc_points(start, end, center, clockwise=curve < 0)
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vaoi_station.board_data.contours import arc_points, circle_points, join
+from vaoi_station.board_data.contours import arc_points, circle_points, find_contours
 from vaoi_station.board_data.design import XY, Box, Design, Part, Side, box_around, normalised, rotated
 from vaoi_station.board_data.pin_rules import FITS_MM, DrawnPart, Pin, Rule, placed_parts
 from vaoi_station.board_data.source_text import decode, number_of
@@ -59,7 +59,7 @@ def read_gencad(data: bytes, path: Path) -> Design:
     reader = _Reader(path, mm)
     pads = reader.pads(sections["PADS"], sections["PADSTACKS"])
     shapes = reader.shapes(sections["SHAPES"])
-    contours, stray = join(_without_art(reader, sections["BOARD"]))
+    contours = find_contours(_without_art(reader, sections["BOARD"]), "$BOARD")
     signals = _Signals(sections["SIGNALS"], sections["ROUTES"], mm)
     drawn, unknown = [], set()
     for component in _components(sections["COMPONENTS"]):
@@ -71,15 +71,12 @@ def read_gencad(data: bytes, path: Path) -> Design:
     # Tracks have corners where other pins would be, so that they show the rule of a side, but not the angle of a part.
     parts, notes = placed_parts(drawn, _usual_rule, exact=False)
     parts = [_with_angle_of_file(part, of) for part, of in zip(parts, drawn, strict=True)]
-    if stray:
-        sentence = f"{stray} lines of $BOARD close no contour; they were left out."
-        notes.append(Note("lines-left-out", sentence, count=stray))
+    notes += contours.notes
     if unknown:
         names = ", ".join(sorted(unknown)[:8])
         sentence = f"{len(unknown)} components are not placed; they were left out: {names}."
         notes.append(Note("parts-not-placed", sentence, count=len(unknown), names=names))
-    outline, *cut_outs = contours or [[]]
-    return Design(name, "gencad", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), notes=tuple(notes))
+    return Design(name, "gencad", tuple(parts), contours.outline, contours.others, notes=tuple(notes))
 
 
 def _sections(text: str, path: Path) -> dict[str, list[Line]]:
@@ -295,12 +292,14 @@ def _components(lines: list[Line]) -> Iterator[dict[str, Line]]:
 
 
 def _without_art(reader: _Reader, lines: list[Line]) -> Iterator[list[XY]]:
-    """Yield the pieces of the outline; what follows ARTWORK or a named cut-out of the section is not part of it."""
+    """Yield the pieces of the outline and of the cut-outs, without those of masks and artwork."""
+    is_edge = True
     for line in lines:
-        if line[1][0] in ("ARTWORK", "TEXT"):
-            return
-        piece = reader.piece(line)
-        if piece is not None:
+        if line[1][0] in ("ARTWORK", "MASK", "TEXT"):
+            is_edge = False
+        elif line[1][0] == "CUTOUT":
+            is_edge = True
+        elif is_edge and (piece := reader.piece(line)) is not None:
             yield piece
 
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from vaoi_station.board_data.contours import arc_points, circle_points, join
+from vaoi_station.board_data.contours import arc_points, circle_points, find_contours
 from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
 from vaoi_station.board_data.pin_rules import FITS_MM, LEAST_MARGIN, RULES, Rule
 from vaoi_station.board_data.readers.lz_string import decompress
@@ -48,7 +48,7 @@ def read_html_bom(data: bytes, path: Path) -> Design:
     try:
         stated = [_part(footprint) for footprint in board["footprints"]]
         pads = [_pads(footprint) for footprint in board["footprints"]]
-        contours, _ = join(_edges(board.get("edges", [])))
+        contours = find_contours(_edges(board.get("edges", [])), "edges")
         title = str((board.get("metadata") or {}).get("title") or path.stem)
         hidden = {int(n) for n in (board.get("bom") or {}).get("skipped", [])}
     except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
@@ -60,8 +60,7 @@ def read_html_bom(data: bytes, path: Path) -> Design:
             sentence = "all boxes lie along the axes, at angle 0: the file states no angles of parts."
             notes.append(Note("angles-not-stated", sentence))
     fitted = tuple(p if n not in hidden else _unfitted(p) for n, p in enumerate(parts))
-    outline, *cut_outs = contours or [[]]
-    return Design(title, "html-bom", fitted, tuple(outline), tuple(map(tuple, cut_outs)), notes=tuple(notes))
+    return Design(title, "html-bom", fitted, contours.outline, contours.others, notes=(*notes, *contours.notes))
 
 
 def _board(text: str, path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Read KiCad boards (`.kicad_pcb`, versions 5 to 9).
+"""Read KiCad boards (`.kicad_pcb`, versions 5 to 10).
 
 KiCad's y points down, its rotations are counter-clockwise as seen on the screen from the top. A footprint on the bottom
 is stored as it is seen from the top. Description of the format: dev-docs.kicad.org, "PCB file format".
@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from vaoi_station.board_data.contours import arc_points, arc_through, circle_points, join
+from vaoi_station.board_data.contours import arc_points, arc_through, circle_points, find_contours
 from vaoi_station.board_data.design import (
     KICAD_COURTYARD_MM,
     XY,
@@ -26,11 +26,14 @@ from vaoi_station.board_data.design import (
 )
 from vaoi_station.board_data.marks import kind_by_name
 from vaoi_station.board_data.readers.sexpr import Node, every, first, numbers, parse_sexpr, text_of
+from vaoi_station.board_data.readers.table_columns import is_fitted
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
 from vaoi_station.model.note import Note
 
 _MARK_PROPERTIES: dict[str, MarkKind] = {"pad_prop_fiducial_glob": "global", "pad_prop_fiducial_loc": "local"}
+_UNFITTED = frozenset({"DNP", "DNI", "DNF"})
+"""Names of properties by which users state that a part is not fitted."""
 
 
 def is_kicad(head: bytes) -> bool:
@@ -59,22 +62,24 @@ def _design(root: Node, path: Path) -> Design:
             unplaced += 1
         else:
             parts.append(part)
-    contours, stray = join(_edges(root))
+    contours = find_contours(_edges(root), "Edge.Cuts")
     notes = []
+    if variants := [text_of(v, "name") for v in every(first(root, "variants") or [], "variant")]:
+        # Version 10. Footprints state what differs in a variant; the file does not state which one is current.
+        names = ", ".join(variants)
+        sentence = f"the file has assembly variants ({names}); the default one was read."
+        notes.append(Note("variant-read", sentence, names=names, variant=""))
     if unplaced:
         sentence = f"{unplaced} footprints are not for placement, or have no designator; they were left out."
         notes.append(Note("footprints-left-out", sentence, count=unplaced))
-    if stray:
-        sentence = f"{stray} lines on Edge.Cuts close no contour; they were left out."
-        notes.append(Note("lines-left-out", sentence, count=stray))
     return Design(
         name=text_of(first(root, "title_block") or [], "title") or path.stem,
         format="kicad",
         parts=tuple(parts),
-        outline=tuple(contours[0]) if contours else (),
-        cut_outs=tuple(tuple(c) for c in contours[1:]),
+        outline=contours.outline,
+        cut_outs=contours.others,
         marks=tuple(marks),
-        notes=tuple(notes),
+        notes=(*notes, *contours.notes),
     )
 
 
@@ -86,6 +91,9 @@ def _part(footprint: Node) -> Part | None:
     if not ref or ref.startswith("#") or len(at) < 2 or attributes & {"virtual", "exclude_from_pos_files"}:
         return None
     rotation = at[2] if len(at) > 2 else 0.0
+    properties = {str(n[1]): str(n[2]) for n in every(footprint, "property") if len(n) > 2}
+    value = _text(footprint, "value")
+    stated = [(name, cell) for name, cell in properties.items() if name.upper() in _UNFITTED]
     name = str(footprint[1]) if len(footprint) > 1 and not isinstance(footprint[1], list) else ""
     side: Side = "bottom" if text_of(footprint, "layer").startswith("B.") else "top"
     return Part(
@@ -94,9 +102,14 @@ def _part(footprint: Node) -> Part | None:
         origin=(at[0], -at[1]),
         rotation=normalised(rotation),
         package=name.rpartition(":")[2],
-        value=_text(footprint, "value"),
+        value=value,
         box=_body(footprint, rotation, side),
-        fitted="dnp" not in attributes,
+        # Version 7 has the property "dnp" without a value, older ones only what users write into value or fields.
+        fitted="dnp" not in attributes
+        and properties.get("dnp", "no") != ""
+        and is_fitted("", "", (value,))
+        and all(is_fitted(cell, name, "") for name, cell in stated),
+        in_bom=not ("exclude_from_bom" in attributes or "exclude_from_bom" in properties),
         is_mark=_is_mark(footprint),
         mark_kind=next(_marked_pads(footprint), (None, None))[1] if len(list(every(footprint, "pad"))) == 1 else None,
         mark_diameter=_pad_diameter(footprint),

@@ -2,6 +2,7 @@
 const more = (names) => names.replace(/ and (\d+) more$/, " und $1 weitere");
 const KINDS = { global: "Passmarken", local: "lokale Passmarken", panel: "Passmarken des Nutzens", "bad-board": "Schlechtmarken" };
 const BY = { element: "aus Elementen der Datei", attribute: "aus einem Attribut", package: "am Gehäuse erkannt", name: "am Namen erkannt", place: "am Ort erkannt" };
+const LINES = { open: "schließen keine Kontur", dividing: "teilen eine Leiterplatte oder einen Ausschnitt", repeating: "wiederholen andere", short: "innerhalb 0,02 mm", beyond: "teilweise, jenseits ihrer Kontur" };
 const SIDES = { top: "Oberseite", bottom: "Unterseite" };
 const sense = (rule) => rule.includes("counter") ? "gegen den Uhrzeigersinn" : "im Uhrzeigersinn";
 const turned = (rule) => (rule.startsWith("mirrored") ? `in ${rule["mirrored in ".length]} gespiegelt, dann ` : "") + `${sense(rule)} um den Winkel${rule.endsWith("180°") ? " und um 180°" : ""} gedreht`;
@@ -20,27 +21,35 @@ export const remarks = {
   "boards-upside-down": ({ count, names }) => `${count} Leiterplatten liegen gewendet, ihre andere Seite ist oben: Positionen ${more(names)}.`,
   "columns-not-used": ({ names }) => `Nicht verwendete Spalten: ${names}.`,
   "boxes-by-pads": ({ side, rule, fit, parts, usual }) => `Rechtecke von Bauteilen der ${SIDES[side]} sind ${turned(rule)}, anders als üblich: So liegen bei ${fit} von ${parts} Bauteilen die Pads im Rechteck, nach der üblichen Regel bei ${usual}.`,
-  "contours-left-out": ({ count }) => `${count} Konturen liegen außerhalb des Umrisses oder taugen nicht als Ausschnitte; sie wurden weggelassen. Prüfen, ob die Datei einen Nutzen beschreibt.`,
+  "contours-left-out": ({ count, at }) => `${count} Konturen liegen außerhalb des Umrisses oder taugen nicht als Ausschnitte; sie wurden weggelassen: ab ${more(at)}. Prüfen, ob die Datei einen Nutzen beschreibt.`,
   "contours-too-many": ({ count }) => `${count} Konturen der Leiterplatten sind zu viele oder zu fein; sie wurden weggelassen.`,
   "designators-repeated": ({ names }) => `Bezeichner, die mehrmals vorkommen, wurden weggelassen: ${more(names)}.`,
   "fiducials-few": ({ count }) => `${count} Passmarken gefunden; zwei sind nötig.`,
   "files-joined": ({ count, turned_deg, shift_mm, agree, within_um }) => `Über ${count} Bezeichner verbunden: gedreht um ${turned_deg}°, verschoben um (${shift_mm}) mm; ${agree} stimmen auf ${within_um} µm überein.`,
   "footprints-left-out": ({ count }) => `${count} Footprints werden nicht bestückt oder haben keinen Bezeichner; sie wurden weggelassen.`,
-  "lines-left-out": ({ count }) => `${count} Linien des Umrisses schließen keine Kontur; sie wurden weggelassen.`,
   "lines-read": ({ lines, parts, left_out, names }) => `${lines} Zeilen gelesen, ${parts} Bauteile${left_out === "0" ? "." : `; ${left_out} Zeilen wurden weggelassen: ${names}.`}`,
+  "islands-left-out": ({ count, at }) => `${count} Konturen liegen in einem Ausschnitt; sie wurden weggelassen: ab ${more(at)}.`,
+  "lines-left-out": (values) => `Linien von ${values.source} wurden weggelassen: ${Object.entries(LINES).filter(([key]) => values[key] !== "0").map(([key, words]) => `${values[key]} ${words} bei ${more(values[`${key}_at`])}`).join("; ")}.`,
   "mark-diameters-assumed": ({ names, diameter_mm }) => `Die Datei nennt keinen Durchmesser von ${more(names)}; ${diameter_mm} mm wird angenommen.`,
   "marks-found": ({ count, kind, by, names }) => `${count} ${KINDS[kind]}, ${BY[by]}: ${more(names)}.`,
+  "notches-cut-off": ({ count, at }) => `${count} Konturen kreuzen den Umriss; was sie einschließen, wurde von ihm abgeschnitten: ab ${more(at)}.`,
   "outline-absent": () => "Die Datei hat keinen Umriss; die Ausdehnung von Bauteilen und Passmarken wird genommen.",
   "outline-elsewhere": () => "Passmarken liegen außerhalb des Umrisses; er wurde weggelassen. Prüfen, ob beide zur selben Leiterplatte gehören.",
+  "outline-gaps-closed": ({ size_mm, at }) => `Konturen haben Lücken bis ${size_mm} mm; sie wurden geschlossen: bei ${more(at)}.`,
+  "outline-open": ({ source }) => `Linien von ${source} um alle geschlossenen Konturen herum sind selbst nicht geschlossen: Es gibt keinen Umriss.`,
   "outline-unusable": () => "Der Umriss kreuzt sich selbst oder hat zu viele Ecken; sein umschließendes Rechteck wird genommen.",
+  "packages-ambiguous": ({ count, names }) => `${count} Gehäuse stehen in mehreren Bibliotheken eines Namens, und ihre Elemente nennen keine library_urn davon; ihre Körper wurden weggelassen: ${more(names)}.`,
   "packages-not-described": ({ count, names }) => `${count} Gehäuse sind nicht beschrieben: ${names}.`,
   "pads-outside-box": ({ count, names }) => `Pads von ${count} Bauteilen liegen außerhalb ihres Rechtecks; im Bild prüfen: ${more(names)}.`,
   "panel-edges-unknown": () => "Die Ränder des Nutzens sind nicht bekannt; er hat keinen Umriss, und die Ausdehnung von Bauteilen und Passmarken wird genommen. Den Rand angeben.",
   "panel-unresolved": ({ count, all }) => `${count} von ${all} Bezeichnern kommen mehrmals vor: Die Datei beschreibt wohl einen Nutzen und sagt nicht, welches Bauteil zu welcher Leiterplatte gehört. Die Datei einer Leiterplatte importieren und ihren Nutzen angeben.`,
   "panels-in-file": ({ names }) => `Steps, die Leiterplatten wiederholen: ${more(names)}. Laufen Nutzen durch die Linie, diesen Step wählen.`,
+  "parts-alternative": ({ names }) => `Von Bauteilen mit einem Bezeichner wurde das einzige bestückte genommen: ${more(names)}.`,
+  "parts-doubled": ({ names }) => `Bauteile, die zweimal an einem Ort stehen, zählen einmal: ${more(names)}.`,
   "parts-not-placed": ({ count, names }) => `${count} Bauteile ohne Ort wurden weggelassen: ${names}.`,
   "parts-of-second-file": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nur in der zweiten Datei; sie wurden weggelassen: ${more(names)}.`,
   "parts-outside": ({ count, names }) => `${count} Bauteile liegen außerhalb des Umrisses: ${more(names)}.`,
+  "parts-without-pads": ({ count, names }) => `${count} Bauteile haben keine Anschlüsse: ${more(names)}. Rahmen und Logos entfernen.`,
   "parts-without-body": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nur in der ersten Datei, ohne Körper: ${more(names)}.`,
   "pins-unfit": ({ count, names }) => `Die Anschlüsse von ${count} Bauteilen passen zu keinem Winkel ihres Gehäuses; im Bild prüfen: ${more(names)}.`,
   "pitch-below-size": ({ axis, pitch_mm, size_mm }) => `Das Raster entlang ${axis} ist ${pitch_mm} mm, die Leiterplatte misst dort aber ${size_mm} mm.`,
@@ -66,4 +75,5 @@ export const remarks = {
   "unit-guessed": ({ unit }) => `Die Datei nennt keine Einheit; ${unit} wird angenommen, die einzige, bei der die Leiterplatte eine übliche Größe hat.`,
   "table-read-as": ({ columns, unit }) => `Als Tabelle gelesen, Einheit ${unit}; ${columns}. Sonst Spalten und Einheit berichtigen.`,
   "toeprints-left-out": ({ count, names }) => `${count} Toeprints nennen keinen Anschluss mit Ort; sie wurden weggelassen: ${names}.`,
+  "variant-read": ({ names, variant }) => `Die Datei hat Bestückungsvarianten (${names}); gelesen wurde ${variant ? `${variant}, die aktuelle` : "die Grundvariante"}.`,
 };

@@ -1,0 +1,335 @@
+"""Outlines of drawings that are not tidy: the same contours as of the tidy one."""
+
+from __future__ import annotations
+
+import math
+import random
+import subprocess
+import sys
+import time
+from itertools import pairwise
+
+import pytest
+import shapely
+import shapely.ops
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vaoi_station.board_data.contours import Contours, arc_points, circle_points, find_contours
+from vaoi_station.board_data.contours.graph import JOIN_MM
+from vaoi_station.board_data.design import XY, rotated
+
+Piece = list[XY]
+CORNERS = [(0.0, 0.0), (50.0, 0.0), (50.0, 40.0), (0.0, 40.0)]
+RECTANGLE: list[Piece] = [[a, b] for a, b in zip(CORNERS, CORNERS[1:] + CORNERS[:1], strict=True)]
+HOLE: Piece = circle_points((20.0, 20.0), 3.0)
+SLOT: list[Piece] = [[(23, 15), (27, 15)], [(27, 15), (27, 25)], [(27, 25), (23, 25)], [(23, 25), (23, 15)]]
+
+
+def found(*pieces: Piece) -> Contours:
+    return find_contours(pieces, "Edge.Cuts")
+
+
+def codes(contours: Contours) -> set[str]:
+    return {note.code for note in contours.notes}
+
+
+def assert_is(contour: tuple[XY, ...], expected: list[XY] | Piece, within_mm: float = 2 * JOIN_MM) -> None:
+    """A contour lies nowhere farther from the expected one, and encloses the same."""
+    one, other = shapely.Polygon(contour), shapely.Polygon(expected)
+    assert one.is_valid
+    assert one.exterior.is_ccw
+    assert shapely.hausdorff_distance(one.exterior, other.exterior, densify=0.01) <= within_mm
+    assert one.symmetric_difference(other).area <= within_mm * other.length
+
+
+MORE: dict[str, list[Piece]] = {
+    "nothing": [],
+    "stub at a corner": [[(0, 0), (-0.127, 0)]],
+    "stub at a side": [[(20, 0), (20, 3)]],
+    "stub with a branch": [[(20, 0), (20, 3)], [(20, 3), (22, 4)], [(20, 3), (18, 4)]],
+    "stub below the tolerance": [[(50, 20), (50.015, 20)]],
+    "line repeated": [[(50, 0), (50, 40)]],
+    "line repeated backwards twice": [[(50, 40), (50, 0)], [(50, 40), (50, 0)]],
+    "outline repeated": RECTANGLE,
+    "outline repeated as one piece": [[*CORNERS, CORNERS[0]]],
+    "outline repeated beside itself": [[(x + 0.01, y - 0.005) for x, y in piece] for piece in RECTANGLE],
+    "side repeated in part": [[(50, 10), (50, 20)]],
+    "side repeated in part, beyond a corner": [[(50, 30), (50, 47)]],
+    "side repeated in part, beside itself": [[(50.012, 10), (50.009, 20)]],
+    "V-score from side to side": [[(25, 0), (25, 40)]],
+    "V-score beyond the board": [[(25, -5), (25, 45)]],
+    "V-score short of the board": [[(25, 0.015), (25, 39.99)]],
+    "V-score that ends within": [[(25, 0), (25, 35)]],
+    "V-score in parts": [[(25, -5), (25, 12)], [(25, 12), (25, 30)], [(25, 30), (25, 45)]],
+    "V-score drawn twice": [[(25, -5), (25, 45)], [(25.01, -4), (25, 46)]],
+    "V-score aslant": [[(-3, -2), (53, 44)]],
+    "V-score along a side": [[(-5, 40), (55, 40)]],
+    "V-scores that enclose a cell": [
+        *([(x, -1.0), (x, 41.0)] for x in (10.0, 40.0)),
+        *([(-1.0, y), (51.0, y)] for y in (10.0, 30.0)),
+    ],
+    "V-scores that enclose a cell, in parts": [
+        *([(x, y), (x, y + 10)] for x in (10.0, 40.0) for y in (0.0, 10.0, 20.0, 30.0)),
+        *([(x, y), (x + 10, y)] for y in (10.0, 30.0) for x in (0.0, 10.0, 20.0, 30.0, 40.0)),
+    ],
+    "line without length": [[(50, 40), (50, 40)], [(7, 7), (7, 7)], [(0, 0)]],
+    "line outside": [[(60, 0), (70, 5)]],
+    "chamfer inside a corner": [[(0, 5), (5, 0)]],
+}
+
+
+@pytest.mark.parametrize("more", MORE.values(), ids=MORE)
+def test_further_lines_change_neither_the_outline_nor_the_cut_outs(more: list[Piece]) -> None:
+    contours = found(*RECTANGLE, *more, circle_points((45.0, 20.0), 2.0))
+    assert_is(contours.outline, CORNERS)
+    (cut_out,) = contours.others
+    assert_is(cut_out, circle_points((45.0, 20.0), 2.0))
+    assert codes(contours) == ({"lines-left-out"} if more else set())
+
+
+@pytest.mark.parametrize(
+    ("pieces", "reason"),
+    [
+        ([[(0, 0), (-2, 0)], [(60, 0), (70, 5)]], "2 close no contour at (0, 0), (60, 0)"),
+        ([[(25, -5), (25, 45)]], "1 divide a board or cut-out at (25, -5)"),
+        ([[(50, 10), (50, 20)]], "1 repeat others at (50, 10)"),
+        ([[(7, 7), (7, 7)]], "1 within 0.02 mm at (7, 7)"),
+        ([[(9, k), (11, k)] for k in range(1, 8)], "7 close no contour at (9, 1), (9, 2), (9, 3), (9, 4) and 3 more"),
+    ],
+)
+def test_lines_that_were_left_out_are_said_with_place_and_reason(pieces: list[Piece], reason: str) -> None:
+    (note,) = found(*RECTANGLE, *pieces).notes
+    assert note == f"lines of Edge.Cuts were left out: {reason}."
+    assert (note.code, note.values["count"]) == ("lines-left-out", str(len(pieces)))
+
+
+def test_lines_that_cross_beyond_their_corners_make_a_contour_and_are_said() -> None:
+    contours = found([(-1, 0), (51, 0)], [(50, -1), (50, 41)], [(51, 40), (-1, 40)], [(0, 41), (0, -1)])
+    assert_is(contours.outline, CORNERS)
+    assert "4 in part, beyond their contour" in contours.notes[0]
+
+
+@pytest.mark.parametrize(("gap_mm", "said"), [(0.01, False), (0.0199, False), (0.05, True), (0.1, True), (1.0, True)])
+def test_gaps_at_corners_are_closed_and_said_above_the_tolerance(gap_mm: float, said: bool) -> None:
+    short = [[(a[0] + gap_mm * (b[0] - a[0]) / math.dist(a, b), a[1] + gap_mm * (b[1] - a[1]) / math.dist(a, b)), b]
+             for a, b in RECTANGLE]  # fmt: skip
+    contours = found(*short, HOLE)
+    assert_is(contours.outline, CORNERS, within_mm=gap_mm + JOIN_MM)
+    assert len(contours.others) == 1
+    assert codes(contours) == ({"outline-gaps-closed"} if said else set())
+
+
+def test_an_outline_that_is_open_is_not_replaced_by_a_hole() -> None:
+    contours = found(*RECTANGLE[:3], HOLE)
+    assert (contours.outline, contours.others) == ((), ())
+    assert codes(contours) == {"outline-open", "lines-left-out"}
+
+
+@pytest.mark.parametrize(
+    ("pieces", "areas"),
+    [
+        ([circle_points((10, 10), 2), circle_points((14, 10), 2)], [12.2, 12.2]),
+        ([[(5, 5), (9, 5), (9, 9), (5, 9), (5, 5)], [(9, 6), (12, 6), (12, 8), (9, 8), (9, 6)]], [22]),
+        ([circle_points((10, 10), 2), circle_points((12, 10), 2)], [19.7]),
+        ([circle_points((2, 20), 2)], [12.2]),
+        (SLOT, [40]),
+        ([*SLOT, [(25, -2), (25, 42)]], [40]),
+        ([*SLOT, [(25, 0), (25, 15)], [(25, 25), (25, 40)]], [40]),
+        ([*SLOT, [(23, 20), (27, 20)]], [40]),
+        ([*SLOT, *SLOT, [(27.005, 15), (27, 24.99)]], [40]),
+    ],
+    ids=[
+        "touch at a point",
+        "touch along a side",
+        "overlap",
+        "touches the outline",
+        "plain",
+        "crossed by a V-score",
+        "reached by V-scores",
+        "divided",
+        "repeated",
+    ],
+)
+def test_cut_outs_that_touch_or_are_crossed(pieces: list[Piece], areas: list[float]) -> None:
+    contours = found(*RECTANGLE, *pieces)
+    assert_is(contours.outline, CORNERS)
+    assert [shapely.Polygon(c).area for c in contours.others] == pytest.approx(areas, rel=0.02)
+
+
+def test_an_island_in_a_cut_out_is_left_out_and_said() -> None:
+    contours = found(*RECTANGLE, circle_points((20, 20), 8), circle_points((20, 20), 3))
+    assert [len(contours.others), codes(contours)] == [1, {"islands-left-out"}]
+
+
+def test_a_hole_across_the_edge_is_cut_off_the_outline() -> None:
+    contours = found(*RECTANGLE, circle_points((50, 20), 2))
+    assert codes(contours) == {"notches-cut-off"}
+    assert max(x for x, _ in contours.outline) == 50
+    assert shapely.Polygon(contours.outline).area == pytest.approx(2000 - 6.2, abs=0.2)
+
+
+def test_of_several_boards_the_largest_is_the_outline_and_the_others_follow() -> None:
+    second = [[(x + 60, y / 2) for x, y in piece] for piece in RECTANGLE]
+    contours = found(*second, *RECTANGLE, HOLE)
+    assert_is(contours.outline, CORNERS)
+    assert [round(shapely.Polygon(c).area) for c in contours.others] == [1000, 28]
+
+
+def test_boards_with_a_common_side_are_one_outline() -> None:
+    contours = found(*RECTANGLE, *([(x + 50, y) for x, y in piece] for piece in RECTANGLE))
+    assert_is(contours.outline, [(0, 0), (100, 0), (100, 40), (0, 40)])
+    assert not contours.others
+
+
+def test_two_arcs_that_are_split_at_other_places_are_one() -> None:
+    def arc(first: float, last: float) -> Piece:
+        ends = [(20 * math.cos(a), 20 * math.sin(a)) for a in (first, last)]
+        return arc_points(ends[0], ends[1], (0.0, 0.0), clockwise=False)
+
+    contours = found(arc(0, 2), arc(2, 4), arc(4, 2 * math.pi), arc(1, 3.3), arc(3.3, 5), arc(5, 7.2831853))
+    assert_is(contours.outline, circle_points((0, 0), 20))
+    assert not contours.others
+
+
+def test_coordinates_that_are_not_finite_are_refused() -> None:
+    for wrong in (float("nan"), float("-inf"), 1e300):
+        with pytest.raises(ValueError, match="coordinates"):
+            found([(0, 0), (wrong, 1)])
+    assert found() == Contours()
+
+
+def test_of_twenty_thousand_lines_contours_are_found_within_two_seconds() -> None:
+    count = 10_000
+    corners = [(200 * math.cos(a), 200 * math.sin(a)) for a in (2 * math.pi * k / count for k in range(count))]
+    ring = [[a, b] for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+    holes = [circle_points((5.0 * i, 5.0 * j), 1) for i in range(-12, 13) for j in range(-12, 13)]
+    short = [[a, b] for hole in holes for a, b in pairwise(hole)]
+    find_contours(RECTANGLE, "")  # shapely is loaded
+    for pieces, others in ((ring + ring, 0), (ring[1:] + short + short[:1], 625)):
+        random.Random(1).shuffle(pieces)
+        assert len(pieces) == 20_000
+        begun_s = time.process_time()
+        contours = find_contours(pieces, "")
+        assert time.process_time() - begun_s < 2
+        assert shapely.Polygon(contours.outline).area == pytest.approx(math.pi * 200**2, rel=1e-3)
+        assert len(contours.others) == others
+
+
+@pytest.mark.parametrize(("count", "size_mm"), [(100, 0.05), (100, 50.0)])
+def test_lines_without_order_take_seconds_at_most(count: int, size_mm: float) -> None:
+    """Thousands of crossings within the tolerance once filled the memory."""
+    r = random.Random(5)
+    begun_s = time.process_time()
+    found(*([(r.uniform(0, size_mm), r.uniform(0, size_mm)) for _ in range(2)] for _ in range(count)))
+    assert time.process_time() - begun_s < 10
+
+
+def test_lines_from_one_point_take_seconds_at_most() -> None:
+    star = [[(5000.0, 0.0), (5000 + (9 + k) * math.cos(k), (9 + k) * math.sin(k))] for k in range(2000)]
+    begun_s = time.process_time()
+    assert codes(found(*RECTANGLE, *star)) == {"lines-left-out"}
+    assert time.process_time() - begun_s < 10
+
+
+def test_shapely_is_loaded_by_no_command_that_reads_no_drawing() -> None:
+    check = "import sys, vaoi_station.cli, vaoi_station.board_data; sys.exit('shapely' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0
+
+
+@st.composite
+def boards(draw: st.DrawFn) -> tuple[list[Piece], list[XY], list[list[XY]]]:
+    """The pieces of a tidy drawing, its outline, and its cut-outs."""
+    width, height = draw(st.floats(20, 200)), draw(st.floats(20, 200))
+    radius, notch = draw(st.sampled_from([0.0, 1.0, 5.0])), draw(st.booleans())
+    corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
+    if notch:
+        corners[2:3] = [(width, 0.6 * height), (0.7 * width, 0.6 * height), (0.7 * width, height)]
+    pieces: list[Piece] = [[a, b] for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+    if radius:
+        pieces[0] = [(radius, 0.0), pieces[0][1]]
+        pieces[-1] = [pieces[-1][0], (0.0, radius)]
+        pieces.append(arc_points((0.0, radius), (radius, 0.0), (radius, radius), clockwise=False))
+    outline = shapely.get_coordinates(shapely.ops.linemerge(pieces)).tolist()
+    holes = [
+        circle_points((x * width, y * height), draw(st.floats(0.2, 2.0)))
+        for x, y in ((0.2, 0.2), (0.5, 0.25), (0.2, 0.5))[: draw(st.integers(0, 3))]
+    ]
+    turn, shift = draw(st.floats(0, 360)), (draw(st.floats(-300, 300)), draw(st.floats(-300, 300)))
+
+    def at(piece: Piece) -> Piece:
+        return [(x + shift[0], y + shift[1]) for x, y in (rotated(p, turn) for p in piece)]
+
+    return [at(p) for p in [*pieces, *holes]], at(outline), [at(hole) for hole in holes]
+
+
+def between(a: XY, b: XY, t: float) -> XY:
+    return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])
+
+
+def untidy(pieces: list[Piece], outline: list[XY], r: random.Random) -> list[Piece]:
+    """Split, reverse and repeat pieces; add a stub or a V-score, and lines without length; shift ends a little."""
+    found: list[Piece] = []
+    for piece in pieces:
+        at = sorted(r.sample(range(1, len(piece)), min(len(piece) - 1, r.randrange(3)))) if len(piece) > 2 else []
+        parts = [piece[a : b + 1] for a, b in zip([0, *at], [*at, len(piece) - 1], strict=True) if b > a]
+        for part in parts:
+            if len(part) == 2 and r.random() < 0.6:
+                middle = between(part[0], part[1], r.uniform(0.01, 0.99))
+                found += [[part[0], middle], [middle, part[1]]]
+            else:
+                found.append(part)
+    # A stub and a V-score, or two stubs, may enclose a triangle at the edge of the board: then there is no one truth.
+    has_v_score, has_stub = r.random() < 0.5, False
+    for piece in r.sample(found, min(len(found), 5)):
+        a, b = piece[0], piece[1]
+        kind = r.choice((0, 1, 2, 4) if has_v_score or has_stub else (0, 1, 2, 3, 4))
+        has_stub |= kind == 3
+        if kind == 0:
+            found.append(piece[::-1])
+        elif kind == 1:
+            found.append([between(a, b, 0.2), between(a, b, 0.7)])
+        elif kind == 2:
+            found.append([(x + r.uniform(-0.01, 0.01), y + r.uniform(-0.01, 0.01)) for x, y in piece])
+        elif kind == 3:
+            x, y = between(a, b, 0.5)
+            found.append([(x, y), (x + r.uniform(-2, 2), y + r.uniform(-2, 2))])
+        else:
+            found.append([a, a])
+    if has_v_score:
+        (x0, y0), (x1, y1) = (between(a, b, r.uniform(0.3, 0.7)) for a, b in r.sample(list(pairwise(outline)), 2))
+        found.append([(2 * x0 - x1, 2 * y0 - y1), (2 * x1 - x0, 2 * y1 - y0)])
+    shaken = []
+    for piece in found:
+        ends = [(x + r.uniform(-0.006, 0.006), y + r.uniform(-0.006, 0.006)) for x, y in (piece[0], piece[-1])]
+        moved = [ends[0], *piece[1:-1], ends[1]] if r.random() < 0.3 else piece
+        shaken.append(moved[::-1] if r.random() < 0.5 else moved)
+    r.shuffle(shaken)
+    return shaken
+
+
+@settings(max_examples=100, deadline=None)
+@given(boards(), st.integers(0, 2**32))
+def test_an_untidy_drawing_has_the_contours_of_the_tidy_one(
+    board: tuple[list[Piece], list[XY], list[list[XY]]], seed: int
+) -> None:
+    pieces, outline, holes = board
+    contours = find_contours(untidy(pieces, outline, random.Random(seed)), "")
+    assert_is(contours.outline, outline, within_mm=4 * JOIN_MM)
+    assert len(contours.others) == len(holes)
+    for hole in holes:
+        center = shapely.Polygon(hole).centroid
+        (cut_out,) = (c for c in contours.others if shapely.Polygon(c).contains(center))
+        assert_is(cut_out, hole, within_mm=4 * JOIN_MM)
+
+
+@settings(max_examples=40, deadline=None)
+@given(boards(), st.integers(0, 2**32))
+def test_order_and_direction_of_pieces_change_nothing(
+    board: tuple[list[Piece], list[XY], list[list[XY]]], seed: int
+) -> None:
+    pieces, r = board[0], random.Random(seed)
+    turned = [piece[::-1] if r.random() < 0.5 else piece for piece in pieces]
+    r.shuffle(turned)
+    one, other = find_contours(pieces, ""), find_contours(turned, "")
+    assert (one.outline, one.others) == (other.outline, other.others)
