@@ -28,6 +28,8 @@ class CodeSection(Section):
     text: Annotated[str, Field(min_length=1, max_length=200)] = "{name};{serial}"
     turned_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     inverted: bool = False
+    dot_modules: Annotated[float, Field(ge=0.5, le=1)] | None = None
+    """Diameter of the dots of which the code is made, as a share of a module; None: solid modules."""
     panel: str | int | None = None
 
 

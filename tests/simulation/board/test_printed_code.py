@@ -69,6 +69,16 @@ def test_label_is_turned_counter_clockwise() -> None:
     assert np.abs(np.rot90(upright, -1).astype(float) - turned).mean() > 30
 
 
+@pytest.mark.parametrize("turned", [0.0, 30.0])
+def test_code_of_dots_has_a_disk_in_the_middle_of_every_dark_module(turned: float) -> None:
+    solid = CODE.model_copy(update={"turned_deg": turned})
+    dark = [205.0 - draw_label(code, "demo", 0, 40.0).top[20:-20, 20:-20].astype(float)
+            for code in (solid, solid.model_copy(update={"dot_modules": 0.7}))]  # fmt: skip
+    assert dark[1].sum() / dark[0].sum() == pytest.approx(np.pi / 4 * 0.7**2, rel=0.02)
+    middles = [np.array(np.nonzero(d > 80)).mean(1) for d in dark]
+    assert np.abs(middles[0] - middles[1]).max() < 0.3
+
+
 def test_board_type_states_places_and_the_common_pattern() -> None:
     board = BoardSection(name="b", width_mm=40.0, length_mm=30.0, unit="inch", codes=(CODE,))
     found = identity_of(board)

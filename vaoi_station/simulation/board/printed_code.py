@@ -21,6 +21,8 @@ QUIET_MODULES = 2
 _LIGHT, _DARK = 205.0, 40.0
 _ROOM = 0.75
 """Half the side of the place of a code, as a multiple of its label: enough for one that lies turned by 45°."""
+_DOT_CELLS = 32
+"""Number of cells per module and axis of which dots are drawn."""
 _FINE = 4
 """Number of samples per pixel and axis at the edges of modules."""
 
@@ -78,8 +80,10 @@ def identity_of(section: BoardSection) -> BoardIdentity | None:
 def draw_label(code: CodeSection, board_name: str, board_number: int, px_per_mm: float) -> Body:
     """Draw the label of one board, as a body without height."""
     modules = np.pad(symbol(code.symbology, code_text(code, board_name, board_number)), QUIET_MODULES)
+    half = len(modules) * code.module_mm / 2
+    if code.dot_modules is not None:
+        modules = _dots(modules, code.dot_modules)
     count = len(modules)
-    half = count * code.module_mm / 2
     a = math.radians(code.turned_deg)
     c, s = math.cos(a), math.sin(a)
     corners = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
@@ -88,8 +92,8 @@ def draw_label(code: CodeSection, board_name: str, board_number: int, px_per_mm:
     low = np.floor((outline.min(0)) * px_per_mm - 2) / px_per_mm
     size = np.ceil((outline.max(0) - low) * px_per_mm).astype(int) + 2
     fine = px_per_mm * _FINE
-    # From modules to samples: centres of modules and of samples are integers.
-    turn = np.array([[c, s], [-s, c]]) * code.module_mm * fine
+    # From modules, or their cells, to samples: the centres of both are integers.
+    turn = np.array([[c, s], [-s, c]]) * 2 * half / count * fine
     middle = (np.array([code.x_mm, code.y_mm]) - low) * fine - 0.5
     matrix = np.column_stack([turn, middle - turn @ np.full(2, (count - 1) / 2)])
     wide = (int(size[0]) * _FINE, int(size[1]) * _FINE)
@@ -115,3 +119,9 @@ def draw_label(code: CodeSection, board_name: str, board_number: int, px_per_mm:
         origin_mm=(float(low[0]), float(low[1])),
         px_per_mm=px_per_mm,
     )
+
+
+def _dots(modules: NDArray[np.bool_], diameter: float) -> NDArray[np.bool_]:
+    """Return the cells of modules, True within a dot in the middle of each dark module."""
+    at = (np.arange(_DOT_CELLS) + 0.5) / _DOT_CELLS - 0.5
+    return np.asarray(np.kron(modules, np.hypot(*np.meshgrid(at, at)) <= diameter / 2), np.bool_)
