@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 
-from tests.identity.conftest import Filmed
+from tests.identity.conftest import DATAMATRIX, Filmed
 from vaoi_station.identity import code_reader
 from vaoi_station.identity.code_reader import CodeReader, Found, Progress, read_codes
 from vaoi_station.identity.region_pictures import RegionPictures
+from vaoi_station.identity.symbols import Symbol
 from vaoi_station.model import BoardCode, BoardReading
 
 MIL = 0.0254
@@ -37,6 +41,35 @@ def test_codes_are_read_at_their_places_with_module_and_symbology(coded: Filmed)
 def test_codes_are_found_anywhere_and_by_kind(coded: Filmed) -> None:
     assert {c.symbology for c in read(coded, places=()).codes} == {"datamatrix", "qr"}
     assert {c.symbology for c in read(coded, places=(), symbology="qr").codes} == {"qr"}
+
+
+def test_code_of_dots_is_read_at_its_place_and_anywhere(make_coded: Callable[..., Filmed]) -> None:
+    dotted = make_coded(({**DATAMATRIX, "dot_modules": 0.7, "inverted": True},))
+    assert dotted.board_type.identity is not None
+    [place] = dotted.board_type.identity.places
+    for changes in ({}, {"places": ()}):
+        [code] = read(dotted, **changes).codes
+        assert (code.text, code.board_id) == (dotted.texts[0], "SN000007")
+        assert np.hypot(*np.subtract(code.center, place.center)) < 0.05
+        assert code.module_mm == pytest.approx(0.25, rel=0.02)
+
+
+def test_dots_are_not_searched_where_printed_codes_are_read_or_qr_codes_are_expected(
+    coded: Filmed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched: list[NDArray[np.uint8]] = []
+
+    def search(picture: NDArray[np.uint8]) -> list[Symbol]:
+        searched.append(picture)
+        return []
+
+    monkeypatch.setattr(code_reader, "read_dotted", search)
+    assert len(read(coded).codes) == 2
+    assert len(read(coded, places=()).codes) == 2
+    assert read(coded, places=(), symbology="qr", pattern="other;{id}").codes[0].board_id is None
+    assert searched == []
+    read(coded, places=(), pattern="other;{id}")
+    assert searched
 
 
 def test_place_without_a_code_is_named_and_panel_positions_are_kept(coded: Filmed) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera, apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.identity.region_pictures import FrameKey, RegionPictures
-from vaoi_station.identity.symbols import Symbol, read_symbols
+from vaoi_station.identity.symbols import Symbol, read_dotted, read_symbols
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, BoardType, Stitch
 from vaoi_station.mosaic.grid import MosaicGrid, Region
 
@@ -20,8 +20,14 @@ SEARCH_PX_PER_MM = 25.0
 """Resolution at which a whole board is searched: modules of 0.2 mm are then 5 px."""
 _TILE_MM, _LARGEST_MM = 24.0, 10.0
 """Side of the squares in which a whole board is searched, and how far they overlap: the largest code that is found."""
-_TRIES = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 1), (2, 2))
-"""Pictures of a region in the order in which they are tried: number of the frame, and enlargement."""
+_TRIES = (
+    (0, 1, False), (0, 2, False), (0, 1, True), (1, 1, False), (1, 2, False), (2, 1, False), (2, 2, False),
+    (1, 1, True), (2, 1, True),
+)  # fmt: skip
+"""Pictures of a region in the order in which they are tried: number of the frame, enlargement, and whether for dots.
+
+Dots come late, because they take longest, but before other frames: a whole board would use up its time with those.
+"""
 _SAME_MODULES = 3.0
 """Distance of two readings of one code, in modules."""
 
@@ -32,6 +38,7 @@ class _Try(NamedTuple):
     region: int
     choice: int
     enlarged: int
+    dotted: bool
 
 
 class Found(NamedTuple):
@@ -61,7 +68,8 @@ class CodeReader:
         self._board_type, self._pictures = board_type, pictures
         self.identity = board_type.identity or BoardIdentity()
         self._regions = _regions_of(board_type, self.identity)
-        self._tries = tuple(_Try(n, *t) for t, n in itertools.product(_TRIES, range(len(self._regions))))
+        tries = [t for t in _TRIES if not t[2] or self.identity.symbology != "qr"]
+        self._tries = tuple(_Try(n, *t) for t, n in itertools.product(tries, range(len(self._regions))))
         self._stated = bool(self.identity.places)
 
     def work(self, progress: Progress, more: Callable[[], bool]) -> Progress:
@@ -94,7 +102,7 @@ class CodeReader:
         if self._stated:
             return any(found.region == wanted.region and found.code.board_id is not None for found in merged)
         # The first picture of every region is tried in any case: a panel has several codes.
-        return (wanted.choice, wanted.enlarged) != _TRIES[0] and any(f.code.board_id is not None for f in merged)
+        return wanted[1:] != _TRIES[0] and any(f.code.board_id is not None for f in merged)
 
     def _read(self, wanted: _Try, number: int) -> list[Found]:
         grid = self._grid(wanted.region)
@@ -102,7 +110,10 @@ class CodeReader:
         if drawn is None:
             return []
         picture, frame = drawn
-        symbols = read_symbols(picture, self.identity.symbology, enlarged=wanted.enlarged)
+        if wanted.dotted:
+            symbols = read_dotted(picture)
+        else:
+            symbols = read_symbols(picture, self.identity.symbology, enlarged=wanted.enlarged, dotted=False)
         return [self._found(symbol, grid, wanted, number, frame) for symbol in symbols]
 
     def _grid(self, region: int) -> MosaicGrid:

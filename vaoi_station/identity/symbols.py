@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.identity.dot_grids import MODULES_PX, dot_grids
 from vaoi_station.model.board_identity import Symbology
 
 _STRETCHED = (1.0, 99.5)
@@ -20,7 +21,9 @@ _STRETCHED = (1.0, 99.5)
 _SMALL = {(10, 10): (3, 5), (12, 12): (5, 7), (8, 18): (5, 7), (14, 14): (8, 10)}
 """Numbers of data and check words of the smallest DataMatrix codes, by their modules (ISO/IEC 16022, table 7)."""
 _PROVEN = 1e-9
-"""Chance of a wrong text below which one picture suffices. A run tries some hundred forms of what may be a symbol."""
+"""Chance of a wrong text below which one picture suffices. A run tries at most some hundred forms of what may be a
+symbol: of 24 x 24 mm of a populated board, about 0.1 in a picture for printed codes and 0.01 in one for dots, and of an
+array of dots about 0.2."""
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
 
@@ -38,14 +41,42 @@ class Symbol:
     """Whether the check words that its correction left over rule out another text (`_proven`)."""
 
 
-def read_symbols(picture: NDArray[np.uint8], symbology: Symbology | None, *, enlarged: int = 1) -> list[Symbol]:
+def read_symbols(
+    picture: NDArray[np.uint8], symbology: Symbology | None, *, enlarged: int = 1, dotted: bool = True
+) -> list[Symbol]:
     """Return the codes in a picture (h, w), upright or not, dark on light or inverted.
 
     Args:
         picture: grey levels.
         symbology: read only codes of this kind; None: of all kinds.
         enlarged: factor by which the picture is enlarged first, which helps with modules of few pixels.
+        dotted: if there are none, search codes of dots; not in a picture that is enlarged.
     """
+    found = _read_solid(picture, symbology, enlarged)
+    return read_dotted(picture) if dotted and not found and enlarged == 1 and symbology != "qr" else found
+
+
+def read_dotted(picture: NDArray[np.uint8]) -> list[Symbol]:
+    """Return the DataMatrix codes of dots in a picture (h, w), light or dark ones, if their modules are of one size."""
+    return next(filter(None, (_read_grids(picture, module_px) for module_px in MODULES_PX)), [])
+
+
+def _read_grids(picture: NDArray[np.uint8], module_px: float) -> list[Symbol]:
+    import zxingcpp
+
+    wanted: Any = [zxingcpp.BarcodeFormat.DataMatrix]
+    symbols = []
+    for grid in dot_grids(picture, module_px):
+        drawn = np.kron(np.pad(~grid.modules, 2, constant_values=True), np.ones((4, 4)))
+        found = zxingcpp.read_barcodes(
+            np.asarray(255 * drawn, np.uint8), formats=wanted, is_pure=True, text_mode=zxingcpp.TextMode.Plain,
+            binarizer=zxingcpp.Binarizer.FixedThreshold,
+        )  # fmt: skip
+        symbols += [s for code in found if (s := _symbol(code, "datamatrix", grid.corners_px)) is not None]
+    return symbols
+
+
+def _read_solid(picture: NDArray[np.uint8], symbology: Symbology | None, enlarged: int) -> list[Symbol]:
     # Imported here: its machine code is needed by few processes.
     import zxingcpp
 
@@ -80,18 +111,25 @@ def _stretched(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _symbols(found: list[Any], formats: dict[Symbology, Any], enlarged: int) -> Iterator[Symbol]:
     names = {value: key for key, value in formats.items()}
     for code in found:
-        name, modules = names.get(code.format), _modules(code.extra)
-        if name is None or modules is None or not code.text:
-            continue
         at = code.position
         # The reader counts from the corner of the first pixel, pictures from its centre.
         points = (at.top_left, at.top_right, at.bottom_right, at.bottom_left)
         corners = (np.array([(p.x, p.y) for p in points], dtype=np.float64)) / enlarged - 0.5
-        sides = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
-        module = float((sides[::2].sum() / modules[0] + sides[1::2].sum() / modules[1]) / 4)
-        used = min(max(1.0 - float(code.extra.get("UEC", 0.0)), 0.0), 1.0)
-        if module > 0:
-            yield Symbol(code.text, name, corners, module, round(used, 4), _proven(name, modules, used))
+        if (symbol := _symbol(code, names.get(code.format), corners)) is not None:
+            yield symbol
+
+
+def _symbol(code: Any, symbology: Symbology | None, corners: Floats) -> Symbol | None:
+    """Return a code that zxing-cpp has read; None if it lacks what a symbol states."""
+    modules = _modules(code.extra) if code.text else None
+    if symbology is None or modules is None:
+        return None
+    sides = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+    module = float((sides[::2].sum() / modules[0] + sides[1::2].sum() / modules[1]) / 4)
+    used = min(max(1.0 - float(code.extra.get("UEC", 0.0)), 0.0), 1.0)
+    if module <= 0:
+        return None
+    return Symbol(code.text, symbology, corners, module, round(used, 4), _proven(symbology, modules, used))
 
 
 def _proven(symbology: Symbology, modules: tuple[int, int], used: float) -> bool:

@@ -18,10 +18,13 @@ from vaoi_station.simulation.recording_writer import write_passage
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A recording of a small board with a code, and its result from the truth."""
-    folder = tmp_path_factory.mktemp("identify")
+    return record(tmp_path_factory.mktemp("identify"), DATAMATRIX)
+
+
+def record(folder: Path, code: dict[str, Any]) -> tuple[Path, Path]:
     scenario = {
         "array": {"cameras": 1, "width_px": 320, "height_px": 240, "px_per_mm": 16.0, "working_distance_mm": 250.0},
-        "board": {"name": "coded", "width_mm": 18.0, "length_mm": 16.0, "density": 0.0, "codes": [DATAMATRIX]},
+        "board": {"name": "coded", "width_mm": 18.0, "length_mm": 16.0, "density": 0.0, "codes": [code]},
         "line": {"barrier_mm": -15.0, "start_delay_s": 0.1, "period_s": 0.04, "tail_s": 0.1},
     }
     passage = Twin(Scenario.model_validate(scenario)).passage(41)
@@ -46,6 +49,12 @@ def test_code_is_printed_and_compared(vaoi: Any, case: tuple[Path, Path], tmp_pa
     assert said.code == 0
     assert "board-id-differs: The board's code states 'SN000042', the line was armed with 'SN1'." in said.out
     assert "identity: differs" in said.out
+
+
+def test_code_of_dots_is_read(vaoi: Any, tmp_path: Path) -> None:
+    run, result = record(tmp_path, {**DATAMATRIX, "dot_modules": 0.7, "module_mm": 0.4, "inverted": True})
+    said = vaoi("identify", run, "--result", result, "--expect", "SN000042")
+    assert said.out.splitlines()[-1] == "identity: agrees, board 'SN000042'"
 
 
 def test_board_type_without_identity_is_searched_everywhere(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
