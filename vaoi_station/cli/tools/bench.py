@@ -24,7 +24,7 @@ def bench(
     links: Annotated[bool, typer.Option("--links", help="Measure the bias of links towards whole pixels.")] = False,
     codes: Annotated[
         int | None,
-        typer.Option(min=1, max=10_000, help="Read printed codes in this number of views for each size of modules."),
+        typer.Option(min=1, max=10_000, help="Read codes, printed and of dots, in this number of views of each kind."),
     ] = None,
     plot: Annotated[
         Path | None,
@@ -184,9 +184,10 @@ def _links(plot: Path | None) -> dict[str, Any]:
 
 
 def _codes(views: int) -> dict[str, Any]:
-    from vaoi_station.benchmarks.accuracy.code_reading import document, measure_code_reading
+    from vaoi_station.benchmarks.accuracy import code_reading, dotted_codes
 
-    return document(measure_code_reading(views, report=typer.echo))
+    printed = code_reading.document(code_reading.measure_code_reading(views, report=typer.echo))
+    return printed | {"dotted": dotted_codes.document(dotted_codes.measure_dotted_codes(views, report=typer.echo))}
 
 
 def _consistency(count: int, recordings: Path | None, plot: Path | None) -> dict[str, Any]:
