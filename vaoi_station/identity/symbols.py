@@ -22,7 +22,7 @@ _SMALL = {(10, 10): (3, 5), (12, 12): (5, 7), (8, 18): (5, 7), (14, 14): (8, 10)
 """Numbers of data and check words of the smallest DataMatrix codes, by their modules (ISO/IEC 16022, table 7)."""
 _PROVEN = 1e-9
 """Chance of a wrong text below which one picture suffices. A run tries at most some hundred forms of what may be a
-symbol: of 24 x 24 mm of a populated board, about 0.1 in a picture for printed codes and 0.01 in one for dots, and of an
+symbol: of 24 x 24 mm of a populated board, about 0.1 in a picture for printed codes and 0.03 in one for dots, and of an
 array of dots about 0.2."""
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
