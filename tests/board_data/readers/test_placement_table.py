@@ -174,9 +174,11 @@ def lines_read(design: Design) -> str:
         ("R9;20;30;90;Top;x", "line 3 seems to have another delimiter, semicolon: 'R9;20;30;90;Top;x'"),
         ("R9\t20\t30\t90\tTop\tx", "line 3 seems to have another delimiter, tab"),
         ("R9,20,5,30,5,90,Top,x", "line 3 has 8 of 6 cells, it seems to be part R9"),
-        ("#R9,20,30,90,Top,x", "line 3 is a comment that holds 'R9'"),
+        ("#R9,20,30,90,Top,x", "line 3 is a comment that holds R9"),
         ("Total: 2 parts", "line 3 has 1 of 6 cells: 'Total: 2 parts'"),
         (",20,30,90,Top,x", "line 3 has no designator or no place"),
+        ('"R9","5", x","20","30","90","Top","x"', "line 3 has 8 of 6 cells, it seems to be part R9"),
+        ("R9,20,5,30,Top,90,x", "line 3 has 7 of 6 cells, it seems to be part R9"),
     ],
 )
 def test_a_line_that_is_left_out_is_named_with_what_it_seems_to_hold(line: str, said: str) -> None:
@@ -184,6 +186,13 @@ def test_a_line_that_is_left_out_is_named_with_what_it_seems_to_hold(line: str, 
     assert [part.ref for part in design.parts] == ["R1", "C1"]
     assert said in lines_read(design)
     assert "4 lines read: 2 parts, 1 header, 1 left out" in lines_read(design)
+
+
+@pytest.mark.parametrize("line", [",20,30,90,Top,x", "USB;20;30;90;Top;x", "R9,20", "1%,20,30,90", "#R9,20,30,90"])
+def test_a_line_before_the_first_part_is_named_as_well(line: str) -> None:
+    assert "1 left out" in lines_read(read(f"{HEADER}{line}\nC1,60,50,0,Bottom,b\n"))
+    above = read(f"R9,20,30,90\n{HEADER}C1,60,50,0,Bottom,b\n")
+    assert "line 1 stands above the header and holds R9" in lines_read(above)
 
 
 def test_more_lines_that_cannot_be_read_than_parts_refuse_the_file() -> None:
@@ -292,7 +301,7 @@ def test_rotations_are_degrees_counter_clockwise() -> None:
     assert read(text.format("Rotation", "2700"), columns="rotation=none").parts[0].rotation == 0
 
 
-@pytest.mark.parametrize("name", ["relay-bottom.csv", "PnP_relay_back.csv", "relay Bot.txt"])
+@pytest.mark.parametrize("name", ["relay-bottom.csv", "PnP_relay_back.csv", "relay Bot.txt", "PickPlaceBottom.csv"])
 def test_the_side_of_all_parts_is_that_of_the_name_of_the_file(name: str) -> None:
     text = "ref,x (mm),y (mm),rotation\nR1,1,2,0\n"
     design = read_placement_table(text.encode(), Path(name), TableOptions())
@@ -372,6 +381,19 @@ R1, C1 = ("R1", "top", 10.0, 20.0, 90.0), ("C1", "bottom", 30.0, 40.0, 0.0)
         " C1     30.00  40.00    0  100 nF 16V   Bot\n",
         "Ref\tX(mm)\tY(mm)\tRot\tSide\nR1\t10\t20\t90\tTop\t\nC1\t30\t40\t0\tBottom\t\n",
         'Ref;X (mm);Y (mm);Rot;Side;Value\nR1;10;20;90;Top;"HDR 2.54"" pitch\nC1;30;40;0;Bottom;"x"\n',
+        "Ref;X (mm);Y (mm);Rot\nSolder jumpers\nR1;10;20;90\n# Bottom\nC1;30;40;0\n",
+        "Top (1 part)\nRef;X (mm);Y (mm);Rot\nR1;10;20;90\nBottom (1 part)\nC1;30;40;0\n",
+        'Ref;X (mm);Y (mm);Rot;Side\n""\n"R1";10;20;90;Top\nC1;30;40;0;Bottom\n',
+        '"Report of 25 mil"\nRef;X (mm);Y (mm);Rot;Side\nR1;10.000;20;90;Top\nC1;30.000;40;0;Bottom\n',
+        "Ref;XMM;YMM;Winkel (im Uhrzeigersinn);Side\nR1;10;20;270;Top\nC1;30;40;0;Bottom\n",
+        "# Rotation: CCW (not CW)\nRef;X (mm);Y (mm);Rot;Side\nR1;10;20;90;Top\nC1;30;40;0;Bottom\n",
+        "Ref;X (mm);Y (mm);Rotation (counter clockwise);Side\nR1;10;20;90;Top\nC1;30;40;0;Bottom\n",
+        "Ref;Part;X (mm);Y (mm);Rot;Side\n1;R1;10;20;90;Top\n2;C1;30;40;0;Bottom\n",
+        "Ref,Pick X (mm),Pick Y (mm),Place X (mm),Place Y (mm),Rot,Side\nR1,1,2,10,20,90,Top\nC1,3,4,30,40,0,Bottom\n",
+        "Ref,X (mm),Y (mm),Rot,Side,Description\nR1,10,20,90,Top,x\nC1,30,40,0,Bottom\n",
+        'Part,Value,Position (mm),Orientation\nR1,1k,"(10, 20)",R90\nC1,1n,"(30, 40)",MR0\n',
+        "Reference PosX [mm] PosY [mm]  Rot Side\nR1        10.0      20.0        90 Top\n"
+        "C1        30.0      40.0         0 Bot\n",
     ],
 )
 def test_unusual_tables_are_read_as_they_are_meant(text: str) -> None:
@@ -399,8 +421,17 @@ def test_designators_of_all_kinds(text: str, refs: list[str]) -> None:
         ("Ref,X(mm),Y(mm),,Ref,X(mm),Y(mm)\nR1,100,200,,C1,60,50\n", "names the columns of ref and x and y twice"),
         ("Ref,X (mm),Y (mm),Rot\nR1,10,5,20,3,90\nR2,30,5,40,3,0\n", "2 lines cannot be read as parts"),
         ("Ref,Value,X (mm),Y (mm),Rot\nR1,10k,1%,10,20,90\nR2,1k,1%,30,40,0\n", "2 of 2 lines have more cells than"),
-        ('Ref,X(mil),Y(mil),Rot\nR1,"1,000",500,0\nR2,"2,400","2,500",0\n', "'1,000' may have a decimal sign, or"),
+        ('Ref,X(mil),Y(mil),Rot\nR1,"1,000",500,0\nR2,"2,400","2,500",0\n', "'1,000' may have a decimal comma, or"),
         ("Ref,X(0.01mm),Y(0.01mm),Rot\nR1,100,200,0\n", "states the unit '0.01mm'"),
+        ("Ref,X(mm/100),Y(mm/100),Rot\nR1,100,200,0\n", "states the unit 'mm/100'"),
+        ('Ref,X(1/1000"),Y(1/1000"),Rot\nR1,100,200,0\n', "states the unit '1/1000\"'"),
+        ("Ref,X (mm),Y (mm),Rot (1/10 deg)\nR1,100,200,900\n", "states rotations in '1/10', but they must be degrees"),
+        ('Ref,X(mil),Y(mil),Rot\nR1,"1,025","2,300",0\n', "'1,025' may have a decimal comma, or separate thousands"),
+        ("Ref,X (mm),Y (mm),Rot,Side\nR1,1,2,0,BS\n", "side is 'BS', but must be top or bottom"),
+        ("Ref,X (mm),Y (mm),Rot,Mount\nR1,1,2,0,T\nR2,1,3,0,B\n", "as the side, but it may be 'Mount'"),
+        ("Ref,X (mm),Y (mm),Dir,Note\nR1,1,2,90\nR2,1,3,0\n", "as the rotation, but it may be 'Dir'"),
+        ("R1,0402,10,15,90\nR2,0402,30,40,90\n", "its lines are not designator, x, y, rotation"),
+        ("X(mm) Y(mm) Comment Ref Height\n12 11 R 10 D1\n12 14 1n C2\n", "lines cannot be read as parts"),
         ("# in mm\n# in mils\nRef,X,Y,Rot\nR1,100,200,0\n", "states several units: mm in line 1, mil in line 2"),
         ("Ref,X (mm),Y (mm),Rot\nR1,1,2,90\nRef,Rot,X (mm),Y (mm)\nC1,0,60,50\n", "line 3: is a second header with"),
         ("Ref,X (mm),Y (mm),Rot\nR1,(10.5),2,90\n", r"line 2: x is '\(10.5\)', but must be a number"),
@@ -432,3 +463,7 @@ def test_a_column_of_mirrored_parts_beside_the_side_is_compared() -> None:
 def test_a_column_that_marks_the_fitted_parts_leaves_the_others_empty() -> None:
     design = read("Ref,X (mm),Y (mm),Rot,Side,Fitted\nR1,1,2,0,T,x\nR2,3,4,0,B,\nR3,3,4,0,B,-\n")
     assert [part.fitted for part in design.parts] == [True, False, False]
+    for column, cells in (("Fitted", "F/NF"), ("Fitted", "T/F"), ("Value", "1n/1n DNP"), ("Value", "100 nF/DNP, 1n")):
+        lines = "".join(f'R{n},1,2,0,T,"{cell}"\n' for n, cell in enumerate(cells.split("/")))
+        parts = read(f"Ref,X (mm),Y (mm),Rot,Side,{column}\n{lines}").parts
+        assert [part.fitted for part in parts] == [True, False], cells

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.board_data.readers.table_columns import is_known_header
+from vaoi_station.board_data.readers.table_columns import is_known_header, is_ref_header
 from vaoi_station.board_data.readers.table_lines import delimited, fixed_width, spaced, split_lines
 
 
@@ -39,7 +39,7 @@ ROWS = {
 
 @pytest.mark.parametrize("way", ROWS)
 def test_columns_are_cut_at_the_words_of_the_header(way: str) -> None:
-    records = fixed_width([HEADER, "", *ROWS[way]], 0, is_known_header)
+    records = fixed_width([HEADER, "", *ROWS[way]], 0, is_known_header, is_ref_header)
     assert records is not None
     assert records[0].cells == ("Ref", "Mid X", "Mid Y", "Pad Y", "TB", "Comment")
     assert records[2].cells == ("R1", "10", "20.5", "21", "T", "10k 1%")
@@ -48,13 +48,13 @@ def test_columns_are_cut_at_the_words_of_the_header(way: str) -> None:
 
 def test_a_line_whose_words_lie_across_columns_is_marked() -> None:
     rows = [f"R{n}     10      20.5   21    T  10k" for n in range(8)]
-    records = fixed_width([HEADER, *rows, "R9     1000000020000021    T  10k"], 0, is_known_header)
+    records = fixed_width([HEADER, *rows, "R9     1000000020000021    T  10k"], 0, is_known_header, is_ref_header)
     assert records is not None
     assert [r.cut for r in records] == [False] * 9 + [True]
 
 
 def test_lines_without_fixed_columns_are_no_such_table() -> None:
-    assert fixed_width(["Ref X Y Comment", "R1 10 20 a", "C100 1000 2000 b"], 0, is_known_header) is None
+    assert fixed_width(["Ref X Y Comment", "R1 10 20 a", "C100 1000 2000 b"], 0, is_known_header, is_ref_header) is None
 
 
 def test_cells_at_spaces() -> None:

@@ -28,11 +28,13 @@ from vaoi_station.board_data.readers.table_columns import (
     given_columns,
     has_required,
     is_fitted,
+    letters_of_unfitted,
     looks_like_part,
     marks_only_fitted,
     mirror_column,
     number_in,
     repeated_columns,
+    rival_designators,
     side_in_words,
     sides_of,
     unit_column,
@@ -50,13 +52,15 @@ MOST_DEGREES = 360.0
 _STATES_SIDE = re.compile(r"\b(?:side|seite)\s*[:=]\s*\"?([A-Za-zäöüß]+)", re.IGNORECASE)
 _SIDES_OF_SUFFIXES: dict[str, Side] = {".mnt": "top", ".mnb": "bottom"}
 """EAGLE writes one file per side."""
-_SIDE_IN_NAME: tuple[tuple[Side, re.Pattern[str]], ...] = (
-    ("top", re.compile(r"(?:^|[^a-z])(top|front|oben|oberseite|topside)(?:[^a-z]|$)", re.IGNORECASE)),
-    ("bottom", re.compile(r"(?:^|[^a-z])(bottom|bot|back|unten|unterseite|bottomside)(?:[^a-z]|$)", re.IGNORECASE)),
+_AFTER_SIDE_IN_NAME = frozenset(("side", "layer", "pos", "pnp", "cpl", "placement", "xy", "centroid", "board"))
+"""Words that may follow the side at the end of the name of a file."""
+_CLOCKWISE = re.compile(r"(?<![a-z])(?:cw|clockwise|im uhrzeigersinn)(?![a-z])", re.IGNORECASE)
+_COUNTER = re.compile(
+    r"(?<![a-z])(?:ccw|(?:counter|anti)[\s-]*(?:cw|clockwise)|(?:gegen|entgegen)[a-z ]*uhrzeiger)", re.IGNORECASE
 )
-_CLOCKWISE = re.compile(r"(?<![a-z])(?<!counter)(?<!counter-)(?<!anti)(?<!anti-)(cw|clockwise)(?![a-z])", re.IGNORECASE)
-_STATES_ROTATION = re.compile(r"rotat|angle|orient|winkel|drehung", re.IGNORECASE)
-_BESIDE_TOP, _LEAST_BESIDE, _LEAST_DIFFERENCE = 0.25, 0.8, 0.5
+_STATES_ROTATION = re.compile(r"^[\s#!;/*]*(?:rotation|angle|orientation|winkel|drehung)s?(?![a-z])", re.IGNORECASE)
+_OTHER_ANGLES = re.compile(r"(?<![a-z])(?:gon|gradians?|mdeg)(?![a-z])|1\s*/\s*10+|0[.,]0*1(?![\d])", re.IGNORECASE)
+_BESIDE_TOP, _LEAST_BESIDE, _LEAST_DIFFERENCE, _LEAST_PARTS = 0.25, 0.8, 0.5, 2
 """Parts of the bottom lie beside those of the top if they are within their extent, widened by this share."""
 _RADIANS = re.compile(r"(?<![a-z])(rad|radians?)(?![a-z])", re.IGNORECASE)
 
@@ -149,7 +153,7 @@ def _layout(table: Table, path: Path, options: TableOptions) -> TableLayout:
     Raises:
         InputError: a column is not recognised.
     """
-    rows, headers = table.rows(), table.headers
+    rows, headers = table.rows, table.headers
     most = max([len(headers), *map(len, rows)], default=0)
     if not rows:
         most = max((len(record.cells) for record in table.records), default=0)
@@ -166,6 +170,9 @@ def _layout(table: Table, path: Path, options: TableOptions) -> TableLayout:
     missing = [name for name in REQUIRED if name not in columns]
     if missing:
         raise _not_recognised(path, table, missing)
+    if len({columns[name] for name in REQUIRED}) < len(REQUIRED):
+        written = ",".join(f"{name}={columns[name] + 1}" for name in REQUIRED)
+        raise InputError.field(path, "--columns", written, "three different columns for ref, x and y")
     order = {name: columns[name] for name in COLUMNS if name in columns}
     free = [n for n in range(most) if n not in order.values()]
     unused = tuple(headers[n] if n < len(headers) and headers[n] else str(n + 1) for n in free)
@@ -175,13 +182,14 @@ def _layout(table: Table, path: Path, options: TableOptions) -> TableLayout:
     values = [row[side] for row in rows if side is not None and side < len(row)]
     sides = sides_of([*values, ""], layout.header_of("side") if headers else "mirror" if "m" in values else "")
     layout = replace(layout, sides=sides, unit=unit_column(headers), mirror=mirror_column(headers, order))
-    if table.header is not None:
+    if table.header is not None or given:
         _refuse_doubtful(path, layout, rows)
-        if not all(name in given for name in REQUIRED) and (twice := repeated_columns(headers, order)):
-            raise InputError(
-                f"{path}: its header names the columns of {' and '.join(twice)} twice, as of tables side by side.",
-                action="Import each table from a file of its own, or name its columns by --columns ref=N,x=N,y=N.",
-            )
+    twice = repeated_columns(headers, order) if table.header is not None else []
+    if twice and not all(name in given for name in REQUIRED):
+        raise InputError(
+            f"{path}: its header names the columns of {' and '.join(twice)} twice, as of tables side by side.",
+            action="Import each table from a file of its own, or name its columns by --columns ref=N,x=N,y=N.",
+        )
     return layout
 
 
@@ -222,8 +230,11 @@ def _stated_side(table: Table, path: Path) -> tuple[Side, str]:
             break
         if (match := _STATES_SIDE.search(record.text)) and (side := side_in_words(match[1])) is not None:
             return side, f"by line {record.line}"
-    named = [side for side, pattern in _SIDE_IN_NAME if pattern.search(path.stem)]
-    return (named[0], "by the name of the file") if len(named) == 1 else ("top", "")
+    words = re.findall(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+(?![a-z])", path.stem)
+    while words and words[-1].lower() in _AFTER_SIDE_IN_NAME:
+        words.pop()
+    named = side_in_words(words[-1]) if words else None
+    return (named, "by the name of the file") if named is not None else ("top", "")
 
 
 class _Reader:
@@ -245,15 +256,23 @@ class _Reader:
         header = layout.header_of("rotation")
         comments = (r.text for r in table.records[:HEADER_LINES] if r.line < rows[0][0].line)
         stated = [header, *(text for text in comments if _STATES_ROTATION.search(text))]
-        self.clockwise_by = next((text.strip() for text in stated if _CLOCKWISE.search(text)), "")
-        self._in_radians = _RADIANS.search(header) is not None
+        clockwise = (text.strip() for text in stated if _CLOCKWISE.search(text) and not _COUNTER.search(text))
+        self.clockwise_by = next(clockwise, "")
+        self._in_radians = any(_RADIANS.search(text) for text in stated)
+        if (other := _OTHER_ANGLES.search(header)) is not None:
+            raise InputError(
+                f"{path}: the header {header!r} states rotations in {other[0]!r}, but they must be degrees.",
+                action="Export them in degrees.",
+            )
         fitted = [self._cell(cells, "fitted") for _, cells in rows]
         self._marks_fitted = marks_only_fitted(fitted, layout.header_of("fitted"))
+        self._unfitted_letters = letters_of_unfitted(fitted)
         self.units_of_values: Counter[str] = Counter()
         self.without_side: list[str] = []
         self.without_rotation: list[str] = []
         self.contradicting: list[str] = []
         """Parts of the top that another column says are mirrored."""
+        self.has_sides = "side" in layout.columns or layout.all_on is not None
         self.marks_bottom = bool(account.sections)
         """Whether titles or parts themselves state a side: Allegro's cell "m", EAGLE's `MR90`."""
 
@@ -290,10 +309,10 @@ class _Reader:
         used = set(self._layout.columns.values())
         others = [cell for n, cell in enumerate(cells) if n not in used]
         fitted = self._cell(cells, "fitted")
-        unmarked = self._marks_fitted and fitted in ("", "-")
+        unmarked = (self._marks_fitted and fitted in ("", "-")) or fitted.lower() in self._unfitted_letters
         return Part(
             ref, side, (x, y), normalised(turn), package, value, size_from="guess",
-            fitted=not unmarked and is_fitted(fitted, self._layout.header_of("fitted"), (value, *others)),
+            fitted=not unmarked and is_fitted(fitted, self._layout.header_of("fitted"), others, value),
             is_mark="fiducial" in package.lower(), line=record.line,
         )  # fmt: skip
 
@@ -326,14 +345,14 @@ class _Reader:
         return mirrored, -turn if mirrored or self.clockwise_by else turn
 
     def _side(self, cell: str, ref: str, default: Side, where: str) -> Side:
-        side = self._layout.sides.get(cell)
+        side = self._layout.sides.get(cell) or side_in_words(cell)
         if side is None and not cell:
             self.without_side.append(ref)
             return default
         if side is None:
             raise InputError(
                 f"{where}: side is {cell!r}, but must be top or bottom.",
-                action="If the column is not the side, state another by --columns side=N, or side=top for all parts.",
+                action="State that of all parts by --columns side=top or side=bottom, or write these words.",
             )
         return side
 
@@ -354,7 +373,11 @@ def _with_bottom_mirrored_back(parts: list[Part]) -> tuple[list[Part], list[Note
             """Return the share of the parts of the bottom that lie beside those of the top, with x times a sign."""
             return sum(min(top) - margin <= sign * x <= max(top) + margin for x in bottom) / len(bottom)
 
-        if len(bottom) > 1 and share(-1) >= _LEAST_BESIDE and share(-1) - share(1) >= _LEAST_DIFFERENCE:
+        if (
+            min(len(top), len(bottom)) >= _LEAST_PARTS
+            and share(-1) >= _LEAST_BESIDE
+            and share(-1) - share(1) >= _LEAST_DIFFERENCE
+        ):
             back = [replace(p, origin=(-p.origin[0], p.origin[1])) if p.side == "bottom" else p for p in parts]
             sentence = (
                 f"x of the {len(bottom)} parts of the bottom is negated: with the other sign they lie beside those of "
@@ -386,6 +409,11 @@ def _notes(
     if layout.unused:
         names = ", ".join(layout.unused[:12])
         yield Note("columns-not-used", f"columns that are not used: {names}.", names=names)
+    if rivals := rival_designators(layout.headers, table.rows, layout.columns["ref"]):
+        chosen, others = layout.header_of("ref"), ", ".join(rivals)
+        sentence = f"the designators are those of column {chosen!r}, and not of {others}, which may hold some as well."
+        yield Note("designators-chosen", sentence, chosen=chosen, others=others)
+    yield from _notes_on_titles(reader, account)
     if account.unplaced:
         names = ", ".join(account.unplaced[:8])
         sentence = f"{len(account.unplaced)} parts without x and y were left out: {names}."
@@ -405,6 +433,12 @@ def _notes(
     if reader.units.is_guess:
         size, unit = reader.units.by, reader.units.unit
         yield Note("unit-guessed", f"the file states no unit; {unit} is taken, {size}. State it by --units.", unit=unit)
+
+
+def _notes_on_titles(reader: _Reader, account: Account) -> Iterator[Note]:
+    if account.sections and not reader.has_sides:
+        shown = ", ".join(f"line {line}: {side}" for line, side in account.sections)
+        yield Note("sides-by-titles", f"the side of parts is that of the title above them: {shown}.", titles=shown)
 
 
 def _notes_on_sides(layout: TableLayout, reader: _Reader) -> Iterator[Note]:

@@ -46,8 +46,8 @@ _HEADERS["side"] = (*_HEADERS["side"], *sorted(_MIRRORED), *sorted(_UPRIGHT))
 _HEADERS["fitted"] = (*_HEADERS["fitted"], *sorted(_VALUES["not_fitted"]))
 _YES, _NO, _NOT_FITTED = _VALUES["yes"] | {"1"}, _VALUES["no"] | {"0"}, _VALUES["not_fitted"]
 _TOP_WORDS, _BOTTOM_WORDS = _VALUES["top"], _VALUES["bottom"]
-_MIRROR_TOP = _NO | {"", "none", "normal", "-"}
-_MIRROR_BOTTOM = _YES | {"mirror", "mirrored", "m", "gespiegelt", "flipped"}
+_MIRROR_TOP = _NO | {"", "none", "normal", "-", "f"}
+_MIRROR_BOTTOM = _YES | {"t", "mirror", "mirrored", "m", "gespiegelt", "flipped"}
 _BESIDE_AXIS = _words("beside_axis")
 _RANKS = {"center": 0, "place": 1, "": 2, "position": 3, "part": 4, "origin": 5}
 """Which x and y are preferred: the centre of the body to the origin of the CAD part."""
@@ -108,7 +108,9 @@ def plain_key(cell: str) -> str:
     words = re.findall(r"[a-z]+", text)
     while len(words) > 1 and words[-1] in _VALUES["units"]:
         words.pop()
-    return "".join(words)
+    key = "".join(words)
+    attached = re.fullmatch(r"(.*[xy])(mm|mils?|inch)", key)  # "XMM"
+    return attached[1] if attached else key
 
 
 def is_known_header(words: str) -> bool:
@@ -119,6 +121,11 @@ def is_known_header(words: str) -> bool:
     return bool(key) and (
         key in _OTHER or any(key in names for names in _HEADERS.values()) or any(p.match(key) for p in _AXIS.values())
     )
+
+
+def is_ref_header(words: str) -> bool:
+    """Return whether words are the header of the designators."""
+    return plain_key(words) in _HEADERS["ref"]
 
 
 def number_in(cell: str, decimal: str | None = None) -> float | None:
@@ -159,7 +166,7 @@ def decimal_separator(cells: Iterable[str]) -> str | None:
 
 def header_cells(cells: Sequence[str]) -> list[str]:
     """Return the cells of a header without the signs of a comment: `# RefDes`, `Fields: Part ID` of Proteus."""
-    found = [cell.strip() for cell in cells]
+    found = [cell.strip().lstrip("\ufeff") for cell in cells]
     if found:
         found[0] = re.sub(r"^(?:[#!%;*/]+|fields\s*:)\s*", "", found[0], flags=re.IGNORECASE)
     return found
@@ -228,8 +235,12 @@ def _fits(role: str, column: int, rows: Sequence[Sequence[str]], header: Sequenc
     if role == "rotation" and values and plain_key(header[column]) in _WEAK_ROTATION:
         return sum(angle_in(value) is not None for value in values) * 2 > len(values)
     if role == "fitted" and values:
-        known = _YES | _NO | _NOT_FITTED | {"fitted", "populated", "mounted", "placed", "bestueckt"}
-        return any(value.lower() in known or plain_key(value) in known for value in values)
+        known = (
+            _YES | _NO | _NOT_FITTED | {"fitted", "populated", "mounted", "placed", "bestueckt", "t", "f", "nf", "-"}
+        )
+        return all(value.lower() in known or plain_key(value) in known for value in values) or any(
+            plain_key(value) in _NOT_FITTED for value in values
+        )
     if role == "side" and plain_key(header[column]) in _UPRIGHT | _MIRRORED:
         return all(value.lower() in _MIRROR_TOP | _MIRROR_BOTTOM for value in values)
     return True
@@ -244,10 +255,16 @@ def _designators(header: Sequence[str], rows: Sequence[Sequence[str]], taken: se
     keys = [plain_key(cell) for cell in header]
     named = [n for n in named_columns(header).get("ref", ()) if n not in taken]
     stated = [n for n in named if keys[n] in _STATED_REF]
-    several = [n for n in stated if len(set(_values(rows, n))) * 2 > len(_values(rows, n))]
-    if len(stated) == 1 or len(several) == 1:
+    # Row numbers are no designators where another column has some.
+    several = [
+        n
+        for n in stated
+        if len(set(_values(rows, n))) * 2 > len(_values(rows, n))
+        and not all(number_in(value) is not None for value in _values(rows, n))
+    ]
+    if several or (stated and len(named) == len(stated)):
         return (several or stated)[0]
-    candidates = several or named
+    candidates = named
     free = [n for n, key in enumerate(keys) if n not in taken and not _is_of_other_role(key)]
     scores = {n: _designator_score(_values(rows, n)) for n in (candidates or free)}
     best = max(scores, key=lambda n: scores[n], default=None)
@@ -318,11 +335,12 @@ def sides_of(values: Iterable[str], header: str = "") -> dict[str, Side]:
     for kind in kinds:
         if (side := side_in_words(legend.get(kind, kind))) is not None:
             found[kind] = side
-    letters = {kind.lower(): kind for kind in kinds if len(kind) == 1 and kind.isalpha()}
+    letters = {kind.lower(): kind for kind in kinds if len(kind) <= 2 and kind.isalpha()}
     for pair in _TABLE["values"]["letters"].split():
-        alone = set(letters) in ({"t"}, {"b"}, {"f"}) and set(letters) <= set(pair)
-        if letters and (set(letters) == set(pair) or alone):
-            found |= {letters[c]: "top" if c == pair[0] else "bottom" for c in letters}
+        top_letter, bottom_letter = pair.split("/")
+        alone = set(letters) in ({"t"}, {"b"}, {"f"}) and letters.keys() <= {top_letter, bottom_letter}
+        if set(letters) == {top_letter, bottom_letter} or (alone and key != "seite"):
+            found |= {kind: "top" if c == top_letter else "bottom" for c, kind in letters.items()}
             break
     if "m" in letters and letters.keys() <= {"m", "t"}:
         found |= {kind: "bottom" if c == "m" else "top" for c, kind in letters.items()}
@@ -363,13 +381,24 @@ def side_in_words(text: str) -> Side | None:
     return None if top == bottom else "top" if top else "bottom"
 
 
-def is_fitted(cell: str, header: str, others: Iterable[str]) -> bool:
-    """Return whether a part is fitted, by its cell of column `fitted`, its header, and other cells."""
-    if any(plain_key(text) in _NOT_FITTED for text in (cell, *others)):
+def is_fitted(cell: str, header: str, others: Iterable[str], value: str = "") -> bool:
+    """Return whether a part is fitted, by its cell of column `fitted`, its header, and other cells.
+
+    A value may have the word beside another one: `10k DNP`.
+    """
+    words = re.findall(r"[a-z0-9]+", value.lower())
+    plain = (re.sub(r"[^a-z0-9]", "", text.lower().translate(_UMLAUTS)) for text in (cell, value, *others))
+    if not _NOT_FITTED.isdisjoint(words) or any(text in _NOT_FITTED for text in plain):
         return False
     word = cell.strip().lower()
     # A column "DNP" states of which parts the opposite holds.
     return word not in _YES if plain_key(header) in _NOT_FITTED else word not in _NO | {"-"}
+
+
+def letters_of_unfitted(values: Iterable[str]) -> frozenset[str]:
+    """Return the letters of a column that say that a part is not fitted: F beside T, NF beside F."""
+    kinds = {value.strip().lower() for value in values} - {""}
+    return frozenset("f") if kinds == {"t", "f"} else frozenset(("nf",)) if kinds <= {"f", "nf"} else frozenset()
 
 
 def marks_only_fitted(values: Iterable[str], header: str) -> bool:
@@ -391,6 +420,8 @@ def doubtful_columns(layout: TableLayout, rows: Sequence[Sequence[str]]) -> dict
     def is_foreign(n: int) -> bool:
         """Return whether the header of a column is none that is known to hold something else."""
         key = plain_key(headers[n]) if n < len(headers) else ""
+        if n in layout.columns.values():
+            return False
         named = key in _OTHER or any(
             key in names for role, names in _HEADERS.items() if role not in ("side", "rotation")
         )
@@ -424,7 +455,10 @@ def _may_be_sides(values: Sequence[str], is_foreign: bool) -> bool:
     if not present or len(kinds) > 3 or len(present) < 0.9 * len(values):
         return False
     plain = {"".join(re.findall(r"[a-z]+", v.lower().translate(_UMLAUTS))) for v in kinds}
-    if all(side_in_words(kind) is not None for kind in kinds) or (is_foreign and kinds <= {"T", "B", "t", "b", "F"}):
+    letters = {kind.lower() for kind in kinds}
+    if all(side_in_words(kind) is not None for kind in kinds) or letters in ({"t", "b"}, {"f", "b"}):
+        return True
+    if is_foreign and letters in ({"t"}, {"b"}):
         return True
     if not is_foreign or len(kinds) != 2:
         return False
@@ -450,8 +484,10 @@ def columns_without_header(rows: Sequence[Sequence[str]]) -> dict[str, int] | No
     found = {"ref": 0, "x": 1, "y": 2, "rotation": 3}
     width = Counter(map(len, usual)).most_common(1)[0][0]
     rest = list(range(4, width))
-    # z or the number of a side may stand before the rotation.
-    if max(map(abs, angles)) <= 1 and any(_may_be_angles(_values(usual, n)) for n in rest):
+    # z or the number of a side may stand before the rotation, and a package such as 0402 before x.
+    if any(_may_be_angles(_values(usual, n)) for n in rest):
+        return None
+    if any(re.fullmatch(r"0\d{3}", value) for value in _values(usual, 1)):
         return None
     if any(len(row) != width for row in usual) and any(row[4:5] == ["m"] or row[4:5] == ("m",) for row in usual):
         return found | {"package": 4}  # Allegro: "m" is an additional cell
@@ -475,6 +511,15 @@ def columns_without_header(rows: Sequence[Sequence[str]]) -> dict[str, int] | No
 def is_bare_part(row: Sequence[str]) -> bool:
     """Return whether a line without a header is designator, x, y and rotation."""
     return len(row) >= 4 and bool(_BARE_REF.match(row[0])) and all(number_in(c) is not None for c in row[1:4])
+
+
+def rival_designators(headers: Sequence[str], rows: Sequence[Sequence[str]], chosen: int) -> list[str]:
+    """Return the headers of other columns that may hold the designators as well."""
+    keys = [plain_key(header) for header in headers]
+    if chosen >= len(keys) or keys[chosen] in _STATED_REF:
+        return []
+    named = [n for n in named_columns(headers).get("ref", ()) if n != chosen]
+    return [headers[n] for n in named if _designator_score(_values(rows, n)) >= _LEAST_DESIGNATORS]
 
 
 def given_columns(

@@ -6,12 +6,14 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 from vaoi_station.board_data.readers.table_columns import (
     header_cells,
     is_comment,
     is_known_header,
+    is_ref_header,
     looks_like_part,
     named_columns,
     number_in,
@@ -31,7 +33,7 @@ HEADER_LINES = 200
 """A header stands in one of the first lines."""
 DELIMITERS = ("\t", ";", "|", ",", "!")
 _LENGTH = r"([+-]?[\d.]+\s*[a-z\"]*)"
-_PLACE_IN_ONE_CELL = re.compile(rf"^\(?\s*{_LENGTH}(?:\s*[,;]\s*|\s+){_LENGTH}\s*\)?$", re.IGNORECASE)
+_PLACE_IN_ONE_CELL = re.compile(rf"^\(?\s*{_LENGTH}(?:\s*[,;/]\s*|\s+){_LENGTH}\s*\)?$", re.IGNORECASE)
 _PLACE_HEADERS = frozenset(
     ("position", "pos", "location", "loc", "coordinates", "coordinate", "koordinaten", "ort", "xy")
 )
@@ -53,14 +55,19 @@ class Table:
         """The cells of the header; empty without one."""
         return () if self.header is None else self.records[self.header].cells
 
+    @cached_property
     def rows(self) -> list[tuple[str, ...]]:
-        """Return the cells of the records that look like parts."""
-        usual = self.usual_width()
+        """The cells of the records that look like parts."""
+        usual = self.usual_width
         below = self.records[0 if self.header is None else self.header + 1 :]
-        return [r.cells for r in below if len(r.cells) == usual and not r.cut and looks_like_part(r.cells)]
+        # Empty cells at the end of a line may be absent; at spaces, cells may be absent anywhere.
+        least = usual if self.delimiter == " " or self.header is None else min(usual, 3)
+        found = [r.cells for r in below if least <= len(r.cells) <= usual and not r.cut and looks_like_part(r.cells)]
+        return [(*cells, *[""] * (usual - len(cells))) for cells in found]
 
+    @cached_property
     def usual_width(self) -> int:
-        """Return how many cells a part has."""
+        """How many cells a part has."""
         if self.header is not None:
             return len(self.headers)
         return _usual_width(self.records)
@@ -79,7 +86,7 @@ def find_table(lines: Sequence[str], delimiter: str | None = None) -> Table:
     tables = [table for way in chosen if (table := _table(lines, way)) is not None]
 
     def fitness(table: Table) -> tuple[bool, int, int]:
-        return table.is_understood, len(table.rows()), len(named_columns(table.headers))
+        return table.is_understood, len(table.rows), len(named_columns(table.headers))
 
     return max(tables, key=fitness)
 
@@ -91,7 +98,7 @@ def _numbers_in(cells: Sequence[str]) -> int:
 def _table(lines: Sequence[str], delimiter: str) -> Table | None:
     if delimiter == FIXED:
         header = next((n for n, line in enumerate(lines[:HEADER_LINES]) if _is_fixed_header(line)), None)
-        records = None if header is None else fixed_width(lines, header, is_known_header)
+        records = None if header is None else fixed_width(lines, header, is_known_header, is_ref_header)
         if records is None:
             return None
     else:
@@ -121,7 +128,8 @@ def _names_place(cells: Sequence[str]) -> bool:
     if len(found) < 3 or _numbers_in(found) > 0:
         return False
     named = named_columns(found)
-    return "x" in named and "y" in named
+    in_one = any(plain_key(cell) in _PLACE_HEADERS for cell in found)
+    return ("x" in named and "y" in named) or (in_one and "ref" in named)
 
 
 def _unknown_header(records: Sequence[Record], delimiter: str) -> int | None:
@@ -152,7 +160,7 @@ def _with_plain_header(records: Sequence[Record], header: int | None, delimiter:
     usual = _usual_width(found[header + 1 :])
     if delimiter == " " and len(cells) != usual:
         # Headers of two words, and a `#` before the first one.
-        phrases = tuple(words for _, words in header_phrases(found[header].text, is_known_header))
+        phrases = tuple(words for _, words in header_phrases(found[header].text, is_known_header, is_ref_header))
         ways = (phrases, cells[1:] if not re.search(r"\w", cells[0]) else ())
         cells = next((way for way in ways if len(way) == usual), cells)
     cells = tuple(header_cells(cells))

@@ -64,7 +64,7 @@ def _record(lines: Sequence[str], n: int, delimiter: str, usual: int) -> Record:
     line = lines[n]
     one = [cells for cells in (_standard(line, delimiter), _lenient(line, delimiter)) if cells is not None]
     best = next((cells for cells in one if len(cells) == usual), None)
-    if best is None and '"' in line:
+    if best is None and line.count('"') % 2:  # a quoted cell that does not end in its line
         literal = line.split(delimiter)
         for count in range(2, min(MOST_LINES_OF_A_RECORD, len(lines) - n) + 1):
             # A quotation mark in a full line is an inch mark if another full line follows.
@@ -131,18 +131,21 @@ def _words(line: str) -> list[str]:
 # At the positions of the header's words.
 
 
-def fixed_width(lines: Sequence[str], header: int, is_known: Callable[[str], bool]) -> list[Record] | None:
+def fixed_width(
+    lines: Sequence[str], header: int, is_known: Callable[[str], bool], is_ref: Callable[[str], bool]
+) -> list[Record] | None:
     """Return the records of a table with columns of fixed width; None if its lines have no such columns.
 
     Args:
         lines: all lines.
         header: index of the line with the header.
         is_known: whether words are the header of one column, so that "Mid X" is one and "Pad Y TB" are two.
+        is_ref: whether words are the header of the designators.
     """
     lines = [line.expandtabs(8) for line in lines]
     if "  " not in lines[header].strip():
         return None
-    headers = header_phrases(lines[header], is_known)
+    headers = header_phrases(lines[header], is_known, is_ref)
     body = [line for line in lines[header + 1 :] if line.strip() and not RULER.match(line) and line.lstrip()[:1] != "#"]
     if len(headers) < 3 or not body:
         return None
@@ -164,10 +167,12 @@ def fixed_width(lines: Sequence[str], header: int, is_known: Callable[[str], boo
     return records
 
 
-def header_phrases(line: str, is_known: Callable[[str], bool], most_words: int = 3) -> list[tuple[int, str]]:
+def header_phrases(
+    line: str, is_known: Callable[[str], bool], is_ref: Callable[[str], bool], most_words: int = 3
+) -> list[tuple[int, str]]:
     """Return position and words of every column of a header: `Mid X` is one, "Pad Y TB" are two.
 
-    A single `#` before the first one is left out.
+    A single `#` before the first one is left out. "Ref PosX" are two, if no other header is that of the designators.
     """
     # A unit in brackets belongs to the word before it.
     words = [(m.start(), m.end(), m[0]) for m in re.finditer(r"[^\s(\[]+(?:\s?[(\[][^)\]]*[)\]])?|\S+", line)]
@@ -184,6 +189,12 @@ def header_phrases(line: str, is_known: Callable[[str], bool], most_words: int =
                 break
         found.append((words[n][0], " ".join(w for _, _, w in words[n : n + count])))
         n += count
+    if not any(is_ref(phrase) for _, phrase in found):
+        for m, (at, phrase) in enumerate(found):
+            first, space, rest = phrase.partition(" ")
+            if space and is_ref(first):
+                found[m : m + 1] = [(at, first), (at + len(first) + 1, rest)]
+                break
     return found
 
 

@@ -19,7 +19,7 @@ from vaoi_station.board_data.readers.table_columns import (
     number_in,
     side_in_words,
 )
-from vaoi_station.board_data.readers.table_header import DELIMITERS, Table
+from vaoi_station.board_data.readers.table_header import DELIMITERS, FIXED, Table
 from vaoi_station.board_data.readers.table_lines import RULER, Record
 from vaoi_station.errors import InputError
 
@@ -29,8 +29,25 @@ PartRow = tuple[Record, tuple[str, ...]]
 _REF_IN_TEXT = re.compile(r"(?<![\w.])[A-Za-z]{1,5}[-_$]?\d+[A-Za-z]?(?:[_.]\d+)?(?![\w.])")
 _REF = re.compile(r"^[A-Za-z]{1,6}[-_$ ]?(?:\d|\?|$)")
 SHOWN_CHARACTERS = 60
-_TITLE_CHARACTERS = 60
-"""A longer line is no title of a section."""
+_TITLE_WORDS = frozenset(
+    (
+        "side",
+        "layer",
+        "components",
+        "parts",
+        "part",
+        "placement",
+        "of",
+        "on",
+        "the",
+        "auf",
+        "der",
+        "seite",
+        "bauteile",
+        "smd",
+    )
+)
+"""Words beside the side in the title of a section."""
 
 
 @dataclass
@@ -60,23 +77,19 @@ def part_rows(table: Table, layout: TableLayout, account: Account, path: Path) -
     Raises:
         InputError: a second header has other columns than the first.
     """
-    width = table.usual_width()
+    width = table.usual_width
     seen_part = False
     for n, record in enumerate(table.records):
         account.continued += record.lines - 1
         if n == table.header or (table.header is not None and tuple(header_cells(record.cells)) == table.headers):
             account.headers += 1
-        elif not record.text.strip() or RULER.match(record.text) or n < layout.first:
+        elif not record.text.strip() or RULER.match(record.text):
             account.comments += 1
-        elif is_comment(record.cells):
-            cells = tuple(header_cells(record.cells))
-            if len(cells) == width and looks_like_part(cells):
-                account.left_out.append(f"line {record.line} is a comment that holds {cells[layout.columns['ref']]!r}")
-            else:
-                account.comments += 1
+        elif is_comment(record.cells) or n < layout.first:
+            _account_for_comment(record, n < layout.first, layout, account)
         else:
-            aligned = _aligned(record, width, layout, account, table.delimiter == " ")
-            if aligned is not None and _is_part(aligned, layout):
+            aligned = _aligned(record, table, layout, account)
+            if aligned is not None and _is_part(aligned, layout) and not _is_shifted(aligned, table, layout):
                 seen_part = True
                 yield record, aligned
                 continue
@@ -90,17 +103,51 @@ def part_rows(table: Table, layout: TableLayout, account: Account, path: Path) -
             if side is not None:
                 account.sections.append((record.line, side))
             damaged = _may_hold_part(record, layout)
-            if side is not None or (not seen_part and not damaged):
+            # A text below the header, such as Proteus' notes, has no number.
+            if side is not None or (not seen_part and not re.search(r"\d", record.text)):
                 account.comments += 1
             else:
                 account.left_out.append(_described(record, width, layout))
                 account.damaged += damaged
 
 
+def _account_for_comment(record: Record, is_head: bool, layout: TableLayout, account: Account) -> None:
+    """Account for a comment, or a line above the header: it may be a title of the parts of a side, or hold a part."""
+    side = _title_of_side(record.text) if "side" not in layout.columns else None
+    if side is not None:
+        account.sections.append((record.line, side))
+    words = _words(record.text)
+    refs = [word for word in words if is_usual_designator(word)]
+    if refs and looks_like_part(words):
+        what = "stands above the header and holds" if is_head else "is a comment that holds"
+        account.left_out.append(f"line {record.line} {what} {refs[0]}: {_shown(record)}")
+    else:
+        account.comments += 1
+
+
 def _title_of_side(text: str) -> Side | None:
-    """Return the side of the parts below a title such as "Bottom side"."""
-    plain = len(text) <= _TITLE_CHARACTERS and not re.search(r"\d", text)
-    return side_in_words(text) if plain else None
+    """Return the side of the parts below a title such as "Bottom side (12 parts)"; None if it has other words."""
+    words = [word for word in re.findall(r"[a-zäöüß]+", text.lower()) if word not in _TITLE_WORDS]
+    sides = {side_in_words(word) for word in words}
+    return sides.pop() if len(words) > 0 and len(sides) == 1 else None
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip('"') for word in re.split(r"[,;|\t!#]|\s+", text) if word.strip('"')]
+
+
+def _shown(record: Record) -> str:
+    """Return the beginning of a line for a message."""
+    text = record.text.strip()
+    return repr(text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}…")
+
+
+def _is_shifted(cells: Sequence[str], table: Table, layout: TableLayout) -> bool:
+    """Return whether cells at spaces, or in fixed columns, are beside their columns: the designator shows it."""
+    ref = cells[layout.columns["ref"]]
+    if table.delimiter == " " and layout.headers:
+        return not is_usual_designator(ref) and any(is_usual_designator(cell) for cell in cells)
+    return table.delimiter == FIXED and " " in ref and is_usual_designator(ref.split()[0])
 
 
 def _may_hold_part(record: Record, layout: TableLayout) -> bool:
@@ -114,14 +161,12 @@ def _may_hold_part(record: Record, layout: TableLayout) -> bool:
     return numbers >= 2 and any(_REF_IN_TEXT.fullmatch(piece) for piece in pieces)
 
 
-def _aligned(
-    record: Record, width: int, layout: TableLayout, account: Account, is_spaced: bool
-) -> tuple[str, ...] | None:
+def _aligned(record: Record, table: Table, layout: TableLayout, account: Account) -> tuple[str, ...] | None:
     """Return the cells of a record in the columns of the header; None if that is not possible in one way only.
 
     An unquoted value with the delimiter in it makes more cells; in a table of words, an empty value makes fewer.
     """
-    cells = record.cells
+    cells, width = record.cells, table.usual_width
     if record.cut:
         return None
     surplus = len(cells) - width
@@ -134,13 +179,16 @@ def _aligned(
         tries = [
             (*cells[:n], " ".join(cells[n : n + surplus + 1]), *cells[n + surplus + 1 :])
             for n in texts
-            if not any(number_in(cell) is not None for cell in cells[n + 1 : n + surplus + 1])
+            if not any(number_in(cell) is not None for cell in cells[n : n + surplus + 1])
         ]
-    elif is_spaced and surplus == -1:
+    elif table.delimiter == " " and surplus == -1:
         tries = [(*cells[:n], "", *cells[n:]) for n in texts if n <= len(cells)]
     else:
-        used = [n for n in layout.columns.values() if n >= len(cells)]
-        return None if used or len(cells) <= layout.last else (*cells, *[""] * -surplus)
+        # Only words at the end of a line may be absent: else it does not show which cell is.
+        used = any(n >= len(cells) for n in layout.columns.values()) or len(cells) <= layout.last
+        numbers = any(number_in(cell) is not None for row in table.rows for cell in row[len(cells) :])
+        padded = (*cells, *[""] * -surplus)
+        return None if used or numbers or not _is_valid(padded, layout) else padded
     valid = [found for found in tries if _is_valid(found, layout)]
     if len({tuple(found[n] for n in sorted(keys)) for found in valid}) != 1:
         return None
@@ -155,7 +203,8 @@ def _is_valid(cells: Sequence[str], layout: TableLayout) -> bool:
         return False
     if "rotation" in columns and angle_in(cells[columns["rotation"]]) is None:
         return False
-    if "side" in columns and cells[columns["side"]] not in layout.sides:
+    side = cells[columns["side"]] if "side" in columns else "top"
+    if side not in layout.sides and side_in_words(side) is None:
         return False
     return number_in(cells[columns["ref"]]) is None
 
@@ -167,23 +216,23 @@ def _is_part(cells: Sequence[str], layout: TableLayout) -> bool:
     numbers = [number_in(cell) is not None for cell in (x, y)]
     if not ref or (not layout.headers and not all(numbers)):
         return False
+    if not all(numbers) and "" in (x, y) and not is_usual_designator(ref):
+        return False
     return any(numbers) or _REF_IN_TEXT.fullmatch(ref) is not None
 
 
 def _described(record: Record, width: int, layout: TableLayout) -> str:
     """Return what a line that cannot be read seems to hold."""
-    at, shown = f"line {record.line}", record.text.strip()
-    if len(shown) > SHOWN_CHARACTERS:
-        shown = f"{shown[:SHOWN_CHARACTERS]}…"
+    at, shown = f"line {record.line}", _shown(record)
     if record.cut:
-        return f"{at} has words across the columns: {shown!r}"
+        return f"{at} has words across the columns: {shown}"
     for delimiter in DELIMITERS:
         if len(record.cells) < 3 and record.text.count(delimiter) >= 2:
-            return f"{at} seems to have another delimiter, {DELIMITER_NAMES[delimiter]}: {shown!r}"
+            return f"{at} seems to have another delimiter, {DELIMITER_NAMES[delimiter]}: {shown}"
     ref_at = layout.columns["ref"]
     in_column = record.cells[ref_at : ref_at + 1]
-    refs = [word for word in (*in_column, *re.split(r"[,;|\t!]|\s+", record.text)) if is_usual_designator(word)]
-    what = f", it seems to be part {refs[0]}: {shown!r}" if refs else f": {shown!r}"
+    refs = [word for word in (*in_column, *_words(record.text)) if is_usual_designator(word)]
+    what = f", it seems to be part {refs[0]}: {shown}" if refs else f": {shown}"
     if len(record.cells) != width:
         return f"{at} has {len(record.cells)} of {width} cells{what}"
     return f"{at} has no designator or no place{what}"

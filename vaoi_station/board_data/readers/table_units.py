@@ -21,12 +21,14 @@ from vaoi_station.errors import InputError
 UNITS = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 USUAL_SPREAD_MM = (8.0, 1000.0)
 """Distance of the outermost parts of a board along x or y. Wide limits: a guess is hardly ever wrong."""
+LEAST_PARTS = 2
+"""With fewer parts their distance says nothing of the unit."""
 _UNIT_WORDS = (
-    (re.compile(r"(?<![a-z])(millimet(er|re)s?|mm|metric|metrisch)(?![a-z])", re.IGNORECASE), "mm"),
-    (re.compile(r"(?<![a-z])(mils?|thou|th)(?![a-z])", re.IGNORECASE), "mil"),
+    (re.compile(r"(?:(?<![a-z])|(?<=[xy]))(millimet(er|re)s?|mm|metric|metrisch)(?![a-z])", re.IGNORECASE), "mm"),
+    (re.compile(r"(?:(?<![a-z])|(?<=[xy]))(mils?|thou|th|milli-?inch(es)?)(?![a-z])", re.IGNORECASE), "mil"),
     # "in" is a word of sentences, too: it is a unit in brackets, behind a colon, or at the end of a header.
     (
-        re.compile(r"(?<![a-z])(inch(es)?|zoll)(?![a-z])|[(\[:=,]\s*in\s*([)\],;]|$)|[\s_-]in$|\"|″", re.IGNORECASE),
+        re.compile(r"(?<![a-z])(inch(es)?|zoll)(?![a-z])|[(\[:=,]\s*in\.?\s*([)\],;]|$)|[\s_-]in$", re.IGNORECASE),
         "inch",
     ),
     # Units that are recognised to be refused. A single m stands for metres in brackets only.
@@ -36,13 +38,19 @@ _UNIT_WORDS = (
     (re.compile(r"(?<![a-z])(met(er|re)s?)(?![a-z])|[(\[]m[)\]]", re.IGNORECASE), "m"),
     (re.compile(r"(?<![a-z])imperial(?![a-z])", re.IGNORECASE), "imperial"),
 )
+_LENGTH_UNIT = r"(?:mm|mils?|thou|inch(?:es)?|zoll|in|\"|″)"
 _FACTOR = re.compile(
-    r"(?<![\d.])(\d+(?:[.,]\d+)?(?:\s*/\s*\d+)?)\s*(?:mm|mils?|thou|inch(?:es)?|in)(?![a-z])", re.IGNORECASE
+    rf"(?<![\d.])(\d+(?:[.,]\d+)?(?:\s*/\s*\d+)?)\s*{_LENGTH_UNIT}(?![a-z])|{_LENGTH_UNIT}\s*[/*x×]?\s*\d+(?:/\d+)?",
+    re.IGNORECASE,
 )
+_VALUE = re.compile(rf"\d\s*{_LENGTH_UNIT}(?![a-z])", re.IGNORECASE)
 _STATES_UNIT = re.compile(
     r"(?<![a-z])(units?|einheit(en)?|uunits)(?![a-z])\s*(used|of measure)?\s*[:=]?|\bx\s*[,;/]\s*y\b", re.IGNORECASE
 )
-_OF_OTHER_LENGTHS = re.compile(r"height|h(oe|ö)he|thick|dicke|drill|bohr|hole|width|breite|clearance", re.IGNORECASE)
+_OF_OTHER_LENGTHS = re.compile(
+    r"height|h(oe|ö)he|thick|dicke|drill|bohr|hole|width|breite|clearance|size|größe|groesse|grid|raster|ma(ss|ß)stab",
+    re.IGNORECASE,
+)
 _BY_SIZE = "the only one at which the board has a usual size"
 
 
@@ -70,11 +78,11 @@ class StatedUnits:
         decimal = decimal_separator(cell for cells in places for cell in cells)
         unit, by = (given, "as given") if given is not None else _stated_unit(table, layout, rows, path)
         if unit is not None and unit not in UNITS:
+            stated = "State the unit of its numbers by --units." if unit == "imperial" else "Export it in mm."
             raise InputError(
-                f"{path}: states the unit {unit!r} ({by}), but must be one of {', '.join(UNITS)}.",
-                action="Export it in mm, or state the unit of its numbers by --units.",
+                f"{path}: states the unit {unit!r} ({by}), but must be one of {', '.join(UNITS)}.", action=stated
             )
-        if decimal is None and _has_bare_and_separated(places):
+        if decimal is None and _may_separate_thousands(places):
             decimal = _plausible_decimal(places, unit, path)
         if unit is None:
             return cls(_plausible_unit(places, decimal, path), _BY_SIZE, decimal, is_guess=True)
@@ -88,17 +96,20 @@ def _unit_word(text: str) -> str | None:
 def unit_of(cell: str) -> str | None:
     """Return the unit that a value states."""
     match = NUMBER.match(cell.strip())
-    return _unit_word(f"({match[4]})") if match and match[4] else None
+    unit = match[4] if match else None
+    return "inch" if unit in ('"', "″") else _unit_word(f"({unit})") if unit else None
 
 
 def _stated_unit(table: Table, layout: TableLayout, rows: Sequence[PartRow], path: Path) -> tuple[str | None, str]:
     """Return the unit that a file states, which may be none of `UNITS`, and what states it."""
     headers = [layout.header_of(name) for name in ("x", "y")]
+    if (factor := _refused_factor(headers)) is not None:
+        return factor, "by the header"
     x, y = map(_unit_word, headers)
     if x and y and x != y:
-        raise InputError(f"{path}: its header has x in {x} and y in {y}. Give --units.")
+        raise InputError(f"{path}: its header has x in {x} and y in {y}.", action="Export both in one unit.")
     if x or y:
-        return _refused_factor(headers) or x or y, "by the header"
+        return x or y, "by the header"
     units, bare = set(), []
     for record, cells in rows:
         of_line = layout.unit is not None and unit_of(f"1{cells[layout.unit].lower()}")
@@ -137,7 +148,8 @@ def _units_by_lines(table: Table, layout: TableLayout, rows: Sequence[PartRow]) 
         and not _OF_OTHER_LENGTHS.search(record.text)
     ]
     stating = [record for record in beside if _STATES_UNIT.search(record.text) and _unit_word(record.text)]
-    for record in stating or beside:
+    # A length that is stated beside its unit, such as that of a title, says nothing of x and y.
+    for record in stating or [record for record in beside if not _VALUE.search(record.text)]:
         unit = _refused_factor([record.text]) if stating else None
         if unit or (unit := _unit_word(record.text)) is not None:
             yield record.line, unit
@@ -152,27 +164,29 @@ def _refused_factor(texts: Iterable[str]) -> str | None:
     return None
 
 
-def _has_bare_and_separated(places: Iterable[Sequence[str]]) -> bool:
-    """Return whether some numbers have a separator before three digits, and others none at all: `1,000` and `500`."""
+def _may_separate_thousands(places: Iterable[Sequence[str]]) -> bool:
+    """Return whether commas of numbers may separate thousands: each stands before three digits, as in `1,025`."""
     cells = [match[2] for column in places for cell in column if (match := NUMBER.match(cell.strip()))]
-    return any("," in c or "." in c for c in cells) and any(c.isdigit() and c.strip("0") for c in cells)
+    return any("," in c for c in cells) and not any("." in c for c in cells)
 
 
 def _plausible_decimal(places: Sequence[Sequence[str]], unit: str | None, path: Path) -> str:
-    """Return whether the comma or the point separates decimals, by the size of the board.
+    """Return whether the comma separates decimals or thousands, by the size of the board.
 
     Raises:
         InputError: both are possible.
     """
-    separator = "," if any("," in cell for column in places for cell in column) else "."
-    other = {",": ".", ".": ","}[separator]
     units = [unit] if unit is not None else list(UNITS)
-    usual = [d for d in (separator, other) if any(_is_usual(_spread(places, d), of) for of in units)]
+    usual = [d for d in (",", ".") if any(_is_usual(_spread(places, d), of) for of in units)]
     if len(usual) == 1:
         return usual[0]
-    shown = next(cell for column in places for cell in column if separator in cell)
+    cells = [cell for column in places for cell in column]
+    # Programs that write three decimals write them everywhere.
+    if unit != "mil" and all("," in cell or not cell for cell in cells):
+        return ","
+    shown = next(cell for cell in cells if "," in cell)
     raise InputError(
-        f"{path}: {shown!r} may have a decimal sign, or separate thousands; nothing in the file shows which.",
+        f"{path}: {shown!r} may have a decimal comma, or separate thousands; nothing in the file shows which.",
         action="Export it without thousands separators" + (", or state the unit by --units." if unit is None else "."),
     )
 
@@ -194,6 +208,11 @@ def _is_usual(spread: float, unit: str) -> bool:
 def _plausible_unit(places: Sequence[Sequence[str]], decimal: str | None, path: Path) -> str:
     """Return the only unit at which the parts are spread over a board; refuse if there are several or none."""
     spread = _spread(places, decimal)
+    if len(places[0]) < LEAST_PARTS:
+        raise InputError(
+            f"{path}: states no unit, and has too few parts ({len(places[0])}) to show it.",
+            action="State it by --units mm, inch or mil.",
+        )
     found = [unit for unit in UNITS if _is_usual(spread, unit)]
     if len(found) != 1:
         raise InputError(
