@@ -19,8 +19,8 @@ from vaoi_station.board_data.readers.table_rows import PartRow
 from vaoi_station.errors import InputError
 
 UNITS = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
-USUAL_SPREAD_MM = (8.0, 1000.0)
-"""Distance of the outermost parts of a board along x or y. Wide limits: a guess is hardly ever wrong."""
+USUAL_SPREAD_MM = {"mm": (8.0, 1500.0), "inch": (8.0, 650.0), "mil": (8.0, 650.0)}
+"""Distance of the outermost parts of a board along x or y, by the unit of its file. Long boards are drawn in mm."""
 LEAST_PARTS = 2
 """With fewer parts their distance says nothing of the unit."""
 _UNIT_WORDS = (
@@ -201,8 +201,8 @@ def _spread(places: Sequence[Sequence[str]], decimal: str | None) -> float:
 
 
 def _is_usual(spread: float, unit: str) -> bool:
-    low, high = USUAL_SPREAD_MM
-    return low <= spread * UNITS.get(unit, 1.0) <= high
+    low, high = USUAL_SPREAD_MM[unit]
+    return low <= spread * UNITS[unit] <= high
 
 
 def _plausible_unit(places: Sequence[Sequence[str]], decimal: str | None, path: Path) -> str:
