@@ -52,7 +52,7 @@ def board_data(data: bytes, folder: Path) -> None:
             _both_sides(file, step)
         except VaoiError as error:
             errors.append(error)
-    if errors:
+    if len(errors) == len(files):
         raise errors[0]
 
 
