@@ -189,13 +189,37 @@ def test_parts_with_another_mirror_word_have_a_rule_of_their_own() -> None:
     assert "with 'M'" in notes[0] + notes[1]
 
 
+def beside_their_origin(sizes: tuple[float, ...], *, mirrored: bool) -> list[DrawnPart]:
+    """Return parts with pins at the right end of bodies, of as many packages as sizes; bodies may be mirrored."""
+    parts = []
+    for n, size in enumerate(sizes):
+        body = Box((0.0, -size), (8.0, size))
+        part = drawn(f"J{n}", SPEC["bottom"], 90.0)
+        part = replace(part, part=replace(part.part, box=body.mirrored() if mirrored else body))
+        parts.append(replace(part, pads=Box((5.0, -size / 2), (7.5, size / 2))))
+    return parts
+
+
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_pins_show_from_which_side_outlines_are_drawn(mirrored: bool) -> None:
+def test_pins_of_several_packages_show_from_which_side_outlines_are_drawn(mirrored: bool) -> None:
     """Pins lie within their outline, here at its right end."""
-    pads, body = Box((5.0, -1.0), (7.5, 1.0)), BODY.mirrored() if mirrored else BODY
-    part = drawn("J1", SPEC["bottom"], 90.0)
-    (found,), _ = placed_parts([replace(part, part=replace(part.part, box=body), pads=pads)], usual)
-    assert found.center == pytest.approx((10, 16))
+    found, notes = placed_parts(beside_their_origin((2.0, 3.0, 4.0), mirrored=mirrored), usual)
+    assert [part.center for part in found] == [pytest.approx((10, 16))] * 3
+    assert codes(notes) == ["rotation-by-pins", *["outlines-by-pins"] * mirrored]
+    assert not mirrored or notes[1].values == {"count": "3", "side": "bottom"}
+
+
+@pytest.mark.parametrize(("against", "usual_ones"), [((2.0,) * 5, ()), ((2.0, 3.0), ()), ((2.0, 3.0, 4.0), (5.0,))])
+def test_few_packages_with_bodies_beside_their_pins_turn_no_outlines_over(
+    against: tuple[float, ...], usual_ones: tuple[float, ...]
+) -> None:
+    """An edge connector has its body beside its pins, however often it is placed."""
+    parts = beside_their_origin(against, mirrored=True) + beside_their_origin(usual_ones, mirrored=False)
+    found, notes = placed_parts(parts, usual)
+    assert [part.center for part in found] == [pytest.approx((10, 24))] * len(against) + [
+        pytest.approx((10, 16))
+    ] * len(usual_ones)
+    assert codes(notes) == ["rotation-by-pins"]
 
 
 def test_places_that_may_be_of_other_things_judge_no_single_part() -> None:

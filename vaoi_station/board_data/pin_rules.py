@@ -27,6 +27,8 @@ LOOSE_SHARE = 0.2
 """A pin that lies beside its place by less than this share of its distance from the origin still confirms the angle."""
 LEAST_CONTRAST = 0.25
 """Pins show how an outline is drawn if they extend beyond it, drawn one way, by less than this share of the other."""
+LEAST_PACKAGES = 3
+"""By as many packages outlines must be shown to be drawn otherwise than usual: some bodies lie beside their pins."""
 LEAST_MARGIN = 3
 """By as many pins another rule must fit better than the usual one where places may be those of other things."""
 ROUNDING_MM = 0.005
@@ -101,6 +103,8 @@ class _Decision:
     pins: int
     rivals: int
     """Number of other rules that fit as well."""
+    turned_over: int = 0
+    """Number of packages that show that outlines are drawn otherwise than usual, if that is used."""
 
 
 def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True) -> tuple[list[Part], list[Note]]:
@@ -117,7 +121,15 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
     margin = 0 if exact else LEAST_MARGIN
     decided = {key: _decide(group, usual(*key), margin) for key, group in groups.items()}
     words = Counter(side for side, _ in groups)
-    notes = [_note_on_rule(key, decided[key], len(groups[key]), words[key[0]] > 1) for key in sorted(groups)[::-1]]
+    notes = []
+    for key in sorted(groups)[::-1]:
+        notes.append(_note_on_rule(key, decided[key], len(groups[key]), words[key[0]] > 1))
+        if count := decided[key].turned_over:
+            sentence = (
+                f"pins of {count} packages on the {key[0]} show that outlines are drawn as seen from the other side; "
+                "bodies were mirrored. Check them in the picture."
+            )
+            notes.append(Note("outlines-by-pins", sentence, count=count, side=key[0]))
     found = []
     turned, unfit = [], []
     for drawn in parts:
@@ -161,8 +173,9 @@ def _decide(parts: Sequence[DrawnPart], usual: Rule, margin: int) -> _Decision:
         best = 0, rules[0]
     (reading, rule), (_, fitting, pins) = best, scores[best]
     rivals = sum(scores[reading, other] == scores[best] for other in rules) - 1
-    outline = _outline_mirrored(parts, usual) if parts[0].part.side == "bottom" else usual.outline_mirrored
-    return _Decision(rule._replace(outline_mirrored=outline), reading, fitting, pins, rivals)
+    turned_over = _turned_over(parts, usual) if parts[0].part.side == "bottom" else 0
+    rule = rule._replace(outline_mirrored=usual.outline_mirrored != (turned_over > 0))
+    return _Decision(rule, reading, fitting, pins, rivals, turned_over)
 
 
 def _pins(drawn: DrawnPart, reading: int) -> Iterable[Pin]:
@@ -264,9 +277,12 @@ def _mean(points: Sequence[XY]) -> XY:
     return sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
 
 
-def _outline_mirrored(parts: Sequence[DrawnPart], usual: Rule) -> bool:
-    """Return whether outlines are drawn as seen from the other side than pins: pins lie within the outline."""
-    votes = 0
+def _turned_over(parts: Sequence[DrawnPart], usual: Rule) -> int:
+    """Return how many packages show that outlines are drawn from the other side than usual; 0 if too few do.
+
+    Pins lie within the outline. Those of edge connectors do not, so a single package proves nothing.
+    """
+    shown: dict[tuple[Box, Box], bool] = {}
     for drawn in parts:
         body, pads = drawn.part.box, drawn.pads
         if body is None or pads is None:
@@ -276,8 +292,9 @@ def _outline_mirrored(parts: Sequence[DrawnPart], usual: Rule) -> bool:
         ]
         # A body may lie beside its pins: only a large difference counts.
         if max(outside) > FITS_MM and min(outside) < LEAST_CONTRAST * max(outside):
-            votes += 1 if outside[1] < outside[0] else -1
-    return votes > 0 if votes else usual.outline_mirrored
+            shown[body, pads] = (outside[1] < outside[0]) != usual.outline_mirrored
+    against = sum(shown.values())
+    return against if against >= len(shown) - against + LEAST_PACKAGES else 0
 
 
 def _note_on_rule(key: tuple[Side, str], decision: _Decision, count: int, name_word: bool) -> Note:

@@ -39,6 +39,7 @@ export const remarks = {
   "outline-gaps-closed": ({ size_mm, at }) => `Konturen haben Lücken bis ${size_mm} mm; sie wurden geschlossen: bei ${more(at)}.`,
   "outline-open": ({ source }) => `Linien von ${source} um alle geschlossenen Konturen herum sind selbst nicht geschlossen: Es gibt keinen Umriss.`,
   "outline-unusable": () => "Der Umriss kreuzt sich selbst oder hat zu viele Ecken; sein umschließendes Rechteck wird genommen.",
+  "outlines-by-pins": ({ count, side }) => `Anschlüsse von ${count} Gehäusen der ${SIDES[side]} zeigen, dass Umrisse von der anderen Seite aus gezeichnet sind; Körper wurden gespiegelt. Im Bild prüfen.`,
   "packages-ambiguous": ({ count, names }) => `${count} Gehäuse stehen in mehreren Bibliotheken eines Namens, und ihre Elemente nennen keine library_urn davon; ihre Körper wurden weggelassen: ${more(names)}.`,
   "packages-not-described": ({ count, names }) => `${count} Gehäuse sind nicht beschrieben: ${names}.`,
   "pads-outside-box": ({ count, names }) => `Pads von ${count} Bauteilen liegen außerhalb ihres Rechtecks; im Bild prüfen: ${more(names)}.`,
