@@ -200,6 +200,35 @@ def beside_their_origin(sizes: tuple[float, ...], *, mirrored: bool) -> list[Dra
     return parts
 
 
+@pytest.mark.parametrize("pins", [(), CHIP], ids=["no pins", "symmetrical pins"])
+def test_parts_whose_pins_show_no_rule_follow_that_of_other_parts_of_their_side(pins: tuple[XY, ...]) -> None:
+    """At 0° two pins along x leave four rules."""
+    rule = Rule(False, -1)
+    proven = [replace(drawn(f"Q{n}", rule, 30.0 * n), word="M") for n in range(3)]
+    (*_, found), notes = placed_parts([*proven, drawn("J1", rule, 0.0, pins), drawn("J2", rule, 20.0, ())], usual)
+    assert found.center == pytest.approx(on_board((4.0, 0.0), rule, 20.0, (10, 20)))
+    assert set(codes(notes)) == {"rotation-by-pins", "rotation-by-pins" if pins else "rotation-by-others"}
+    assert {note.values["rule"] for note in notes} == {str(rule)}
+
+
+def test_rules_that_pins_prove_on_the_other_side_or_two_of_one_side_decide_on_no_other_parts() -> None:
+    proven = [drawn(f"A{n}", Rule(False, 1), 30.0 * n, side="top") for n in range(3)]
+    for word, rule in (("B", Rule(False, 1)), ("C", Rule(False, -1))):
+        proven += [replace(drawn(f"{word}{n}", rule, 30.0 * n), word=word) for n in range(3)]
+    (*_, found), notes = placed_parts([*proven, drawn("J1", SPEC["bottom"], 20.0, ())], usual)
+    assert found.rotation == SPEC["bottom"].rotation(20.0)
+    assert codes(notes).count("rotation-unconfirmed") == 1
+
+
+def test_of_rules_that_fit_equally_well_that_of_the_top_is_taken_if_the_usual_one_does_not_fit() -> None:
+    """Two pins at 0° and 180° do not show the sense of the turn; KiCad turns both sides alike."""
+    rule = SPEC["top"]
+    parts = [drawn("R1", rule, 180.0, CHIP), drawn("R2", rule, 0.0, CHIP), drawn("J1", rule, 30.0, ())]
+    found, (note,) = placed_parts(parts, usual)
+    assert found[-1].center == pytest.approx(on_board((4.0, 0.0), rule, 30.0, (10, 20)))
+    assert (note.values["rule"], note.values["rivals"]) == (str(rule), "3")
+
+
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_pins_of_several_packages_show_from_which_side_outlines_are_drawn(mirrored: bool) -> None:
     """Pins lie within their outline, here at its right end."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -97,6 +97,8 @@ Usual = Callable[[Side, str], Rule]
 
 @dataclass(frozen=True)
 class _Decision:
+    """By which rule a group of parts is placed, and what its pins show."""
+
     rule: Rule
     reading: int
     fitting: int
@@ -105,6 +107,13 @@ class _Decision:
     """Number of other rules that fit as well."""
     turned_over: int = 0
     """Number of packages that show that outlines are drawn otherwise than usual, if that is used."""
+    of_others: bool = False
+    """Whether the rule is that of other parts of the side, since no pin of these shows one."""
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether most pins fit this rule, and no other as well."""
+        return self.fitting > LEAST_SHARE * self.pins and not self.rivals
 
 
 def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True) -> tuple[list[Part], list[Note]]:
@@ -119,7 +128,7 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
     for drawn in parts:
         groups[drawn.group].append(drawn)
     margin = 0 if exact else LEAST_MARGIN
-    decided = {key: _decide(group, usual(*key), margin) for key, group in groups.items()}
+    decided = _decisions(groups, usual, margin)
     words = Counter(side for side, _ in groups)
     notes = []
     for key in sorted(groups)[::-1]:
@@ -156,9 +165,32 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
     return found, notes
 
 
-def _decide(parts: Sequence[DrawnPart], usual: Rule, margin: int) -> _Decision:
-    """Return the rule that fits most parts; the usual one if no other fits more pins by a margin."""
-    rules = list(dict.fromkeys([usual._replace(outline_mirrored=False), *RULES]))
+def _decisions(
+    groups: Mapping[tuple[Side, str], Sequence[DrawnPart]], usual: Usual, margin: int
+) -> dict[tuple[Side, str], _Decision]:
+    """Return what is decided for each group of parts.
+
+    A group whose pins leave several rules takes the one that pins prove for another group of its side.
+    """
+    # A program that does not draw packages from their own side treats both sides alike.
+    decided = {key: _decide(group, [usual(*key), usual("top", "")], margin) for key, group in groups.items()}
+    proven = {key: decision.rule for key, decision in decided.items() if decision.is_proven}
+    for key, group in groups.items():
+        rules = {rule for other, rule in proven.items() if other[0] == key[0] and usual(*other) == usual(*key)}
+        if key not in proven and len(rules) == 1:
+            (rule,) = rules
+            decision = _decide(group, [rule, usual(*key)], margin)
+            decided[key] = replace(decision, of_others=not decision.fitting)
+    return decided
+
+
+def _decide(parts: Sequence[DrawnPart], expected: Sequence[Rule], margin: int) -> _Decision:
+    """Return the rule that fits most parts: the first expected one if no other fits more pins by a margin.
+
+    Of other rules that fit equally well an expected one is taken.
+    """
+    usual = expected[0]
+    rules = list(dict.fromkeys([*(rule._replace(outline_mirrored=False) for rule in expected), *RULES]))
     scores: dict[tuple[int, Rule], tuple[float, int, int]] = {}
     for reading in range(max(len(drawn.readings) for drawn in parts)):
         for rule in rules:
@@ -302,6 +334,9 @@ def _note_on_rule(key: tuple[Side, str], decision: _Decision, count: int, name_w
     parts = f"parts on the {side}" + (f" with {word!r}" if name_word else "")
     rule = str(decision.rule)
     values = {"side": side, "word": word, "rule": rule, "fit": decision.fitting, "pins": decision.pins}
+    if decision.of_others:
+        sentence = f"{count} {parts} are {rule}, as the pins of other parts of this side show; their own show no rule."
+        return Note("rotation-by-others", sentence, count=count, **values)
     if not decision.fitting:
         why = "states no places of pins" if not decision.pins else f"has {decision.pins} pins there, but none fits"
         sentence = f"{count} {parts} are {rule}, which is usual; nothing in the file confirms it: it {why}."

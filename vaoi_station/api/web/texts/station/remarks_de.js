@@ -62,6 +62,7 @@ export const remarks = {
   "rotation-assumed": () => "Keine Spalte nennt die Drehung; 0° wird angenommen.",
   "rotation-clockwise": ({ header }) => `Die Spalte „${header}“ nennt Drehungen im Uhrzeigersinn; sie wurden umgerechnet.`,
   "rotation-empty": ({ count, names }) => `${count} Bauteile haben in der Spalte keine Drehung; 0° wird angenommen: ${more(names)}.`,
+  "rotation-by-others": ({ side, rule, count }) => `${count} Bauteile der ${SIDES[side]} sind ${turned(rule)}, wie es die Anschlüsse anderer Bauteile dieser Seite zeigen; ihre eigenen zeigen keine Regel.`,
   "rotation-by-pins": ({ side, rule, fit, pins, count, rivals }) => `${count} Bauteile der ${SIDES[side]} sind ${turned(rule)}: ${fit} von ${pins} Anschlüssen passen${others(rivals)}.`,
   "rotation-unconfirmed": ({ side, rule, count }) => `${count} Bauteile der ${SIDES[side]} sind ${turned(rule)}, wie es üblich ist; nichts in der Datei bestätigt es.`,
   "rotations-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nach ihren Pads in der zweiten Datei anders gedreht; es gilt die zweite: ${more(names)}.`,
