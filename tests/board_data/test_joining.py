@@ -112,6 +112,37 @@ def test_designators_that_repeat_on_a_side_are_left_out_and_named() -> None:
     assert "designators that occur more than once in the first file were left out: U1." in found.notes
 
 
+def test_of_two_parts_of_the_second_file_with_one_designator_the_fitted_one_gives_the_body() -> None:
+    other = Part("U1", "top", (9.0, 9.0), 0.0, box=Box((-9.0, -9.0), (9.0, 9.0)), fitted=False)
+    found = join_designs(places(), bodies(parts=(other, *bodies().parts)), "top")
+    u1 = next(p for p in found.parts if p.ref == "U1")
+    assert (u1.box, u1.size_from, u1.fitted) == (BODY, "file", True)
+    codes = {note.code for note in found.notes}
+    assert "parts-alternative" in codes
+    assert "parts-without-body" not in codes
+
+
+def test_of_two_parts_of_the_first_file_with_one_designator_the_fitted_one_gives_the_place() -> None:
+    other = Part("U1", "top", (9.0, 9.0), 0.0, fitted=False)
+    found = join_designs(replace(places(), parts=(other, *places().parts)), bodies(), "top")
+    assert [p.origin for p in found.parts if p.ref == "U1"] == [PLACES["U1"]]
+    assert {"parts-alternative"} == {n.code for n in found.notes} & {"parts-alternative", "designators-repeated"}
+
+
+def test_a_designator_of_two_fitted_parts_of_the_second_file_is_not_said_to_be_in_the_first_only() -> None:
+    other = Part("U1", "top", (9.0, 9.0), 0.0, box=BODY)
+    found = join_designs(places(), bodies(parts=(other, *bodies().parts)), "top")
+    named = {note.code for note in found.notes if "U1" in note}
+    assert named == {"bodies-repeated"}
+    assert next(p for p in found.parts if p.ref == "U1").box is None
+
+
+def test_a_designator_of_two_parts_of_the_first_file_is_not_said_to_be_in_the_second_only() -> None:
+    other = Part("U1", "top", (9.0, 9.0), 0.0)
+    found = join_designs(replace(places(), parts=(other, *places().parts)), bodies(), "top")
+    assert {note.code for note in found.notes if "U1" in note} == {"designators-repeated"}
+
+
 def test_a_guess_of_the_second_file_does_not_replace_a_size_of_the_table() -> None:
     known = Box((-1.0, -1.0), (1.0, 1.0))
     first = tuple(replace(p, box=known, size_from="table") for p in places().parts)

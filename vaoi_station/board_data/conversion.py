@@ -61,7 +61,7 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
             f"design {design.name!r} has no part on the {side}; parts: {found}.", action=_advice(design, side)
         )
     notes = list(design.notes)
-    single = _one_of_each(chosen, notes)
+    single = one_of_each(chosen, notes)
     counts = Counter(part.address for part in single)
     repeated = sorted(address for address, count in counts.items() if count > 1)
     parts = [part for part in single if counts[part.address] == 1 and part.box is not None]
@@ -106,7 +106,7 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
     return board, tuple(notes)
 
 
-def _one_of_each(parts: Sequence[Part], notes: list[Note]) -> list[Part]:
+def one_of_each(parts: Sequence[Part], notes: list[Note]) -> list[Part]:
     """Return the parts without those that stand beside the fitted one, or twice at its place, under one designator.
 
     Alternatives of which one is fitted are drawn as several parts. All parts of other repeated designators remain.

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import product
 from statistics import median
 
+from vaoi_station.board_data.conversion import one_of_each
 from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.errors import InputError
@@ -49,7 +50,9 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
                 f"{design.name!r} is a panel of {len(design.boards)} boards; only files of one board can be joined.",
                 action="Choose the step of the board by --step, and repeat the joined board by --repeat.",
             )
-    placed, drawn = _by_ref(places, side), _by_ref(bodies, side)
+    notes: list[Note] = []
+    placed, placed_twice = _by_ref(places, side, notes)
+    drawn, drawn_twice = _by_ref(bodies, side, notes)
     common = sorted(placed.keys() & drawn.keys())
     if len(common) < LEAST_COMMON:
         raise InputError(
@@ -59,9 +62,8 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
         )
     pairs = [(placed[ref], drawn[ref]) for ref in common]
     by_center, found = _best(pairs)
-    notes = []
-    if repeated := _repeated(places, side):
-        names = _some(repeated)
+    if placed_twice:
+        names = _some(placed_twice)
         sentence = f"designators that occur more than once in the first file were left out: {names}."
         notes.append(Note("designators-repeated", sentence, names=names))
     if found.mirrored:
@@ -87,7 +89,11 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
     angles = _angles(pairs, found.degrees, turned=all(note.code != "angles-not-stated" for note in bodies.notes))
     notes.insert(1, _note_on_angles(angles))
     joined = [_joined(a, drawn.get(a.ref), found, by_center, angles) for a in placed.values()]
-    notes += _conflicts(placed, drawn, off, angles, _sides(places, bodies))
+    if unclear := [ref for ref in drawn_twice if ref in placed]:
+        names = _some(unclear)
+        sentence = f"designators that occur more than once in the second file get no body from it: {names}."
+        notes.append(Note("bodies-repeated", sentence, names=names))
+    notes += _conflicts(placed, drawn, off, angles, _sides(places, bodies), {*placed_twice, *drawn_twice})
     return Design(
         name=places.name,
         format=f"{places.format} + {bodies.format}",
@@ -106,15 +112,12 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
     )
 
 
-def _by_ref(design: Design, side: Side) -> dict[str, Part]:
-    """Return the parts of a side; designators that stand several times there match nothing."""
-    twice = set(_repeated(design, side))
-    return {part.ref: part for part in design.parts if part.side == side and part.ref not in twice}
-
-
-def _repeated(design: Design, side: Side) -> list[str]:
-    counts = Counter(part.ref for part in design.parts if part.side == side)
-    return sorted(ref for ref, count in counts.items() if count > 1)
+def _by_ref(design: Design, side: Side, notes: list[Note]) -> tuple[dict[str, Part], list[str]]:
+    """Return the parts of a side by designator, and the designators of several parts, which match nothing."""
+    parts = one_of_each([part for part in design.parts if part.side == side], notes)
+    counts = Counter(part.ref for part in parts)
+    twice = sorted(ref for ref, count in counts.items() if count > 1)
+    return {part.ref: part for part in parts if counts[part.ref] == 1}, twice
 
 
 def _sides(places: Design, bodies: Design) -> dict[str, tuple[Side, Side]]:
@@ -299,8 +302,9 @@ def _conflicts(
     off: dict[str, float],
     angles: _Angles,
     sides: dict[str, tuple[Side, Side]],
+    twice: Set[str],
 ) -> list[Note]:
-    """Return a note for every kind of conflict."""
+    """Return a note for every kind of conflict; designators that occur twice in a file are no conflict."""
     notes = []
 
     def add_conflict(code: str, count: int, words: str, names: Sequence[str]) -> None:
@@ -327,9 +331,9 @@ def _conflicts(
     if sides:
         shown_sides = [f"{ref} ({first}, {second})" for ref, (first, second) in sides.items()]
         add_conflict("sides-differ", len(sides), "lie on different sides in both files", shown_sides)
-    if missing := sorted(placed.keys() - drawn.keys()):
+    if missing := sorted(placed.keys() - drawn.keys() - twice):
         add_conflict("parts-without-body", len(missing), "are in the first file only, without a body", missing)
-    if more := sorted(drawn.keys() - placed.keys()):
+    if more := sorted(drawn.keys() - placed.keys() - twice):
         add_conflict("parts-of-second-file", len(more), "are in the second file only; they were left out", more)
     return notes
 

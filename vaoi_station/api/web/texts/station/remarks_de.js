@@ -14,6 +14,7 @@ export const remarks = {
   "angles-not-stated": () => "Alle Rechtecke liegen entlang der Achsen, bei 0°: Die Datei nennt keine Winkel von Bauteilen.",
   "bare-steps": ({ names }) => `Wiederholte Steps ohne Bauteile wurden weggelassen: ${names}.`,
   "board-repeated": ({ counts }) => `Die Leiterplatte wird ${counts}-mal wiederholt; Positionen zählen von 1 an, zuerst entlang x.`,
+  "bodies-repeated": ({ names }) => `Bezeichner, die in der zweiten Datei mehrmals vorkommen, bekommen von ihr keinen Körper: ${more(names)}.`,
   "bottom-maybe-negated": () => "x ist bei allen Bauteilen der Unterseite negativ: Hat das Programm es umgekehrt, liegen sie spiegelverkehrt. Die Datei der Leiterplatte verbinden, oder den Typ an einem Lauf prüfen.",
   "bottom-negated": ({ count }) => `x der ${count} Bauteile der Unterseite war umgekehrt, wie die Oberseite zeigt; es wurde berichtigt. Drehungen gelten, wie sie dastehen.`,
   "boards-of-one-fiducial": ({ count, names }) => `Nur eine Passmarke bestimmt die Lage von ${count} Leiterplatten des Nutzens, sodass Läufe Vorbehalte haben: Positionen ${more(names)}. Jeder eine zweite geben.`,
