@@ -74,6 +74,30 @@ def test_a_logo_has_the_size_of_its_silkscreen() -> None:
     assert part.box.size == (4, 3)
 
 
+DOT = '(fp_circle (center -2.45 1.75) (end -2.42 1.75) (layer "F.Fab"))'
+SILK = '(fp_line (start -2.5 -2) (end 2.5 -2) (layer "F.SilkS")) (fp_line (start -2.5 2) (end 2.5 2) (layer "F.SilkS"))'
+COURTYARD = '(fp_rect (start -2.75 -2.25) (end 2.75 2.25) (layer "F.CrtYd"))'
+
+
+@pytest.mark.parametrize(
+    ("drawing", "size"),
+    [
+        (DOT, (2.2, 0.8)),
+        (DOT + SILK, (5, 4)),
+        (DOT + COURTYARD + SILK, (5, 4)),
+        (DOT + '(fp_line (start -0.2 -2.9) (end 0.2 -2.8) (layer "F.SilkS"))', (2.2, 3.3)),
+        ('(fp_rect (start -0.25 -0.5) (end 0.25 0.5) (layer "F.Fab"))' + SILK, (0.5, 1)),
+        ('(fp_line (start -2 -0.05) (end 2 0.05) (layer "F.Fab"))' + SILK, (5, 4)),
+    ],
+)
+def test_a_drawing_much_smaller_than_the_pads_is_no_body(drawing: str, size: tuple[float, float]) -> None:
+    text = f"""(kicad_pcb (footprint "L:U" (layer "F.Cu") (at 20 20) (property "Reference" "U1") {drawing}
+        (pad "1" smd rect (at -0.8 0) (size 0.6 0.8)) (pad "2" smd rect (at 0.8 0) (size 0.6 0.8))))"""
+    (part,) = read_kicad(text.encode(), PATH).parts
+    assert part.box is not None
+    assert part.box.size == pytest.approx(size)
+
+
 def test_an_outline_of_a_footprint_without_a_place_is_left_out() -> None:
     text = """(kicad_pcb (footprint "L:F" (layer "F.Cu")
         (fp_line (start 0 0) (end 1 0) (layer "Edge.Cuts"))))"""

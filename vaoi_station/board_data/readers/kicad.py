@@ -13,6 +13,7 @@ from pathlib import Path
 from vaoi_station.board_data.contours import arc_points, arc_through, circle_points, find_contours
 from vaoi_station.board_data.design import (
     KICAD_COURTYARD_MM,
+    LEAST_DRAWING,
     XY,
     Box,
     Design,
@@ -20,6 +21,7 @@ from vaoi_station.board_data.design import (
     MarkKind,
     Part,
     Side,
+    body_of,
     box_around,
     normalised,
     rotated,
@@ -34,6 +36,8 @@ from vaoi_station.model.note import Note
 _MARK_PROPERTIES: dict[str, MarkKind] = {"pad_prop_fiducial_glob": "global", "pad_prop_fiducial_loc": "local"}
 _UNFITTED = frozenset({"DNP", "DNI", "DNF"})
 """Names of properties by which users state that a part is not fitted."""
+_LEAST_BODY = 0.2
+"""A body is at least this share of its pads, along both axes, and along one of them `LEAST_DRAWING`."""
 
 
 def is_kicad(head: bytes) -> bool:
@@ -159,17 +163,28 @@ def _text(footprint: Node, kind: str) -> str:
 def _body(footprint: Node, rotation: float, side: Side) -> Box | None:
     """Return the body: the drawing of the fabrication layer, else the courtyard without its margin, else the pads.
 
-    What has neither, such as a logo, has its silkscreen.
+    A drawing that is much smaller than the pads is a mark of pin 1. Without both layers, the silkscreen counts with the
+    pads.
     """
     layer = "B" if side == "bottom" else "F"
-    drawn = box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.Fab") for p in piece)
-    if drawn is not None:
-        return drawn
-    courtyard = box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.CrtYd") for p in piece)
-    if courtyard is not None:
-        return courtyard.shrunk(KICAD_COURTYARD_MM)
     pads = box_around(p for pad in every(footprint, "pad") for p in _pad_corners(pad, rotation))
-    return pads or box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.SilkS") for p in piece)
+    drawn, courtyard, silkscreen = (
+        box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.{name}") for p in piece)
+        for name in ("Fab", "CrtYd", "SilkS")
+    )
+    if drawn is not None and _is_body(drawn, pads):
+        return drawn
+    if courtyard is not None and _is_body(courtyard, pads):
+        return courtyard.shrunk(KICAD_COURTYARD_MM)
+    return body_of(silkscreen, pads)
+
+
+def _is_body(drawing: Box, pads: Box | None) -> bool:
+    """Return whether a drawing is large enough for a body; along one axis pads may reach far beyond one."""
+    if pads is None:
+        return True
+    least, most = sorted(d / p for d, p in zip(drawing.size, pads.size, strict=True))
+    return least >= _LEAST_BODY and most >= LEAST_DRAWING
 
 
 def _pad_corners(pad: Node, rotation: float) -> list[XY]:
