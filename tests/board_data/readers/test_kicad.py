@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from math import pi
 from pathlib import Path
 
 import pytest
 
 from tests.board_data.readers import samples
+from vaoi_station.board_data.contours import area
 from vaoi_station.board_data.readers.kicad import is_kicad, read_kicad
 from vaoi_station.errors import InputError
 
@@ -41,6 +43,25 @@ def test_version_5_has_modules_texts_and_arcs_by_angle() -> None:
     # on the screen the arc runs clockwise from (10, 0) down to (0, 10)
     assert min(y for _, y in design.outline) == pytest.approx(-10)
     assert all(x >= -1e-9 for x, _ in design.outline)
+
+
+@pytest.mark.parametrize(
+    ("drawing", "expected"),
+    [
+        ("(gr_poly (pts (xy 0 0) (xy 40 0) (arc (start 40 0) (mid 60 20) (end 40 40)) (xy 0 40)) {})", 1600 + 200 * pi),
+        (
+            "(gr_poly (pts (arc (start 40 0) (mid 60 20) (end 40 40)) (arc (start 0 40) (mid -20 20) (end 0 0))) {})",
+            1600 + 400 * pi,
+        ),
+        ("(gr_rect (start 0 0) (end 60 40) (radius 8) {})", 2400 - (4 - pi) * 64),
+        ("(gr_rect (start 60 40) (end 0 0) (radius 30) {})", 800 + 400 * pi),
+        ("(gr_rect (start 60 40) (end 0 0) {})", 2400),
+    ],
+)
+def test_arcs_of_polygons_and_round_corners_of_rectangles(drawing: str, expected: float) -> None:
+    design = read_kicad(f"(kicad_pcb {drawing.format('(layer Edge.Cuts)')})".encode(), PATH)
+    assert area(design.outline) == pytest.approx(expected, rel=1e-3)
+    assert not design.notes
 
 
 def test_another_file_is_refused() -> None:

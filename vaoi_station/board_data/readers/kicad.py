@@ -214,16 +214,40 @@ def _drawing(node: Node, prefix: str, layer: str) -> Iterator[list[XY]]:
         if kind == "line" and point["start"] and point["end"]:
             yield [point["start"], point["end"]]
         elif kind == "rect" and point["start"] and point["end"]:
-            (x0, y0), (x1, y1) = point["start"], point["end"]
-            yield [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+            yield _rectangle(point["start"], point["end"], (numbers(first(shape, "radius")) or [0.0])[0])
         elif kind == "circle" and point["center"] and point["end"]:
             yield circle_points(point["center"], math.dist(point["center"], point["end"]))
         elif kind == "arc" and point["start"] and point["end"]:
             yield _arc(shape, point["start"], point["mid"], point["end"])
         elif kind in ("poly", "curve"):
-            corners = [(xy[0], -xy[1]) for n in every(first(shape, "pts") or [], "xy") if len(xy := numbers(n)) == 2]
+            corners = _points(first(shape, "pts") or [])
             if corners:
                 yield [*corners, corners[0]] if kind == "poly" else _bezier(corners)
+
+
+def _rectangle(start: XY, end: XY, radius: float) -> list[XY]:
+    """Return a rectangle; since version 10 its corners may be rounded."""
+    (x0, y0), (x1, y1) = (tuple(map(pick, start, end)) for pick in (min, max))
+    radius = min(radius, (x1 - x0) / 2, (y1 - y0) / 2)
+    if radius <= 0:
+        return [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+    found = []
+    for sx, sy, (x, y) in ((-1, -1, (x0, y0)), (1, -1, (x1, y0)), (1, 1, (x1, y1)), (-1, 1, (x0, y1))):
+        beside_x, beside_y = (x - sx * radius, y), (x, y - sy * radius)
+        ends = (beside_y, beside_x) if sx == sy else (beside_x, beside_y)  # counter-clockwise around the rectangle
+        found += arc_points(*ends, (x - sx * radius, y - sy * radius), clockwise=False)
+    return [*found, found[0]]
+
+
+def _points(pts: Node) -> list[XY]:
+    """Return the corners of a polygon; since version 6 arcs may be among them."""
+    found: list[XY] = []
+    for node in every(pts, "xy", "arc"):
+        if node[0] == "xy":
+            found += [(xy[0], -xy[1])] if len(xy := numbers(node)) == 2 else []
+        elif (start := _xy(node, "start")) and (middle := _xy(node, "mid")) and (end := _xy(node, "end")):
+            found += arc_through(start, middle, end)
+    return found
 
 
 def _arc(shape: Node, start: XY, middle: XY | None, end: XY) -> list[XY]:
