@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from math import pi, sqrt
 from pathlib import Path
 
 import pytest
 
 from tests.board_data.readers import samples
-from vaoi_station.board_data.design import Design
+from vaoi_station.board_data.contours import area
+from vaoi_station.board_data.design import Design, extent
 from vaoi_station.board_data.readers.eagle import read_eagle
 from vaoi_station.errors import InputError
 
@@ -178,3 +180,45 @@ def test_a_package_that_may_be_one_of_several_is_said_and_not_taken(urn: str) ->
 def test_a_package_that_no_library_has_is_said() -> None:
     design = read(library(3), element(package="Q") + element(name="U2", package="Q"))
     assert [(note.code, note.values["names"]) for note in design.notes] == [("packages-not-described", "Q (U1, U2)")]
+
+
+SQUARE = '<vertex x="0" y="0"/><vertex x="40" y="0"{}/><vertex x="40" y="40"/><vertex x="0" y="40"/>'
+CURVED = SQUARE.format(' curve="180"')
+
+
+@pytest.mark.parametrize(
+    ("drawing", "expected", "low", "high"),
+    [
+        (f'<polygon layer="20">{SQUARE.format("")}</polygon>', 1600, (0, 0), (40, 40)),
+        (f'<polygon layer="20">{CURVED}</polygon>', 1600 + 200 * pi, (0, 0), (60, 40)),
+        (
+            f'<polygonshape layer="20"><polygonoutlinesegments>{CURVED}</polygonoutlinesegments></polygonshape>',
+            1600 + 200 * pi,
+            (0, 0),
+            (60, 40),
+        ),
+        ('<rectangle x1="0" y1="0" x2="60" y2="40" layer="20" rot="R90"/>', 2400, (10, -10), (50, 50)),
+        (
+            '<rectangle x1="-20" y1="-20" x2="20" y2="20" layer="20" rot="R45"/>',
+            1600,
+            (-20 * sqrt(2), -20 * sqrt(2)),
+            (20 * sqrt(2), 20 * sqrt(2)),
+        ),
+    ],
+)
+def test_polygons_with_curves_and_rotated_rectangles_are_outlines(
+    drawing: str, expected: float, low: tuple[float, float], high: tuple[float, float]
+) -> None:
+    board = f"<board><plain>{drawing}</plain></board>"
+    design = read_eagle(f'<eagle version="9.7.0"><drawing>{board}</drawing></eagle>'.encode(), Path("b.brd"))
+    assert area(design.outline) == pytest.approx(expected, rel=1e-3)
+    for found, limit in zip(extent(design.outline), (low, high), strict=True):
+        assert found == pytest.approx(limit, abs=0.02)
+    assert not design.notes
+
+
+def test_a_rotated_rectangle_is_a_body() -> None:
+    turned = package(7).replace('layer="51"', 'layer="51" rot="R90"')
+    (part,) = read(f'<library name="lib"><packages>{turned}</packages></library>', element()).parts
+    assert part.box is not None
+    assert part.box.size == pytest.approx((2, 7))

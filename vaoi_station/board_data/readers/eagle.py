@@ -193,7 +193,7 @@ class _Reader:
         return Box((x + low[0], y + low[1]), (x + high[0], y + high[1]))
 
     def drawing(self, node: Element, layer: str) -> Iterator[list[XY]]:
-        """Yield lines, arcs, circles and rectangles of a layer."""
+        """Yield lines, arcs, circles, rectangles and polygons of a layer."""
         for shape in node:
             if shape.get("layer") != layer:
                 continue
@@ -204,11 +204,24 @@ class _Reader:
                 yield circle_points((self._number(shape, "x"), self._number(shape, "y")), self._number(shape, "radius"))
             elif shape.tag == "rectangle":
                 x0, y0, x1, y1 = (self._number(shape, key) for key in ("x1", "y1", "x2", "y2"))
-                yield [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+                # It is rotated about its centre.
+                at, (dx, dy) = ((x0 + x1) / 2, (y0 + y1) / 2), ((x1 - x0) / 2, (y1 - y0) / 2)
+                turned = Placement(False, self._rotation(shape)[1], at)
+                corners = ((-dx, -dy), (dx, -dy), (dx, dy), (-dx, dy), (-dx, -dy))
+                yield [turned.apply(corner) for corner in corners]
             elif shape.tag == "polygon":
-                points = [(self._number(v, "x"), self._number(v, "y")) for v in shape.iter("vertex")]
-                if points:
-                    yield [*points, points[0]]
+                yield self._contour(shape)
+            elif shape.tag == "polygonshape":  # version 9.7; its children are contours, such as polygonoutlinesegments
+                yield from map(self._contour, shape)
+
+    def _contour(self, polygon: Element) -> list[XY]:
+        """Return the points of a polygon; `curve` of a vertex is that of the edge from it to the next one."""
+        vertices = polygon.findall("vertex")
+        points = [(self._number(v, "x"), self._number(v, "y")) for v in vertices]
+        found = points[:1]
+        for vertex, start, end in zip(vertices, points, [*points[1:], *points[:1]], strict=True):
+            found += _arc(start, end, self._number(vertex, "curve", 0.0))[1:]
+        return found
 
     def _rotation(self, element: Element) -> tuple[bool, float]:
         """Return whether a part is mirrored, and its rotation: `MR90`, `SR180` (spin, which turns its texts only)."""
