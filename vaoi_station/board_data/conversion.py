@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from vaoi_station.board_data.contours import area, places
 from vaoi_station.board_data.design import XY, Design, Mark, Part, Side
+from vaoi_station.board_data.frame import parts_within
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.board_data.package_sizes import GUESS_MM
 from vaoi_station.errors import InputError
@@ -98,7 +99,7 @@ def _converted(design: Design, side: Side, name: str | None) -> tuple[BoardType,
         name=name or design.name,
         side=side,
         outline=outline,
-        cut_outs=_cut_outs(design, outline, notes) or None,
+        cut_outs=_without_boards(_cut_outs(design, outline, notes), parts, notes) or None,
         fiducials=tuple(fiducials),
         other_marks=tuple(other_marks) or None,
         components=tuple(_component(part) for part in parts),
@@ -266,6 +267,32 @@ def _cut_outs(design: Design, outline: Sequence[XY] | None, notes: list[Note]) -
         )
         notes.append(Note("contours-left-out", sentence, count=len(left_out), at=places(left_out)))
     return tuple(found)
+
+
+def _without_boards(
+    cut_outs: tuple[tuple[XY, ...], ...], parts: Sequence[Part], notes: list[Note]
+) -> tuple[tuple[XY, ...], ...]:
+    """Return the cut-outs without those that hold parts if most parts lie in one; else parts in a cut-out are named.
+
+    A single part may lie over a cut-out, such as an optocoupler over its slot.
+    """
+    held = parts_within(cut_outs, parts)
+    inside = [part.address for of in held for part in of]
+    if 2 * len(inside) > len(parts):
+        boards = [contour for contour, of in zip(cut_outs, held, strict=True) if of]
+        at = places(min(contour) for contour in boards)
+        sentence = (
+            f"{len(inside)} of {len(parts)} parts lie within {len(boards)} contours inside the outline, from {at} on: "
+            "they seem to be boards of a panel, and are no cut-outs. If one board is filmed, import the file of it."
+        )
+        values = {"count": len(inside), "all": len(parts), "contours": len(boards), "at": at}
+        notes.append(Note("boards-in-outline", sentence, **values))
+        return tuple(contour for contour, of in zip(cut_outs, held, strict=True) if not of)
+    if inside:
+        names = _some(inside)
+        sentence = f"{len(inside)} parts have their centre in a cut-out: {names}. Check the cut-outs in the picture."
+        notes.append(Note("parts-in-cut-outs", sentence, count=len(inside), names=names))
+    return cut_outs
 
 
 def _within(outline: Sequence[XY], corners: Sequence[XY]) -> bool:

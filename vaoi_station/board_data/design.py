@@ -200,6 +200,8 @@ class Design:
     outline: tuple[XY, ...] = ()
     """The outer contour; empty if the file has none."""
     cut_outs: tuple[tuple[XY, ...], ...] = ()
+    islands: tuple[tuple[XY, ...], ...] = ()
+    """Contours within cut-outs: the cut-outs of a board that lies in a frame."""
     marks: tuple[Mark, ...] = ()
     """Fiducials that are no parts."""
     table: TableReading | None = None

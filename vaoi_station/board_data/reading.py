@@ -9,6 +9,7 @@ from pathlib import Path
 from vaoi_station.board_data import package_sizes
 from vaoi_station.board_data.design import Design, Side
 from vaoi_station.board_data.foreign_files import refuse_archive, refuse_foreign
+from vaoi_station.board_data.frame import without_frame
 from vaoi_station.board_data.joining import join_designs
 from vaoi_station.board_data.panels import Grid, laid_out, repeated, with_copies
 from vaoi_station.board_data.readers.eagle import is_eagle, read_eagle
@@ -76,10 +77,10 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
     if options.format is not None and options.format not in FORMATS:
         raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
     table = (*options.sizes, *package_sizes.shipped_table())
-    design = with_copies(package_sizes.with_sizes(_read(path, options), table))
+    design = without_frame(with_copies(package_sizes.with_sizes(_read(path, options), table)))
     bodies = None
     if join is not None:
-        bodies = with_copies(package_sizes.with_sizes(_read(join, Options(step=options.step)), table))
+        bodies = without_frame(with_copies(package_sizes.with_sizes(_read(join, Options(step=options.step)), table)))
     _refuse_without_effect(path, options, design.format, bodies.format if bodies is not None else None)
     if bodies is not None:
         design = join_designs(design, bodies, side)

@@ -39,6 +39,8 @@ class Contours:
     """The largest outer contour; empty if the lines around all others are not closed."""
     others: tuple[tuple[XY, ...], ...] = ()
     """The cut-outs, and contours beside the outline; the largest first."""
+    islands: tuple[tuple[XY, ...], ...] = ()
+    """Contours within cut-outs."""
     notes: tuple[Note, ...] = ()
 
 
@@ -95,7 +97,12 @@ def find_contours(pieces: Iterable[Sequence[XY]], source: str) -> Contours:
         notes.append(Note("islands-left-out", sentence, count=len(islands), at=at))
     notes += note_on_unused(drawing, graph, [*outer, *cut_outs, *islands, *notches], source)
     others = g.by_size([*cut_outs, *beside])
-    return Contours(_corners(g.cut_off(outline, notches)), tuple(map(_corners, others)), tuple(notes))
+    return Contours(
+        outline=_corners(g.cut_off(outline, notches)),
+        others=tuple(map(_corners, others)),
+        islands=tuple(map(_corners, islands)),
+        notes=tuple(notes),
+    )
 
 
 def _closed(edges: Edges) -> tuple[Graph, Edges]:

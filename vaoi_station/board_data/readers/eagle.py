@@ -81,7 +81,15 @@ def read_eagle(data: bytes, path: Path) -> Design:
         names = _some(without_pads)
         sentence = f"{len(without_pads)} parts have no pads: {names}. Remove those that are a frame or a logo."
         notes.append(Note("parts-without-pads", sentence, count=len(without_pads), names=names))
-    return Design(path.stem, "eagle", tuple(parts), contours.outline, contours.others, notes=tuple(notes))
+    return Design(
+        name=path.stem,
+        format="eagle",
+        parts=tuple(parts),
+        outline=contours.outline,
+        cut_outs=contours.others,
+        islands=contours.islands,
+        notes=tuple(notes),
+    )
 
 
 class _Libraries:

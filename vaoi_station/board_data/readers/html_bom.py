@@ -60,7 +60,15 @@ def read_html_bom(data: bytes, path: Path) -> Design:
             sentence = "all boxes lie along the axes, at angle 0: the file states no angles of parts."
             notes.append(Note("angles-not-stated", sentence))
     fitted = tuple(p if n not in hidden else _unfitted(p) for n, p in enumerate(parts))
-    return Design(title, "html-bom", fitted, contours.outline, contours.others, notes=(*notes, *contours.notes))
+    return Design(
+        name=title,
+        format="html-bom",
+        parts=fitted,
+        outline=contours.outline,
+        cut_outs=contours.others,
+        islands=contours.islands,
+        notes=(*notes, *contours.notes),
+    )
 
 
 def _board(text: str, path: Path) -> dict[str, Any]:

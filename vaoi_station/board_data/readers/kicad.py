@@ -82,6 +82,7 @@ def _design(root: Node, path: Path) -> Design:
         parts=tuple(parts),
         outline=contours.outline,
         cut_outs=contours.others,
+        islands=contours.islands,
         marks=tuple(marks),
         notes=(*notes, *contours.notes),
     )
