@@ -107,10 +107,13 @@ PARTS = BoardType.model_validate(
 )
 MEASURED = {"height_mm": 1.4, "sigma_mm": 0.01, "views": 4}
 INTERVAL = {"height_mm": None, "sigma_mm": None, "views": 2, "low_mm": 0.3, "high_mm": 1.9}
+AMBIGUOUS = INTERVAL | {"intervals": [{"low_mm": 0.3, "high_mm": 0.5, "probability": 0.9}]}
 
 
 def test_measured_heights_are_read_from_files_and_replies(write: Write) -> None:
-    entries = {"U1": MEASURED, "C7": INTERVAL}
+    for other in (INTERVAL, AMBIGUOUS):
+        entries = {"U1": MEASURED, "C7": other}
+        assert read_heights(write({"heights": entries}), PARTS) == {"U1": (1.4, 0.01)}
     for document in (entries, {"heights": entries}):
         assert read_heights(write(document), PARTS) == {"U1": (1.4, 0.01)}
 

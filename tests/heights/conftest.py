@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -30,6 +30,25 @@ class Filmed:
         return self.frames.get((camera, row))
 
 
+ROW_MM = {f"U{n}": ((0.0, 1.2 * n - 3.6, 3.0, 1.2), 1.1, 1.0) for n in range(1, 6)}
+"""Parts of `make_film` side by side along the belt, each 1.2 mm wide and 1 mm high."""
+
+
+class Scene(NamedTuple):
+    """What is filmed besides the parts' places, and from where."""
+
+    alike: bool = False
+    """Whether all tops have one texture."""
+    blank: float | None = None
+    """Grey level of tops without texture."""
+    distance_mm: float = DISTANCE_MM
+    seed: int = 5
+    """Of the noise."""
+
+
+PLAIN = Scene()
+
+
 def smooth_texture(seed: int, contrast: float) -> Callable[[Floats], Floats]:
     """Return a function of points (…, 2) in mm: a sum of waves of 0.25 to 2 mm."""
     g = np.random.default_rng(seed)
@@ -52,14 +71,15 @@ def make_film(
     contrast: float = 30.0,
     gain: Callable[[int], float] = lambda row: 1.0,
     top: Callable[[int, str], int] = lambda row, ref: 0,
+    scene: Scene = PLAIN,
 ) -> Filmed:
     """Film parts (x, y, width, height; share of the footprint that the body covers; its height), all in mm.
 
     `gain` is the brightness of a row. `top` chooses the texture of a body in a row: another one for another light.
     """
     n = Projective(np.array([[PX_PER_MM, 0, 130.0], [0, PX_PER_MM, 120.0], [0, 0, 1.0]]), System.IMAGE, System.ROW)
-    camera = Camera(WIDTH, HEIGHT, n, Lens((130.0, 120.0), 100.0), DISTANCE_MM)
-    board, g = smooth_texture(1, contrast), np.random.default_rng(5)
+    camera = Camera(WIDTH, HEIGHT, n, Lens((130.0, 120.0), 100.0), scene.distance_mm)
+    board, g = smooth_texture(1, contrast), np.random.default_rng(scene.seed)
     px = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), -1).astype(np.float64)
     frames, motion = {}, []
     for j in range(rows):
@@ -69,9 +89,13 @@ def make_film(
         image = board(camera.ground(px) - shift)
         for number, (ref, ((x, y, w, h), share, mm)) in enumerate(parts.items()):
             at = camera.ground(px, mm) - shift - (x, y)
-            inside = (np.abs(at) <= np.array([w, h]) / 2 * share).all(-1)
+            # The share of each pixel that the body covers: the edges of a blank body are all that can be seen of it.
+            covered = np.clip((np.array([w, h]) / 2 * share - np.abs(at)) * PX_PER_MM + 0.5, 0, 1).prod(-1)
+            inside = covered > 0
             if mm > 0:
-                image[inside] = smooth_texture(100 + number + 1000 * top(j, ref), contrast)(at[inside])
+                look = smooth_texture(100 + (0 if scene.alike else number) + 1000 * top(j, ref), contrast)
+                body = look(at[inside]) if scene.blank is None else scene.blank
+                image[inside] += covered[inside] * (body - image[inside])
         frames[0, j] = np.clip(image * gain(j) + g.normal(0, noise, image.shape), 0, 255).round().astype(np.uint8)
     first = np.linalg.inv(motion[0])
     board_type = BoardType(

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.heights.conftest import ROW_MM, Scene
 from vaoi_station.errors import StateError
-from vaoi_station.heights.estimates import measure_heights
+from vaoi_station.heights.comparison import compare
+from vaoi_station.heights.estimates import PartHeight, measure_heights
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.work import StitchSetup
@@ -24,7 +26,52 @@ def test_every_body_is_measured_within_its_standard_deviation(filmed: Any) -> No
         assert abs(height.height_mm - component.body_height) < 3 * height.sigma_mm, component.ref
         assert 0.005 < height.sigma_mm < 0.1
         assert height.views >= 2
-        assert (height.low_mm, height.high_mm) == (None, None)
+        assert height.intervals == ()
+
+
+ALIAS_MM = 10.84
+"""With a baseline of 6 mm, 60 mm away, parts of ROW_MM at this height fall onto the pictures of their neighbours."""
+
+
+def measure(filmed: Any) -> dict[str, PartHeight]:
+    return measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)
+
+
+def contains(height: PartHeight, mm: float) -> bool:
+    if height.height_mm is not None and height.sigma_mm is not None:
+        return abs(height.height_mm - mm) < 3.5 * height.sigma_mm
+    return any(i.low_mm <= mm <= i.high_mm for i in height.intervals)
+
+
+def test_a_row_of_equal_parts_in_two_views_has_two_heights_and_no_statement(film: Any) -> None:
+    height = measure(film(ROW_MM, rows=2, step_mm=6.0, scene=Scene(alike=True, distance_mm=60.0)))["U3"]
+    assert height.height_mm is None
+    assert contains(height, 1.0)
+    assert contains(height, ALIAS_MM)
+    assert len(height.intervals) >= 2
+    assert sum(i.probability for i in height.intervals) == pytest.approx(1, abs=0.003)
+    for expected_mm in (1.0, ALIAS_MM, 5.0):
+        assert compare(height, expected_mm)[0] == "ambiguous"
+
+
+@pytest.mark.parametrize(("rows", "alike"), [(3, True), (2, False)])
+def test_a_third_view_or_another_look_of_the_neighbours_decides(film: Any, rows: int, alike: bool) -> None:
+    filmed = film(ROW_MM, rows=rows, step_mm=6.0 / (rows - 1), scene=Scene(alike=alike, distance_mm=60.0))
+    height = measure(filmed)["U3"]
+    assert height.height_mm == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize("contrast", [0.0, 6.0])
+@pytest.mark.parametrize("rows", [2, 3])
+def test_a_row_of_blank_parts_has_its_height_among_those_that_explain_the_pictures(
+    film: Any, rows: int, contrast: float
+) -> None:
+    """A blank place fits at every height, and by chance best at a wrong one: that is no evidence."""
+    for seed in range(4):
+        filmed = film(ROW_MM, rows=rows, step_mm=3.0, contrast=contrast, scene=Scene(False, 60.0, 100.0, seed))
+        for ref, height in measure(filmed).items():
+            assert not height.intervals or contains(height, 1.0), (seed, ref)
+            assert compare(height, 1.0)[0] not in ("higher", "lower"), (seed, ref)
 
 
 def test_gains_of_rows_do_not_matter(film: Any) -> None:
@@ -45,8 +92,7 @@ def test_a_body_without_texture_has_no_narrow_height(film: Any) -> None:
     filmed = film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, contrast=0.0)
     height = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)["U1"]
     assert height.height_mm is None or (height.sigma_mm or 0.0) > 0.2
-    if height.low_mm is not None and height.high_mm is not None:
-        assert height.low_mm <= 1.5 <= height.high_mm
+    assert all(i.low_mm <= 1.5 <= i.high_mm for i in height.intervals)
 
 
 def test_a_body_of_which_all_tiles_are_edges_has_no_sure_height() -> None:
@@ -73,7 +119,7 @@ def test_one_view_gives_no_height(filmed: Any) -> None:
         filmed.board_type, filmed.stitch, filmed.cameras, lambda i, j: filmed.frame(i, j) if j == 1 else None
     )
     assert found["U1"].views == 1
-    assert all(height.height_mm is None and height.low_mm is None for height in found.values())
+    assert all(height.height_mm is None and not height.intervals for height in found.values())
 
 
 def test_a_run_without_cad_mapping_and_a_calibration_without_working_distance_are_refused(filmed: Any) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.heights.conftest import ROW_MM, Scene
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import apply
 from vaoi_station.heights.estimates import open_places
@@ -26,6 +27,17 @@ def test_a_map_shows_the_body_and_the_board_beside_it(filmed: Any) -> None:
     assert (found.sigma_mm[known] >= 0.019).all()
     assert known.mean() > 0.6
     assert draw_map(found).shape[2] == 3
+
+
+@pytest.mark.parametrize("mm", [1.0, 0.97])
+def test_a_map_of_equal_parts_in_a_row_leaves_out_what_several_heights_explain(film: Any, mm: float) -> None:
+    """At 10.84 mm each part falls onto the picture of its neighbour."""
+    row = {ref: (box, share, mm) for ref, (box, share, _) in ROW_MM.items()}
+    filmed = film(row, rows=2, step_mm=6.0, scene=Scene(alike=True, distance_mm=60.0))
+    places = open_places(filmed.board_type, filmed.stitch, filmed.cameras)
+    found = measure_map(places, (-1.2, -0.8, 1.2, 0.8), filmed.frame).height_mm
+    assert np.isfinite(found).any()
+    assert np.nanmax(np.abs(found - mm)) < 0.2
 
 
 @pytest.mark.parametrize(

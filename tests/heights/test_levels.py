@@ -7,6 +7,7 @@ import pytest
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.levels import compare_heights, find_levels
+from vaoi_station.heights.sweep import Sweep
 
 HEIGHTS = np.asarray(np.arange(-2, 30) * 0.1, np.float64)
 SIZE = np.array([80, 80])
@@ -18,16 +19,32 @@ def likelihoods(seen_mm: np.ndarray, sigma: float) -> tuple[Floats, Floats]:
     return each, np.exp(-((seen_mm / sigma) ** 2) / 2)
 
 
-def test_likelihoods_are_those_of_noise() -> None:
+@pytest.mark.parametrize("unlike", [0.0, 0.003])
+def test_likelihoods_are_those_of_noise_and_of_what_texture_leaves(unlike: float) -> None:
     random = np.random.default_rng(3)
     sums, freedom = random.uniform(50, 900, (7, len(HEIGHTS))), np.arange(60, 95, 5)
     sums[0] *= 1e-3  # a tile without texture
-    likelihood, board = compare_heights(sums, freedom, np.abs(HEIGHTS) < 0.15, 12.0)
-    noise = sums.min(1) / freedom
-    noise = np.maximum(noise, np.median(noise))[:, None]
-    np.testing.assert_allclose(likelihood, np.exp((sums.min(1, keepdims=True) - sums) / (2 * noise * 12)))
+    texture = random.uniform(-100, 300, sums.shape)
+    found = Sweep(sums, texture, freedom, np.ones((7, 2), bool))
+    likelihood, board = compare_heights(found, np.abs(HEIGHTS) < 0.15, 12.0, unlike)
+    alike = sums <= 1.5 * sums.min(1, keepdims=True)
+    noise = (sums * alike).sum(1) / alike.sum(1) / freedom
+    noise = np.maximum(noise, np.sort(noise)[1])[:, None]
+    noise = noise + unlike * np.exp(texture / freedom[:, None])
+    ratio, each = sums / noise / freedom[:, None], freedom[:, None] / 24
+    gain = np.clip((texture + freedom[:, None] * (1 - np.log(noise) - ratio)) / 24, 0, 3.5)
+    log = gain - each * np.where(ratio > 1, ratio - 1 - np.log(ratio), 0)
+    np.testing.assert_allclose(likelihood, np.exp(log - log.max(1, keepdims=True)))
     np.testing.assert_allclose(board, likelihood[:, 1:4].max(1))
     assert (likelihood.max(1) == 1).all()
+
+
+def test_a_fit_that_is_better_than_noise_is_no_evidence() -> None:
+    sums = np.full((3, len(HEIGHTS)), 100.0)
+    sums[:, 7] = 70.0
+    found = Sweep(sums, np.full_like(sums, -500.0), np.full(3, 100), np.ones((3, 2), bool))
+    likelihood, _ = compare_heights(found, np.abs(HEIGHTS) < 0.15, 12.0, 0.0)
+    assert likelihood.min() > 0.99
 
 
 def test_a_body_between_leads_is_separated_from_the_board() -> None:

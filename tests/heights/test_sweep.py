@@ -22,7 +22,7 @@ def pictures(true_share: float) -> np.ndarray:
 
 
 def test_the_true_height_leaves_nothing_unexplained() -> None:
-    sums, freedom, used = sweep(pictures(0.01), MARGIN, FEET, SHARES, TILES, np.zeros(3, np.int64), 250.0)
+    sums, _, freedom, used = sweep(pictures(0.01), MARGIN, FEET, SHARES, TILES, np.zeros(3, np.int64), 250.0)
     assert used.all()
     assert freedom.tolist() == [2 * 97, 2 * 97]
     assert (sums.argmin(1) == 5).all()
@@ -31,7 +31,7 @@ def test_the_true_height_leaves_nothing_unexplained() -> None:
 
 def test_the_remainder_is_the_trace_minus_the_largest_eigenvalue() -> None:
     stack = pictures(0.01) + np.random.default_rng(1).normal(0, 3, (3, 64, 74)).astype(np.float32)
-    sums, _, _ = sweep(stack, MARGIN, FEET, SHARES[:1], TILES[:1], np.zeros(3, np.int64), 250.0)
+    sums, texture, _, _ = sweep(stack, MARGIN, FEET, SHARES[:1], TILES[:1], np.zeros(3, np.int64), 250.0)
     part = stack[:, MARGIN + 4 : MARGIN + 14, MARGIN + 4 : MARGIN + 14].astype(np.float64)
     y, x = np.mgrid[:10, :10] - 4.5
     plane = np.column_stack([np.ones(100), x.ravel(), y.ravel()])
@@ -39,14 +39,17 @@ def test_the_remainder_is_the_trace_minus_the_largest_eigenvalue() -> None:
     flat = flat - plane @ np.linalg.lstsq(plane, flat, rcond=None)[0]
     values = np.linalg.eigvalsh(flat.T @ flat)
     np.testing.assert_allclose(sums[0, 0], values[:-1].sum(), rtol=0.02)
+    variance = (flat**2).sum(0) / 97
+    expected = 97 * (np.log(variance).sum() - np.log(values[-1] / 97))
+    np.testing.assert_allclose(texture[0, 0], expected, rtol=0.01)
 
 
 def test_groups_saturation_and_borders_limit_what_is_compared() -> None:
     stack = pictures(0.01)
-    _, freedom, used = sweep(stack, MARGIN, FEET, SHARES, TILES, np.array([0, 0, 1]), 250.0)
+    _, _, freedom, used = sweep(stack, MARGIN, FEET, SHARES, TILES, np.array([0, 0, 1]), 250.0)
     assert used.tolist() == [[True, True, False]] * 2
     assert freedom.tolist() == [97, 97]
     stack[0, MARGIN + 4 : MARGIN + 14, MARGIN + 4 : MARGIN + 14] = 255
     stack[1, :, MARGIN + 20 :] = np.nan
-    _, freedom, used = sweep(stack, MARGIN, FEET, SHARES, TILES, np.zeros(3, np.int64), 250.0)
+    _, _, freedom, used = sweep(stack, MARGIN, FEET, SHARES, TILES, np.zeros(3, np.int64), 250.0)
     assert used.tolist() == [[False, True, True], [True, False, True]]

@@ -9,33 +9,44 @@ from typing import Any, Literal
 from vaoi_station.heights.estimates import PartHeight
 from vaoi_station.model import BoardType
 
-Comparison = Literal["agrees", "lower", "higher", "unknown"]
+Comparison = Literal["agrees", "lower", "higher", "ambiguous", "unknown"]
 TOLERANCE_MM, TOLERANCE_SHARE = 0.1, 0.1
 """A body may differ from its expected height by this, or by this share of it, whichever is larger."""
-_LEAST = 0.95
-"""Least probability of a statement other than "unknown"."""
+_LEAST, _LEAST_OTHER = 0.95, 0.995
+"""Least probability of "agrees", and of "lower" and "higher": few bodies are other than expected."""
+
+_WIDE, _WIDER = 0.03, 3.0
+"""Share of the heights that err more than their standard deviation says, and the factor by which it is too small."""
 
 
 def compare(height: PartHeight, expected_mm: float) -> tuple[Comparison, float]:
     """Compare a height with the expected one; return the most probable statement and its probability.
 
-    The statement is "unknown" if none has a probability of at least 0.95; the probability is that of the best one.
+    The statement is "ambiguous" or "unknown" if none is probable enough: several intervals are left, or one, or
+    nothing is known. The probability is that of the most probable one of the others. The expected height has no part in
+    it, and an interval counts only for what all of it says.
     """
     tolerance = max(TOLERANCE_MM, TOLERANCE_SHARE * expected_mm)
-    lower = _below(height, expected_mm - tolerance)
-    higher = 1 - _below(height, expected_mm + tolerance)
-    chances: dict[Comparison, float] = {"agrees": max(0.0, 1 - lower - higher), "lower": lower, "higher": higher}
-    best = max(chances, key=lambda name: chances[name])
-    return (best if chances[best] >= _LEAST else "unknown"), chances[best]
-
-
-def _below(height: PartHeight, limit_mm: float) -> float:
-    """Return the probability that a height is below a limit."""
+    low, high = expected_mm - tolerance, expected_mm + tolerance
     if height.height_mm is not None and height.sigma_mm is not None:
-        return math.erfc((height.height_mm - limit_mm) / height.sigma_mm / math.sqrt(2)) / 2
-    if height.low_mm is not None and height.high_mm is not None:
-        return min(max((limit_mm - height.low_mm) / max(height.high_mm - height.low_mm, 1e-9), 0.0), 1.0)
-    return 0.5
+        lower = _beyond(height.height_mm - low, height.sigma_mm)
+        higher = _beyond(high - height.height_mm, height.sigma_mm)
+        agrees = max(0.0, 1 - lower - higher)
+    else:
+        lower = sum(i.probability for i in height.intervals if i.high_mm <= low)
+        higher = sum(i.probability for i in height.intervals if i.low_mm >= high)
+        agrees = sum(i.probability for i in height.intervals if low <= i.low_mm and i.high_mm <= high)
+    chances: dict[Comparison, float] = {"agrees": agrees, "lower": lower, "higher": higher}
+    best = max(chances, key=lambda name: chances[name])
+    if chances[best] >= (_LEAST if best == "agrees" else _LEAST_OTHER):
+        return best, chances[best]
+    return ("ambiguous" if len(height.intervals) > 1 else "unknown"), chances[best]
+
+
+def _beyond(distance_mm: float, sigma_mm: float) -> float:
+    """Return the probability that a height errs by more than a distance."""
+    z = distance_mm / (sigma_mm * math.sqrt(2))
+    return ((1 - _WIDE) * math.erfc(z) + _WIDE * math.erfc(z / _WIDER)) / 2
 
 
 def heights_document(heights: Mapping[str, PartHeight], board_type: BoardType) -> dict[str, dict[str, Any]]:
@@ -51,7 +62,12 @@ def heights_document(heights: Mapping[str, PartHeight], board_type: BoardType) -
             "views": found.views,
         }
         if found.height_mm is None:
-            entry |= {"low_mm": _rounded(found.low_mm), "high_mm": _rounded(found.high_mm)}
+            entry |= {
+                "low_mm": _rounded(found.intervals[0].low_mm) if found.intervals else None,
+                "high_mm": _rounded(found.intervals[-1].high_mm) if found.intervals else None,
+            }
+        if len(found.intervals) > 1:
+            entry["intervals"] = [{k: _rounded(v) for k, v in i._asdict().items()} for i in found.intervals]
         if component.body_height is not None:
             expected = component.body_height * board_type.mm_per_unit
             statement, probability = compare(found, expected)

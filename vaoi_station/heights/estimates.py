@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import StateError
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.body_extents import EXTENTS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.levels import compare_heights, find_levels
 from vaoi_station.heights.matrix_errors import BodyEquations, combine
@@ -25,8 +26,8 @@ from vaoi_station.heights.pictures import (
     surface_stack,
 )
 from vaoi_station.heights.refinement import normal_equations
-from vaoi_station.heights.sweep import sweep
-from vaoi_station.heights.tile_equations import NOISE_AREA, add_up, weigh_tiles
+from vaoi_station.heights.sweep import Sweep, sweep
+from vaoi_station.heights.tile_equations import NOISE_AREA, UNLIKE, add_up, weigh_tiles
 from vaoi_station.heights.tile_weights import tile_weights
 from vaoi_station.model import BoardType, Component, Stitch
 
@@ -48,7 +49,17 @@ _BELOW_BOARD = 2.0
 _LOWEST_NOISE = 0.15
 """Least variance of noise after the blur in frames of full size, grey levels squared."""
 _SURE = 0.99
-"""Least probability of a height that is given as a number; else there is an interval of this probability."""
+"""Least probability of a height that is given as a number; else there are intervals."""
+_SEEMING = 1e-9
+"""Least probability of another height with which it is compared again, with a tolerance."""
+_MIDDLE = 0.5
+"""Least share of the tiles in the middle of a footprint that frames show.
+
+Where they do not, leads, pads and the board beside a body would be taken for its top."""
+_NEAR_PX = 1.0
+"""Largest displacement between two pictures from the most probable height that refinement overcomes."""
+_ALL, _APART_PX = 0.998, 2.0
+"""Probability of all intervals together; heights are one interval up to this displacement between two pictures."""
 _ONE_LINE = 0.6
 """Relative standard deviation of a height from a single row or column of tiles, or from two of many.
 
@@ -60,6 +71,14 @@ Next to an edge they see a wall or the board as well, which move less than the t
 _ROUNDS, _CONVERGED_PX = 5, 0.005
 
 
+class Interval(NamedTuple):
+    """A range of heights that explain the pictures, and the probability that the height lies in it."""
+
+    low_mm: float
+    high_mm: float
+    probability: float
+
+
 @dataclass(frozen=True)
 class PartHeight:
     """How far a component stands above the board, as far as the frames show it."""
@@ -67,14 +86,13 @@ class PartHeight:
     height_mm: float | None
     """None if several heights are probable."""
     sigma_mm: float | None
-    low_mm: float | None
-    """With `high_mm`, the interval that contains the height; None if it is known, or if nothing can be said."""
-    high_mm: float | None
+    intervals: tuple[Interval, ...]
+    """All heights that explain the pictures, ascending; none if the height is known, or if nothing can be said."""
     views: int
     """Number of frames that show it."""
 
 
-NOTHING = PartHeight(None, None, None, None, 0)
+NOTHING = PartHeight(None, None, (), 0)
 
 
 class _Swept(NamedTuple):
@@ -117,26 +135,25 @@ class PartMeasure(NamedTuple):
     views: int
     body: BodyEquations | None
     """None if no height is probable enough."""
-    low_mm: float | None
-    """With `high_mm`, the interval that contains the height; None with a body, or if nothing can be said."""
-    high_mm: float | None
+    intervals: tuple[Interval, ...]
+    """As in `PartHeight`; none with a body."""
 
 
 def measure_part(places: Places, frames: Frames, component: Component, lights: Sequence[str]) -> PartMeasure:
     """Measure one component. `lights` has the name of the light of every row; it is empty if all rows have one."""
     grid = places.grid(component.address, places.board_type.footprint(component))
     if grid is None:
-        return PartMeasure(0, None, None, None)
+        return PartMeasure(0, None, ())
     numbers = {name: n for n, name in enumerate(sorted(set(lights)))}
     pictures = collect_pictures(grid, frames, lambda row: numbers[lights[row]] if lights else 0)
     if pictures is None:
-        return PartMeasure(_count(grid, frames), None, None, None)
+        return PartMeasure(_count(grid, frames), None, ())
     views = len(pictures.images)
     found = _sweep(places, pictures, _highest_mm(grid, component.body_height, places.board_type))
     if found is None:
-        return PartMeasure(views, None, None, None)
+        return PartMeasure(views, None, ())
     body = _refine(places, pictures, found)
-    return PartMeasure(views, body, *(_interval(found) if body is None else (None, None)))
+    return PartMeasure(views, body, _intervals(found, _APART_PX / pictures.spread) if body is None else ())
 
 
 def combine_parts(parts: Mapping[str, PartMeasure], stitch: Stitch) -> dict[str, PartHeight]:
@@ -146,8 +163,7 @@ def combine_parts(parts: Mapping[str, PartMeasure], stitch: Stitch) -> dict[str,
     out = {}
     for address, part in parts.items():
         mm, sigma = estimates.get(address, (None, None))
-        low, high = (part.low_mm, part.high_mm) if mm is None else (None, None)
-        out[address] = PartHeight(mm, sigma, low, high, part.views)
+        out[address] = PartHeight(mm, sigma, part.intervals if mm is None else (), part.views)
     return out
 
 
@@ -188,28 +204,39 @@ def _sweep(places: Places, pictures: Pictures, highest_mm: float) -> _Swept | No
     cut = cut_pictures(places, pictures, float(heights[0]), float(heights[-1]))
     stack, margin = surface_stack(places, pictures, cut)
     tiles = _tiles(grid)
+    middle = _in_the_middle(tiles, grid)
     for saturated in (SATURATED, math.inf):
-        sums, freedom, used = sweep(stack, margin, feet, heights[:, None] / distance, tiles, pictures.group, saturated)
-        shown = freedom > 0
-        if shown.any():
+        found = sweep(stack, margin, feet, heights[:, None] / distance, tiles, pictures.group, saturated)
+        shown = found.freedom > 0
+        if shown[middle].mean() >= _MIDDLE:
             break
     else:
         return None
-    sums, freedom, used, tiles = sums[shown], freedom[shown], used[shown], tiles[shown]
+    found, tiles = Sweep(found.sums[shown], found.texture[shown], found.freedom[shown], found.used[shown]), tiles[shown]
     at_board = np.abs(heights) * pictures.spread <= _BOARD_PX
-    likelihood, board = compare_heights(sums, freedom, at_board, NOISE_AREA)
-    prior = np.where(heights < -1e-9, -_BELOW_BOARD, 0.0)
     size = np.array([grid.width, grid.height])
-    levels = find_levels(likelihood, board, heights, tiles, size, prior)
+    prior = np.where(heights < -1e-9, -_BELOW_BOARD, 0.0)
+    levels = find_levels(*compare_heights(found, at_board, NOISE_AREA, 0.0), heights, tiles, size, prior)
+    probability, best = levels.probability, int(levels.probability.argmax())
+    far = np.abs(heights - heights[best]) * pictures.spread > _APART_PX
+    if (probability[far] > _SEEMING).any():
+        # What explains the pictures up to the tolerance `UNLIKE` is named too.
+        likely = compare_heights(found, at_board, NOISE_AREA, UNLIKE)
+        other = find_levels(*likely, heights, tiles, size, prior).probability
+        other = other * (probability[best] / max(other[~far].max(), 1e-12))
+        probability = np.where(far, np.maximum(probability, other), probability)
+        probability /= probability.sum()
     mine = levels.on_body > 0.5
-    return _Swept(heights, levels.probability, tiles[mine], used[mine], cut)
+    # The mean of two: by the pictures alone, and with a prior of low bodies. So neither decides alone.
+    low = probability * np.exp(-np.maximum(heights, 0.0) / (max(grid.width, grid.height) * grid.mm_per_px))
+    return _Swept(heights, (probability + low / low.sum()) / 2, tiles[mine], found.used[mine], cut)
 
 
 def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations | None:
     """Compute the equations of the most probable height; None if it is not probable enough, or without texture."""
     heights, probability, tiles, used, cut = swept
     best = int(probability.argmax())
-    near = np.abs(heights - heights[best]) * pictures.spread <= 3.1 * STEP_PX
+    near = np.abs(heights - heights[best]) * pictures.spread <= _NEAR_PX + 1e-6
     if probability[near].sum() < _SURE or not len(tiles):
         return None
     h, feet, distance = float(heights[best]), pictures.grid.feet_px, pictures.grid.distance_mm
@@ -234,12 +261,19 @@ def _refine(places: Places, pictures: Pictures, swept: _Swept) -> BodyEquations 
         h += moved
         if abs(moved) * pictures.spread < _CONVERGED_PX:
             break
-    if body is None or abs(h - heights[best]) * pictures.spread > 5 * STEP_PX:
+    if body is None or abs(h - heights[best]) * pictures.spread > _NEAR_PX:
         return None
     common = equations.unlike_mm
     if _in_one_line(tiles, pictures.grid):
         common = math.hypot(common, _ONE_LINE * abs(h))
     return body._replace(scale=2.0**pictures.grid.level, unlike_mm=common)
+
+
+def _in_the_middle(tiles: NDArray[np.int_], grid: PartGrid) -> NDArray[np.bool_]:
+    """Return which tiles (t,) lie in the part of a footprint that every extent of a body contains."""
+    half = np.array([grid.width, grid.height]) / 2
+    off = np.abs(tiles[:, :2] + tiles[:, 2:] / 2 - half)
+    return np.asarray((off <= np.maximum(EXTENTS[:, :2].min() * half, off.min(0) + 0.5)).all(1))
 
 
 def _in_one_line(tiles: NDArray[np.int_], grid: PartGrid) -> bool:
@@ -272,15 +306,22 @@ def _cut(length: int) -> tuple[list[int], int]:
     return [inset + round(n * (inner - size) / (count - 1)) for n in range(count)], size
 
 
-def _interval(swept: _Swept) -> tuple[float | None, float | None]:
-    """Return the interval that contains the height with the probability `_SURE`; None if it is the whole range."""
-    heights, below = swept.heights_mm, np.cumsum(swept.probability)
-    step, tail = float(heights[1] - heights[0]), (1 - _SURE) / 2
-    low = float(heights[int(np.searchsorted(below, tail))]) - step
-    high = float(heights[min(int(np.searchsorted(below, 1 - tail)), len(heights) - 1)]) + step
-    if high - low > 0.95 * float(heights[-1] - heights[0]):
-        return None, None
-    return max(low, 0.0), max(high, 0.0)
+def _intervals(swept: _Swept, apart_mm: float) -> tuple[Interval, ...]:
+    """Return the intervals that contain the height; none if they are the whole range.
+
+    The least probable heights are left out, `1 - _ALL` together. Heights that differ by less than `apart_mm` are one
+    interval.
+    """
+    heights, probability = swept.heights_mm, swept.probability
+    order = np.argsort(-probability, kind="stable")
+    kept = np.sort(order[: int(np.searchsorted(np.cumsum(probability[order]), _ALL)) + 1])
+    step = float(heights[1] - heights[0])
+    found = []
+    for part in np.split(kept, np.flatnonzero(np.diff(heights[kept]) > apart_mm) + 1):
+        low, high = float(heights[part[0]]) - step, float(heights[part[-1]]) + step
+        found.append(Interval(max(low, 0.0), max(high, 0.0), float(probability[part[0] : part[-1] + 1].sum())))
+    whole = sum(i.high_mm - i.low_mm for i in found) > 0.95 * float(heights[-1] - heights[0])
+    return () if whole else tuple(found)
 
 
 def _row_sigma_px(stitch: Stitch) -> float:

@@ -16,8 +16,8 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.estimates import SATURATED, STEP_PX
 from vaoi_station.heights.part_grids import Frames, Places
 from vaoi_station.heights.pictures import collect_pictures, cut_pictures, surface_stack
-from vaoi_station.heights.sweep import sweep
-from vaoi_station.heights.tile_equations import NOISE_AREA
+from vaoi_station.heights.sweep import Sweep, sweep
+from vaoi_station.heights.tile_equations import NOISE_AREA, UNLIKE
 
 _TILE_PX, _STRIDE_PX = 12, 3
 _LONGEST_PX = 700
@@ -81,8 +81,8 @@ def measure_map(
             action="Choose a larger region.",
         )
     shares = heights[:, None] / pictures.grid.distance_mm
-    sums, freedom, _ = sweep(stack, margin, pictures.grid.feet_px, shares, tiles, pictures.group, SATURATED)
-    mm, sigma = _most_probable(sums, freedom, heights, (len(ys), len(xs)))
+    found = sweep(stack, margin, pictures.grid.feet_px, shares, tiles, pictures.group, SATURATED)
+    mm, sigma = _most_probable(found, heights, (len(ys), len(xs)))
     first = (_TILE_PX - 1) / 2
     # pixel of the map → grid → tester → CAD
     grid_from_map = np.array([[_STRIDE_PX, 0, first], [0, _STRIDE_PX, first], [0, 0, 1.0]])
@@ -130,13 +130,17 @@ def _corners(places: Places, region: tuple[float, float, float, float]) -> Float
 
 
 def _most_probable(
-    sums: Floats, freedom: NDArray[np.int_], heights: Floats, shape: tuple[int, int]
+    found: Sweep, heights: Floats, shape: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the mean height of every tile and its standard deviation by the probabilities of all heights."""
+    sums, freedom = found.sums, found.freedom
     shown = freedom > 0
     least = sums.min(1, initial=np.inf)
     noise = np.where(shown, least / np.maximum(freedom, 1), np.inf)
     noise = np.maximum(noise, np.median(noise[shown]) if shown.any() else 1.0)
+    # Of two heights that explain a repeated pattern, the one nearer to a step of the sweep must not win alone.
+    own = np.take_along_axis(found.texture, sums.argmin(1)[:, None], 1)[:, 0] / np.maximum(freedom, 1)
+    noise = noise + UNLIKE * np.exp(own)
     cost = np.where(shown[:, None], (sums - least[:, None]) / (2 * noise[:, None] * NOISE_AREA), 0.0)
     cost = cost.reshape(*shape, len(heights))
     padded = np.pad(cost, ((1, 1), (1, 1), (0, 0)))

@@ -18,6 +18,7 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.body_extents import EXTENTS
 from vaoi_station.geometry.small_sorts import ascending
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.heights.sweep import Sweep
 
 Ints = NDArray[np.int_]
 _INSIDE, _BELOW, _STRAY = 0.84, 0.08, 0.08
@@ -28,6 +29,10 @@ _EDGE_PX = 1.0
 """A tile that reaches over an edge by less than this counts as on one side."""
 _ACROSS = 0.5
 """Weight of a tile across an edge of the extent, which sees any height from 0 to that of the body."""
+_ALIKE = 1.5
+"""Heights at which a tile fits up to this factor as well as at its best one show its noise."""
+_TEXTURE = 3.5
+"""Most that texture which fits at a height counts for it, as a logarithm."""
 _NEGLIGIBLE = 40.0
 """Explanations less probable than the best one by this, as a logarithm, are left out."""
 
@@ -43,33 +48,51 @@ class Levels(NamedTuple):
 
 @compiled
 def compare_heights(
-    sums: Floats, freedom: Ints, at_board: NDArray[np.bool_], noise_area: float
+    found: Sweep, at_board: NDArray[np.bool_], noise_area: float, unlike: float
 ) -> tuple[Floats, Floats]:
     """Compute the likelihood of n heights by each of t tiles (t, n), and of the board's level (t,).
 
-    The largest of each tile is 1.
+    At each height a tile compares other pixels. So a smaller sum than noise leaves is chance and no evidence, and a
+    larger one has the probability of a variance that was estimated from few values (χ²). Where pictures have texture
+    and still fit, they speak for the height, but not more than `_TEXTURE`: edges of bodies are alike, and one edge fits
+    another. The largest likelihood of each tile is 1.
 
     Args:
-        sums: (t, n) how much no common picture explains, as a sum of squares.
-        freedom: (t,) degrees of freedom of these sums.
+        found: the sweep over the heights; every tile has degrees of freedom.
         at_board: (n,) which heights count as the board's level; at least one does.
         noise_area: number of pixels that share one independent value of noise.
+        unlike: share of the texture's variance that two pictures of one place do not have in common.
     """
+    sums, freedom = found.sums, found.freedom
     t, n = sums.shape
-    least, noise = np.empty(t), np.empty(t)
+    noise = np.empty(t)
     for i in range(t):
-        least[i] = sums[i, 0]
+        least = sums[i, 0]
         for m in range(n):
-            least[i] = min(least[i], sums[i, m])
-        noise[i] = least[i] / freedom[i]
-    # A tile without texture fits at every height, and at one of them by chance better than its noise.
-    order = ascending(noise)
-    typical = max((noise[order[(t - 1) // 2]] + noise[order[t // 2]]) / 2, 1e-3)
+            least = min(least, sums[i, m])
+        total, count = 0.0, 0
+        for m in range(n):
+            if sums[i, m] <= _ALIKE * least:
+                total += sums[i, m]
+                count += 1
+        noise[i] = total / count / freedom[i]
+    # Tiles at edges have more than noise: on a body between leads, they are most of all tiles.
+    typical = max(noise[ascending(noise)[t // 4]], 1e-3)
     likelihood, board = np.empty((t, n)), np.zeros(t)
     for i in range(t):
-        scale = 1 / (2 * max(noise[i], typical) * noise_area)
+        variance, most = max(noise[i], typical), -np.inf
         for m in range(n):
-            likelihood[i, m] = math.exp((least[i] - sums[i, m]) * scale)
+            # The texture is a difference of logarithms: about that of the variance of one picture.
+            own = variance + unlike * math.exp(found.texture[i, m] / freedom[i]) if unlike > 0 else variance
+            ratio = sums[i, m] / (own * freedom[i])
+            misfit = ratio - 1 - math.log(ratio) if ratio > 1 else 0.0
+            # Logarithm of the likelihood of a common picture, relative to that of pictures with nothing in common.
+            texture = found.texture[i, m] + freedom[i] * (1 - math.log(own) - ratio)
+            gain = min(max(texture / (2 * noise_area), 0.0), _TEXTURE)
+            likelihood[i, m] = gain - freedom[i] * misfit / (2 * noise_area)
+            most = max(most, likelihood[i, m])
+        for m in range(n):
+            likelihood[i, m] = math.exp(likelihood[i, m] - most)
             if at_board[m]:
                 board[i] = max(board[i], likelihood[i, m])
     return likelihood, board

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +12,26 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
 Ints = NDArray[np.int_]
+_LEAST_VARIANCE = 0.01
+"""Variance of a pixel that rounding alone makes after the blur, grey levels squared."""
 _ROUNDS = 10
 """Steps of the power iteration that finds the largest eigenvalue of a small Gram matrix."""
+
+
+class Sweep(NamedTuple):
+    """What a sweep finds for t tiles, n heights and k pictures."""
+
+    sums: Floats
+    """(t, n) sum of squares that no common picture explains."""
+    texture: Floats
+    """(t, n) how much the pictures show that a common picture could explain.
+
+    The sum over pictures of the logarithm of their variance, minus that of the common picture, times the number of
+    values of a tile."""
+    freedom: Ints
+    """(t,) degrees of freedom of the sums."""
+    used: NDArray[np.bool_]
+    """(t, k) which pictures were used."""
 
 
 class _Work(NamedTuple):
@@ -45,12 +64,13 @@ def sweep(
     tiles: Ints,
     group: Ints,
     saturated: float,
-) -> tuple[Floats, Ints, NDArray[np.bool_]]:
+) -> Sweep:
     """Compute for t tiles and n heights how much of the k pictures no common picture explains.
 
     The pictures of one group are compared with each other, up to a gain, an offset and a slope per tile and picture.
     The result is the sum of squares that remains if each picture is a multiple of one common picture, that is the trace
-    of their Gram matrix minus its largest eigenvalue.
+    of their Gram matrix minus its largest eigenvalue. Pictures without texture leave nothing at any height; so the
+    texture is stated too.
 
     Args:
         stack: (k, h, w) pictures on the board's surface, with margin.
@@ -60,18 +80,16 @@ def sweep(
         tiles: (t, 4) first column, first row, width and height of the tiles in grid coordinates.
         group: (k,) number of the group of each picture.
         saturated: grey level from which on a pixel counts as saturated.
-
-    Returns:
-        Sums of squares (t, n), degrees of freedom (t,), and which pictures were used (t, k).
     """
     k, count, n = len(stack), len(tiles), len(shares)
-    sums, freedom, used = np.zeros((count, n)), np.zeros(count, np.int64), np.zeros((count, k), np.bool_)
+    sums, texture = np.zeros((count, n)), np.zeros((count, n))
+    freedom, used = np.zeros(count, np.int64), np.zeros((count, k), np.bool_)
     for t in range(count):
         for i in range(k):
             used[t, i] = _covers(stack[i], margin, feet_px[i], shares[:, i], tiles[t], saturated)
         freedom[t] = _freedom(used[t], group, tiles[t, 2] * tiles[t, 3])
     if not freedom.any():
-        return sums, freedom, used
+        return Sweep(sums, texture, freedom, used)
     # Tiles touch or overlap, so each picture is laid on the plane of each height as a whole, in long lines.
     low, high = tiles[0, :2].copy(), tiles[0, :2].copy()
     most = 0
@@ -102,8 +120,8 @@ def sweep(
             for i in range(k):
                 if used[t, i]:
                     _read(planes[i], tiles[t, 0] - low[0], tiles[t, 1] - low[1], tiles[t], work.slope, work.value[i])
-            sums[t, m] = _unexplained(work, tiles[t, 2] * tiles[t, 3], used[t], group)
-    return sums, freedom, used
+            sums[t, m], texture[t, m] = _unexplained(work, tiles[t, 2] * tiles[t, 3], used[t], group)
+    return Sweep(sums, texture, freedom, used)
 
 
 @inlined
@@ -237,10 +255,11 @@ def _read(
 
 
 @inlined
-def _unexplained(work: _Work, size: int, used: NDArray[np.bool_], group: Ints) -> float:
-    """Return the sum over groups of the trace of the Gram matrix minus its largest eigenvalue."""
-    k, total = len(used), 0.0
+def _unexplained(work: _Work, size: int, used: NDArray[np.bool_], group: Ints) -> tuple[float, float]:
+    """Return the sum over groups of the trace of the Gram matrix minus its largest eigenvalue, and the texture."""
+    k, total, texture = len(used), 0.0, 0.0
     values, gram, member = work.value, work.gram, work.member
+    least = _LEAST_VARIANCE * (size - 3)
     for first in range(k):
         m = 0
         for i in range(k):
@@ -258,8 +277,14 @@ def _unexplained(work: _Work, size: int, used: NDArray[np.bool_], group: Ints) -
                     dot += a[p] * b[p]
                 gram[i, j] = gram[j, i] = dot
             trace += gram[i, i]
-        total += trace - _largest(gram, m, trace, work.vector)
-    return total
+        largest = _largest(gram, m, trace, work.vector)
+        total += trace - largest
+        # One logarithm for all pictures: shares of the trace, since their product stays within the range of floats.
+        shares, whole = 1.0, trace + m * least
+        for i in range(m):
+            shares *= (gram[i, i] + least) / whole * m
+        texture += math.log(shares * whole / m / (largest + least)) + (m - 1) * math.log(whole / m / (size - 3))
+    return total, texture * (size - 3)
 
 
 @inlined

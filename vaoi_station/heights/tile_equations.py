@@ -17,6 +17,8 @@ from vaoi_station.heights.refinement import Ints, Normals
 
 NOISE_AREA = 12.0
 """Number of pixels that share one independent value of noise after the blur."""
+UNLIKE = 0.003
+"""Share of a texture's variance that a displacement of about 0.1 px leaves: the sweep's steps, errors of matrices."""
 _MISFIT_AREA = 30.0
 """The same for differences beyond noise, such as glare: they have the size of the texture."""
 _COMMON = 0.25

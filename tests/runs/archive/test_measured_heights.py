@@ -64,7 +64,7 @@ class Station:
             self.saved.set()
             raise self.fault
         if isinstance(job, HeightsJob):
-            return {job.board_type.components[0].address: PartMeasure(2, None, None, None)}
+            return {job.board_type.components[0].address: PartMeasure(2, None, ())}
         return CONTENT
 
     def save(self, run: str, document: str) -> None:

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from vaoi_station.heights.comparison import heights_document
-from vaoi_station.heights.estimates import NOTHING, PartHeight
+from vaoi_station.heights.estimates import NOTHING, Interval, PartHeight
 from vaoi_station.model import BoardType
 from vaoi_station.runs.states.height_schemas import HeightList
 
@@ -24,9 +24,11 @@ BOARD = BoardType.model_validate(
 
 
 def test_measured_heights_have_this_form() -> None:
-    found = {"U1": PartHeight(1.5, 0.02, None, None, 3), "U2": PartHeight(None, None, 0.1, 2.0, 2), "U3": NOTHING}
+    several = (Interval(0.1, 2.0, 0.6), Interval(7.0, 7.5, 0.39))
+    found = {"U1": PartHeight(1.5, 0.02, (), 3), "U2": PartHeight(None, None, several, 2), "U3": NOTHING}
     document = HeightList.model_validate({"heights": heights_document(found, BOARD)})
     assert document.heights["U1"].height_mm == 1.5
+    assert document.heights["U2"].comparison == "ambiguous"
     assert HeightList.model_validate_json(document.model_dump_json(exclude_none=True)) == document
 
 

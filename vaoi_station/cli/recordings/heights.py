@@ -64,7 +64,7 @@ def heights(
     found = measure_heights(board_type, stitch, cameras, frame, lights)
     write_json(out, heights_document(found, board_type))
     measured = sum(height.height_mm is not None for height in found.values())
-    intervals = sum(height.low_mm is not None for height in found.values())
+    intervals = sum(bool(height.intervals) for height in found.values())
     typer.echo(f"{len(found)} component(s): {measured} height(s), {intervals} interval(s) → {out}")
     if region is not None:
         write_image(out.with_suffix(".map.tiff"), region.height_mm)

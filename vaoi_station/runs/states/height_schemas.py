@@ -11,6 +11,14 @@ from vaoi_station.model import Strict
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 
+class HeightInterval(Strict):
+    """A range of heights that explain the pictures of a component."""
+
+    low_mm: Number
+    high_mm: Number
+    probability: Number = Field(description="Probability that the height lies in it.")
+
+
 class HeightEntry(Strict):
     """The height of one component above the board."""
 
@@ -19,9 +27,14 @@ class HeightEntry(Strict):
     views: int = Field(strict=True, description="Number of frames that show the component; a height needs two.")
     low_mm: Number | None = Field(None, description="Interval that contains the height with a probability of 0.99:")
     high_mm: Number | None = Field(None, description="absent if `height_mm` is known, or if nothing can be said.")
+    intervals: tuple[HeightInterval, ...] | None = Field(
+        None, description="The parts of this interval that explain the pictures, if there are several."
+    )
     expected_mm: Number | None = Field(None, description="`body_height` of the board type.")
-    comparison: Literal["agrees", "lower", "higher", "unknown"] | None = Field(
-        None, description="Statement about `expected_mm` with a probability of at least 0.95."
+    comparison: Literal["agrees", "lower", "higher", "ambiguous", "unknown"] | None = Field(
+        None,
+        description="Statement about `expected_mm`: `agrees` with a probability of at least 0.95, `lower` or `higher` "
+        "of at least 0.995. `ambiguous`: several `intervals` are left, compare the part by eye.",
     )
     probability: Number | None = Field(None, description="Probability of the statement, or of the best one.")
 

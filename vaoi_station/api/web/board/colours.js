@@ -21,12 +21,19 @@ function heightOf(part, heights) {
   const entry = heights?.[part.address];
   const key = entry?.comparison ?? "none";
   const text = entry ? heightText(entry) : texts.board.noValue;
-  return { key, text, rank: ["higher", "lower"].includes(key) ? 2 : key === "unknown" ? 1 : 0 };
+  return { key, text, rank: ["higher", "lower"].includes(key) ? 2 : ["ambiguous", "unknown"].includes(key) ? 1 : 0 };
+}
+
+const rangeText = ({ low_mm, high_mm }) => `${number(low_mm, 2)} … ${number(high_mm, 2)} mm`;
+
+function intervalsText(entry) {
+  const each = entry.intervals?.map((interval) => `${rangeText(interval)} (${number(100 * interval.probability, 0)} %)`);
+  return each?.join(texts.board.or) ?? rangeText(entry);
 }
 
 export function heightText(entry) {
   const measured = entry.height_mm != null ? `${number(entry.height_mm, 2)} ± ${number(entry.sigma_mm, 2)} mm`
-    : entry.low_mm != null ? `${number(entry.low_mm, 2)} … ${number(entry.high_mm, 2)} mm` : texts.board.noValue;
+    : entry.low_mm != null ? intervalsText(entry) : texts.board.noValue;
   const expected = entry.expected_mm != null ? `, ${texts.board.expected} ${number(entry.expected_mm, 2)} mm` : "";
   return `${measured}${expected}${entry.comparison ? `: ${texts.board.heights[entry.comparison]}` : ""}`;
 }
@@ -43,7 +50,7 @@ export function classes(colour) {
     return [...px.map((label, n) => [`c${n}`, label]), [`c${SIGMA_PX.length}`, `> ${number(SIGMA_PX.at(-1), 2)} px`], ["none", texts.board.noValue]];
   }
   if (colour === "views") return [["v3", "≥ 4"], ["v2", "2, 3"], ["v1", "1"], ["v0", "0"]];
-  if (colour === "height") return ["agrees", "unknown", "lower", "higher"].map((key) => [key, texts.board.heights[key]]).concat([["none", texts.board.noValue]]);
+  if (colour === "height") return ["agrees", "unknown", "ambiguous", "lower", "higher"].map((key) => [key, texts.board.heights[key]]).concat([["none", texts.board.noValue]]);
   return [];
 }
 
