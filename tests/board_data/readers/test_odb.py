@@ -223,3 +223,49 @@ def test_a_package_that_the_file_does_not_have_is_no_fault_of_its_toeprints(tmp_
     design = read_side(tmp_path, BOTTOM, "CMP 9 20 10 90 N Q1 x ;\n" + toeprints(SOT, True, 90))
     assert design.parts[0].rotation == 90
     assert [note.code for note in design.notes] == ["rotation-unconfirmed", "pins-unfit"]
+
+
+def contour(x0: float, y0: float, x1: float, y1: float, kind: str) -> str:
+    corners = ((x1, y0), (x1, y1), (x0, y1), (x0, y0))
+    return f"OB {x0} {y0} {kind}\n" + "".join(f"OS {x} {y}\n" for x, y in corners) + "OE\n"
+
+
+BOARD = contour(0, 0, 60, 50, "I")
+HOLE, OTHER = contour(30, 30, 40, 40, "H"), contour(100, 0, 300, 100, "I")
+FRAME = contour(-20, -20, 80, 70, "I") + contour(-5, -5, 65, 55, "H")
+
+
+@pytest.mark.parametrize(
+    ("profile", "cut_outs"),
+    [
+        (HOLE + BOARD, [(30, 30)]),
+        (BOARD + HOLE, [(30, 30)]),
+        (OTHER + HOLE + BOARD, [(100, 0), (30, 30)]),
+        (BOARD + OTHER, [(100, 0)]),
+        (FRAME + BOARD, [(-20, -20), (-5, -5)]),
+    ],
+    ids=["hole first", "hole behind", "larger island first", "larger island behind", "within a frame"],
+)
+def test_the_outline_is_the_island_with_most_parts_not_the_first_contour(
+    profile: str, cut_outs: list[tuple[float, float]], tmp_path: Path
+) -> None:
+    parts = "UNITS=MM\nCMP 0 20 10 0 N R1 x ;\nCMP 0 20 20 0 N R2 x ;\nCMP 0 120 20 0 N R3 x ;\n"
+    path = write(tmp_path, **{PROFILE: f"UNITS=MM\nS P 0\n{profile}SE\n", TOP: parts, BOTTOM: "UNITS=MM\n"})
+    design = read_odb(path)
+    assert set(design.outline) == {(0, 0), (60, 0), (60, 50), (0, 50)}
+    assert [min(corners) for corners in design.cut_outs] == cut_outs
+
+
+def test_an_island_in_a_hole_is_no_cut_out_and_is_named(tmp_path: Path) -> None:
+    inner = contour(32, 32, 38, 38, "I")
+    profile = f"UNITS=MM\nS P 0\n{inner}{HOLE}{BOARD}SE\n"
+    design = read_odb(write(tmp_path, **{PROFILE: profile, TOP: "UNITS=MM\nCMP 0 20 10 0 N R1 x ;\n"}))
+    assert [min(corners) for corners in design.cut_outs] == [(30, 30)]
+    (note,) = [note for note in design.notes if note.code == "islands-left-out"]
+    assert note.values == {"count": "1", "at": "(32, 32)"}
+
+
+def test_without_parts_on_an_island_the_largest_is_the_board(tmp_path: Path) -> None:
+    profile = f"UNITS=MM\nS P 0\n{BOARD}{OTHER}SE\n"
+    members = {PROFILE: profile, TOP: "UNITS=MM\nCMP 0 90 10 0 N R1 x ;\n", BOTTOM: "UNITS=MM\n"}
+    assert min(read_odb(write(tmp_path, **members)).outline) == (100, 0)

@@ -12,12 +12,14 @@ import gzip
 import io
 import re
 import zlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
-from vaoi_station.board_data.contours import arc_points
+from vaoi_station.board_data.contours import arc_points, area, places
 from vaoi_station.board_data.design import XY, Design, Mark, Part, Side, box_around
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.pin_rules import DrawnPart, Rule, Usual, placed_parts
@@ -43,6 +45,7 @@ from vaoi_station.board_data.source_text import (
     open_archive,
 )
 from vaoi_station.errors import InputError
+from vaoi_station.geometry.polygon import encloses
 from vaoi_station.model.note import Note
 
 _MARK_ATTRIBUTES = (".fiducial_name", ".fiducial_rotation")
@@ -187,14 +190,13 @@ def _design(archive: Archive, root: str, path: Path, name: str) -> Design:
         copper = _file(archive, path, f"{folder}/layers/{layer}/features", default)
         marks += pad_marks(copper.lines, copper.mm, side) if copper is not None else ()
     profile = _file(archive, path, f"{folder}/profile", default)
-    contours = list(_contours(profile)) if profile else []
-    outline = contours[0] if contours else []
+    outline, cut_outs = _board(list(_contours(profile)) if profile else [], [part.origin for part in parts], notes)
     return Design(
         name,
         "odb",
         tuple(parts),
-        tuple(outline),
-        tuple(map(tuple, contours[1:])),
+        outline,
+        cut_outs,
         marks=tuple(marks),
         notes=tuple(notes),
     )
@@ -282,23 +284,60 @@ def _attributes(tail: str, names: dict[str, str]) -> Iterator[tuple[str, str]]:
             yield names[key], value
 
 
-def _contours(file: OdbFile) -> Iterator[list[XY]]:
-    """Yield the contours of a profile: the island first, then its holes."""
-    points: list[XY] = []
+class _Contour(NamedTuple):
+    corners: tuple[XY, ...]
+    is_hole: bool
+
+
+def _board(
+    contours: Sequence[_Contour], origins: Sequence[XY], notes: list[Note]
+) -> tuple[tuple[XY, ...], tuple[tuple[XY, ...], ...]]:
+    """Return the island that most parts lie on, of equals the largest, and the other contours.
+
+    Islands within it lie in its holes, such as a board in a frame that has most parts; they are no cut-outs.
+    """
+    by_size = sorted(contours, key=lambda contour: abs(area(contour.corners)))
+    islands = [contour for contour in by_size if not contour.is_hole] or by_size
+    if len(islands) < 2:
+        chosen = islands[0].corners if islands else ()
+        return chosen, tuple(c.corners for c in contours if c.corners is not chosen)
+    # shapely is loaded when there are islands: the command line must start fast.
+    from shapely import Polygon, STRtree, points
+
+    polygons = [Polygon(contour.corners) for contour in by_size]
+    innermost: dict[int, int] = {}
+    for point, contour in zip(*STRtree(polygons).query(points(origins), predicate="within").tolist(), strict=True):
+        innermost[point] = min(contour, innermost.get(point, contour))
+    counts = Counter(by_size[contour].corners for contour in innermost.values())
+    # Of equals the last of the sorted ones is the largest.
+    chosen = max(reversed(islands), key=lambda island: counts[island.corners]).corners
+    inside = [c for c in islands if c.corners is not chosen and encloses(chosen, c.corners[0])]
+    if inside:
+        at = places(min(island.corners) for island in inside)
+        sentence = f"{len(inside)} contours lie within a cut-out; they were left out: from {at} on."
+        notes.append(Note("islands-left-out", sentence, count=len(inside), at=at))
+    return chosen, tuple(c.corners for c in contours if c.corners is not chosen and c not in inside)
+
+
+def _contours(file: OdbFile) -> Iterator[_Contour]:
+    """Yield the contours of a profile, islands and holes in any order."""
+    corners: list[XY] = []
+    is_hole = False
     for number, line in enumerate(file.lines, 1):
         words = line.split()
         if not words:
             continue
         if words[0] == "OB":
-            points = outline_points(file, number, words)
-        elif words[0] == "OS" and points:
-            points += outline_points(file, number, words)
-        elif words[0] == "OC" and points:
+            corners = outline_points(file, number, words)
+            is_hole = len(words) > 3 and words[3].upper() == "H"
+        elif words[0] == "OS" and corners:
+            corners += outline_points(file, number, words)
+        elif words[0] == "OC" and corners:
             x, y, cx, cy = (v * file.mm for v in file.numbers(number, words[1:], 4))
             clockwise = len(words) > 5 and words[5].upper() == "Y"
-            points += arc_points(points[-1], (x, y), (cx, cy), clockwise)[1:]
-        elif words[0] == "OE" and points:
-            closed = points[:-1] if points[0] == points[-1] else points
+            corners += arc_points(corners[-1], (x, y), (cx, cy), clockwise)[1:]
+        elif words[0] == "OE" and corners:
+            closed = corners[:-1] if corners[0] == corners[-1] else corners
             if len(closed) > 2:
-                yield closed
-            points = []
+                yield _Contour(tuple(closed), is_hole)
+            corners = []
