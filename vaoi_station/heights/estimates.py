@@ -204,11 +204,10 @@ def _sweep(places: Places, pictures: Pictures, highest_mm: float) -> _Swept | No
     cut = cut_pictures(places, pictures, float(heights[0]), float(heights[-1]))
     stack, margin = surface_stack(places, pictures, cut)
     tiles = _tiles(grid)
-    middle = _in_the_middle(tiles, grid)
     for saturated in (SATURATED, math.inf):
         found = sweep(stack, margin, feet, heights[:, None] / distance, tiles, pictures.group, saturated)
         shown = found.freedom > 0
-        if shown[middle].mean() >= _MIDDLE:
+        if shown.all() or shown[_in_the_middle(tiles, grid)].mean() >= _MIDDLE:
             break
     else:
         return None
