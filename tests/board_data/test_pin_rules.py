@@ -200,6 +200,43 @@ def beside_their_origin(sizes: tuple[float, ...], *, mirrored: bool) -> list[Dra
     return parts
 
 
+def shifted(part: DrawnPart, by: XY) -> DrawnPart:
+    """Return a part whose pins lie beside their places."""
+    (pins,) = part.readings
+    moved = tuple(pin._replace(places=tuple((x + by[0], y + by[1]) for x, y in pin.places)) for pin in pins)
+    return replace(part, readings=(moved,))
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("by", [(100.0, 0.0), (-0.5, 2.54)])
+def test_pins_that_are_all_shifted_alike_have_another_datum_and_move_no_body(rule: Rule, by: XY) -> None:
+    parts = [drawn(f"Q{n}", rule, 30.0 * n) for n in range(3)] + [drawn("J1", rule, 45.0, HEADER)]
+    expected, _ = placed_parts(parts, usual)
+    found, notes = placed_parts([shifted(part, by) for part in parts], usual)
+    assert found == expected
+    assert codes(notes) == ["pins-of-other-datum", "rotation-by-pins"]
+    assert notes[0].values["shift_mm"] == f"{by[0]:.3f}, {by[1]:.3f}"
+    assert (notes[1].values["fit"], notes[1].values["rule"]) == ("10", str(rule))
+
+
+def test_a_side_whose_pins_fit_keeps_its_datum_if_the_other_side_has_another() -> None:
+    top = [drawn(f"T{n}", SPEC["top"], 30.0 * n, side="top") for n in range(3)]
+    bottom = [drawn(f"B{n}", SPEC["bottom"], 30.0 * n) for n in range(3)] + [drawn("J1", SPEC["bottom"], 45.0, HEADER)]
+    expected, _ = placed_parts([*top, *bottom], usual)
+    found, notes = placed_parts([*top, *(shifted(part, (100.0, 0.0)) for part in bottom)], usual)
+    assert found == expected
+    assert codes(notes) == ["pins-of-other-datum", "rotation-by-pins", "rotation-by-pins"]
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_one_package_beside_its_origin_is_no_other_datum(count: int) -> None:
+    """All its parts have one angle, so their bodies lie to the same side."""
+    parts = [shifted(drawn(f"J{n}", SPEC["bottom"], 90.0, HEADER), (3.0, 0.0)) for n in range(count)]
+    found, notes = placed_parts(parts, usual)
+    assert [part.center for part in found] == [pytest.approx((13, 16))] * count
+    assert codes(notes) == ["rotation-unconfirmed", "angles-by-pins"]
+
+
 @pytest.mark.parametrize("pins", [(), CHIP], ids=["no pins", "symmetrical pins"])
 def test_parts_whose_pins_show_no_rule_follow_that_of_other_parts_of_their_side(pins: tuple[XY, ...]) -> None:
     """At 0° two pins along x leave four rules."""

@@ -12,6 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from statistics import median
 from typing import NamedTuple
 
 from vaoi_station.board_data.design import XY, Box, Part, Side, body_of, normalised, rotated
@@ -29,6 +30,8 @@ LEAST_CONTRAST = 0.25
 """Pins show how an outline is drawn if they extend beyond it, drawn one way, by less than this share of the other."""
 LEAST_PACKAGES = 3
 """By as many packages outlines must be shown to be drawn otherwise than usual: some bodies lie beside their pins."""
+LEAST_SHIFTED = 3
+"""As many parts, of two packages or more, must have pins at one shift to show that pins have another datum."""
 LEAST_MARGIN = 3
 """By as many pins another rule must fit better than the usual one where places may be those of other things."""
 ROUNDING_MM = 0.005
@@ -113,7 +116,12 @@ class _Decision:
     @property
     def is_proven(self) -> bool:
         """Whether most pins fit this rule, and no other as well."""
-        return self.fitting > LEAST_SHARE * self.pins and not self.rivals
+        return self.fits_most and not self.rivals
+
+    @property
+    def fits_most(self) -> bool:
+        """Whether most pins fit this rule."""
+        return self.fitting > LEAST_SHARE * self.pins
 
 
 def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True) -> tuple[list[Part], list[Note]]:
@@ -124,13 +132,20 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
         usual: the rule where pins do not decide.
         exact: whether `places` are those of pins; else they may be others, and no single part is judged by them.
     """
-    groups: defaultdict[tuple[Side, str], list[DrawnPart]] = defaultdict(list)
-    for drawn in parts:
-        groups[drawn.group].append(drawn)
+    groups = _grouped(parts)
     margin = 0 if exact else LEAST_MARGIN
     decided = _decisions(groups, usual, margin)
-    words = Counter(side for side, _ in groups)
     notes = []
+    unfit_groups = {key for key, decision in decided.items() if decision.pins and not decision.fits_most}
+    shift = _shift_of_pins([groups[key] for key in unfit_groups]) if exact else None
+    if shift is not None:
+        parts = [_shifted_back(drawn, shift) if drawn.group in unfit_groups else drawn for drawn in parts]
+        groups = _grouped(parts)
+        decided = _decisions(groups, usual, margin)
+        by = f"{shift[0]:z.3f}, {shift[1]:z.3f}"
+        sentence = f"places of pins have another datum than those of parts; they were moved back by ({by}) mm."
+        notes.append(Note("pins-of-other-datum", sentence, shift_mm=by))
+    words = Counter(side for side, _ in groups)
     for key in sorted(groups)[::-1]:
         notes.append(_note_on_rule(key, decided[key], len(groups[key]), words[key[0]] > 1))
         if count := decided[key].turned_over:
@@ -163,6 +178,57 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
         sentence = f"the pins of {len(unfit)} parts fit no angle of their package; check them in the picture: {names}."
         notes.append(Note("pins-unfit", sentence, count=len(unfit), names=names))
     return found, notes
+
+
+def _grouped(parts: Iterable[DrawnPart]) -> dict[tuple[Side, str], list[DrawnPart]]:
+    groups: defaultdict[tuple[Side, str], list[DrawnPart]] = defaultdict(list)
+    for drawn in parts:
+        groups[drawn.group].append(drawn)
+    return groups
+
+
+def _shift_of_pins(groups: Iterable[Sequence[DrawnPart]]) -> XY | None:
+    """Return the shift from the places of parts to those of their pins, if most parts of a group have the same one.
+
+    Bodies beside the origins of their parts differ from package to package, and turn with the part.
+    """
+    found: list[tuple[int, XY]] = []
+    for parts in groups:
+        with_pins = sum(any(_pins(drawn, 0)) for drawn in parts)
+        for reading, rule in product(range(max(len(drawn.readings) for drawn in parts)), RULES):
+            shifts = [(shift, drawn) for drawn in parts if (shift := _shift_by(drawn, reading, rule)) is not None]
+            if not shifts:
+                continue
+            middle = (median(x for (x, _), _ in shifts), median(y for (_, y), _ in shifts))
+            same = [drawn for shift, drawn in shifts if math.dist(shift, middle) <= FITS_MM]
+            packages = {tuple(pin.drawn for pin in drawn.readings[0]) for drawn in same}
+            if len(same) > LEAST_SHARE * with_pins and len(same) >= LEAST_SHIFTED and len(packages) > 1:
+                found.append((len(same), middle))
+    return max(found, key=lambda counted: counted[0])[1] if found else None
+
+
+def _shift_by(drawn: DrawnPart, reading: int, rule: Rule) -> XY | None:
+    """Return how far all pins of a part lie beside their places by a rule; None if they are not shifted alike."""
+    place = _Placer(drawn.part.origin, rule.mirrored, rule.rotation(drawn.part.rotation)).place
+    shifts = []
+    for pin in drawn.readings[min(reading, len(drawn.readings) - 1)]:
+        if pin.drawn is None or len(pin.places) != 1:
+            return None
+        (x, y), (u, v) = place(pin.drawn), pin.places[0]
+        shifts.append((u - x, v - y))
+    if not shifts:
+        return None
+    middle = _mean(shifts)
+    return middle if max(math.dist(shift, middle) for shift in shifts) <= FITS_MM else None
+
+
+def _shifted_back(drawn: DrawnPart, shift: XY) -> DrawnPart:
+    """Return a part with the places of its pins in the frame of the parts."""
+    readings = tuple(
+        tuple(pin._replace(places=tuple((x - shift[0], y - shift[1]) for x, y in pin.places)) for pin in reading)
+        for reading in drawn.readings
+    )
+    return replace(drawn, readings=readings)
 
 
 def _decisions(
