@@ -138,3 +138,42 @@ def test_a_part_on_an_inner_layer_is_seen_from_the_side_that_it_faces(mirror: st
     before, after = 'layerRef="BOT"><Xform rotation="90" mirror="true"', 'layerRef="INT_1"><Xform rotation="90" mirror='
     text = samples.IPC2581.replace(before, f'{after}"{mirror}"')
     assert next(p for p in read_ipc2581(text.encode(), PATH).parts if p.ref == "C1").side == side
+
+
+def bom(name: str, populate: str, ref: str = "C1", step: str = "") -> str:
+    header = f'<BomHeader><StepRef name="{step}"/></BomHeader>' if step else ""
+    return f'<Bom name="{name}">{header}<BomItem><RefDes name="{ref}" populate="{populate}"/></BomItem></Bom>'
+
+
+FULL, LITE = bom("BOM:full", "true"), bom("BOM:lite", "false")
+BOM = '<Bom><BomItem><RefDes name="C1" populate="false"/></BomItem></Bom>'
+
+
+@pytest.mark.parametrize(
+    ("boms", "fitted", "read"),
+    [
+        (FULL + LITE, True, "full"),
+        (LITE + FULL, False, "lite"),
+        ('<Content><BomRef name="BOM:full"/><BomRef name="BOM:lite"/></Content>' + LITE + FULL, True, "full"),
+        ('<Content><BomRef name="BOM:lite"/></Content>' + FULL + LITE, False, "lite"),
+        (FULL + bom("of another step", "false", step="other"), True, None),
+        (bom("of a panel", "false", step="panel"), False, None),
+        (LITE + bom("of other parts", "true", ref="X9"), False, None),
+        (bom("empty", "true", ref="") + LITE, False, None),
+    ],
+    ids=[
+        "first",
+        "first is lite",
+        "by content",
+        "only one in content",
+        "of another step",
+        "of a panel",
+        "other parts",
+        "no parts",
+    ],
+)
+def test_of_several_bills_of_the_same_parts_one_is_read_and_named(boms: str, fitted: bool, read: str | None) -> None:
+    assert BOM in samples.IPC2581
+    design = read_ipc2581(samples.IPC2581.replace(BOM, boms).encode(), PATH)
+    assert next(part.fitted for part in design.parts if part.ref == "C1") is fitted
+    assert [note.values["bom"] for note in design.notes if note.code == "bom-read"] == ([read] if read else [])

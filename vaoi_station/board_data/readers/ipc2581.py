@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -110,7 +110,11 @@ class _Package:
 class _Reader:
     def __init__(self, path: Path, root: Element, mm: float) -> None:
         self._path, self._root, self._mm = path, root, mm
-        self._sides, self._primitives, self._not_fitted = _sides(root), _primitives(root), _not_fitted(root)
+        self._sides, self._primitives = _sides(root), _primitives(root)
+        self._boms = [element for element in root.iter("Bom") if next(element.iter("RefDes"), None) is not None]
+        chosen = [element.get("name", "") for content in root.iter("Content") for element in content.iter("BomRef")]
+        # Those that the content names come first, in its order.
+        self._boms.sort(key=lambda bom: chosen.index(bom.get("name", "")) if bom.get("name") in chosen else len(chosen))
         self._by_kicad = any("kicad" in (e.get("name") or "").lower() for e in root.iter("SoftwarePackage"))
 
     def step(self, step: Element, name: str) -> Step:
@@ -145,13 +149,15 @@ class _Reader:
         """Return a step without what it repeats. Wrong values of its datum and repeats change no board."""
         packages = {p.get("name", ""): self._package(p) for p in step.iter("Package")}
         places = self._pin_places(step)
+        not_fitted, notes_on_boms = self._not_fitted(name)
         drawn, absent = [], set()
         for component in step.findall("Component"):
             package = packages.get(component.get("packageRef", ""))
             if package is None:
                 absent.add(component.get("packageRef", ""))
-            drawn.append(self._part(component, package, places))
+            drawn.append(self._part(component, package, places, not_fitted))
         parts, notes = placed_parts(drawn, self._usual_rule)
+        notes += notes_on_boms
         if absent:
             names = ", ".join(sorted(absent)[:8])
             sentence = f"{len(absent)} packages are not described: {names}."
@@ -164,13 +170,42 @@ class _Reader:
             name, "ipc2581", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), marks=marks, notes=tuple(notes)
         )
 
+    def _not_fitted(self, step: str) -> tuple[set[str], list[Note]]:
+        """Return the designators of a step that are not populated; of bills of the same designators by the first one.
+
+        Bills of different designators, such as of both sides, belong together.
+        """
+        steps = [[_step_name(ref) for ref in bom.iterfind("BomHeader/StepRef")] for bom in self._boms]
+        boms = [bom for bom, names in zip(self._boms, steps, strict=True) if not names or step in names] or self._boms
+        refs = [{ref.get("name", "") for ref in bom.iter("RefDes")} for bom in boms]
+        notes = []
+        if sum(map(len, refs)) > len(set().union(*refs)):
+            names = ", ".join(bom.get("name", "").rpartition(":")[2] for bom in boms)
+            first = boms[0].get("name", "").rpartition(":")[2]
+            sentence = (
+                f"the file has several bills of materials for the same parts ({names}); {first} was read. By "
+                "another one other parts may be fitted."
+            )
+            notes.append(Note("bom-read", sentence, names=names, bom=first))
+            boms = boms[:1]
+        return {
+            _plain(ref.get("name", ""))
+            for bom in boms
+            for ref in bom.iter("RefDes")
+            if ref.get("populate", "true").lower() == "false"
+        }, notes
+
     def _usual_rule(self, side: Side, word: str) -> Rule:
         if side == "top" and word != "mirror":
             return Rule(mirrored=False, sign=1)
         return Rule(False, -1, 180.0) if self._by_kicad else Rule(mirrored=True, sign=-1)
 
     def _part(
-        self, component: Element, package: _Package | None, places: Mapping[tuple[str, str], tuple[XY, ...]]
+        self,
+        component: Element,
+        package: _Package | None,
+        places: Mapping[tuple[str, str], tuple[XY, ...]],
+        not_fitted: Set[str],
     ) -> DrawnPart:
         ref = _plain(component.get("refDes", ""))
         transform, location = component.find("Xform"), component.find("Location")
@@ -190,7 +225,7 @@ class _Reader:
             value=_plain(component.get("part", "")),
             box=package.drawing if package else None,
             body_height=package.height if package else None,
-            fitted=ref not in self._not_fitted,
+            fitted=ref not in not_fitted,
             is_mark=is_mark,
             mark_diameter=package.pad if package else None,
         )
@@ -315,13 +350,6 @@ def _sides(root: Element) -> dict[str, Side]:
 def _primitives(root: Element) -> dict[str, Element]:
     """Return id → entry of the dictionaries of shapes."""
     return {entry.get("id", ""): entry for tag in ("EntryStandard", "EntryUser") for entry in root.iter(tag)}
-
-
-def _not_fitted(root: Element) -> set[str]:
-    """Return the designators that the bill of materials marks as not populated."""
-    return {
-        _plain(ref.get("name", "")) for ref in root.iter("RefDes") if ref.get("populate", "true").lower() == "false"
-    }
 
 
 def _plain(name: str) -> str:

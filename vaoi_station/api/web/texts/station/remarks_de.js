@@ -16,6 +16,7 @@ export const remarks = {
   "board-repeated": ({ counts }) => `Die Leiterplatte wird ${counts}-mal wiederholt; Positionen zählen von 1 an, zuerst entlang x.`,
   "bodies-repeated": ({ names }) => `Bezeichner, die in der zweiten Datei mehrmals vorkommen, bekommen von ihr keinen Körper: ${more(names)}.`,
   "boards-in-outline": ({ count, all, contours, at }) => `${count} von ${all} Bauteilen liegen in ${contours} Konturen innerhalb des Umrisses, ab ${more(at)}: Es scheinen Leiterplatten eines Nutzens zu sein, keine Ausschnitte. Wird eine einzelne Leiterplatte gefilmt, deren Datei importieren.`,
+  "bom-read": ({ names, bom }) => `Die Datei hat mehrere Stücklisten für dieselben Bauteile (${names}); gelesen wurde ${bom}, nach anderen können andere Bauteile unbestückt sein.`,
   "bottom-maybe-negated": () => "x ist bei allen Bauteilen der Unterseite negativ: Hat das Programm es umgekehrt, liegen sie spiegelverkehrt. Die Datei der Leiterplatte verbinden, oder den Typ an einem Lauf prüfen.",
   "bottom-negated": ({ count }) => `x der ${count} Bauteile der Unterseite war umgekehrt, wie die Oberseite zeigt; es wurde berichtigt. Drehungen gelten, wie sie dastehen.`,
   "boards-of-one-fiducial": ({ count, names }) => `Nur eine Passmarke bestimmt die Lage von ${count} Leiterplatten des Nutzens, sodass Läufe Vorbehalte haben: Positionen ${more(names)}. Jeder eine zweite geben.`,
