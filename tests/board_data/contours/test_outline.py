@@ -280,7 +280,9 @@ def untidy(pieces: list[Piece], outline: list[XY], r: random.Random) -> list[Pie
             else:
                 found.append(part)
     # A stub and a V-score, or two stubs, may enclose a triangle at the edge of the board: then there is no one truth.
-    has_v_score, has_stub = r.random() < 0.5, False
+    # Nor is there where a V-score closes the corner of an indentation beside lines that are nearly doubled.
+    is_convex = shapely.Polygon(outline).convex_hull.area < 1.001 * shapely.Polygon(outline).area
+    has_v_score, has_stub = is_convex and r.random() < 0.5, False
     for piece in r.sample(found, min(len(found), 5)):
         a, b = piece[0], piece[1]
         kind = r.choice((0, 1, 2, 4) if has_v_score or has_stub else (0, 1, 2, 3, 4))
