@@ -280,9 +280,7 @@ def untidy(pieces: list[Piece], outline: list[XY], r: random.Random) -> list[Pie
             else:
                 found.append(part)
     # A stub and a V-score, or two stubs, may enclose a triangle at the edge of the board: then there is no one truth.
-    # Nor is there where a V-score closes the corner of an indentation beside lines that are nearly doubled.
-    is_convex = shapely.Polygon(outline).convex_hull.area < 1.001 * shapely.Polygon(outline).area
-    has_v_score, has_stub = is_convex and r.random() < 0.5, False
+    has_v_score, has_stub = r.random() < 0.5, False
     for piece in r.sample(found, min(len(found), 5)):
         a, b = piece[0], piece[1]
         kind = r.choice((0, 1, 2, 4) if has_v_score or has_stub else (0, 1, 2, 3, 4))
@@ -310,7 +308,7 @@ def untidy(pieces: list[Piece], outline: list[XY], r: random.Random) -> list[Pie
     return shaken
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)  # rare drawings are known to be wrong
+@settings(max_examples=100, deadline=None)
 @given(boards(), st.integers(0, 2**32))
 def test_an_untidy_drawing_has_the_contours_of_the_tidy_one(
     board: tuple[list[Piece], list[XY], list[list[XY]]], seed: int
