@@ -57,6 +57,12 @@ def measure(twin: Twin, board: int) -> Counter[str]:
     return sum((count(entry, truth["heights"][ref]) for ref, entry in document.items()), Counter())
 
 
+def print_counts(total: Counter[str]) -> None:
+    """Print counts, one a line."""
+    for name, number in sorted(total.items()):
+        print(f"{number:7d} {name}")
+
+
 def main() -> None:
     """Print the counts of some boards of a scenario."""
     scenario, boards = sys.argv[1:]
@@ -65,8 +71,7 @@ def main() -> None:
     total: Counter[str] = Counter()
     for board in range(first, end):
         total += measure(twin, board)
-    for name, number in sorted(total.items()):
-        print(f"{number:7d} {name}")
+    print_counts(total)
 
 
 if __name__ == "__main__":
