@@ -40,7 +40,7 @@ from vaoi_station.api.routes import (
     stitching,
 )
 from vaoi_station.api.routes.services import Services
-from vaoi_station.api.setup import calibration_routes, optics_routes, settings_routes
+from vaoi_station.api.setup import calibration_routes, optics_routes, settings
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.trends import routes as trends
 from vaoi_station.push.push_service import PushService
@@ -116,7 +116,7 @@ def create_app(
         routers.append(keys.router(services, access))
     if files is not None:
         routers.append(calibration_routes.router(services, files, camera_trials))
-        routers += [setup.router(services, files) for setup in (optics_routes, settings_routes)]
+        routers += [setup.router(services, files) for setup in (optics_routes, settings)]
     for router in routers:
         app.router.routes.extend(router.routes)
     _add_health(app, services)

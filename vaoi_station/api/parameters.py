@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import Annotated, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Request
 from fastapi.routing import APIRoute
@@ -147,6 +147,12 @@ def _query_parameters(route: APIRoute) -> dict[str, bool]:
 def _is_list(annotation: object) -> bool:
     """Return whether values of a type are lists, also if there may be none: `list[X] | None`."""
     return any(get_origin(kind) is list for kind in (annotation, *get_args(annotation)))
+
+
+def file_reply(description: str, *media: str) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI description of a reply that is a file of one of these media types."""
+    binary = {"schema": {"type": "string", "format": "binary"}}
+    return {200: {"description": description, "content": dict.fromkeys(media, binary)}}
 
 
 def rest_router(prefix: str = "", tags: list[str | Enum] | None = None, base: str = PREFIX) -> APIRouter:
