@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.benchmarks.accuracy.dotted_codes import DottedCode, draw_dotted_code
+from vaoi_station.benchmarks.codes import DottedCode, draw_dotted_code
 from vaoi_station.identity.dot_grids import MODULES_PX, dot_grids
 from vaoi_station.identity.symbols import read_dotted, read_symbols
 

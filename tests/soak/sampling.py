@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.benchmarks.station.process_usage import cpu_s
+from vaoi_station.benchmarks.process_usage import cpu_s
 
 _SMAPS = re.compile(r"^(Rss|Pss|Anonymous): +(\d+) kB", re.MULTILINE)
 _THREADS = re.compile(r"^Threads:\s+(\d+)", re.MULTILINE)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.benchmarks.accuracy.consistency import RunErrors, compare_with_truth
-from vaoi_station.benchmarks.benchmark_board import BenchmarkBoard
+from vaoi_station.benchmarks.boards import BenchmarkBoard
+from vaoi_station.benchmarks.uncertainty import RunErrors, compare_with_truth
 from vaoi_station.model import Calibration
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 

@@ -1,1 +1,1 @@
-"""Benchmarks of `vaoi bench`: speed of stitching; in `station` a whole station; in `accuracy` errors."""
+"""`vaoi bench`: one module per subject."""

@@ -38,7 +38,6 @@ from vaoi_station.cli.station.export import export
 from vaoi_station.cli.station.keys import keys
 from vaoi_station.cli.station.record import record
 from vaoi_station.cli.station.serve import serve
-from vaoi_station.cli.station.view import view
 from vaoi_station.cli.tools.bench import bench
 from vaoi_station.cli.tools.calibration_board import calibration_board
 from vaoi_station.cli.tools.import_file import import_file
@@ -107,7 +106,6 @@ app.command()(restitch)
 app.command()(dataset)
 app.command()(bench)
 app.command()(demo)
-app.command()(view)
 app.command()(doctor)
 app.command()(backup)
 app.command()(restore)

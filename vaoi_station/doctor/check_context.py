@@ -13,7 +13,7 @@ from vaoi_station.doctor.machine import Machine
 
 @dataclass(frozen=True)
 class RunningProcess:
-    """The process that runs on the station's ring now: `vaoi serve`, `vaoi record` or `vaoi view`."""
+    """The process that runs on the station's ring now: `vaoi serve` or `vaoi record`."""
 
     pid: int | None
     """Process id; None if the process belongs to another user and cannot be inspected."""

@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.benchmarks.station import station_pace
-from vaoi_station.benchmarks.station.prerendered_run import PrerenderedRun
-from vaoi_station.benchmarks.station.station_pace import RateFigures
+from vaoi_station.benchmarks import station_pace
+from vaoi_station.benchmarks.station_pace import PrerenderedRun, RateFigures
 
 
 def test_figures_are_printed_and_written(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
@@ -36,13 +35,6 @@ def test_absent_recording_is_refused(vaoi: Any, tmp_path: Path) -> None:
     said = vaoi("bench", "--case", tmp_path / "nothing")
     assert said.code == 2
     assert "there is no such file" in said.err
-
-
-def test_plot_needs_marks(vaoi: Any, tmp_path: Path) -> None:
-    said = vaoi("bench", "--plot", tmp_path / "curve.svg")
-    assert said.code == 2
-    assert "--plot needs --marks" in said.err
-    assert not (tmp_path / "curve.svg").exists()
 
 
 def test_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

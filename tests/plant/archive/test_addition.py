@@ -11,9 +11,8 @@ from types import SimpleNamespace
 import pytest
 
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
-from vaoi_station.files.images import read_image, write_image
+from vaoi_station.files.images import encode_png, read_image, write_image
 from vaoi_station.plant.archive import Archive, RunLabel, addition
-from vaoi_station.plant.archive.frames import frame_codec
 from vaoi_station.plant.archive.storage import LocalStorage
 from vaoi_station.runs.handover.paced_storage import PacedStorage
 
@@ -130,7 +129,7 @@ def test_a_run_whose_frames_another_release_compressed_is_the_same(
 ) -> None:
     archive = Archive.create(tmp_path / "archive")
     first = archive.add(recording, station="line 1", label=RunLabel("one"))
-    monkeypatch.setattr(frame_codec, "_step", lambda _: 2)
+    monkeypatch.setattr(addition, "encode_png", lambda image: encode_png(image, 6))
     assert archive.add(recording, station="line 1", label=RunLabel("one")) == first
 
 

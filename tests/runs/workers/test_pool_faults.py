@@ -13,7 +13,7 @@ import pytest
 from tests.runs.workers.conftest import RingBoard
 from tests.runs.workers.forking.served import few_files
 from tests.runs.workers.plant import BoardPlant, Plant, conclusion
-from vaoi_station.benchmarks.station.process_usage import cpu_s
+from vaoi_station.benchmarks.process_usage import cpu_s
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import BusyError, StateError
 from vaoi_station.runs.workers import pool as module

@@ -109,7 +109,7 @@ class ReplayController:
         """Raise StateError: a recording has no frames except those of its pulses."""
         raise StateError(
             "a replay plays recorded boards; it cannot fire a pulse of its own.",
-            action="Film the boards it plays: vaoi view --boards.",
+            action="Film the boards it plays: vaoi record without --still.",
         )
 
     def permit_board(self, permit: Permit | None) -> None:

@@ -64,7 +64,7 @@ def station(context: CheckContext) -> Iterator[Finding]:
     if running.no_reply_reason:
         yield warning(
             f"{running.description} uses the station's ring, but no station replies at port {api.port} "
-            f"({running.no_reply_reason}); it is starting, or it is vaoi record or vaoi view.",
+            f"({running.no_reply_reason}); it is starting, or it is vaoi record.",
             running.inspect_command,
             code="station-silent",
         )

@@ -16,9 +16,8 @@ from pydantic import ValidationError
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.documents import parse
-from vaoi_station.files.images import read_image
+from vaoi_station.files.images import decode, encode_png, read_image
 from vaoi_station.model import Status
-from vaoi_station.plant.archive.frames import decode_frame, encode_frame
 from vaoi_station.plant.archive.manifest import (
     ArchivedReference,
     ArchivedRun,
@@ -209,7 +208,7 @@ def _store_frames(storage: Storage, recording: Recording) -> Iterator[FrameBlob]
     for camera in range(len(recording.head.cameras)):
         for row in range(recording.head.rows):
             if (path := recording.frame_path(camera, row)) is not None:
-                stored = encode_frame(read_image(path))
+                stored = encode_png(read_image(path))
                 blob = FrameBlob(sha256=digest_of(stored), bytes=len(stored), camera=camera, row=row)
                 _store_blob(storage, blob, stored)
                 yield blob
@@ -294,8 +293,9 @@ def _is_same(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:
 
 
 def _same_frame(storage: Storage, one: FrameBlob, other: FrameBlob) -> bool:
-    first, second = (decode_frame(storage.read(blob.key)) for blob in (one, other))
-    return (one.camera, one.row) == (other.camera, other.row) and np.array_equal(first, second)
+    first, second = (decode(storage.read(blob.key)) for blob in (one, other))
+    same = first is not None and second is not None and np.array_equal(first, second)
+    return same and (one.camera, one.row) == (other.camera, other.row)
 
 
 def _content(storage: Storage, blob: DocumentBlob) -> bytes:

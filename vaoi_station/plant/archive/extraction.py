@@ -8,9 +8,8 @@ from pathlib import Path
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files.atomic_directory import new_directory
 from vaoi_station.files.documents import write_bytes
-from vaoi_station.files.images import Image, write_image
+from vaoi_station.files.images import Image, decode, write_image
 from vaoi_station.plant.archive.addition import FILES, REFERENCE
-from vaoi_station.plant.archive.frames import decode_frame
 from vaoi_station.plant.archive.manifest import ArchivedReference, ArchivedRun, Blob, DocumentBlob, FrameBlob, digest_of
 from vaoi_station.plant.archive.storage import Storage
 
@@ -47,11 +46,10 @@ def read_document(storage: Storage, run: ArchivedRun, blob: DocumentBlob) -> byt
 
 def read_frame(storage: Storage, run: ArchivedRun, blob: FrameBlob) -> Image:
     """Return the pixels of a frame of a run, as its recording had them."""
-    content = read_blob(storage, run, blob)
-    try:
-        return decode_frame(content)
-    except ValueError as error:
-        raise _unreadable(storage, run, blob, error) from error
+    image = decode(read_blob(storage, run, blob))
+    if image is None:
+        raise _unreadable(storage, run, blob, "it is no picture that this software reads")
+    return image
 
 
 def read_blob(storage: Storage, run: ArchivedRun, blob: Blob) -> bytes:
@@ -77,7 +75,7 @@ def read_blob(storage: Storage, run: ArchivedRun, blob: Blob) -> bytes:
     return content
 
 
-def _unreadable(storage: Storage, run: ArchivedRun, blob: Blob, error: Exception) -> InputError:
+def _unreadable(storage: Storage, run: ArchivedRun, blob: Blob, error: object) -> InputError:
     return InputError(
         f"{storage.url}: run {run.run}: blob {blob.sha256} has the right checksum, but cannot be decoded: {error}.",
         action="Use a newer vaoi_station if it may come from one; otherwise report it to the maintainer with the blob.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-from vaoi_station.benchmarks.station.process_usage import cpu_s
+from vaoi_station.benchmarks.process_usage import cpu_s
 from vaoi_station.rig.scoring.rig_report import Load
 
 

@@ -19,7 +19,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from tests.api.web.conftest import ARGUMENTS
 from tests.needs import chromium
-from vaoi_station.benchmarks.station.process_usage import CpuMeter
+from vaoi_station.benchmarks.process_usage import CpuMeter
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.station_files import write_station_files

@@ -11,7 +11,7 @@ import pytest
 
 from tests.runs.workers.conftest import RingBoard
 from tests.runs.workers.forking.served import PATIENCE_S, Served, few_files
-from vaoi_station.benchmarks.station.process_usage import cpu_s
+from vaoi_station.benchmarks.process_usage import cpu_s
 from vaoi_station.runs.workers.jobs import CloseRun, WorkerReady
 
 

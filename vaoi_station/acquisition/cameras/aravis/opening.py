@@ -30,7 +30,7 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
     with OPENING_LOCK:
         try:
             for camera, where in zip(config.cameras, _locate_cameras(config.cameras), strict=True):
-                # Until a light program is armed, the register holds the exposure: `vaoi view` fires without a program.
+                # Until a light program is armed, the register holds the exposure: pulses without a program use it.
                 by = camera.exposure_by if camera.exposure_by == "sequencer" else "register"
                 connections.append(Connection(camera.model_copy(update={"exposure_by": by}), where))
             _check_distinct(connections)

@@ -1,6 +1,6 @@
-// What a frame shows of its camera: sharpness over the field, and the histogram with what is clipped. For the page and for vaoi view.
+// What a frame shows of its camera: sharpness over the field, and the histogram with what is clipped.
 const SVG = "http://www.w3.org/2000/svg";
-export const BLUR_LIMIT_PX = 1.3; // limits of vaoi view
+export const BLUR_LIMIT_PX = 1.3; // limits of a good picture
 export const SATURATED_LIMIT = 0.005;
 export const DARK_LIMIT = 0.35;
 const WIDTH = 300;

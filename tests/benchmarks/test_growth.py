@@ -1,0 +1,39 @@
+"""CPU time and memory over the length of the board."""
+
+from __future__ import annotations
+
+import pytest
+
+from vaoi_station.benchmarks.growth import ScalingFigures, long_board, measure_scaling
+from vaoi_station.simulation import Scenario, Twin
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[str]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def figures(scenario: Scenario, steps: list[str], tmp_path_factory: pytest.TempPathFactory) -> list[ScalingFigures]:
+    return measure_scaling(scenario, tmp_path_factory.mktemp("scaling"), (4, 7), steps.append)
+
+
+@pytest.mark.parametrize("rows", [4, 33, 333])
+def test_long_boards_take_the_requested_number_of_rows(scenario: Scenario, rows: int) -> None:
+    longer = long_board(scenario, rows)
+    assert Twin(longer).passage(0).rows == rows
+    assert longer.array.cameras == 3
+
+
+def test_boards_are_stitched_and_grow_with_their_rows(figures: list[ScalingFigures], steps: list[str]) -> None:
+    assert [(f.frames, f.rows, f.status) for f in figures] == [(12, 4, "ok"), (21, 7, "ok")]
+    assert figures[1].board_mm[1] > figures[0].board_mm[1]
+    assert len(steps) == 4, "two steps per board"
+
+
+def test_time_and_memory_are_positive(figures: list[ScalingFigures]) -> None:
+    for f in figures:
+        assert f.links_ms_per_frame > 0
+        assert f.conclude_ms_per_frame > 0
+        assert f.own_memory_mb >= 0
+        assert f.frames_mb == pytest.approx(f.frames * 640 * 480 / 1e6, rel=0.02)

@@ -1,0 +1,167 @@
+"""Accuracy of the detection of marks, as `vaoi bench --marks` measures it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.benchmarks.boards import BenchmarkBoard
+from vaoi_station.benchmarks.marks import (
+    CONDITIONS,
+    Condition,
+    MarkFigures,
+    apply_condition,
+    cramer_rao_px,
+    measure_mark_kind,
+    measure_marks,
+    render_mark,
+)
+from vaoi_station.geometry.robust import Failure
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.marks.mark_shape import Shape
+
+SHAPES: list[Shape] = ["circle", "cross", "square", "diamond"]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("light", [True, False])
+def test_marks_are_located_within_the_specified_errors(shape: Shape, light: bool) -> None:
+    for size in (12.0, 40.0):
+        rows = {r.condition: r for r in measure_mark_kind(shape, light, size, 8)}
+        assert {r.found for r in rows.values()} == {8}, "none is refused"
+        assert rows["clean"].largest_px <= 0.015
+        assert rows["slope"].largest_px <= 0.02
+        assert rows["noise"].rms_px <= 0.015
+        assert rows["noise"].largest_px <= 0.05
+        assert rows["copper"].largest_px <= 0.1
+        assert 0.5 * rows["noise"].rms_px < rows["noise"].claimed_px < 3 * rows["noise"].rms_px
+        assert rows["noise"].rms_px < (rows["noise"].paper_rms_px or math.inf)
+
+
+def test_table_contains_every_kind() -> None:
+    rows = tuple(r for shape in SHAPES for r in measure_mark_kind(shape, True, 16.0, 2))
+    figures = MarkFigures(rows, "demo", 0.25)
+    table = list(figures.lines())
+    assert len(table) == 2 + len(SHAPES)
+    assert len({line.count("|") for line in table}) == 1
+    assert any(line.startswith("| light diamond | 16 |") for line in table)
+    document: dict[str, Any] = figures.document()
+    assert document["rows"][0]["condition"] == "clean"
+    assert document["rows"][0]["said_px"] == rows[0].claimed_px
+
+
+def test_refused_marks_are_counted_in_the_table() -> None:
+    rows = [replace(r, found=1, paper_rms_px=None) for r in measure_mark_kind("circle", True, 16.0, 2)]
+    *_, line = MarkFigures(tuple(rows), "demo", 0.25).lines()
+    assert line.count("(–), 1 refused") == len(rows)
+
+
+@pytest.mark.parametrize("positions", [0, 1])
+def test_table_and_document_exist_without_marks(positions: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No mark was rendered; or one, and no method found it."""
+
+    def refuse(*_: Any, **__: Any) -> Failure:
+        return Failure("no mark")
+
+    monkeypatch.setattr("vaoi_station.benchmarks.marks.locate_mark", refuse)
+    monkeypatch.setattr("vaoi_station.benchmarks.marks.locate_by_centre_of_gravity", refuse)
+    rows = tuple(measure_mark_kind("circle", True, 16.0, positions))
+    figures = MarkFigures(rows, "demo", 0.25)
+    assert {(r.found, r.of) for r in rows} == {(0, positions)}
+    *_, line = figures.lines()
+    assert "– / – (–)" in line
+    assert "nan" not in line
+    document = figures.document()
+    assert (document["rows"][0]["rms_px"], document["rows"][0]["bias_px"]) == (None, [None, None])
+    json.dumps(document, allow_nan=False)
+
+
+def test_whole_benchmark_restores_the_number_of_threads(small_board: BenchmarkBoard) -> None:
+    threads = cv2.getNumThreads()
+    figures = measure_marks(positions=1, board=small_board, sizes_px=(16.0,))
+    assert cv2.getNumThreads() == threads
+    assert len(figures.rows) == len(SHAPES) * 2 * 4
+    assert figures.document()["material"] == "small"
+    assert figures.whole_frame_ms > 0
+
+
+DARK, LIGHT = 50.0, 200.0
+AREAS: dict[Shape, float] = {"circle": math.pi / 4, "square": 1.0, "diamond": 0.5, "cross": 7 / 16}
+"""Area over the square of the size; the arms of a cross are a quarter of its size wide."""
+
+
+def coverage(shape: Shape, size_px: float, at: Floats, side: int) -> Floats:
+    return (render_mark(shape, True, size_px, at, side, False) - DARK) / (LIGHT - DARK)
+
+
+@pytest.mark.parametrize("shape", AREAS)
+@given(x=st.floats(-0.5, 0.5), y=st.floats(-0.5, 0.5), size_px=st.floats(12, 40))
+def test_mark_has_its_area_and_its_centre_of_gravity(shape: Shape, x: float, y: float, size_px: float) -> None:
+    at = np.array([40 + x, 40 + y])
+    share = coverage(shape, size_px, at, 81)
+    weight = share.sum()
+    assert weight == pytest.approx(AREAS[shape] * size_px**2, rel=0.02)
+    pixels = np.arange(81)
+    assert (share.sum(0) @ pixels / weight, share.sum(1) @ pixels / weight) == pytest.approx(tuple(at), abs=2e-3)
+
+
+def test_dark_mark_is_the_inverse_of_a_light_one() -> None:
+    at = np.array([20.3, 19.8])
+    light, dark = (render_mark("cross", light, 16.0, at, 41, False) for light in (True, False))
+    assert light + dark == pytest.approx(np.full((41, 41), DARK + LIGHT))
+
+
+def test_track_lies_beside_the_mark_and_does_not_touch_it() -> None:
+    at = np.array([40.0, 40.0])
+    plain, tracked = (render_mark("square", True, 20.0, at, 81, copper) for copper in (False, True))
+    changed = np.nonzero(np.abs(tracked - plain).max(0) > 1)[0]
+    assert changed.min() > 40 + 10 + 2, "right of the edge of the mark"
+    assert tracked[0, changed].max() == pytest.approx(LIGHT, abs=1), "over the whole height of the image"
+
+
+def test_slope_brightens_the_image_to_the_right() -> None:
+    flat = np.full((61, 61), 100.0)
+    image, variance = apply_condition(flat, "slope", np.random.default_rng(1))
+    assert image[:, 60].mean() - image[:, 0].mean() == pytest.approx(100 * 0.003 * 60, abs=1)
+    assert variance == pytest.approx(np.full_like(flat, 1 / 12))
+
+
+@pytest.mark.parametrize("condition", [c for c in CONDITIONS if c != "noise"])
+def test_conditions_without_noise_need_no_random_numbers(condition: Condition) -> None:
+    image = render_mark("circle", True, 20.0, np.array([30.0, 30.0]), 61, False)
+    one, other = (apply_condition(image, condition, np.random.default_rng(seed))[0] for seed in (1, 2))
+    assert np.array_equal(one, other)
+
+
+def test_noise_has_the_stated_variance() -> None:
+    plain = render_mark("circle", True, 20.0, np.array([30.0, 30.0]), 61, False)
+    g = np.random.default_rng(1)
+    ratio = []
+    for _ in range(40):
+        image, variance = apply_condition(plain, "noise", g)
+        corner = image[:15, :15].astype(float)
+        ratio.append(corner.var() / variance[:15, :15].mean())
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.1)
+
+
+def test_bound_is_that_of_straight_edges() -> None:
+    """Edges of contrast C, blur σ and total length L under noise s fix a centre to s·√(2√π·σ / (C²·L))."""
+    image = render_mark("square", True, 60.0, np.array([60.0, 60.0]), 121, False)
+    blur = math.hypot(0.6, 0.29)
+    expected = 2 * math.sqrt(2 * math.sqrt(math.pi) * blur / (150**2 * 120))
+    assert cramer_rao_px(image, np.full_like(image, 4.0)) == pytest.approx(expected, rel=0.1)
+
+
+@given(factor=st.floats(0.1, 10))
+def test_bound_grows_with_the_standard_deviation_of_the_noise(factor: float) -> None:
+    image = render_mark("circle", True, 16.0, np.array([20.0, 20.0]), 41, False)
+    variance = np.ones_like(image)
+    assert cramer_rao_px(image, factor**2 * variance) == pytest.approx(factor * cramer_rao_px(image, variance))

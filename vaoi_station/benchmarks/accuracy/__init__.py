@@ -1,1 +1,0 @@
-"""Benchmarks of accuracy: measured and predicted errors of component positions, links and marks."""

@@ -1,0 +1,93 @@
+"""The board on which a benchmark runs: a board of the twin, or a recording. All frames are in memory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+from numpy.typing import NDArray
+
+from vaoi_station.files import open_recording, read_board_type, read_calibration
+from vaoi_station.model import BoardType, Calibration, RecordingHead
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.stitching.board.expectation import turned_by
+from vaoi_station.stitching.work import StitchSetup
+
+
+@dataclass(frozen=True, eq=False)
+class BenchmarkBoard:
+    """Frames of one board, with its calibration and CAD data.
+
+    Attributes:
+        name: name of the scenario or of the recording's directory.
+        head: cameras, rows and trigger times.
+        calibration: camera matrices N_i and lenses.
+        board_type: CAD data.
+        frames: pixels by (camera, row); missing frames are absent.
+        truth: exact positions from the twin; None for a recording.
+    """
+
+    name: str
+    head: RecordingHead
+    calibration: Calibration
+    board_type: BoardType
+    frames: dict[tuple[int, int], NDArray[Any]]
+    truth: dict[str, Any] | None
+
+    @property
+    def setup(self) -> StitchSetup:
+        """The data that stitching has before the first frame: cameras, belt, trigger period, board type, lights."""
+        return StitchSetup(
+            self.calibration.cameras(self.head.cameras),
+            self.head.conveyor_mm_s,
+            self.head.trigger_period_s,
+            self.board_type,
+            turned_by(self.head.rotation_deg),
+            lights=self.head.lights or (),
+        )
+
+
+def board_from_twin(scenario: str = "demo", board: int = 0) -> BenchmarkBoard:
+    """Render all frames of a board of a scenario that the package contains."""
+    twin = Twin(read_scenario(scenario_path(scenario)))
+    passage = twin.passage(board)
+    frames = passage.render_all()
+    return BenchmarkBoard(scenario, passage.head(), twin.calibration, twin.board_type, frames, passage.truth())
+
+
+def board_from_recording(directory: Path) -> BenchmarkBoard:
+    """Read all frames of a recording, with its calibration and board type."""
+    recording = open_recording(directory)
+    head = recording.head
+    calibration = read_calibration(directory / "calibration.json", head.cameras)
+    # Frames are decoded here, once: benchmarks measure computation, not reading of files.
+    frames = {}
+    for i in range(len(head.cameras)):
+        for j in range(head.rows):
+            pixels = recording.frame(i, j)
+            if pixels is not None:
+                frames[i, j] = pixels
+    return BenchmarkBoard(directory.name, head, calibration, read_board_type(directory / "board.json"), frames, None)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let OpenCV compute in one thread, because ratios compare algorithms."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def cpu_ms(work: Callable[[], Any]) -> float:
+    """Return the CPU time of a call: the machine may be busy with other work."""
+    start = time.process_time()
+    work()
+    return (time.process_time() - start) * 1e3

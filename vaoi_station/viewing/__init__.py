@@ -1,1 +1,0 @@
-"""`vaoi view`: live frames with focus, exposure and detected marks, for mounting and focusing cameras."""
