@@ -21,7 +21,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, StateError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
-from vaoi_station.push.push_service import PushService
+from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import Housekeeping
@@ -68,18 +68,19 @@ DATABASE, REFERENCES = "station.db", "references"
 
 
 class Outlets:
-    """What a station hands on to others: events to receivers, finished runs to an archive."""
+    """What a station hands on to others: events to a broker, finished runs to an archive."""
 
     def __init__(self, config: StationConfig, events: EventLog, archive: Archive) -> None:
-        self.push = PushService(config.data, config.push, config.name, events)
+        self._coordinator: StationCoordinator | None = None
+        self.publisher = Publisher.of(config, events, self._state)
         self._handover = None
         if config.archive is not None:
             # A run that is not stored yet is on the belt or with the workers.
             self._handover = Handover(config.archive, config.name, events, lambda: archive.count_at_risk() > 0)
 
     def reasons(self) -> tuple[Reason, ...]:
-        """Return a warning for each receiver that fails, and one while the archive takes no runs."""
-        return (*self.push.reasons(), *(self._handover.reasons() if self._handover else ()))
+        """Return a warning while the broker is lost, and one while the archive takes no runs."""
+        return tuple(reason for part in (self.publisher, self._handover) if part for reason in part.reasons())
 
     @contextmanager
     def running(self, watch: Callable[[SupervisedThread], None], coordinator: StationCoordinator) -> Iterator[None]:
@@ -89,8 +90,14 @@ class Outlets:
                 parts.enter_context(handover.running(coordinator.kept.recordings))
                 coordinator.kept.archive_status = handover.status
                 watch(handover.thread)
-            parts.enter_context(self.push.running(watch, lambda: str(coordinator.snapshot().state)))
+            if self.publisher is not None:
+                self._coordinator = coordinator
+                parts.enter_context(self.publisher.running(watch))
             yield
+
+    def _state(self) -> str:
+        assert self._coordinator is not None, "the publisher runs"
+        return str(self._coordinator.snapshot().state)
 
 
 class Station:
@@ -115,7 +122,8 @@ class Station:
         self.config = config
         self._launch, self._on_fault, self._remount = launch, on_fault, remount
         self._supervisor: Supervisor | None = None
-        self._push: PushService | None = None
+        self.publisher: Publisher | None = None
+        """What publishes the events of the running station to a broker; None without one."""
         self._parts = ExitStack()
         self._coordinator: StationCoordinator | None = None
         self._wound_down = False
@@ -126,13 +134,6 @@ class Station:
         if self._coordinator is None:
             raise StateError("The station is not running.", action="Start it.")
         return self._coordinator
-
-    @property
-    def push(self) -> PushService:
-        """The receivers of the running station. Access raises `StateError` while the station is not running."""
-        if self._push is None or self._coordinator is None:
-            raise StateError("The station is not running.", action="Start it.")
-        return self._push
 
     def start(self) -> None:
         """Build and start all parts. If one part fails, stop the parts that were started and raise its error."""
@@ -214,9 +215,9 @@ class Station:
             )
             parts.callback(supervisor.stop)
             supervisor.start()
-            # Receivers and the archive come last, and go first: the line waits for none of them.
+            # Broker and archive come last, and go first: the line waits for none of them.
             parts.enter_context(outlets.running(supervisor.watch, coordinator))
-            self._supervisor, self._push = supervisor, outlets.push
+            self._supervisor, self.publisher = supervisor, outlets.publisher
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     def watch(self, thread: SupervisedThread) -> None:
@@ -304,7 +305,7 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         access = AccessControl(keys, audit, open_loopback=api.open_loopback)
         files = None if file is None else StationFiles(file.resolve(), config)
         with no_collections():
-            app = create_app(station.coordinator, names, access, station.push, file, files, api.root_path)
+            app = create_app(station.coordinator, names, access, station.publisher, file, files, api.root_path)
         web = WebServer(app, socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)

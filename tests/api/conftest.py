@@ -5,7 +5,6 @@ from __future__ import annotations
 import ssl
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import httpx2
@@ -14,15 +13,12 @@ from fastapi.testclient import TestClient
 
 from tests.api.held_station import HeldStation
 from tests.peers.certificates import Certificate
-from tests.push.event_list import EventList
 from vaoi_station.api import create_app
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.web_server import WebServer, open_listener
-from vaoi_station.model.receivers import PushConfig
-from vaoi_station.push.push_service import PushService
 
 
 class Served:
@@ -36,11 +32,10 @@ class Served:
         access: AccessControl | None = None,
         certificate: Certificate | None = None,
         files: StationFiles | None = None,
-        push: PushService | None = None,
         root_path: str = "",
     ) -> None:
         self.station = station
-        self.app = create_app(station, access=access, push=push, files=files, root_path=root_path)
+        self.app = create_app(station, access=access, files=files, root_path=root_path)
         self._socket = open_listener("127.0.0.1", port, "test")
         self.port = self._socket.getsockname()[1]
         tls = None if certificate is None else CertificateFiles(*certificate)
@@ -65,23 +60,16 @@ def station() -> HeldStation:
 
 
 @pytest.fixture
-def push(tmp_path: Path) -> PushService:
-    """Receivers without threads: none is there yet, and messages are not sent."""
-    return PushService(tmp_path / "receivers", PushConfig(), "test", EventList())
-
-
-@pytest.fixture
-def client(station: HeldStation, push: PushService) -> Iterator[TestClient]:
-    app = create_app(station, ["testserver"], push=push)
+def client(station: HeldStation) -> Iterator[TestClient]:
+    app = create_app(station, ["testserver"])
     with TestClient(app, raise_server_exceptions=False) as client:
         yield client
 
 
 @pytest.fixture(scope="module")
-def untouched_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+def untouched_client() -> Iterator[TestClient]:
     """One client for tests that change nothing, over a station that has filmed no board."""
-    push = PushService(tmp_path_factory.mktemp("push") / "receivers", PushConfig(), "test", EventList())
-    app = create_app(HeldStation(), ["testserver"], push=push)
+    app = create_app(HeldStation(), ["testserver"])
     with TestClient(app, raise_server_exceptions=False) as client:
         yield client
 

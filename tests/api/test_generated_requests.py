@@ -20,9 +20,6 @@ from tests.needs import LONG
 from vaoi_station.api.access.access_control import AccessControl
 from vaoi_station.api.access.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
-from vaoi_station.push import webhook_transport
-from vaoi_station.push.http_post import Reply
-from vaoi_station.push.push_service import PushService
 
 COUNT = 20_000 if LONG else 250
 """Number of requests; at full length by VAOI_LONG=1."""
@@ -31,15 +28,12 @@ SEED = int(os.environ.get("VAOI_SEED", "14"))
 
 
 @pytest.fixture
-def service(push: PushService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Served, str]]:
+def service(tmp_path: Path) -> Iterator[tuple[Served, str]]:
     audit, keys = AuditLog(tmp_path / "audit.jsonl"), KeyFile(tmp_path / "keys")
-    monkeypatch.setattr(webhook_transport, "post", lambda *_: Reply(204, 0.0))  # no message leaves this machine
-    push.start(lambda _: None)
-    served = Served(HeldStation(), access=AccessControl(keys, audit), files=setup_files(tmp_path), push=push)
+    served = Served(HeldStation(), access=AccessControl(keys, audit), files=setup_files(tmp_path))
     served.client.timeout = httpx2.Timeout(600)  # the first heights wait for the compiler
     yield served, keys.create("chief", ["admin", "teach", "operate"]).secret
     served.stop()
-    push.stop()
     audit.close()
 
 

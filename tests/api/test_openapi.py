@@ -17,7 +17,6 @@ from tests.api.description.openapi_rules import faults, fits
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
 from tests.board_data.readers import samples
-from tests.push.event_list import EventList
 from vaoi_station.api import create_app
 from vaoi_station.api import openapi as openapi_module
 from vaoi_station.api.access.access_control import AccessControl
@@ -29,8 +28,6 @@ from vaoi_station.api.cameras.models import Examination
 from vaoi_station.api.description.for_c import for_c
 from vaoi_station.api.description.older import downgraded
 from vaoi_station.files.access_keys import KeyFile
-from vaoi_station.model.receivers import PushConfig
-from vaoi_station.push.push_service import PushService
 
 GOLDEN = Path(__file__).parent / "openapi.json"
 UNATTENDED = (["access"], ["setup"])
@@ -42,8 +39,7 @@ def text(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The document as JSON: it is made once, which takes seconds."""
     folder = tmp_path_factory.mktemp("station")
     audit = AuditLog(folder / "audit.jsonl")
-    push = PushService(folder / "receivers", PushConfig(), "test", EventList())
-    app = create_app(HeldStation(), (), AccessControl(KeyFile(folder / "k"), audit), push, files=setup_files(folder))
+    app = create_app(HeldStation(), (), AccessControl(KeyFile(folder / "k"), audit), files=setup_files(folder))
     yield json.dumps(app.openapi())
     audit.close()
 
@@ -155,7 +151,6 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
         "StateRequest",
         "TeachRequest",
         "TrialRequest",
-        "WebhookRequest",
     }
 
 
@@ -230,7 +225,6 @@ def test_replies_match_their_schemas(
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}
     values |= {"picture": "board", "level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "240,160"}
-    client.put("/api/v1/webhooks/demo-board", json={"url": "http://127.0.0.1:9/"})
     station.teach_reference("demo-board", values["run"])
     station.kept.mosaics.keep(values["run"])
     station.put_board_type(station.board_type("demo-board"))

@@ -23,13 +23,11 @@ from vaoi_station.files.layouts import read_layout
 from vaoi_station.files.results import read_heights
 from vaoi_station.files.text_files import read_text, text_of
 from vaoi_station.model import BoardType
-from vaoi_station.push.signing import new_secret, read_secrets
 from vaoi_station.settings.edits import Edit, edit_toml
 from vaoi_station.simulation import read_scenario, scenario_path
 
 BOARD = BoardType.model_validate(json.loads(EXAMPLES[3]))
 SIZES = "[[package]]\npattern = '^MY-RELAY'\nsize = [15.0, 7.5]\n"
-SECRETS = f"{new_secret()}\r\n{new_secret()}\r\n"
 MARKS = {"UTF-8": "utf-8-sig", "UTF-16": "utf-16", "UTF-16 big-endian": "utf-16-be"}
 
 
@@ -71,7 +69,6 @@ KINDS = {
     "key of a caller": Kind(
         lambda _: "vaoi_0123456789ab_secret-part\r\n", lambda path: caller_credentials(path, environment={}).key
     ),
-    "signing secrets": Kind(lambda _: SECRETS, read_secrets),
 }
 
 

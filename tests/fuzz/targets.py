@@ -175,7 +175,6 @@ TARGETS: dict[str, Target] = {
     "database": station_targets.database,
     "gvcp": station_targets.gvcp_reply,
     "push-state": station_targets.push_state,
-    "webhooks": station_targets.webhooks,
     "ring": station_targets.ring,
     "rest": rest,
     "query": query,

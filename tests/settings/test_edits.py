@@ -75,7 +75,7 @@ def test_every_value_of_the_shipped_files_can_be_changed_and_removed(name: str) 
         (("cameras", 0, "features", "Y"), 2, "X = 1\nY = 2\n"),
         (("cameras", 1, "features"), {"Z": 3}, 'name = "right" # the last\n\n[cameras.features]\nZ = 3\n'),
         (("cameras", 2, "name"), "third", '# the last\n\n[[cameras]]\nname = "third"\n'),
-        (("webhooks", 0, "url"), "u", '[[webhooks]]\nurl = "u"\n'),
+        (("tables", 0, "url"), "u", '[[tables]]\nurl = "u"\n'),
         (("inline", "mqtt", "port"), 2, 'mqtt = { host = "h", port = 2 }'),
         (("inline", "list", 1, "n"), 3, "list = [{ n = 1 }, { n = 3 }]"),
         (("inline", "list", 2), {"n": 9}, "{ n = 2 }, {n = 9}]"),

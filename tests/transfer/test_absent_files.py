@@ -16,9 +16,9 @@ def test_every_table_and_list_is_searched(tmp_path: Path) -> None:
     (tmp_path / "station.pem").touch()
     with path.open("a") as file:
         file.write('\n[api]\ncertificate = "station.pem"\nprivate_key = "station.key"\n')
-        file.write('\n[[push.webhooks]]\nname = "mes"\nurl = "https://mes.example/"\nsecret_file = "mes.secret"\n')
+        file.write('\n[push.mqtt]\nhost = "broker"\nuser = "a"\npassword_file = "mqtt.password"\n')
     before = set(absent_files(config))
     assert set(absent_files(read_config(path))) - before == {
         ("api.private_key", tmp_path / "station.key"),
-        ("push.webhooks.secret_file", tmp_path / "mes.secret"),
+        ("push.mqtt.password_file", tmp_path / "mqtt.password"),
     }

@@ -125,8 +125,6 @@ def test_only_the_service_reads_what_the_administrator_restores(
     site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (site.rig.config.data / "keys.json").write_text("{}")
-    (site.rig.config.data / "push").mkdir()
-    (site.rig.config.data / "push" / "webhooks.json").write_text("{}")
     back_up(site.config, tmp_path / "backup")
     place = tmp_path / "b"
     (place / "board-types").mkdir(parents=True)
@@ -136,8 +134,7 @@ def test_only_the_service_reads_what_the_administrator_restores(
     data = restore(tmp_path / "backup", place / "station.toml").data
     assert data.stat().st_mode & 0o007 == 0
     assert (data / "station.db").stat().st_mode & 0o007 == 0
-    for name in ("keys.json", "push/webhooks.json"):
-        assert (data / name).stat().st_mode & 0o777 == 0o600
+    assert (data / "keys.json").stat().st_mode & 0o777 == 0o600
     owner = place.stat()
     assert set(given.values()) == {(owner.st_uid, owner.st_gid)}, "the owner of the place"
     assert {"data", "keys.json", "small.json", "calibration.json"} <= {path.name for path in given}

@@ -22,7 +22,6 @@ from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.inspection import routes as inspection
 from vaoi_station.api.lighting import routes as lighting
 from vaoi_station.api.parameters import operation_id, refuse_unclear_parameters
-from vaoi_station.api.receivers import routes as webhooks
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import (
@@ -43,7 +42,7 @@ from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup import calibration_routes, optics_routes, settings
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.trends import routes as trends
-from vaoi_station.push.push_service import PushService
+from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.readiness import EXPECTED, NOT_READY
 from vaoi_station.runs.states.schemas import StationSnapshot
@@ -57,7 +56,7 @@ def create_app(
     coordinator: StationCoordinator,
     names: Iterable[str] = (),
     access: AccessControl | None = None,
-    push: PushService | None = None,
+    publisher: Publisher | None = None,
     config: Path | None = None,
     files: StationFiles | None = None,
     root_path: str = "",
@@ -65,14 +64,14 @@ def create_app(
     """Create the web application of a coordinator. The caller starts and stops the coordinator itself.
 
     Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
-    Without `access`, every caller may send every request, and there are no keys; without `push`, no webhooks; without
-    `config`, the station's station.toml, no findings of the doctor; without `files`, nothing to set the station up.
-    Paths may begin with `root_path`, which a proxy has not removed.
+    Without `access`, every caller may send every request, and there are no keys; without `config`, the station's
+    station.toml, no findings of the doctor; without `files`, nothing to set the station up. Paths may begin with
+    `root_path`, which a proxy has not removed.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
     """
-    services = Services(coordinator, EventHub(coordinator), push)
+    services = Services(coordinator, EventHub(coordinator), publisher)
 
     previews = Previews()
 
@@ -110,8 +109,6 @@ def create_app(
     ]
     camera_trials = CameraTrials(services.coordinator)
     routers += [cameras.router(services, camera_trials, config), board_data.router(services, previews)]
-    if push is not None:
-        routers.append(webhooks.router(services, push))
     if access is not None:
         routers.append(keys.router(services, access))
     if files is not None:

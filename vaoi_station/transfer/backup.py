@@ -31,7 +31,7 @@ KIND = "vaoi-backup"
 CONFIG, CALIBRATION, BOARD_TYPES, SCENARIO, DATA = "station.toml", "calibration.json", "board-types", "scenario", "data"
 FLAT_FIELDS = "flat-fields"
 DATABASE, REFERENCES = "station.db", "references"
-_SECRET = (KEY_FILE, "push/webhooks.json")
+_SECRET = (KEY_FILE,)
 """Files of the data that only the service reads."""
 _ELSEWHERE = "Restore to a machine or a folder without a station, or move the old one away."
 

@@ -22,10 +22,8 @@ from vaoi_station.files.access_keys import KeyFile
 SETTINGS = "/api/v1/settings"
 BODY = {"changes": [{"key": "line.tail_s", "value": 0.5}]}
 SECRET = """
-[[push.webhooks]]
-name = "chat"
-url = "https://chat.example/hooks/T0/secret"
-secret_file = "chat.secret"
+[archive]
+url = "sftp://user:T0-secret@store.example/runs"
 """
 
 
@@ -81,15 +79,15 @@ def test_secrets_stay_in_the_file_and_are_never_shown(files: StationFiles) -> No
     files.path.write_text(files.path.read_text() + SECRET)
     file = SettingsFile(files)
     read = file.read(file.content())
-    assert read.hidden == ["push.webhooks.0.url"]
-    proposal = file.propose(_change(push__webhooks__0__name="talk"), file.content())
+    assert read.hidden == ["archive.url"]
+    proposal = file.propose(_change(name="talk"), file.content())
     assert proposal.hidden == 1
     assert "T0" not in read.model_dump_json() + proposal.model_dump_json()
-    assert 'url = "https://chat.example/…"' in proposal.text
+    assert 'url = "sftp://…@store.example/runs"' in proposal.text
     shown = proposal.text.split('url = "')[1].split('"')[0]
-    assert file.propose(_change(push__webhooks__0__url=shown), file.content()).faults[0].key == "push.webhooks.0.url"
-    file.save(_change(push__webhooks__0__name="talk"), _accept)
-    assert "hooks/T0/secret" in files.path.read_text()
+    assert file.propose(_change(archive__url=shown), file.content()).faults[0].key == "archive.url"
+    file.save(_change(name="talk"), _accept)
+    assert "user:T0-secret@" in files.path.read_text()
 
 
 def test_a_file_that_the_service_may_not_write_is_shown_checked_and_left(protected: StationFiles) -> None:

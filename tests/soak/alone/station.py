@@ -166,7 +166,7 @@ def soak(folder: Path, boards: int, every: int) -> Iterator[Point]:
 def _served(station: Station, parts: ExitStack) -> Caller:
     """Serve a station; return a caller."""
     listener = parts.enter_context(open_listener("127.0.0.1", 0, "the soak"))
-    web = WebServer(create_app(station.coordinator, push=station.push), listener, threading.Event().set)
+    web = WebServer(create_app(station.coordinator, publisher=station.publisher), listener, threading.Event().set)
     web.start()
     parts.callback(web.stop)
     return Caller(listener.getsockname()[1])

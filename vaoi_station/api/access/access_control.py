@@ -34,8 +34,8 @@ from vaoi_station.files.access_keys import AccessKey, KeyFile
 OPEN_SCOPES = frozenset({"read", "operate", "teach"})
 """Scopes of callers on the station's own machine that have no key. Keys are made with `vaoi keys`."""
 LOCAL = "loopback"
-_FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-prefix", "x-real-ip", "via", "webhook-id")
-"""Headers of a request that its sender made for another: by a proxy, or by a station as a webhook."""
+_FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-prefix", "x-real-ip", "via")
+"""Headers of a request that a proxy made for another."""
 _REFUSALS_PER_MINUTE = 60
 _ADDRESS_OR_KEY = "Check the address, or use a key with this scope; /docs lists all addresses, vaoi keys list all keys."
 _STILL_KNOWN = "still-known"

@@ -47,8 +47,8 @@ CONDITIONAL = frozenset(
 )  # fmt: skip
 """Operations whose answers carry an ETag; those that read give 304 to a caller that has the content already."""
 _TAGGED = CONDITIONAL | {
-    "get_method", "set_method", "forget_method", "get_reference", "teach_reference", "get_webhook", "put_webhook",
-    "set_board_type_state", "confirm_import", "decide_about_run",
+    "get_method", "set_method", "forget_method", "get_reference", "teach_reference", "set_board_type_state",
+    "confirm_import", "decide_about_run",
 }  # fmt: skip
 UNCHANGED = {"description": "The caller has the same content already (If-None-Match)."}
 

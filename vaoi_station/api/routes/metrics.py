@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from fastapi import APIRouter, Response
 from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
-from vaoi_station.push.delivery import Delivery
+from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.archive.run_statistics import LATENCY_BOUNDS_S, RunFigures
 from vaoi_station.runs.archive.storage_watch import StorageFigures
 from vaoi_station.runs.states.schemas import StationSnapshot
@@ -45,10 +45,12 @@ def router(services: Services) -> APIRouter:
     @routes.get("/metrics", include_in_schema=False)
     async def get_metrics() -> Response:
         snapshot = await ask(coordinator.snapshot)
-        deliveries = () if services.push is None else services.push.deliveries()
         text = await ask(
             lambda: as_text(
-                (*metrics_of(snapshot, coordinator.run_figures(), deliveries), *_storage(coordinator.storage.figures()))
+                (
+                    *metrics_of(snapshot, coordinator.run_figures(), services.publisher),
+                    *_storage(coordinator.storage.figures()),
+                )
             )
         )
         return Response(text, media_type=MEDIA_TYPE, headers={"Cache-Control": LIVE})
@@ -57,7 +59,7 @@ def router(services: Services) -> APIRouter:
 
 
 def metrics_of(
-    snapshot: StationSnapshot, figures: RunFigures, deliveries: Sequence[Delivery] = ()
+    snapshot: StationSnapshot, figures: RunFigures, publisher: Publisher | None = None
 ) -> tuple[Metric, ...]:
     """Return all metrics of the station."""
     free = sum(bay.use == "free" for bay in snapshot.ring.bays)
@@ -85,7 +87,7 @@ def metrics_of(
         _metric("vaoi_leases", "gauge", "Holds of callers on frames.", ({}, len(snapshot.ring.leases))),
         *_cameras(snapshot),
         *_processes(snapshot),
-        *_receivers(deliveries),
+        *_publishing(publisher),
         *_archive(snapshot.retention.archive),
     )  # fmt: skip
 
@@ -158,20 +160,18 @@ def _processes(snapshot: StationSnapshot) -> Iterable[Metric]:
         yield _metric(name, kind, text, *(({"process": process}, usage[index]) for process, usage in used.items()))
 
 
-def _receivers(deliveries: Sequence[Delivery]) -> Iterable[Metric]:
-    states = [({"receiver": d.name}, d, d.state) for d in deliveries]
-    yield _metric("vaoi_push_up", "gauge", "1 if the receiver accepts messages, 0 if it fails or is disabled.",
-                  *((label, not d.is_failing) for label, d, _ in states))  # fmt: skip
-    yield _metric("vaoi_push_waiting", "gauge", "Events that have not had their turn at the receiver.",
-                  *((label, d.waiting) for label, d, _ in states))  # fmt: skip
-    yield _metric("vaoi_push_delivered_total", "counter", "Messages that the receiver has accepted.",
-                  *((label, s.delivered) for label, _, s in states))  # fmt: skip
-    yield _metric("vaoi_push_failures_total", "counter", "Attempts to deliver a message that failed.",
-                  *((label, s.failures) for label, _, s in states))  # fmt: skip
-    yield _metric("vaoi_push_skipped_total", "counter", "Events that were not sent because too many waited.",
-                  *((label, s.skipped) for label, _, s in states))  # fmt: skip
-    yield _metric("vaoi_push_dead_letters", "gauge", "Events that were given up and are kept for a person.",
-                  *((label, len(s.letters)) for label, _, s in states))  # fmt: skip
+def _publishing(publisher: Publisher | None) -> Iterable[Metric]:
+    def metric(name: str, kind: str, text: str, value: Callable[[Publisher], float]) -> Metric:
+        samples = () if publisher is None else (({"receiver": publisher.name}, value(publisher)),)
+        return _metric(f"vaoi_push_{name}", kind, text, *samples)
+
+    yield metric("up", "gauge", "1 if the broker accepts messages, 0 if it fails.", lambda p: not p.is_failing)
+    yield metric("waiting", "gauge", "Events that have not had their turn at the broker.", lambda p: p.waiting)
+    yield metric("delivered_total", "counter", "Messages that the broker has accepted.", lambda p: p.state.delivered)
+    yield metric("failures_total", "counter", "Attempts to publish that failed.", lambda p: p.state.failures)
+    yield metric(
+        "skipped_total", "counter", "Events that were not sent because too many waited.", lambda p: p.state.skipped
+    )
 
 
 _USAGE = (

@@ -9,7 +9,7 @@ from vaoi_station.api.callers.picture_seats import PICTURE_THREADS, PictureSeats
 from vaoi_station.api.callers.searches import Searches
 from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub
-from vaoi_station.push.push_service import PushService
+from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
 
 
@@ -19,7 +19,7 @@ class Services:
 
     coordinator: StationCoordinator
     hub: EventHub
-    push: PushService | None = None
+    publisher: Publisher | None = None
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
     picture_seats: PictureSeats = field(default_factory=PictureSeats)

@@ -1,6 +1,6 @@
-"""Check the receivers of events: secrets, certificates and passwords can be read, and what MQTT needs is installed.
+"""Check the MQTT broker: certificates and password can be read, and what MQTT needs is installed.
 
-A fault here is a warning: the station films without its receivers. Nothing is sent.
+A fault here is a warning: the station films without its broker. Nothing is sent.
 """
 
 from __future__ import annotations
@@ -9,59 +9,25 @@ import importlib.util
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks.private_files import readable_by_others
 from vaoi_station.doctor.finding import Finding, not_applicable, ok, warning
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.text_files import read_text
-from vaoi_station.model.receivers import MqttConfig, WebhookConfig
-from vaoi_station.push.push_service import FOLDER, WEBHOOKS
-from vaoi_station.push.signing import read_secrets
-from vaoi_station.push.webhook_file import WebhookFile
+from vaoi_station.model.receivers import MqttConfig
 
 
 def receivers(context: CheckContext) -> Iterator[Finding]:
-    """Check webhooks and broker of station.toml, and the webhooks that were made over REST."""
-    push, stored = context.config.push, context.config.data / FOLDER / WEBHOOKS
-    made = WebhookFile(stored)
-    if not push.webhooks and push.mqtt is None and made.fault is None and not made.all():
-        yield not_applicable("no receivers of events are configured")
+    """Check the broker of station.toml."""
+    broker = context.config.push.mqtt
+    if broker is None:
+        yield not_applicable("no MQTT broker is configured")
         return
-    found = [finding for webhook in push.webhooks for finding in _webhook(webhook)]
-    if push.ca is not None:
-        found += _authorities(push.ca, "push.ca")
-    if made.fault is not None:
-        found.append(warning(made.fault.message, made.fault.action, subject=stored.name, code=made.fault.code))
-    if push.mqtt is not None:
-        found += _broker(push.mqtt)
+    found = list(_broker(broker))
     yield from found
     if not found:
-        webhooks = len(push.webhooks) + len(made.all())
-        broker = "no broker" if push.mqtt is None else f"the broker {push.mqtt.host}"
-        yield ok(f"{webhooks} webhooks and {broker} can be used", figures={"webhooks": webhooks})
-
-
-def _webhook(webhook: WebhookConfig) -> Iterator[Finding]:
-    try:
-        read_secrets(webhook.secret_file)
-    except VaoiError as error:
-        action = error.action or "Correct the file; docs/api/push.md describes it."
-        yield warning(
-            f"webhook {webhook.name!r}: {error.message}", action, subject=webhook.name, code="webhook-secret-unusable"
-        )
-    else:
-        yield from readable_by_others(webhook.secret_file, f"webhook {webhook.name!r}: the secrets", webhook.name)
-    parts = urlsplit(webhook.url)
-    if parts.scheme == "http" and parts.query:
-        yield warning(
-            f"webhook {webhook.name!r}: its URL begins with http:// and has a query, which everyone on the way can "
-            f"read; {parts.hostname} gets it with each message.",
-            "Use https://, or a receiver that needs no token: messages are signed.",
-            subject=webhook.name,
-            code="webhook-token-open",
-        )
+        yield ok(f"the MQTT broker {broker.host} can be used")
 
 
 def _broker(broker: MqttConfig) -> Iterator[Finding]:

@@ -31,8 +31,6 @@ export const findings = {
   "flat-fields-old": [({ days }) => `Die Hellfelder sind ${days} Tage alt und damit abgelaufen: Lampen altern, auf Objektive fällt Staub.`, "Weißes Ziel und Dunkelheit aufnehmen, dann vaoi flatfield."],
   "program-unusable": ["Lichtprogramm, Bandgeschwindigkeit oder Längen passen nicht zu dieser Station.", "Berichtigen: Einrichten → Lichtprogramme; docs/engineering/light.md nennt die Grenzen."],
   "stand-in-unusable": ["Das Szenario oder die Aufzeichnungen, die Geräte ersetzen, sind unbrauchbar.", "Die Tabelle [simulation] oder [replay] in station.toml berichtigen."],
-  "webhook-secret-unusable": ["Die Geheimnisse dieses Webhooks sind nicht zu lesen.", "Die Datei berichtigen; docs/api/push.md beschreibt sie."],
-  "webhook-token-open": ["Die Adresse dieses Webhooks beginnt mit http:// und hat eine Abfrage, die jeder auf dem Weg lesen kann.", "https:// verwenden, oder einen Empfänger ohne Token: Nachrichten sind unterschrieben."],
   "mqtt-package-absent": ["Ein Broker ist eingetragen, aber das Paket paho-mqtt fehlt.", "pip install 'vaoi-station[mqtt]'"],
   "mqtt-password-unusable": [({ path }) => `Das Passwort des Brokers in ${path} ist nicht zu lesen oder leer.`, "Das Passwort eintragen und die Datei für den Dienst lesbar machen."],
   "certificate-unusable": ["Ein Zertifikat, sein Schlüssel oder eine Liste von Ausstellern ist unbrauchbar.", "PEM-Dateien ohne Passwort angeben."],

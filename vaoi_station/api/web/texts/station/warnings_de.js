@@ -50,10 +50,6 @@ export const warnings = {
   acknowledged: ["Die Warnung über eine beiseitegelegte Datenbank wurde bestätigt.", NOTHING],
   "database-deleted": ["Die Datenbank wurde gelöscht.", "Eine Sicherung einspielen, wenn es keine Absicht war; dann die leere Datei löschen, die der Satz der Station nennt."],
   "database-replaced": ["An die Stelle der Datenbank wurde eine andere Datei gelegt, während die Station lief.", "Die Station anhalten, bevor eine Sicherung eingespielt wird."],
-  "webhook-failing": ["Ein Empfänger nimmt keine Nachrichten an.", "Empfänger, Adresse und Zertifikat prüfen; es geht nichts verloren."],
-  "webhook-disabled": ["Ein Empfänger hat 5 Tage nichts angenommen und bekommt nichts mehr.", "Ihn prüfen, dann POST webhooks/{name}/enable."],
   "mqtt-lost": ["Der Broker ist nicht zu erreichen, oder er weist die Station ab.", "Broker, Adresse, Benutzer und Zertifikat prüfen; es wird weiter versucht."],
-  "webhooks-damaged": ["Die Datei der Webhooks ist beschädigt; keiner wird bedient.", "Eine Sicherung einspielen, oder sie löschen und die Webhooks neu anlegen; die Station neu starten."],
-  "webhooks-unreadable": ["Der Dienst darf die Datei der Webhooks nicht lesen; keiner wird bedient.", "Sie dem Benutzer des Dienstes geben; die Station neu starten."],
   "events-not-pushed": ["Ein Empfänger lag so weit zurück, dass Ereignisse ausgelassen wurden.", "Sie mit GET events?after= lesen."],
 };

@@ -1,7 +1,7 @@
-"""Publishes messages to an MQTT broker, each with QoS 1; a retained topic has the state of the station.
+"""The connection to an MQTT broker: publish events with QoS 1, and the state of the station as a retained topic.
 
 A connection is made anew after each failure, with a client that knows nothing of the one before. So no message waits in
-the library: what was not acknowledged is sent again by the delivery.
+the library: what was not acknowledged is sent again by the publisher.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.text_files import read_text
 from vaoi_station.model.receivers import MqttConfig
-from vaoi_station.push.messages import Message
-from vaoi_station.push.transport import Outcome
 from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.states.schemas import EventRecord
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -36,11 +35,31 @@ OFFLINE = "offline"
 _MISSING = "The package paho-mqtt is absent. Install it: pip install 'vaoi-station[mqtt]'."
 
 
-class MqttTransport:
+class Outcome(NamedTuple):
+    """What became of one attempt to publish or to connect."""
+
+    delivered: bool
+    detail: str
+    """Why it failed."""
+
+
+def type_of(record: EventRecord) -> str:
+    """Return the type of an event: its kind, and its state if it has one, as in `run.ready`."""
+    return ".".join(part.replace("-", "_") for part in (record.kind, record.state) if part)
+
+
+def message_of(record: EventRecord, station: str) -> bytes:
+    """Return the document of an event of the station with this name."""
+    data: dict[str, Any] = {"station": station, **record.model_dump(mode="json", exclude_none=True)}
+    body = {"type": type_of(record), "timestamp": record.time, "data": data}
+    return json.dumps(body, separators=(",", ":")).encode()
+
+
+class MqttBroker:
     """Publishes to one broker. One thread calls it; the library has a thread of its own for the connection."""
 
     def __init__(self, broker: MqttConfig, station: str, state: Callable[[], str], limit_s: float = LIMIT_S) -> None:
-        """Prepare a transport; `state` returns the state of the station."""
+        """Prepare the connection; `state` returns the state of the station."""
         self._broker, self._station, self._state, self._limit_s = broker, station, state, limit_s
         # A name may have characters that have a meaning in topics.
         name = "".join("_" if c in "+#/" else c for c in station)
@@ -49,13 +68,12 @@ class MqttTransport:
         self._shown: str | None = None
         self._compared_s = 0.0
 
-    def send(self, message: Message) -> Outcome:
-        """Publish one message; return when the broker has acknowledged it."""
-        record = message.record
-        topic = f"runs/{record.run}" if record.run else f"events/{message.type.partition('.')[0]}"
+    def send(self, record: EventRecord) -> Outcome:
+        """Publish one event; return when the broker has acknowledged it."""
+        topic = f"runs/{record.run}" if record.run else f"events/{record.kind.replace('-', '_')}"
         try:
             client = self._connected()
-            self._publish(client, topic, message.body, retain=False)
+            self._publish(client, topic, message_of(record, self._station), retain=False)
             self._show_state(client, at_once=record.kind == "station")
         except (OSError, ValueError, ImportError, VaoiError) as error:
             return self._failed(error)

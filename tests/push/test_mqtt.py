@@ -13,13 +13,12 @@ import pytest
 
 from tests.push.broker import PASSWORD, USER, Broker, Subscriber
 from tests.push.event_list import EventList
-from tests.push.test_delivery import until
+from tests.push.test_publisher import until
 from vaoi_station.errors import StateError
-from vaoi_station.model.receivers import MqttConfig, PushConfig
-from vaoi_station.push import mqtt_transport, push_service
-from vaoi_station.push.messages import message_of
-from vaoi_station.push.mqtt_transport import MqttTransport
-from vaoi_station.push.push_service import PushService
+from vaoi_station.model.receivers import MqttConfig
+from vaoi_station.push import mqtt, publisher
+from vaoi_station.push.mqtt import MqttBroker, message_of
+from vaoi_station.push.publisher import Publisher
 
 STATE = "vaoi/line_3/station/state"
 
@@ -39,35 +38,35 @@ def subscriber(broker: Broker) -> Iterator[Subscriber]:
     made.close()
 
 
-def transport(broker: Broker, state: Callable[[], str] = lambda: "idle", **more: Any) -> MqttTransport:
+def connection(broker: Broker, state: Callable[[], str] = lambda: "idle", **more: Any) -> MqttBroker:
     config = MqttConfig(**{"host": "127.0.0.1", "port": broker.port} | more)
-    return MqttTransport(config, "line/3", state, limit_s=20.0)
+    return MqttBroker(config, "line/3", state, limit_s=20.0)
 
 
 def test_topics_retained_state_and_last_will(
     broker: Broker, subscriber: Subscriber, events: EventList, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt_transport, "COMPARE_S", 0.0)
+    monkeypatch.setattr(mqtt, "COMPARE_S", 0.0)
     states = iter(["idle", "idle", "idle", "armed"])
-    made = transport(broker, lambda: next(states, "armed"))
+    made = connection(broker, lambda: next(states, "armed"))
     records = [
         events.add("run", "a", state="ready", run="r1"),
         events.add("board-missed", "b"),
         events.add("station", "c", state="armed"),
     ]
-    assert all(made.send(message_of(record, "line/3")).delivered for record in records)
+    assert all(made.send(record).delivered for record in records)
     topics = ["vaoi/line_3/runs/r1", "vaoi/line_3/events/board_missed", "vaoi/line_3/events/station"]
     found = [subscriber.next() for _ in range(5)]
     assert [m.topic for m in found] == [STATE, *topics, STATE]
     assert [json.loads(m.body)["state"] for m in found if m.topic == STATE] == ["idle", "armed"]
-    assert json.loads(found[1].body) == json.loads(message_of(records[0], "line/3").body)
+    assert json.loads(found[1].body) == json.loads(message_of(records[0], "line/3"))
     late = Subscriber(broker.port)
     assert (retained := late.next()).topic == STATE
     assert retained.retained
     assert json.loads(retained.body)["state"] == "armed"
     late.close()
     assert made.idle() is None
-    # The connection breaks without a farewell: the broker publishes the will, and the transport connects again.
+    # The connection breaks without a farewell: the broker publishes the will, and the station connects again.
     client: Any = made._client
     client.socket().shutdown(socket.SHUT_RDWR)
     assert json.loads(subscriber.next().body) == {"station": "line/3", "state": "offline"}
@@ -83,7 +82,7 @@ def test_topics_retained_state_and_last_will(
 def test_the_retained_state_is_the_present_one_whatever_the_events_say(
     broker: Broker, subscriber: Subscriber, events: EventList, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt_transport, "COMPARE_S", 0.0)
+    monkeypatch.setattr(mqtt, "COMPARE_S", 0.0)
     state: list[str | Exception] = ["armed"]
 
     def present() -> str:
@@ -91,9 +90,9 @@ def test_the_retained_state_is_the_present_one_whatever_the_events_say(
             raise state[0]
         return state[0]
 
-    made = transport(broker, present)
+    made = connection(broker, present)
     # An event that has waited while the broker was away, and whose state is over.
-    assert made.send(message_of(events.add("station", "old", state="fault"), "line/3")).delivered
+    assert made.send(events.add("station", "old", state="fault")).delivered
     # Another test may have left a retained state.
     first = next(message for message in iter(subscriber.next, None) if not message.retained)
     assert (first.topic, json.loads(first.body)["state"]) == (STATE, "armed")
@@ -113,22 +112,22 @@ def test_tls_and_password(broker: Broker, tmp_path: Path) -> None:
     password = tmp_path / "password"
     password.write_text(f"{PASSWORD}\n")
     secure: dict[str, Any] = {"port": broker.tls_port, "tls": True, "user": USER, "password_file": password}
-    known = transport(broker, ca=broker.ca, **secure)
-    assert known.idle() == (True, "connected", 0.0, False)
+    known = connection(broker, ca=broker.ca, **secure)
+    assert known.idle() == (True, "connected")
     known.close()
-    untrusted = transport(broker, **secure).idle()
+    untrusted = connection(broker, **secure).idle()
     assert untrusted is not None
     assert "certificate verify failed" in untrusted.detail
     password.write_bytes(PASSWORD.encode("utf-16"))
-    known = transport(broker, ca=broker.ca, **secure)
-    assert known.idle() == (True, "connected", 0.0, False)
+    known = connection(broker, ca=broker.ca, **secure)
+    assert known.idle() == (True, "connected")
     known.close()
     password.write_bytes(PASSWORD.encode("utf-16-le"))
-    unread = transport(broker, ca=broker.ca, **secure).idle()
+    unread = connection(broker, ca=broker.ca, **secure).idle()
     assert unread is not None
     assert "not UTF-8 text" in unread.detail
     password.write_text("wrong")
-    refused = transport(broker, ca=broker.ca, **secure).idle()
+    refused = connection(broker, ca=broker.ca, **secure).idle()
     assert refused is not None
     assert "the broker refuses the connection (Not authorized)" in refused.detail
 
@@ -136,23 +135,20 @@ def test_tls_and_password(broker: Broker, tmp_path: Path) -> None:
 def test_a_broker_that_goes_and_comes_back_gets_what_waited(
     tmp_path: Path, events: EventList, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(push_service, "MQTT_PAUSES_S", (0.05,))
+    monkeypatch.setattr(publisher, "PAUSES_S", (0.05,))
     broker = Broker(tmp_path)
-    config = PushConfig(mqtt=MqttConfig(host="127.0.0.1", port=broker.port, prefix="plant/line-3"))
-    push = PushService(tmp_path, config, "line-3", events)
-    push.start(lambda _: None, lambda: "armed")
-    events.add("run", "while the broker is away", run="r1")
-    until(push.reasons)
-    assert [reason.code for reason in push.reasons()] == ["mqtt-lost"]
-    assert "MQTT broker 'mqtt:127.0.0.1' does not accept messages" in push.reasons()[0].message
-    broker.start()
-    until(lambda: push.deliveries()[0].state.delivered == 1)
-    assert push.reasons() == ()
-    subscriber = Subscriber(broker.port)
-    assert json.loads(subscriber.next().body)["state"] == "armed"
-    events.add("run", "now", run="r2")
-    assert subscriber.next().topic == "plant/line-3/runs/r2"
-    push.stop()
+    config = MqttConfig(host="127.0.0.1", port=broker.port, prefix="plant/line-3")
+    made = Publisher("broker", tmp_path / "mqtt.json", events, MqttBroker(config, "line-3", lambda: "armed"))
+    with made.running(lambda _: None):
+        events.add("run", "while the broker is away", run="r1")
+        until(made.reasons)
+        broker.start()
+        until(lambda: made.state.delivered == 1)
+        assert made.reasons() == ()
+        subscriber = Subscriber(broker.port)
+        assert json.loads(subscriber.next().body)["state"] == "armed"
+        events.add("run", "now", run="r2")
+        assert subscriber.next().topic == "plant/line-3/runs/r2"
     assert json.loads(subscriber.next().body)["state"] == "offline"
     subscriber.close()
     broker.stop()
@@ -160,6 +156,6 @@ def test_a_broker_that_goes_and_comes_back_gets_what_waited(
 
 def test_an_absent_package_is_a_failed_attempt(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
-    outcome = transport(broker).idle()
+    outcome = connection(broker).idle()
     assert outcome is not None
     assert "pip install 'vaoi-station[mqtt]'" in outcome.detail
