@@ -5,7 +5,6 @@ from __future__ import annotations
 import email
 import io
 import json
-import tarfile
 import zipfile
 from collections.abc import Iterator
 from typing import Any
@@ -17,9 +16,6 @@ def unpacked(content: bytes, container: str) -> dict[str, bytes]:
     """Return the files of a batch by their names, in their order, read by Python's own modules."""
     if container == "multipart":
         return dict(_parts(content))
-    if container == "tar":
-        with tarfile.open(fileobj=io.BytesIO(content)) as files:
-            return {member.name: files.extractfile(member).read() for member in files}  # type: ignore[union-attr]
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         assert archive.testzip() is None
         return {name: archive.read(name) for name in archive.namelist()}

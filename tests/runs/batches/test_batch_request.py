@@ -33,7 +33,6 @@ def test_components_of_a_request() -> None:
         ({"components": ("U1",), "within": (0, 0, 1, 1)}, "components and within are given together"),
         ({"container": "rar"}, "container is 'rar'"),
         ({"format": "gif"}, "format is 'gif'"),
-        ({"format": "png", "container": "npz"}, "must be npy in the container npz"),
         ({"hdr": True, "images": ImageRequest.of({"limit": 1})}, "limit has no meaning with hdr"),
         ({"within": (0, 0, 1, 1)}, "within is '0 0 1 1', but must be a box"),
         ({"region": (5, 5, 5, 9)}, "batch: region"),

@@ -34,9 +34,9 @@ def opened(access: BatchAccess, request: BatchRequest) -> Batch:
 
 
 def test_the_head_names_run_and_request(station: HeldStation) -> None:
-    request = BatchRequest(images=ImageRequest.of({"limit": 1}), container="tar")
+    request = BatchRequest(images=ImageRequest.of({"limit": 1}), container="zip")
     head = json.loads(opened(held_batches(station), request).head.content)
-    assert {"run": "r000001", "board_id": "SN-1", "components": 3, "container": "tar"}.items() <= head.items()
+    assert {"run": "r000001", "board_id": "SN-1", "components": 3, "container": "zip"}.items() <= head.items()
     assert head["parameters"] == {"limit": 1}
 
 

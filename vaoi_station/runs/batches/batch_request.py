@@ -46,8 +46,6 @@ class BatchRequest:
             raise InputError.field("batch", "container", self.container, f"one of {', '.join(CONTAINERS)}")
         if self.format not in MEDIA:
             raise InputError.field("batch", "format", self.format, f"one of {', '.join(MEDIA)}")
-        if self.container == "npz" and self.format != "npy":
-            raise InputError.field("batch", "format", self.format, "npy in the container npz")
         self.images.check()
         if self.hdr and (other := sorted(set(self.images.options()) - set(_OF_MERGES))):
             raise InputError(

@@ -1,4 +1,4 @@
-"""Containers of a batch: multipart, tar, zip and npz, none of them compressed, written member by member.
+"""Containers of a batch: multipart and zip, neither of them compressed, written member by member.
 
 Workers pack members without knowing what precedes them. Only the directory at the end of a zip file needs the position
 of every member: the station adds it while it passes the bytes on (`ContainerWriter`).
@@ -7,26 +7,19 @@ of every member: the station adds it while it passes the bytes on (`ContainerWri
 from __future__ import annotations
 
 import struct
-import tarfile
 import time
 import zlib
 from collections.abc import Iterable
 from typing import Literal, NamedTuple, get_args
 
-ContainerName = Literal["multipart", "tar", "zip", "npz"]
+ContainerName = Literal["multipart", "zip"]
 CONTAINERS: tuple[ContainerName, ...] = get_args(ContainerName)
 BOUNDARY = "vaoi-batch-8b1f0c5e2d7a4963"
 """Line between the parts of a multipart answer. Readers that use the length of each part need not search for it."""
 MEDIA_TYPES: dict[ContainerName, str] = {
     "multipart": f"multipart/mixed; boundary={BOUNDARY}",
-    "tar": "application/x-tar",
     "zip": "application/zip",
-    "npz": "application/zip",
 }
-SUFFIXES: dict[ContainerName, str] = {"multipart": "multipart", "tar": "tar", "zip": "zip", "npz": "npz"}
-
-_BLOCK = 512
-_SHORT_NAME = 100
 _MOST_32 = 0xFFFFFFFF
 _MOST_16 = 0xFFFF
 _LOCAL = struct.Struct("<4sHHHHHIIIHH")
@@ -75,8 +68,6 @@ def pack(container: ContainerName, members: Iterable[Member], modified_s: int) -
         count += 1
         if container == "multipart":
             new = [_part_head(member), member.content, b"\r\n"]
-        elif container == "tar":
-            new = [_tar_head(member, modified_s), member.content, bytes(-len(member.content) % _BLOCK)]
         else:
             crc = zlib.crc32(member.content)
             entries.append(Entry(member.name, crc, len(member.content), size))
@@ -108,8 +99,6 @@ class ContainerWriter:
         """Return the last bytes of the container."""
         if self._container == "multipart":
             return f"--{BOUNDARY}--\r\n".encode()
-        if self._container == "tar":
-            return bytes(2 * _BLOCK)
         return bytes(self._directory) + _zip_end(self.members, len(self._directory), self._position)
 
 
@@ -122,20 +111,6 @@ def _part_head(member: Member) -> bytes:
     )
     lines = "".join(f"{name}: {value}\r\n" for name, value in headers)
     return f"--{BOUNDARY}\r\n{lines}\r\n".encode("ascii")
-
-
-def _tar_head(member: Member, modified_s: int) -> bytes:
-    if len(member.name) > _SHORT_NAME:
-        info = tarfile.TarInfo(member.name)
-        info.size, info.mtime = len(member.content), modified_s
-        return info.tobuf(tarfile.PAX_FORMAT)
-    # Written here because tarfile takes ten times as long, and a board has thousands of pictures.
-    fields = b"0000644\x000000000\x000000000\x00%011o\x00%011o\x00" % (len(member.content), modified_s)
-    name = member.name.encode("ascii").ljust(_SHORT_NAME, b"\0")
-    rest = b"0" + bytes(100) + b"ustar\x0000" + bytes(247)
-    # The check sum counts its own eight characters as spaces.
-    checked = sum(name) + sum(fields) + 8 * ord(" ") + sum(rest)
-    return name + fields + b"%06o\x00 " % checked + rest
 
 
 def _zip_head(member: Member, crc: int, modified_s: int) -> bytes:
