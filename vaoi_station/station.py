@@ -278,9 +278,9 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
     """
     with no_collections():
         from vaoi_station.api import create_app
-        from vaoi_station.api.access.access_control import AccessControl
-        from vaoi_station.api.access.audit import AuditLog
-        from vaoi_station.api.listener.certificate import CertificateFiles
+        from vaoi_station.api.access import AccessControl
+        from vaoi_station.api.audit import AuditLog
+        from vaoi_station.api.certificate import CertificateFiles
         from vaoi_station.api.routes.waiting_page import WaitingPage
         from vaoi_station.api.setup.station_files import StationFiles
         from vaoi_station.api.web_server import WebServer, open_listener

@@ -11,9 +11,8 @@ import httpx2
 import pytest
 
 from vaoi_station.api import event_hub as module
-from vaoi_station.api.callers.picture_seats import PICTURES_OF_CALLER
-from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import EventHub
+from vaoi_station.api.limits import PICTURES_OF_CALLER, Seats
 from vaoi_station.errors import DeviceError, StateError
 
 NEXT = "/api/v1/runs/next"

@@ -13,12 +13,12 @@ import httpx2
 import pytest
 
 from tests.api.conftest import Served
-from tests.api.description.generated_requests import Requests, answer_to, wrong_with
+from tests.api.generated_requests import Requests, answer_to, wrong_with
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
 from tests.needs import LONG
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 COUNT = 20_000 if LONG else 250

@@ -13,20 +13,16 @@ from unittest.mock import AsyncMock
 import pytest
 
 from tests.api.board_data.test_previews import import_here
-from tests.api.description.openapi_rules import faults, fits
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
+from tests.api.openapi_rules import faults, fits
 from tests.board_data.readers import samples
-from vaoi_station.api import create_app
-from vaoi_station.api import openapi as openapi_module
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
-from vaoi_station.api.access.scopes import PUBLIC
+from vaoi_station.api import create_app, openapi
+from vaoi_station.api.access import PUBLIC, AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.api.board_data import previews
 from vaoi_station.api.cameras.examination import Examinations
 from vaoi_station.api.cameras.models import Examination
-from vaoi_station.api.description.for_c import for_c
-from vaoi_station.api.description.older import downgraded
 from vaoi_station.files.access_keys import KeyFile
 
 GOLDEN = Path(__file__).parent / "openapi.json"
@@ -104,16 +100,12 @@ def test_every_reference_exists(document: dict[str, Any]) -> None:
     assert used <= known
 
 
-@pytest.mark.parametrize(("version", "language"), [("3.1.0", ""), ("3.0.3", ""), ("3.0.3", "C")])
-def test_the_document_has_only_what_its_version_of_openapi_knows(
-    document: dict[str, Any], version: str, language: str
-) -> None:
+def test_the_document_has_only_what_its_version_of_openapi_knows(document: dict[str, Any]) -> None:
     """A validator of OpenAPI would refuse a key that is unknown there, and generators of clients with it."""
-    shown = document if version == "3.1.0" else downgraded(document)
-    shown = for_c(shown) if language == "C" else shown
-    assert shown["openapi"] == version
-    assert faults(shown) == []
-    assert faults({**shown, "paths": {"/p": {"get": {"responses": {"200": {"description": "", "itemSchema": {}}}}}}})
+    assert document["openapi"] == "3.1.0"
+    assert faults(document) == []
+    unknown = {"/p": {"get": {"responses": {"200": {"description": "", "itemSchema": {}}}}}}
+    assert faults({**document, "paths": unknown})
 
 
 def test_every_example_is_one_that_its_schema_allows(document: dict[str, Any]) -> None:
@@ -154,64 +146,20 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
     }
 
 
-def test_the_document_for_c_is_served_without_a_key(client: Any) -> None:
-    shown = client.get("/api/v1/openapi-c.json").json()
-    assert shown == for_c(client.get("/api/v1/openapi-3.0.json").json())
-    assert PUBLIC.fullmatch("/api/v1/openapi-c.json")
-
-
-def test_the_older_document_is_served_without_a_key(client: Any) -> None:
-    older = client.get("/api/v1/openapi-3.0.json").json()
-    assert older["openapi"] == "3.0.3"
-    assert older["paths"].keys() == client.get("/api/v1/openapi.json").json()["paths"].keys()
-    assert PUBLIC.fullmatch("/api/v1/openapi-3.0.json")
-
-
-def test_the_document_for_c_has_nothing_that_its_generator_cannot_express(document: dict[str, Any]) -> None:
-    """openapi-generator 7.26 (`c`) sends decimals that its caller leaves out, and declares no type for "any value"."""
-    older = downgraded(document)
-    shown = for_c(older)
-    changed = 0
-    for (path, _, operation), (_, _, original) in zip(operations(shown), operations(older), strict=True):
-        for parameter, before in zip(operation.get("parameters", ()), original.get("parameters", ()), strict=True):
-            assert all(parameter[key] == before[key] for key in ("name", "in", "required")), path
-            schema = parameter["schema"]
-            changed += schema != before["schema"]
-            assert parameter["in"] != "query" or schema["type"] in ("string", "integer", "boolean"), path
-            assert parameter["in"] != "query" or "format" not in schema, path
-            assert not {"pattern", "default"} <= schema.keys() or re.search(schema["pattern"], schema["default"]), path
-            assert "example" not in parameter or fits(parameter["example"], schema, shown)
-    assert changed > 70
-    for part in parts(shown):
-        if isinstance(part.get("enum"), list):
-            assert all(re.fullmatch(r"[A-Za-z0-9_-]+", str(value)) for value in part["enum"])
-        for name, field in part.get("properties", {}).items() if isinstance(part.get("properties"), dict) else ():
-            assert {"type", "$ref", "allOf", "anyOf", "oneOf"} & field.keys(), name
-
-
-def test_decimal_texts_of_the_document_for_c_are_understood(client: Any, station: Any) -> None:
-    run = station.film()
-    sizes = []
-    for text in ("20", "2e1", "4.0E1"):
-        views = client.get(f"/api/v1/runs/{run}/components/U1", params={"px_per_mm": text}).json()["views"]
-        sizes.append(views[0]["width_px"])
-    assert sizes[0] == sizes[1] < sizes[2]
-
-
-def test_the_documents_are_made_once(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Anybody may ask for them, and a conversion takes 0.1 s of processor time."""
-    made: list[str] = []
+def test_the_document_is_served_without_a_key_and_made_once(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Anybody may ask for it, and it takes longer than a second to make."""
+    made, completed = list[int](), openapi.completed
 
     def counted(shown: dict[str, Any]) -> dict[str, Any]:
-        made.append(shown["openapi"])
-        return downgraded(shown)
+        made.append(1)
+        return completed(shown)
 
-    monkeypatch.setattr(openapi_module, "downgraded", counted)
-    for url in ("/api/v1/openapi.json", "/api/v1/openapi-3.0.json", "/api/v1/openapi-c.json"):
-        first = client.get(url)
-        assert client.get(url).content == first.content
-        assert client.get(url, headers={"If-None-Match": first.headers["ETag"]}).status_code == 304
-    assert made == ["3.1.0", "3.1.0"]
+    monkeypatch.setattr(openapi, "completed", counted)
+    assert PUBLIC.fullmatch(openapi.URL)
+    first = client.get(openapi.URL)
+    assert client.get(openapi.URL).content == first.content
+    assert client.get(openapi.URL, headers={"If-None-Match": first.headers["ETag"]}).status_code == 304
+    assert made == [1]
 
 
 def test_replies_match_their_schemas(

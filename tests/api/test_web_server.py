@@ -22,8 +22,8 @@ from tests.api.held_station import HeldStation
 from tests.peers.certificates import Certificate, make_certificate
 from vaoi_station.api import create_app
 from vaoi_station.api import web_server as module
+from vaoi_station.api.certificate import CertificateFiles
 from vaoi_station.api.listener import acceptor, http_connection
-from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.errors import DeviceError, InternalError

@@ -18,8 +18,8 @@ from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
 from tests.needs import need, program
 from tests.peers.certificates import make_certificate
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 MONITORING = Path(__file__).resolve().parents[2] / "deploy" / "monitoring"

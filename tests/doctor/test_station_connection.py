@@ -11,8 +11,8 @@ import pytest
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
 from tests.peers.certificates import make_authority, make_certificate
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.config import ApiConfig
 from vaoi_station.doctor.checks.running_station import ask
 from vaoi_station.doctor.station_connection import address_of, request

@@ -12,9 +12,8 @@ import pytest
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
 from tests.peers.certificates import make_certificate
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
-from vaoi_station.api.access.sessions import COOKIE
+from vaoi_station.api.access import COOKIE, AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.doctor.support_bundle import REMOVED, without_secrets, write_support_bundle
 from vaoi_station.errors import InputError
 from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile

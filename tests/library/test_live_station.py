@@ -11,8 +11,8 @@ import vaoi_station as vaoi
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
 from tests.peers.certificates import Certificate, make_authority, make_certificate
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.api.description.generated_requests import Requests, answer_to, wrong_with
+from tests.api.generated_requests import Requests, answer_to, wrong_with
 from tests.needs import LONG
 from tests.system.conftest import config_of, until_state
 from vaoi_station.api import create_app

@@ -9,10 +9,9 @@ from typing import Literal
 
 from fastapi import Depends, FastAPI, Response
 
-from vaoi_station.api import openapi, pages, problems
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.addressing.hosts import allowed_names
-from vaoi_station.api.batch import batch_routes
+from vaoi_station.api import batch, openapi, pages, problems
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.addresses import allowed_names
 from vaoi_station.api.board_data import check_routes
 from vaoi_station.api.board_data import routes as board_data
 from vaoi_station.api.board_data.previews import Previews
@@ -101,7 +100,7 @@ def create_app(
     problems.install(app)
     # First, because routes are tried in order, and a browser asks for dozens of files of a page at once.
     pages.install(app)
-    pictures = (frames, components, batch_routes, merged, mosaics)
+    pictures = (frames, components, batch, merged, mosaics)
     of_types = (board_types, stitching, lighting)
     routers = [
         module.router(services)

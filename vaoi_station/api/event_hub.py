@@ -12,8 +12,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from typing import TypeVar
 
-from vaoi_station.api.callers.seats import Seats
-from vaoi_station.api.callers.thread_limit import ThreadLimit
+from vaoi_station.api.limits import Seats, ThreadLimit
 from vaoi_station.errors import StateError
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import EventRecord

@@ -9,22 +9,19 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
-from vaoi_station.api.access.scopes import scope_needed
-from vaoi_station.api.addressing.path_prefix import path_of, root_of
-from vaoi_station.api.callers.repeated_requests import HEADER
-from vaoi_station.api.callers.thread_limit import ThreadLimit
-from vaoi_station.api.description import headers, refusals, schemas
-from vaoi_station.api.description.examples import add_examples
-from vaoi_station.api.description.for_c import for_c
-from vaoi_station.api.description.older import downgraded
+from vaoi_station.api.access import scope_needed
+from vaoi_station.api.addresses import root_of
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
-from vaoi_station.api.problems import Fault, Problem
+from vaoi_station.api.limits import ThreadLimit
+from vaoi_station.api.problems import KINDS, MEDIA_TYPE, Fault, Problem
+from vaoi_station.api.repeated_requests import HEADER
 from vaoi_station.api.rest_models import Heartbeat
 from vaoi_station.runs.states.schemas import EventRecord
 
@@ -56,16 +53,94 @@ EVENTS = {
 """Schema of the event stream; its messages have the schemas EventRecord and Heartbeat."""
 URL = "/api/v1/openapi.json"
 """Address of the document."""
-OLDER_URL = "/api/v1/openapi-3.0.json"
-"""Address of the document in version 3.0."""
-C_URL = "/api/v1/openapi-c.json"
-"""Address of the document of which a C client can be made."""
 _SERVER = b'"servers": [{"url": "/"'
 """Begin of the address of the station, to which paths of the document are relative, in the document's text."""
+_EXAMPLES = Path(__file__).with_name("openapi_examples.json")
+"""Examples from a station on the twin: values of parameters by name or `operation.name`, bodies and answers."""
+NULL = {"type": "null"}
+_LARGE = ("number", "last_event", "after", "generation", "frame_id")
+"""Names of whole numbers that may exceed 32 bits; so may those that end with `_bytes`."""
+_SIGNS = {"≤": "AtMost", "≥": "AtLeast"}
+"""Names of values of an enumeration that have no letter of which a generator could make a name."""
+_NOT_SENT = ("Accept", "Authorization", "Content-Type")
+"""Headers that OpenAPI describes by other means; clients would otherwise set them twice."""
+_TEXT, _NUMBER = {"type": "string"}, {"type": "integer", "format": "int32", "minimum": 0}
+HEADERS: dict[str, dict[str, Any]] = {
+    "X-Vaoi-Version": {"description": "Version of the station's software.", "schema": _TEXT, "example": "0.1.0"},
+    "ETag": {
+        "description": "Mark of the content: a request with it as If-None-Match gets 304 while nothing has changed.",
+        "schema": _TEXT,
+        "example": '"5f2b0c1d9a7e4c3b8d6f1a2e3c4b5d6f"',
+    },
+    "Cache-Control": {"description": "How long the answer stays true.", "schema": _TEXT, "example": "no-store"},
+    "Location": {"description": "Address of what is new.", "schema": _TEXT, "example": "/api/v1/board-types/demo"},
+    "Retry-After": {"description": "Seconds after which to try again.", "schema": _NUMBER, "example": 1},
+    "WWW-Authenticate": {"description": "How to send a key.", "schema": _TEXT, "example": 'Bearer realm="vaoi"'},
+    "Set-Cookie": {"description": "The cookie of the login.", "schema": _TEXT, "example": "vaoi-session=…; HttpOnly"},
+    "Idempotency-Replayed": {
+        "description": "`true`: the command was repeated with its key, and this is the reply of the first time.",
+        "schema": _TEXT,
+        "example": "true",
+    },
+    "X-Image-Width": {"description": "Width of the picture, px.", "schema": _NUMBER, "example": 80},
+    "X-Image-Height": {"description": "Height of the picture, px.", "schema": _NUMBER, "example": 64},
+    "X-Image-Channels": {"description": "1 grey, 3 red, green and blue.", "schema": _NUMBER, "example": 1},
+    "X-Image-Dtype": {"description": "Type of a pixel's values, as in numpy.", "schema": _TEXT, "example": "uint8"},
+    "X-Image-Stride": {"description": "Bytes per line; only with raw pixels.", "schema": _NUMBER, "example": 80},
+    "X-Frame-Verdict": {
+        "description": "Whether the frame is complete and proven to belong to its row.",
+        "schema": {"type": "string", "enum": ["ok", "incomplete", "unproven"]},
+        "example": "ok",
+    },
+}
+"""All headers that answers have, by name."""
+_LAYOUT = ("X-Image-Width", "X-Image-Height", "X-Image-Channels", "X-Image-Dtype", "X-Image-Stride")
+_OF_REFUSALS = {401: ("WWW-Authenticate",), 503: ("Retry-After",)}
+_OF_OPERATIONS = {"get_frame": (*_LAYOUT, "X-Frame-Verdict"), "log_in": ("Set-Cookie",), "log_out": ("Set-Cookie",)}
+CONDITIONAL = frozenset(
+    {
+        "get_board_type", "put_board_type", "list_components", "get_component", "get_component_image", "get_frame",
+        "list_merged", "get_merged_image", "get_matrices", "get_heights", "get_run", "get_latest_run",
+        "wait_for_next_run", "pin_run", "list_mosaics", "get_dzi", "get_dzi_tile", "get_iiif", "get_iiif_tile",
+        "check_board_type", "get_board_check_picture", "get_kept_mosaic", "get_overlay", "get_timeline",
+    }
+)  # fmt: skip
+"""Operations whose answers carry an ETag; those that read give 304 to a caller that has the content already."""
+_TAGGED = CONDITIONAL | {
+    "get_method", "set_method", "forget_method", "get_reference", "teach_reference", "set_board_type_state",
+    "confirm_import", "decide_about_run",
+}  # fmt: skip
+UNCHANGED = {"description": "The caller has the same content already (If-None-Match)."}
+REFUSALS = {
+    400: "Malformed",
+    401: "KeyRequired",
+    403: "NotPermitted",
+    404: "NotFound",
+    406: "NotAcceptable",
+    408: "TooSlow",
+    409: "WrongState",
+    410: "Gone",
+    412: "Changed",
+    413: "TooLarge",
+    416: "RangeOutside",
+    421: "UnknownHost",
+    422: "InvalidInput",
+    500: "Internal",
+    503: "Busy",
+}
+"""Names of the refusals in the document, by status. Generated clients may use them as names of types."""
+_ALWAYS = frozenset({400, 421, 422, 500})
+_OF_THE_API = _ALWAYS | {401, 403, 503}
+_OF_A_COMMAND = frozenset({408, 409, 413})
+_OF_A_RUN = frozenset({404, 409, 410})
+_ABSENT = ("/station/arm", "/runs", "/runs/latest", "/runs/next", "/doctor", "/calibration/trial", "/trial/calibration")
+"""Ends of paths without parameters that may name something that does not exist, or ask for it."""
+_BODY_NAMES_A_RUN = ("/calibration/marks",)
+"""Ends of paths whose body names a run from whose frames the answer is made."""
 
 
 def install(app: FastAPI) -> None:
-    """Make the application publish the document, the same in version 3.0 for older generators, and one for C."""
+    """Make the application publish the document."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -83,22 +158,15 @@ def install(app: FastAPI) -> None:
     app.openapi = document  # type: ignore[method-assign]  # FastAPI's own way to extend the document
 
     @cache
-    def text(url: str) -> bytes:
-        shown = document()
-        if url in (OLDER_URL, C_URL):
-            shown = downgraded(shown)
-        if url == C_URL:
-            shown = for_c(shown)
-        return json.dumps(shown, ensure_ascii=False).encode()
+    def text() -> bytes:
+        return json.dumps(document(), ensure_ascii=False).encode()
 
     # Made once, in one thread beside the event loop: it takes longer than a second, and callers need no key.
     making = ThreadLimit(1)
 
     @app.get(URL, include_in_schema=False)
-    @app.get(OLDER_URL, include_in_schema=False)
-    @app.get(C_URL, include_in_schema=False)
     async def get_document(request: Request) -> Response:
-        content = await making.ask(text, path_of(request.scope))
+        content = await making.ask(text)
         if root := root_of(request.scope):
             content = content.replace(_SERVER, _SERVER.replace(b'"/"', f'"{root}"'.encode()), 1)
         return conditional_response(request, content, "application/json", cache=REVALIDATE)
@@ -113,20 +181,20 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
         known[model.__name__] = _schema_of(model)
     known["EventStream"] = EVENTS
     for schema in known.values():
-        schemas.optional_not_null(schema)
-        schemas.simplify(schema)
+        _optional_not_null(schema)
+        _simplify(schema)
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             _complete(method, path, operation)
     asked = [o["requestBody"] for operations in document["paths"].values() for o in operations.values() if _asks(o)]
-    schemas.open_answers(known, schemas.used_by(known, asked))
-    answers = refusals.answers()
-    for status, name in refusals.NAMES.items():
-        answers[name]["headers"] = headers.of_refusal(status)
+    _open_answers(known, _used_by(known, asked))
+    answers = _refusals()
+    for status, name in REFUSALS.items():
+        answers[name]["headers"] = _headers_of_refusal(status)
     document["components"] |= {
         "schemas": dict(sorted(known.items())),
         "responses": answers,
-        "headers": headers.HEADERS,
+        "headers": HEADERS,
         "securitySchemes": {"key": {"type": "http", "scheme": "bearer", "description": "A key of `vaoi keys create`."}},
     }
     document["servers"] = [{"url": "/", "description": "The station that serves this document."}]
@@ -143,22 +211,22 @@ def _complete(method: str, path: str, operation: dict[str, Any]) -> None:
         if STREAM in answer.get("content", {}):
             answer["content"] = {STREAM: {"schema": {"$ref": "#/components/schemas/EventStream"}}}
         for content in answer.get("content", {}).values():
-            schemas.simplify(content.get("schema", {}))
+            _simplify(content.get("schema", {}))
     if "parameters" in operation:
-        operation["parameters"] = schemas.sent_parameters(operation["parameters"])
+        operation["parameters"] = _sent_parameters(operation["parameters"])
     streamed = "application/octet-stream" in operation.get("requestBody", {}).get("content", {})
     if method != "get" and not streamed:
         operation.setdefault("parameters", []).append(IDEMPOTENCY_KEY)
     for status, answer in list(answers.items()):
-        answer["headers"] = headers.of_answer(method, operation, status, answer)
-    if method == "get" and operation["operationId"] in headers.CONDITIONAL:
-        answers["304"] = {**headers.UNCHANGED, "headers": headers.of_answer(method, operation, "304", {})}
+        answer["headers"] = _headers_of(method, operation, status, answer)
+    if method == "get" and operation["operationId"] in CONDITIONAL:
+        answers["304"] = {**UNCHANGED, "headers": _headers_of(method, operation, "304", {})}
     if not path.startswith(API):
         # The health addresses give the same document with 503; refusals of their requests come as everywhere.
         answers["503"] = {**answers["200"], "description": "Not able, and why."}
-    add_examples(operation)
-    for status in refusals.statuses(method, path, operation):
-        answers.setdefault(str(status), refusals.reference(status))
+    _add_examples(operation)
+    for status in _statuses(method, path, operation):
+        answers.setdefault(str(status), {"$ref": f"#/components/responses/{REFUSALS[status]}"})
     operation["responses"] = dict(sorted(answers.items()))
     scope = scope_needed(method.upper(), path)
     if scope is None:
@@ -175,3 +243,222 @@ def _schema_of(model: type[BaseModel]) -> dict[str, Any]:
     schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
     schema.pop("$defs", None)
     return schema
+
+
+# --- refusals and headers of answers
+
+
+def _statuses(method: str, path: str, operation: dict[str, Any]) -> list[int]:
+    """Return the status codes with which an operation may be refused, sorted.
+
+    Args:
+        method: in lower case.
+        path: as in the document, with the names of its parameters in braces.
+        operation: its description; its answers and parameters decide about 406, 410, 412 and 416.
+    """
+    found = set(_OF_THE_API if path.startswith("/api/") else _ALWAYS)
+    if method != "get":
+        found |= _OF_A_COMMAND
+    if "{" in path or path.endswith(_ABSENT):
+        found.add(404)
+    of_a_run = ("/runs/{run}", "/cameras/{camera}/picture", "reference")
+    if any(part in path for part in of_a_run) or path.endswith(("/next", *_BODY_NAMES_A_RUN)):
+        found |= _OF_A_RUN
+    kinds = [kind for answer in operation["responses"].values() for kind in answer.get("content", {})]
+    if "application/x-npy" in kinds:
+        found.add(406)
+    if "206" in operation["responses"] and "application/x-npy" in kinds:
+        found.add(416)
+    if any(parameter["name"] == "If-Match" for parameter in operation.get("parameters", ())):
+        found.add(412)
+    return sorted(found)
+
+
+def _refusals() -> dict[str, Any]:
+    """Return the descriptions of all refusals, by name, for `components.responses`."""
+    return {name: _answer(status) for status, name in sorted(REFUSALS.items())}
+
+
+def _answer(status: int) -> dict[str, Any]:
+    kinds = {kind: entry for kind, entry in KINDS.items() if entry[0] == status}
+    examples = {
+        kind: {
+            "summary": title,
+            "value": {
+                "type": f"/problems/{kind}",
+                "title": title,
+                "status": status,
+                "detail": f"{title}: the field, its value and the limit.",
+                "code": kind,
+                "action": action,
+                "instance": "/api/v1/station",
+            },
+        }
+        for kind, (_, title, action) in kinds.items()
+    }
+    words = "; ".join(title for _, title, _ in kinds.values())
+    content = {"schema": {"$ref": "#/components/schemas/Problem"}, "examples": examples}
+    return {"description": f"{words}.", "content": {MEDIA_TYPE: content}}
+
+
+def _headers_of_refusal(status: int) -> dict[str, Any]:
+    """Return the headers of the refusals with a status, for the document."""
+    return _references("X-Vaoi-Version", "Cache-Control", *_OF_REFUSALS.get(status, ()))
+
+
+def _headers_of(method: str, operation: dict[str, Any], status: str, answer: dict[str, Any]) -> dict[str, Any]:
+    """Return the headers of one answer of an operation, for the document.
+
+    Args:
+        method: in lower case.
+        operation: the operation's description.
+        status: status code of the answer, as text.
+        answer: its description.
+    """
+    name = operation["operationId"]
+    names = ["X-Vaoi-Version", "Cache-Control"]
+    if status != "204" and name in _TAGGED:
+        names.append("ETag")
+    if status == "200" and "application/x-npy" in answer.get("content", {}) and name != "get_frame":
+        names += _LAYOUT[-1:] if name != "get_component_image" else _LAYOUT
+    if status == "201" and "keys" not in name and "key" not in name:
+        names.append("Location")
+    if method != "get":
+        names.append("Idempotency-Replayed")
+    return _references(*names, *_OF_OPERATIONS.get(name, ()))
+
+
+def _references(*names: str) -> dict[str, Any]:
+    return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
+
+
+# --- schemas and examples
+
+
+def _simplify(schema: Any, name: str = "") -> None:
+    """Change a schema in place: numbers state their size, signs their names, and some rarer kinds become common ones.
+
+    Args:
+        schema: schema, or a part of one.
+        name: name of the field that it describes.
+    """
+    if isinstance(schema, list):
+        for part in schema:
+            _simplify(part, name)
+    if not isinstance(schema, dict):
+        return
+    for key, part in schema.items():
+        if key == "properties":
+            for field, inner in part.items():
+                _simplify(inner, field)
+        elif key not in ("example", "examples", "default", "enum", "const"):
+            _simplify(part, name)
+    # Without a format, some generators make 32-bit integers and decimals, which overflow.
+    if schema.get("type") == "integer" and (name in _LARGE or name.endswith("_bytes") or name == "counters"):
+        schema.setdefault("format", "int64")
+    if schema.get("type") == "number":
+        schema.setdefault("format", "double")
+    if isinstance(schema.get("const"), int) and schema.get("type") == "integer":
+        # Generators make an enumeration of one text of it, which the C++ of openapi-generator cannot compile.
+        schema["minimum"] = schema["maximum"] = schema.pop("const")
+    if any(value in _SIGNS for value in schema.get("enum", ())):
+        # The first is read by openapi-generator, the second by NSwag, which otherwise names every sign `_`.
+        names = [_SIGNS.get(value, value) for value in schema["enum"]]
+        schema |= {"x-enum-varnames": names, "x-enumNames": list(names)}
+    _plain_list(schema)
+
+
+def _plain_list(schema: dict[str, Any]) -> None:
+    # `prefixItems` is JSON Schema 2020-12; generators for older OpenAPI versions ignore it.
+    kinds = schema.get("prefixItems")
+    if not kinds:
+        return
+    whole = all(kind.get("type") in ("integer", "number") for kind in kinds)
+    if all(kind == kinds[0] for kind in kinds):
+        schema["items"] = schema.pop("prefixItems")[0]
+    elif whole:
+        del schema["prefixItems"]
+        schema["items"] = {"type": "number", "format": "double"}
+
+
+def _not_null(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of X for a schema of "X or null". Return any other schema unchanged."""
+    choices = schema.get("anyOf", [])
+    if NULL not in choices:
+        return schema
+    rest = [c for c in choices if c != NULL]
+    kept = {k: v for k, v in schema.items() if k not in ("anyOf", "default") or (k == "default" and v is not None)}
+    return {**kept, **(rest[0] if len(rest) == 1 else {"anyOf": rest})}
+
+
+def _optional_not_null(schema: dict[str, Any]) -> None:
+    """Change the fields of an object schema that may be null to optional fields that are never null."""
+    for name, field in schema.get("properties", {}).items():
+        if (schema.get("title"), name) == ("Matrices", "cad_matrix"):
+            # The result file uses null here for "no CAD matrix", so clients must expect it.
+            continue
+        plain = _not_null(field)
+        if plain is not field:
+            schema["properties"][name] = plain
+            if name in schema.get("required", []):
+                schema["required"].remove(name)
+
+
+def _open_answers(schemas: dict[str, Any], asked: set[str]) -> None:
+    """Let answers have further fields: later versions may add some. `asked` are the names of schemas of requests."""
+    for name, schema in schemas.items():
+        if name not in asked and schema.get("additionalProperties") is False:
+            del schema["additionalProperties"]
+
+
+def _sent_parameters(parameters: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the parameters of an operation without the headers that OpenAPI describes by other means."""
+    kept = [p for p in parameters if not (p["in"] == "header" and p["name"].title() in _NOT_SENT)]
+    for parameter in kept:
+        parameter["schema"] = _not_null(parameter["schema"])
+        _simplify(parameter["schema"], parameter["name"])
+        if parameter["in"] == "header":
+            parameter["name"] = {"last-event-id": "Last-Event-ID"}.get(parameter["name"], parameter["name"].title())
+    return kept
+
+
+def _used_by(schemas: dict[str, Any], roots: Any) -> set[str]:
+    """Return the names of all schemas to which a part of the document refers, directly or through others."""
+    found: set[str] = set()
+    waiting = [roots]
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, dict):
+            name = str(part.get("$ref", "")).rpartition("/")[2]
+            if name in schemas and name not in found:
+                found.add(name)
+                waiting.append(schemas[name])
+            waiting += part.values()
+        elif isinstance(part, list):
+            waiting += part
+    return found
+
+
+@cache
+def _examples() -> dict[str, dict[str, Any]]:
+    """Return the examples: values of parameters by name or `operation.name`, bodies and answers by operation."""
+    read: dict[str, dict[str, Any]] = json.loads(_EXAMPLES.read_text(encoding="utf-8"))
+    return read
+
+
+def _add_examples(operation: dict[str, Any]) -> None:
+    """Add the examples of one operation to its parameters, its body and its answers, in place."""
+    known, name = _examples(), operation["operationId"]
+    for parameter in operation.get("parameters", ()):
+        for key in (parameter["name"], f"{name}.{parameter['name']}"):
+            value = known["parameters"].get(key)
+            # A general example does not fit a parameter of the same name with other values.
+            if value is not None and value in parameter.get("schema", {}).get("enum", [value]):
+                parameter["example"] = value
+    for kind in operation.get("requestBody", {}).get("content", {}).values():
+        if name in known["bodies"]:
+            kind["example"] = known["bodies"][name]
+    for status, answer in operation["responses"].items():
+        content = answer.get("content", {}).get("application/json")
+        if content is not None and status in ("200", "201", "202") and name in known["answers"]:
+            content["example"] = known["answers"][name]

@@ -1,18 +1,27 @@
 """The operator's page at `/`, the API documentation at `/docs`, and explanations of problem types.
 
-Every page is a local file and loads nothing from other sites.
+Every page is a local file and loads nothing from other sites. A page consists of dozens of small files, which are
+answered from memory: Starlette's `StaticFiles` finds, opens and reads each in threads of a pool, which costs the
+station several times as much as the answer.
 """
 
 from __future__ import annotations
 
+import mimetypes
+import stat
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from fastapi import FastAPI, Request
 from fastapi.responses import PlainTextResponse
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
+from starlette.responses import Response
 from starlette.routing import Mount, Route
+from starlette.types import Receive, Scope, Send
 
-from vaoi_station.api.fast.static_files import StaticFiles
+from vaoi_station.api.http_caching import REVALIDATE, matches, tag_of
 from vaoi_station.api.problems import KINDS
 
 WEB = Path(__file__).parent / "web"
@@ -32,6 +41,79 @@ _STYLES = (
     "board/board.css",
 )
 """The style sheets of the page in the order in which they apply: later ones before earlier ones."""
+_NO_NAMES = frozenset({"", ".", ".."})
+
+
+class _Kept(NamedTuple):
+    """A file as it was read."""
+
+    changed_ns: int
+    size: int
+    content: bytes
+    media_type: str
+    tag: str
+
+
+class StaticFiles:
+    """ASGI application of the files in a folder. Browsers revalidate them by ETag: an updated file is shown at once."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._kept: dict[str, _Kept] = {}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Reply with the file that is named below the place at which the application is mounted."""
+        if scope["method"] not in ("GET", "HEAD"):
+            raise HTTPException(405)
+        name = scope["path"][len(scope["root_path"]) + 1 :]
+        await self.reply(name, Headers(scope=scope))(scope, receive, send)
+
+    def page(self, name: str) -> Callable[[Request], Awaitable[Response]]:
+        """Return the handler of an address of its own for one of the files."""
+
+        async def reply(request: Request) -> Response:
+            return self.reply(name, request.headers)
+
+        return reply
+
+    def joined(self, names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
+        """Return the handler of an address for several files of one type, one after another, as one file."""
+
+        async def reply(request: Request) -> Response:
+            files = [self._read(name) for name in names]
+            content = b"".join(file.content for file in files)
+            return _reply(files[0]._replace(content=content, tag=tag_of(content)), request.headers)
+
+        return reply
+
+    def reply(self, name: str, asked: Headers) -> Response:
+        """Return a reply with a file, or 304 if the browser has it. Directories, and names that lead out, give 404."""
+        return _reply(self._read(name), asked)
+
+    def _read(self, name: str) -> _Kept:
+        """Return a file of the folder, which is read again only after a change."""
+        # The event loop asks the file system itself: for the station's own files this takes some microseconds, a thread
+        # a hundred times as long.
+        path = self._folder / name
+        try:
+            found = path.stat()
+            if not stat.S_ISREG(found.st_mode) or not _NO_NAMES.isdisjoint(name.split("/")):
+                raise HTTPException(404)
+            kept = self._kept.get(name)
+            if kept is None or (kept.changed_ns, kept.size) != (found.st_mtime_ns, found.st_size):
+                content, media_type = path.read_bytes(), mimetypes.guess_type(name)[0] or "application/octet-stream"
+                kept = _Kept(found.st_mtime_ns, found.st_size, content, media_type, tag_of(content))
+                self._kept[name] = kept
+        except (OSError, ValueError):  # ValueError: the name has a zero byte
+            raise HTTPException(404) from None
+        return kept
+
+
+def _reply(file: _Kept, asked: Headers) -> Response:
+    headers = {"ETag": file.tag, "Cache-Control": REVALIDATE}
+    if matches(asked.get("if-none-match"), file.tag):
+        return Response(status_code=304, headers=headers)
+    return Response(file.content, media_type=file.media_type, headers=headers)
 
 
 def install(app: FastAPI) -> None:

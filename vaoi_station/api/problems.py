@@ -22,7 +22,7 @@ from starlette.exceptions import HTTPException
 from starlette.routing import BaseRoute, Match, Mount
 from starlette.types import Scope
 
-from vaoi_station.api.addressing.path_prefix import path_of, root_of
+from vaoi_station.api.addresses import path_of, root_of
 from vaoi_station.api.parameters import IN_WORDS
 from vaoi_station.errors import VaoiError
 

@@ -32,14 +32,11 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.addressing.hosts import addressed, allowed_names
-from vaoi_station.api.addressing.path_prefix import as_addressed, path_of, prefix_fault, root_of
-from vaoi_station.api.callers.caller import caller_in, set_caller
-from vaoi_station.api.callers.repeated_requests import RepeatedRequests
-from vaoi_station.api.callers.seats import Seats
-from vaoi_station.api.callers.thread_limit import ThreadLimit
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.addresses import addressed, allowed_names, as_addressed, path_of, prefix_fault, root_of
+from vaoi_station.api.limits import Seats, ThreadLimit, caller_in, set_caller
 from vaoi_station.api.problems import STREAM, problem_response
+from vaoi_station.api.repeated_requests import RepeatedRequests
 from vaoi_station.errors import BusyError, InputError
 from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_keys
 from vaoi_station.version import __version__

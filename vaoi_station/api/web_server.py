@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from fastapi import FastAPI
 
-from vaoi_station.api.listener.certificate import CertificateFiles
+from vaoi_station.api.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.errors import DeviceError, InternalError
 from vaoi_station.supervised_thread import SupervisedThread

@@ -107,19 +107,13 @@ def _equal(read: Any, expected: Any) -> bool:
 def hidden_edits(data: dict[str, Any]) -> Iterator[Edit]:
     """Yield an edit for every value that may be a secret, with what is shown instead.
 
-    The address of a receiver often is the secret by which it knows the sender, from its path on; that of an archive may
-    name a user and a password. Everything else that is secret lies in files of its own, which station.toml names.
+    The address of an archive may name a user and a password. Everything else that is secret lies in files of its own,
+    which station.toml names.
     """
-    push, archive = data.get("push"), data.get("archive")
-    webhooks = push.get("webhooks") if isinstance(push, dict) else None
-    places: list[tuple[Path, Any]] = [
-        (("push", "webhooks", number, "url"), webhook)
-        for number, webhook in enumerate(webhooks if isinstance(webhooks, list) else ())
-    ]
-    for path, table in [*places, (("archive", "url"), archive)]:
-        url = table.get("url") if isinstance(table, dict) else None
-        if isinstance(url, str) and (shown := _shown(url)) != url:
-            yield Edit(path, shown)
+    archive = data.get("archive")
+    url = archive.get("url") if isinstance(archive, dict) else None
+    if isinstance(url, str) and (shown := _shown(url)) != url:
+        yield Edit(("archive", "url"), shown)
 
 
 def without_secrets(text: str, data: dict[str, Any]) -> str:

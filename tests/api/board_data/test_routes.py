@@ -13,7 +13,7 @@ from tests.api.board_data.test_previews import import_here
 from tests.api.held_station import HeldStation
 from tests.board_data.readers import samples
 from vaoi_station.api import create_app, request_guard
-from vaoi_station.api.access.scopes import scope_needed
+from vaoi_station.api.access import scope_needed
 from vaoi_station.api.board_data import previews
 from vaoi_station.model import BoardType
 

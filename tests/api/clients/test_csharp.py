@@ -14,8 +14,8 @@ import pytest
 from tests.api.held_station import HeldStation
 from tests.clients import compiled_csharp, run_csharp
 from tests.peers.certificates import make_certificate
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 

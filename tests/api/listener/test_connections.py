@@ -6,7 +6,7 @@ import resource
 
 import pytest
 
-from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, Idleness, caller_address
+from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, Idleness
 
 A, B = "10.0.0.1", "10.0.0.2"
 
@@ -76,21 +76,6 @@ def test_an_ended_connection_frees_its_place() -> None:
     assert connections.admit(ended)
     connections.discard(ended)
     assert connections.admit(Held(A))
-
-
-@pytest.mark.parametrize(
-    ("host", "counted"),
-    [
-        ("127.0.0.1", "127.0.0.1"),
-        ("::ffff:10.0.0.1", "10.0.0.1"),
-        ("::1", "::1"),
-        ("fd00:1:2:3:4:5:6:7", "fd00:1:2:3::/64"),
-        ("fe80::1%eth0", "fe80::/64"),
-        ("testclient", "testclient"),
-    ],
-)
-def test_one_host_is_one_caller(host: str, counted: str) -> None:
-    assert caller_address(host) == counted
 
 
 def test_the_limits_leave_descriptors_for_the_rest_of_the_station(monkeypatch: pytest.MonkeyPatch) -> None:

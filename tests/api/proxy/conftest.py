@@ -16,8 +16,8 @@ from tests.api.held_station import HeldStation
 from tests.api.proxy.nginx import before, documented
 from tests.api.web.conftest import browser, page  # noqa: F401  (fixtures)
 from tests.peers.certificates import make_certificate
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from tests.api.held_station import HeldStation
-from vaoi_station.api.callers.seats import Seats
 from vaoi_station.api.event_hub import EVENTS_AT_ONCE
+from vaoi_station.api.limits import Seats
 from vaoi_station.runs.states.schemas import EventRecord
 
 

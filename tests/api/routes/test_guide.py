@@ -20,8 +20,8 @@ import pytest
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
 from tests.needs import need
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.files.images import read_image
 

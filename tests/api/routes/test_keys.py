@@ -10,8 +10,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from vaoi_station.api import create_app
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 ORIGIN = {"origin": "https://testserver"}

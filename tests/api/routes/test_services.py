@@ -7,8 +7,8 @@ from typing import Any
 
 import anyio
 
-from vaoi_station.api.callers.picture_seats import PICTURE_THREADS
 from vaoi_station.api.event_hub import EventHub
+from vaoi_station.api.limits import PICTURE_THREADS
 from vaoi_station.api.routes.services import Services
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.api.held.setup_files import PITCH_MM, film_board
 from tests.api.held_station import PX_PER_MM, HeldStation
-from vaoi_station.api.access.scopes import scope_needed
+from vaoi_station.api.access import scope_needed
 from vaoi_station.api.setup.calibration_routes import design_of
 from vaoi_station.api.setup.models import ArtworkOptions
 from vaoi_station.api.setup.station_files import StationFiles

@@ -7,7 +7,7 @@ from typing import Any
 
 from typer.testing import CliRunner
 
-from vaoi_station.api.access.scopes import scope_needed
+from vaoi_station.api.access import scope_needed
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.cli import app
 

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from tests.api.held_station import HeldStation
 from vaoi_station.api import create_app
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.api.setup.settings import SettingChange, SettingsChange, SettingsFile
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.config import read_config

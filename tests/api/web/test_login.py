@@ -15,8 +15,8 @@ from tests.api.held_station import HeldStation
 from tests.api.web.conftest import PATIENCE_MS
 from tests.api.web.test_views import SCHEMES, SIZES, examine
 from tests.peers.certificates import make_certificate
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 
 pytestmark = pytest.mark.browser

@@ -14,8 +14,8 @@ from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
 from tests.board_data.readers import samples
 from tests.cli.conftest import Result
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.api.board_data import previews
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.access_keys import KeyFile

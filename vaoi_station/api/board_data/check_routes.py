@@ -8,8 +8,8 @@ from urllib.parse import quote
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.limits import ThreadLimit
 from vaoi_station.api.parameters import BoardTypeName, IfMatch, RunId, rest_router
 from vaoi_station.api.rest_models import CorrectionRequest
 from vaoi_station.api.routes.services import Services

@@ -16,10 +16,8 @@ from vaoi_station.api.board_data.models import (
     UploadOptions,
 )
 from vaoi_station.api.board_data.previews import Previews
-from vaoi_station.api.callers.caller import caller_in
-from vaoi_station.api.callers.seats import Seats
-from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.limits import Seats, ThreadLimit, caller_in
 from vaoi_station.api.parameters import PREVIEW_ID, IfMatch, IfNoneMatch, rest_router
 from vaoi_station.api.routes.board_types import document_of, present_document
 from vaoi_station.api.routes.services import Services

@@ -7,14 +7,12 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from vaoi_station.api.callers.caller import caller_of
-from vaoi_station.api.callers.seats import Seats
-from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.cameras.examination import Examinations
 from vaoi_station.api.cameras.models import CameraFrame, CameraTrialFrame, CameraTrialRequest, Examination
 from vaoi_station.api.cameras.newest_frames import NewestFrames
 from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.limits import Seats, ThreadLimit, caller_of
 from vaoi_station.api.parameters import Camera, rest_router
 from vaoi_station.api.routes.services import Services
 

@@ -10,7 +10,7 @@ from fastapi.routing import APIRoute
 from starlette.routing import Match
 from starlette.types import Scope
 
-from vaoi_station.api.addressing.path_prefix import path_of
+from vaoi_station.api.addresses import path_of
 from vaoi_station.api.http_caching import LIVE
 
 

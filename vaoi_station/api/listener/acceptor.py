@@ -8,8 +8,9 @@ import socket
 from collections.abc import Callable
 from functools import partial
 
-from vaoi_station.api.listener.certificate import RENEW_S, CertificateFiles
-from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable, caller_address
+from vaoi_station.api.certificate import RENEW_S, CertificateFiles
+from vaoi_station.api.limits import caller_address
+from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable
 from vaoi_station.api.listener.http_connection import AcceptedConnection, LimitedHttp
 from vaoi_station.api.listener.refusal import refuse
 from vaoi_station.api.listener.waiting_room import Turns, WaitingRoom

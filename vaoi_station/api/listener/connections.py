@@ -7,13 +7,11 @@ connections open without using them cannot exclude others.
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import resource
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 MOST_CONNECTIONS = 256
@@ -159,18 +157,3 @@ class ConnectionTable:
         self.discard(victim)
         victim.cut()
         return True
-
-
-@lru_cache(1024)
-def caller_address(host: str) -> str:
-    """Return the address by which a caller is counted; for IPv6 the network, in which one host has 2^64 addresses."""
-    try:
-        address = ipaddress.ip_address(host.partition("%")[0])
-    except ValueError:
-        return host
-    if isinstance(address, ipaddress.IPv6Address):
-        if address.ipv4_mapped is not None:
-            return str(address.ipv4_mapped)
-        if not address.is_loopback:
-            return str(ipaddress.ip_network((address, 64), strict=False))
-    return str(address)

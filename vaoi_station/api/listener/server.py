@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import uvicorn
 
+from vaoi_station.api.certificate import CertificateFiles
 from vaoi_station.api.listener.acceptor import Acceptor
-from vaoi_station.api.listener.certificate import CertificateFiles
 from vaoi_station.api.listener.connections import ConnectionLimits, ConnectionTable
 from vaoi_station.api.listener.http_connection import AcceptedConnection, LimitedHttp
 

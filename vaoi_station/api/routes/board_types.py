@@ -9,8 +9,8 @@ from fastapi import APIRouter, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
-from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.limits import ThreadLimit
 from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision, rest_router
 from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions, StateRequest
 from vaoi_station.api.routes.services import Services

@@ -9,8 +9,8 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from vaoi_station.api.access.access_control import still_known
-from vaoi_station.api.callers.caller import caller_of
+from vaoi_station.api.access import still_known
+from vaoi_station.api.limits import caller_of
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.rest_models import Heartbeat
 from vaoi_station.api.routes.services import Services

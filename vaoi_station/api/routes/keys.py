@@ -7,11 +7,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from vaoi_station.api.access.access_control import AccessControl, session_token
-from vaoi_station.api.access.sessions import COOKIE, SESSION_S
-from vaoi_station.api.addressing.path_prefix import root_of
-from vaoi_station.api.callers.caller import caller_of
+from vaoi_station.api.access import COOKIE, SESSION_S, AccessControl, session_token
+from vaoi_station.api.addresses import root_of
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.limits import caller_of
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.problems import problem_response
 from vaoi_station.api.routes.services import Services

@@ -15,8 +15,8 @@ from starlette.background import BackgroundTask
 from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
-from vaoi_station.api.callers.picture_seats import FileSeats
 from vaoi_station.api.http_caching import IMMUTABLE, REVALIDATE, conditional_response
+from vaoi_station.api.limits import file_seats
 from vaoi_station.api.parameters import MOSAIC_NAME, RunId, rest_router
 from vaoi_station.api.rest_models import KeptMosaicEntry, MosaicEntry, MosaicList
 from vaoi_station.api.routes.services import Services
@@ -93,7 +93,7 @@ class MosaicFile(FileResponse):
 def router(services: Services) -> APIRouter:
     """Create the routes for mosaics."""
     routes = rest_router(prefix="/runs/{run}/mosaics", tags=["pictures"])
-    mosaics, ask, files = services.coordinator.mosaics, services.commands.ask, FileSeats()
+    mosaics, ask, files = services.coordinator.mosaics, services.commands.ask, file_seats()
 
     async def tile(request: Request, run: str, picture: str, suffix: str, make: Any) -> Response:
         name, format = parse_name(picture), "png" if suffix == "png" else "jpg"

@@ -10,8 +10,8 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import AwareDatetime
 
-from vaoi_station.api.callers.caller import caller_of
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.limits import caller_of
 from vaoi_station.api.parameters import IfMatch, PlainText, RunId, TimeoutS, rest_router
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, RunPage
 from vaoi_station.api.routes.services import Services

@@ -5,10 +5,8 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field
 
-from vaoi_station.api.callers.picture_seats import PICTURE_THREADS, PictureSeats
-from vaoi_station.api.callers.searches import Searches
-from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub
+from vaoi_station.api.limits import PICTURE_THREADS, QueuedSeats, Searches, ThreadLimit, picture_seats
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
 
@@ -22,7 +20,7 @@ class Services:
     publisher: Publisher | None = None
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
-    picture_seats: PictureSeats = field(default_factory=PictureSeats)
+    picture_seats: QueuedSeats = field(default_factory=picture_seats)
     searches: Searches = field(default_factory=Searches)
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     """Held while a board type is changed: between the check of If-Match and the change no other caller may do so."""

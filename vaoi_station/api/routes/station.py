@@ -7,10 +7,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
 
-from vaoi_station.api.callers.caller import caller_of
-from vaoi_station.api.callers.seats import Seats
-from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.limits import Seats, ThreadLimit, caller_of
 from vaoi_station.api.parameters import CallerId, PlainText, rest_router
 from vaoi_station.api.rest_models import ArmRequest
 from vaoi_station.api.routes.services import Services

@@ -13,9 +13,8 @@ from fastapi import FastAPI, Response
 from fastapi.requests import Request
 from fastapi.responses import FileResponse, HTMLResponse
 
-from vaoi_station.api.addressing.hosts import allowed_names
-from vaoi_station.api.addressing.path_prefix import path_of, root_of
-from vaoi_station.api.listener.certificate import CertificateFiles
+from vaoi_station.api.addresses import allowed_names, path_of, root_of
+from vaoi_station.api.certificate import CertificateFiles
 from vaoi_station.api.pages import WEB
 from vaoi_station.api.problems import problem_response
 from vaoi_station.api.request_guard import API, RequestGuard

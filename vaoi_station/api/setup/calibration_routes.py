@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.cameras.trials import CameraTrials
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.limits import ThreadLimit
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.design import nominal_values_missing

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request, Response
 from pydantic import BaseModel, Field
 
-from vaoi_station.api.access.access_control import CHANGED
+from vaoi_station.api.access import CHANGED
 from vaoi_station.api.http_caching import require_unchanged, tag_of
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services

@@ -9,10 +9,8 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import AwareDatetime
 
-from vaoi_station.api.callers.caller import caller_of
-from vaoi_station.api.callers.seats import QueuedSeats
-from vaoi_station.api.callers.thread_limit import ThreadLimit
 from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.limits import QueuedSeats, ThreadLimit, caller_of
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 
-from vaoi_station.api.listener.certificate import CertificateFiles, valid_until
+from vaoi_station.api.certificate import CertificateFiles, valid_until
 from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.checks.private_files import readable_by_others
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning

@@ -15,8 +15,8 @@ from tests.api.conftest import Served
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
 from tests.api.web.test_views import examine, unreached
-from vaoi_station.api.access.access_control import AccessControl
-from vaoi_station.api.access.audit import AuditLog
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.api.board_data import previews
 from vaoi_station.files.access_keys import KeyFile
 

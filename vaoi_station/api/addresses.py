@@ -1,17 +1,60 @@
-"""The path under which a reverse proxy offers the station, such as `/aoi`.
+"""How callers address the station: the host names that it accepts, and the path of a reverse proxy, such as `/aoi`.
 
-As ASGI demands, `root_path` of a request's scope holds the prefix, and `path` begins with it. So every address that a
-reply derives from the path of its request is one that the caller can use.
+A web page can point its own name at the station's address (DNS rebinding). The browser then takes the station for the
+server of that page, and the headers Origin and Host agree. But Host contains the page's name, so the station refuses
+names that are not allowed. A request to an IP address cannot come from such a page.
+
+As ASGI demands, `root_path` of a request's scope holds the prefix of a proxy, and `path` begins with it. So every
+address that a reply derives from the path of its request is one that the caller can use.
 """
 
 from __future__ import annotations
 
+import ipaddress
+import socket
+from collections.abc import Iterable
+
 from starlette.types import Scope
 
-from vaoi_station.api.addressing.hosts import is_loopback
 from vaoi_station.model.root_path import IN_WORDS, LONGEST, is_root_path
 
 HEADER, SCHEME = "X-Forwarded-Prefix", "X-Forwarded-Proto"
+
+
+def allowed_names(configured: Iterable[str] = ()) -> frozenset[str]:
+    """Return the station's names: loopback, the machine's host name, and the names from station.toml."""
+    own = socket.gethostname().lower().rstrip(".")
+    short = own.partition(".")[0]
+    return frozenset({"localhost", own, short, f"{short}.local", *(name.lower().rstrip(".") for name in configured)})
+
+
+def addressed(host: str, names: frozenset[str]) -> bool:
+    """Return whether a Host header contains one of the allowed `names` or an IP address."""
+    # Every browser sends Host (RFC 9112, section 3.2), so a request without one comes from a program.
+    name = host.strip().lower()
+    if not name:
+        return True
+    # "[::1]:8350" and "name:8350" contain a port. A bare IPv6 address has several colons.
+    if name.startswith("["):
+        name = name[1:].partition("]")[0]
+    elif name.count(":") == 1:
+        name = name.partition(":")[0]
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return name.rstrip(".") in names
+    return True
+
+
+def is_loopback(scope: Scope) -> bool:
+    """Return whether the connection of a request comes from this machine: from a program, or from a proxy."""
+    client = scope.get("client")
+    try:
+        address = ipaddress.ip_address(client[0] if client else "")
+    except ValueError:
+        return False
+    mapped = getattr(address, "ipv4_mapped", None)
+    return (mapped or address).is_loopback
 
 
 def as_addressed(scope: Scope, root_path: str) -> Scope:

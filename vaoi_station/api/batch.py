@@ -1,28 +1,35 @@
-"""The route `runs/{id}/images`: the pictures of many components in one answer."""
+"""The route `runs/{id}/images`: the pictures of many components in one streamed answer.
+
+Parts are cut by several workers at a time, and passed on as they become ready. At most `PARTS_AHEAD` parts are being
+cut or wait for the reader, so that memory does not grow with the batch.
+"""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import asyncio
+import logging
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
-from vaoi_station.api.batch.batch_stream import PARTS_AHEAD, CutThreads, stream
-from vaoi_station.api.callers.caller import caller_of
-from vaoi_station.api.callers.seats import QueuedSeats
 from vaoi_station.api.images.image_queries import Wanted
 from vaoi_station.api.images.view_entries import picture_query
+from vaoi_station.api.limits import QueuedSeats, ThreadLimit
 from vaoi_station.api.parameters import RunId, parse_box, rest_router
 from vaoi_station.api.request_guard import is_head
 from vaoi_station.api.routes.services import Services
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, InternalError, VaoiError
 from vaoi_station.runs.batches.batch_job import CutPart
 from vaoi_station.runs.batches.batch_request import BatchRequest
-from vaoi_station.runs.batches.batches import BatchPart
-from vaoi_station.runs.batches.containers import MEDIA_TYPES, SUFFIXES, ContainerName
+from vaoi_station.runs.batches.batches import Batch, BatchPart
+from vaoi_station.runs.batches.containers import MEDIA_TYPES, ContainerName, ContainerWriter
 
+PARTS_AHEAD = 4
+"""Number of parts of a batch that are being cut or wait for its reader."""
 BATCHES, BATCHES_OF_CALLER, BATCHES_WAITING, BATCH_WAIT_S = 4, 2, 4, 20.0
 """Limits of batches under way in total and of one caller, and of those of one caller that wait; longest wait, s."""
 STREAMS: dict[int | str, dict[str, Any]] = {
@@ -35,6 +42,66 @@ STREAMS: dict[int | str, dict[str, Any]] = {
     }
 }
 _LONGEST_ADDRESS = 200
+_log = logging.getLogger(__name__)
+
+Done = tuple[CutPart, BatchPart | None]
+"""A part that was cut, and what remains of it."""
+Cut = Callable[[BatchPart], Awaitable[Done]]
+"""Function that has a part cut, and returns what remains of it."""
+
+
+class CutThreads:
+    """A limited number of threads that cut parts. A part whose reader has gone keeps its thread until it is cut."""
+
+    def __init__(self, threads: int) -> None:
+        self._places, self._limit = asyncio.Semaphore(threads), ThreadLimit(threads)
+
+    async def ask(self, cut: Callable[[Batch, BatchPart], Done], batch: Batch, part: BatchPart) -> Done:
+        """Have a part cut in a thread. A cancelled call gives up its turn, or leaves the thread to its end."""
+        await self._places.acquire()
+        work = asyncio.ensure_future(self._limit.ask(cut, batch, part))
+        work.add_done_callback(self._ended)
+        return await asyncio.shield(work)
+
+    def _ended(self, work: asyncio.Task[Done]) -> None:
+        self._places.release()
+        if not work.cancelled():
+            work.exception()  # read, because no caller may wait for it any more
+
+
+async def stream(batch: Batch, cut: Cut) -> AsyncIterator[bytes]:
+    """Yield the bytes of a batch: its head, its parts in order of readiness, and its end.
+
+    An error ends the batch with a last file that states it, because the status 200 is sent already.
+    """
+    writer = ContainerWriter(batch.request.container, batch.modified_s)
+    yield writer.add(batch.pack(batch.head))
+    images = refused = 0
+    error: VaoiError | None = None
+    waiting, tasks = deque(batch.parts()), set[asyncio.Future[Done]]()
+    try:
+        while (waiting or tasks) and error is None:
+            while waiting and len(tasks) < PARTS_AHEAD:
+                tasks.add(asyncio.ensure_future(cut(waiting.popleft())))
+            done, tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                try:
+                    found, rest = task.result()
+                except VaoiError as fault:
+                    error = fault
+                    continue
+                if rest is not None:
+                    waiting.appendleft(rest)
+                images, refused = images + found.images, refused + found.refused
+                yield writer.add(found.packed)
+    except Exception:  # noqa: BLE001  the status is sent, so that only the last file can state an error
+        _log.exception("a batch of run %s failed", batch.run)
+        error = InternalError("The batch ended by an error of the station; the log has the cause.")
+    finally:
+        for task in tasks:
+            task.cancel()
+    yield writer.add(batch.pack(batch.end(images, refused, error)))
+    yield writer.end()
 
 
 async def _request(
@@ -57,9 +124,9 @@ async def _request(
         bool, Query(description="One picture per component, merged of all its frames under one light.")
     ] = False,
     format: Annotated[
-        Literal["png", "jpeg", "tiff", "npy", "raw"] | None,
-        Query(description="Format of the pictures; by default png, and npy in npz. `raw` is the pixels alone."),
-    ] = None,
+        Literal["png", "jpeg", "tiff", "npy", "raw"],
+        Query(description="Format of the pictures; `raw` is the pixels alone."),
+    ] = "png",
     container: Annotated[ContainerName, Query(description="How files are packed; none is compressed.")] = "multipart",
 ) -> BatchRequest:
     for ref in component or ():
@@ -71,7 +138,7 @@ async def _request(
         region=parse_box("region", region),
         images=wanted,
         hdr=hdr,
-        format=format or ("npy" if container == "npz" else "png"),
+        format=format,
         container=container,
     ).check()
 
@@ -82,12 +149,7 @@ def router(services: Services) -> APIRouter:
     batches, threads = services.coordinator.batches, CutThreads(BATCHES * PARTS_AHEAD)
     seats = QueuedSeats("batches of pictures", BATCHES, BATCHES_OF_CALLER, BATCHES_WAITING, BATCH_WAIT_S)
 
-    async def seat(request: Request) -> AsyncIterator[None]:
-        """Hold a seat until the batch was read or its caller has gone."""
-        async with seats.take(caller_of(request).name):
-            yield
-
-    @routes.get("/images", response_class=Response, responses=STREAMS, dependencies=[Depends(seat)])
+    @routes.get("/images", response_class=Response, responses=STREAMS, dependencies=[Depends(seats.hold)])
     async def get_images(request: Request, run: RunId, wanted: Annotated[BatchRequest, Depends(_request)]) -> Response:
         """Return the pictures of all components, of some, or of a region, as files in one streamed answer.
 
@@ -100,7 +162,7 @@ def router(services: Services) -> APIRouter:
         batch = await services.commands.ask(batches.open, run, wanted, address, picture_query(wanted.images))
         headers = {
             "Cache-Control": "no-store",
-            "Content-Disposition": f'attachment; filename="{run}.{SUFFIXES[wanted.container]}"',
+            "Content-Disposition": f'attachment; filename="{run}.{wanted.container}"',
         }
         media = MEDIA_TYPES[wanted.container]
         if is_head(request.scope):

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 import httpx2
 
-from tests.api.description.openapi_rules import fits
+from tests.api.openapi_rules import fits
 
 GOOD: dict[str, tuple[Any, ...]] = {
     "run": ("r000001", "r000002"), "name": ("demo-board", "new"), "camera": (0, 1), "row": (0, 1, 2), "k": (0, 1),

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.peers.certificates import Certificate, make_certificate
-from vaoi_station.api.listener.certificate import CertificateFiles, valid_until
+from vaoi_station.api.certificate import CertificateFiles, valid_until
 from vaoi_station.errors import InputError
 
 

@@ -1,36 +1,47 @@
-"""Identifies the caller of a request, and decides whether the request is permitted.
-
-The caller is known by a key, by the login of a page, or by an address of the station's own machine.
+"""Who a caller is, and which requests it may send: keys, the logins of pages, scopes, the station's own machine.
 
 - Programs send `Authorization: Bearer KEY`. The page exchanges a key for a cookie. Scripts cannot read this cookie, and
   browsers send it only from the station's own pages (HttpOnly, SameSite=Strict).
-- A command with the cookie must state its origin, which `RequestGuard` compares; browsers always state it.
+- A command with the cookie must state its origin, which the middleware compares; browsers always state it.
 - Callers on loopback may be permitted without a key, by configuration, but not for the scope admin. A request that a
   proxy has forwarded does not count as one from loopback.
 """
 
 from __future__ import annotations
 
+import hashlib
+import re
+import secrets
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
+from typing import Any, NamedTuple
 
 from starlette.datastructures import Headers
 from starlette.responses import Response
-from starlette.types import Scope
+from starlette.types import Scope as Request
 
-from vaoi_station.api.access.audit import AuditLog
-from vaoi_station.api.access.scopes import scope_needed
-from vaoi_station.api.access.sessions import COOKIE, Sessions
-from vaoi_station.api.addressing.hosts import is_loopback
-from vaoi_station.api.addressing.path_prefix import path_of
-from vaoi_station.api.callers.caller import Caller, caller_in, set_caller
+from vaoi_station.api.addresses import is_loopback, path_of
+from vaoi_station.api.audit import AuditLog
+from vaoi_station.api.limits import Caller, caller_in, set_caller
 from vaoi_station.api.problems import problem_response
 from vaoi_station.errors import VaoiError
-from vaoi_station.files.access_keys import AccessKey, KeyFile
+from vaoi_station.files.access_keys import AccessKey, KeyFile, Scope
 
+SESSION_S = 12 * 3600
+"""Longest duration of a login: one shift."""
+MOST_SESSIONS = 256
+COOKIE = "vaoi-session"
+PUBLIC = re.compile(r"/?|/docs|/favicon\.ico|/(web|problems)/.*|/healthz|/readyz|/api/v1/(openapi\.json|session)")
+"""Addresses that need no key: the page itself, documentation, health for process supervisors, and the login."""
+_ADMIN = re.compile(r"/api/v1/(keys|audit|settings|calibration/(artwork|layout|trial))(/.*)?")
+_COMMANDS: tuple[tuple[re.Pattern[str], Scope], ...] = (
+    (re.compile(r"/api/v1/station/(arm|disarm)"), "operate"),
+    (re.compile(r"/api/v1/runs/[^/]+/(release|hold|pin|decision|identity/next-machine)"), "operate"),
+    (re.compile(r"/api/v1/board-(types|data)/.+"), "teach"),
+    (re.compile(r"/api/v1/cameras/[^/]+/trial"), "teach"),
+)
 OPEN_SCOPES = frozenset({"read", "operate", "teach"})
 """Scopes of callers on the station's own machine that have no key. Keys are made with `vaoi keys`."""
 LOCAL = "loopback"
@@ -45,6 +56,55 @@ _CHANGE_NOTHING = frozenset({"/api/v1/settings/check"})
 """Addresses that compute although they take a body."""
 
 
+def scope_needed(method: str, path: str) -> Scope | None:
+    """Return the scope that a request needs; None if it needs no key."""
+    if PUBLIC.fullmatch(path):
+        return None
+    if _ADMIN.fullmatch(path):
+        return "admin"
+    if method in ("GET", "HEAD", "OPTIONS"):
+        return "read"
+    # A command that is not listed needs the highest scope, so that a new command is not open by mistake.
+    return next((scope for pattern, scope in _COMMANDS if pattern.fullmatch(path)), "admin")
+
+
+class _Session(NamedTuple):
+    key: AccessKey
+    until: float
+
+
+class Sessions:
+    """The present logins, in memory only: a restart of the station ends them."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._sessions: dict[str, _Session] = {}
+
+    def begin(self, key: AccessKey) -> str:
+        """Begin a login with a key, and return the content of its cookie.
+
+        If there are too many logins, the oldest ends.
+        """
+        now = self._clock()
+        self._sessions = {t: s for t, s in self._sessions.items() if s.until > now}
+        while len(self._sessions) >= MOST_SESSIONS:
+            del self._sessions[next(iter(self._sessions))]
+        token = secrets.token_urlsafe(32)
+        self._sessions[_hash(token)] = _Session(key, now + SESSION_S)
+        return token
+
+    def key_of(self, token: str, keys: tuple[AccessKey, ...]) -> AccessKey | None:
+        """Return the key of a login; None if the login has ended, or if its key was rotated or revoked since."""
+        session = self._sessions.get(_hash(token))
+        if session is None or session.until <= self._clock() or session.key not in keys:
+            return None
+        return session.key
+
+    def end(self, token: str) -> None:
+        """End a login."""
+        self._sessions.pop(_hash(token), None)
+
+
 class AccessControl:
     """The keys, the logins and the audit log of one station."""
 
@@ -53,7 +113,7 @@ class AccessControl:
         self._open_loopback = open_loopback
         self._minute, self._refused = 0, 0
 
-    def refusal(self, scope: Scope) -> Response | None:
+    def refusal(self, scope: Request) -> Response | None:
         """Identify the caller and store it in the request.
 
         Return a refusal if the request is not permitted, else None.
@@ -83,7 +143,7 @@ class AccessControl:
             return problem_response(scope, "missing-scope", detail, action=action)
         return None
 
-    def log_in(self, scope: Scope, key: AccessKey) -> tuple[Caller, str]:
+    def log_in(self, scope: Request, key: AccessKey) -> tuple[Caller, str]:
         """Begin the login of a page, name its key in the audit log, and return caller and token of its cookie."""
         caller = self._logged_in(scope, Headers(scope=scope), caller_in(scope).address, key)
         set_caller(scope, caller)
@@ -96,7 +156,7 @@ class AccessControl:
         except VaoiError:
             return False
 
-    def note(self, scope: Scope, status: int, begun: float) -> None:
+    def note(self, scope: Request, status: int, begun: float) -> None:
         """Write a command, or a refusal because of a missing key, to the audit log."""
         if status in (401, 403):
             minute = int(time.monotonic() // 60)
@@ -119,7 +179,7 @@ class AccessControl:
             entry["changed"] = changed
         self.audit.add(**entry)
 
-    def _caller(self, scope: Scope, headers: Headers) -> tuple[Caller | None, bool]:
+    def _caller(self, scope: Request, headers: Headers) -> tuple[Caller | None, bool]:
         """Return the caller of a request (None if unknown), and whether a cookie identified the caller."""
         address = set_caller(scope).address
         authorization = headers.get("authorization")
@@ -135,17 +195,17 @@ class AccessControl:
             return Caller(address, scopes=OPEN_SCOPES), False
         return None, False
 
-    def _is_open(self, scope: Scope, headers: Headers) -> bool:
+    def _is_open(self, scope: Request, headers: Headers) -> bool:
         """Return whether the caller may do without a key: it is on this machine, and that is open."""
         return self._open_loopback and not any(name in headers for name in _FORWARDED) and is_loopback(scope)
 
-    def _logged_in(self, scope: Scope, headers: Headers, address: str, key: AccessKey) -> Caller:
+    def _logged_in(self, scope: Request, headers: Headers, address: str, key: AccessKey) -> Caller:
         """Return the caller of a page that has logged in. A login takes nothing away that is permitted without one."""
         caller = _with_key(address, key)
         return replace(caller, scopes=caller.scopes | OPEN_SCOPES) if self._is_open(scope, headers) else caller
 
 
-def still_known(scope: Scope) -> bool:
+def still_known(scope: Request) -> bool:
     """Return whether the caller of a request that is under way may still read; it may not when its key was revoked."""
     check: Callable[[], bool] = scope["state"].get(_STILL_KNOWN, lambda: True)
     return check()
@@ -163,3 +223,7 @@ def session_token(headers: Headers) -> str | None:
 def _with_key(address: str, key: AccessKey) -> Caller:
     # Every key may read: a program that arms the line must also see the state.
     return Caller(address, key.name, frozenset({"read", *key.scopes}), key)
+
+
+def _hash(token: str) -> str:
+    return hashlib.sha256(token.encode("utf-8", "replace")).hexdigest()

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from starlette.types import Message, Send
 
-from vaoi_station.api.callers import repeated_requests
-from vaoi_station.api.callers.caller import Caller, set_caller
-from vaoi_station.api.callers.repeated_requests import KEEP_S, RepeatedRequests
+from vaoi_station.api import repeated_requests
+from vaoi_station.api.limits import Caller, set_caller
+from vaoi_station.api.repeated_requests import KEEP_S, RepeatedRequests
 from vaoi_station.files.access_keys import AccessKey
 
 KEY = '"8e03978e"'

@@ -12,7 +12,7 @@ from starlette.applications import Starlette
 from starlette.routing import Mount, Route
 from starlette.testclient import TestClient
 
-from vaoi_station.api.fast.static_files import StaticFiles
+from vaoi_station.api.pages import StaticFiles
 
 THREAD = "AnyIO worker thread"
 

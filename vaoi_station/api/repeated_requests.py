@@ -19,7 +19,7 @@ from typing import NamedTuple
 from starlette.datastructures import Headers
 from starlette.types import Message, Scope, Send
 
-from vaoi_station.api.callers.caller import caller_in
+from vaoi_station.api.limits import caller_in
 from vaoi_station.api.problems import problem_response
 
 HEADER, REPLAYED = "Idempotency-Key", "Idempotency-Replayed"

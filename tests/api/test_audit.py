@@ -12,8 +12,8 @@ import pytest
 
 from tests.soak.small_disk import SmallDisk
 from tests.test_supervised_thread import kill
-from vaoi_station.api.access import audit as module
-from vaoi_station.api.access.audit import FILES_KEPT, AuditLog
+from vaoi_station.api import audit as module
+from vaoi_station.api.audit import FILES_KEPT, AuditLog
 from vaoi_station.supervised_thread import ThreadFault
 
 PATIENCE_S = 30.0

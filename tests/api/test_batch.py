@@ -1,0 +1,244 @@
+"""The pictures of many components in one answer: files, order of readiness, bounded work ahead, and the end."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import threading
+from collections.abc import AsyncIterator
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.api.held.pictures import RUNS, picture
+from tests.api.held.unpacked import documents, unpacked
+from vaoi_station.api.batch import PARTS_AHEAD, CutThreads, stream
+from vaoi_station.errors import GoneError
+from vaoi_station.runs.batches.batch_job import CutPart
+from vaoi_station.runs.batches.batches import Batch, BatchPart
+from vaoi_station.runs.batches.containers import CONTAINERS, MEDIA_TYPES, Member, Packed, pack
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_all_pictures_of_a_run_in_every_container(shared_client: Any, container: str) -> None:
+    answer = shared_client.get(f"{RUNS}/r000001/images", params={"container": container})
+    assert answer.status_code == 200
+    assert answer.headers["content-type"] == MEDIA_TYPES[container]  # type: ignore[index]
+    files = unpacked(answer.content, container)
+    assert next(iter(files)) == "run.json"
+    assert list(files)[-1] == "end.json"
+    found = documents(files)
+    end = found.pop("end.json")
+    assert found.pop("run.json")["run"] == "r000001"
+    assert sorted(found) == [f"components/{ref}/views.json" for ref in ("2/R1", "R1", "U1")]
+    views = [view for document in found.values() for view in document["views"]]
+    assert end == {"complete": True, "components": 3, "refused": 0, "images": len(views)}
+    assert {view["file"] for view in views} | set(found) | {"run.json", "end.json"} == set(files)
+
+
+def test_each_file_is_the_picture_at_its_address(shared_client: Any) -> None:
+    answer = shared_client.get(
+        f"{RUNS}/r000001/images?component=U1&component=2/R1&container=zip&format=png&limit=2&margin_mm=1"
+    )
+    files = unpacked(answer.content, "zip")
+    for name, document in documents(files).items():
+        for view in document.get("views", ()):
+            assert "margin_mm=1" in view["url"], name
+            assert shared_client.get(view["url"]).content == files[view["file"]]
+    assert "components/R1/views.json" not in files
+
+
+def test_numpy_opens_the_answer(shared_client: Any) -> None:
+    answer = shared_client.get(f"{RUNS}/r000001/images?component=R1&container=zip&format=npy")
+    arrays = np.load(io.BytesIO(answer.content))
+    single = shared_client.get(f"{RUNS}/r000001/components/R1/images/0?format=npy")
+    np.testing.assert_array_equal(arrays["components/R1/0"], picture(single))
+    assert arrays["end.json"].startswith(b"{")
+
+
+@pytest.mark.parametrize(
+    ("query", "status", "code"),
+    [
+        ("component=U9", 404, "unknown-component"),
+        ("component=", 422, "invalid-input"),
+        ("light=left", 422, "invalid-input"),
+        ("format=gif", 422, "invalid-input"),
+        ("container=tar", 422, "invalid-input"),
+        ("within=1,2,3", 422, "invalid-input"),
+        ("within=0,0,a,b", 422, "invalid-input"),
+        ("region=nan,0,1,1", 422, "invalid-input"),
+        ("region=0,0,9,9&component=U1", 422, "invalid-input"),
+        ("hdr=true&limit=1", 422, "invalid-input"),
+        ("comp=U1", 422, "unknown-parameter"),
+    ],
+)
+def test_what_cannot_be_answered_is_refused_before_the_stream(
+    shared_client: Any, query: str, status: int, code: str
+) -> None:
+    answer = shared_client.get(f"{RUNS}/r000001/images?{query}")
+    assert (answer.status_code, answer.json()["code"]) == (status, code)
+
+
+def test_gone_frames_and_unknown_runs(client: Any, station: Any) -> None:
+    run = station.film()
+    station.release(run)
+    assert client.get(f"{RUNS}/{run}/images").status_code == 410
+    assert client.get(f"{RUNS}/never/images").status_code == 404
+
+
+def test_frames_that_go_meanwhile_end_the_batch_with_the_cause(
+    client: Any, station: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = station.film()
+    opened = station.batches.open
+
+    def open_then_release(*asked: Any) -> Any:
+        found = opened(*asked)
+        station.release(run)
+        return found
+
+    monkeypatch.setattr(type(station.batches), "open", lambda _self, *asked: open_then_release(*asked))
+    files = unpacked(client.get(f"{RUNS}/{run}/images?container=zip").content, "zip")
+    end = documents(files)["end.json"]
+    assert end["complete"] is False
+    assert end["error"]["code"] == "frames-gone"
+    assert list(files) == ["run.json", "end.json"]
+
+
+def test_a_fault_of_the_station_ends_the_batch_too(shared_client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> Any:
+        raise RuntimeError("a secret path /etc/passwd")
+
+    monkeypatch.setattr("vaoi_station.runs.batches.batches.BatchAccess.cut", fail)
+    content = shared_client.get(f"{RUNS}/r000001/images?container=zip").content
+    end = documents(unpacked(content, "zip"))["end.json"]
+    assert end["error"]["code"] == "internal"
+    assert b"passwd" not in content
+
+
+def test_head_cuts_nothing(shared_client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vaoi_station.runs.batches.batches.BatchAccess.cut", lambda *_: pytest.fail("it is not read"))
+    answer = shared_client.head(f"{RUNS}/r000001/images?container=zip")
+    assert (answer.status_code, answer.content) == (200, b"")
+    assert answer.headers["content-type"] == "application/zip"
+    assert "content-length" not in answer.headers, "GET states none"
+
+
+def test_only_a_few_parts_are_cut_ahead_of_the_reader() -> None:
+    assert PARTS_AHEAD <= 4
+
+
+def batch(count: int) -> Any:
+    parts = [BatchPart((), k) for k in range(count)]
+    made: Any = SimpleNamespace(
+        run="r1",
+        components=parts,
+        request=SimpleNamespace(container="multipart"),
+        modified_s=0,
+        head=Member("run.json", "", b"head"),
+        parts=lambda: list(parts),
+        pack=lambda m: pack("multipart", [m], 0),
+    )
+    made.end = partial(Batch.end, made)
+    return made
+
+
+def reply(content: bytes) -> CutPart:
+    return CutPart(Packed(content, (), 1), 1, 0, None)
+
+
+async def read(answer: AsyncIterator[bytes]) -> list[bytes]:
+    return [piece async for piece in answer]
+
+
+def test_parts_come_in_the_order_of_their_readiness() -> None:
+    async def check() -> None:
+        first_may_end = asyncio.Event()
+
+        async def cut(part: BatchPart) -> tuple[CutPart, None]:
+            if part.image == 0:
+                await first_may_end.wait()
+            return reply(b"part %d" % part.image), None
+
+        answer = stream(batch(3), cut)
+        await anext(answer)
+        assert {await anext(answer), await anext(answer)} == {b"part 1", b"part 2"}
+        first_may_end.set()
+        assert await anext(answer) == b"part 0"
+        assert b'"images":3' in await anext(answer)
+
+    asyncio.run(check())
+
+
+def test_a_reader_that_waits_stops_the_work() -> None:
+    async def check() -> None:
+        begun = []
+
+        async def cut(part: BatchPart) -> tuple[CutPart, None]:
+            begun.append(part.image)
+            return reply(b"x"), None
+
+        answer = stream(batch(50), cut)
+        await anext(answer)
+        assert begun == []
+        await anext(answer)
+        assert len(begun) <= PARTS_AHEAD
+        await answer.aclose()  # type: ignore[attr-defined]  # it is a generator
+        assert len(begun) <= PARTS_AHEAD
+
+    asyncio.run(check())
+
+
+def test_the_rest_of_a_part_is_cut_before_later_parts() -> None:
+    async def check() -> None:
+        begun = []
+
+        async def cut(part: BatchPart) -> tuple[CutPart, BatchPart | None]:
+            begun.append(part.image)
+            return reply(b"x"), BatchPart((), 100) if part.image == 0 else None
+
+        await read(stream(batch(PARTS_AHEAD + 5), cut))
+        assert begun[PARTS_AHEAD] == 100
+
+    asyncio.run(check())
+
+
+@pytest.mark.parametrize("fault", [GoneError("gone", code="frames-gone"), RuntimeError("a bug")])
+def test_a_fault_ends_the_stream_with_a_last_file(fault: Exception) -> None:
+    async def check() -> None:
+        async def cut(part: BatchPart) -> tuple[CutPart, None]:
+            raise fault
+
+        *_, end, closing = await read(stream(batch(9), cut))
+        assert b'"complete":false' in end
+        assert closing.endswith(b"--\r\n")
+
+    asyncio.run(check())
+
+
+def test_a_part_whose_reader_has_gone_keeps_its_thread() -> None:
+    async def check() -> None:
+        begun, ready, may_end = [], threading.Event(), threading.Event()
+
+        def cut(_: Batch, part: BatchPart) -> tuple[CutPart, None]:
+            begun.append(part.image)
+            ready.set()
+            may_end.wait()
+            return reply(b"x"), None
+
+        threads, whole = CutThreads(1), batch(3)
+        left = asyncio.ensure_future(threads.ask(cut, whole, BatchPart((), 0)))
+        await asyncio.to_thread(ready.wait)
+        left.cancel()
+        waiting, last = (asyncio.ensure_future(threads.ask(cut, whole, BatchPart((), k))) for k in (1, 2))
+        await asyncio.wait([left])
+        waiting.cancel()
+        assert begun == [0]
+        may_end.set()
+        assert (await last)[0].images == 1
+        assert begun == [0, 2]
+
+    asyncio.run(check())

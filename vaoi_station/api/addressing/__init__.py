@@ -1,1 +1,0 @@
-"""How callers address the station: the host names that it accepts, and the path of a proxy."""

@@ -1,1 +1,0 @@
-"""The callers of requests, and the share of the station's resources that each caller may use at a time."""
