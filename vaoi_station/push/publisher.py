@@ -38,8 +38,6 @@ SAVE_S = 1.0
 """Shortest time between two writes of the state, s. After a power cut the messages of this time are repeated."""
 FAULT_PAUSE_S, STOP_S = 5.0, 3.0
 """Pause after an error of this program, and longest wait for the attempt under way when the station stops, s."""
-_LOST = "mqtt-lost", "Check broker, address, user and certificate; it is tried again by itself."
-_SKIPPED = "events-not-pushed", "Read them with GET events?after=."
 Count = Annotated[int, Field(ge=0)]
 
 
@@ -142,7 +140,8 @@ class Publisher:
 
     def _lost(self) -> Reason:
         message = f"MQTT broker {self.name!r} does not accept messages: {self._fault} {self.waiting} events wait."
-        return Reason(code=_LOST[0], message=message, action=_LOST[1])
+        action = "Check broker, address, user and certificate; it is tried again by itself."
+        return Reason(code="mqtt-lost", message=message, action=action)
 
     def _run(self) -> None:
         # Names are resolved for as long as the resolver takes: the silence of this thread is no fault.
@@ -221,7 +220,7 @@ class Publisher:
         while self._waiting and self._waiting[0].number <= last:
             self._waiting.popleft()
         message = f"MQTT broker {self.name!r} does not get {count} events up to number {last}: {why}."
-        self._events.add(OWN_KIND, message, code=_SKIPPED[0], action=_SKIPPED[1])
+        self._events.add(OWN_KIND, message, code="events-not-pushed", action="Read them with GET events?after=.")
 
     def _note(self, outcome: Outcome) -> None:
         """Note what became of an attempt; report when the broker is lost, and when it is reached again."""
