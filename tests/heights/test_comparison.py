@@ -29,6 +29,8 @@ def among(*intervals: tuple[float, float, float]) -> PartHeight:
         (measured(1.25, 0.05), "unknown"),
         (among((2.0, 5.0, 0.998)), "higher"),
         (among((0.0, 5.0, 0.998)), "unknown"),
+        (among((1.12, 5.0, 0.998)), "unknown"),  # the end of a wide interval is not sharp
+        (among((1.12, 1.3, 0.998)), "higher"),
         (among((0.0, 0.3, 0.998)), "lower"),
         (among((0.95, 1.05, 0.6), (8.0, 9.0, 0.398)), "ambiguous"),
         (among((0.95, 1.05, 0.01), (8.0, 9.0, 0.988)), "ambiguous"),

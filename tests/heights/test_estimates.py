@@ -122,6 +122,17 @@ def test_one_view_gives_no_height(filmed: Any) -> None:
     assert all(height.height_mm is None and not height.intervals for height in found.values())
 
 
+def test_rows_that_may_be_displaced_by_a_period_measure_nothing(filmed: Any) -> None:
+    rows = range(len(filmed.stitch.row_motion))
+    for apart, measured in (([list(rows)], False), ([[rows[-1]]], True)):
+        stitch = filmed.stitch.model_copy(update={"quality": filmed.stitch.quality | {"rows_apart": apart}})
+        heights = measure_heights(filmed.board_type, stitch, filmed.cameras, filmed.frame)
+        assert any(height.height_mm is not None for height in heights.values()) is measured
+    whole = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)
+    assert all(heights[name].views <= whole[name].views for name in whole)
+    assert sum(h.views for h in heights.values()) < sum(h.views for h in whole.values())
+
+
 def test_a_run_without_cad_mapping_and_a_calibration_without_working_distance_are_refused(filmed: Any) -> None:
     lost = filmed.stitch.model_copy(update={"cad_matrix": None, "reasons": ("no fiducial was found",)})
     with pytest.raises(StateError, match=r"no CAD mapping.*no fiducial was found"):

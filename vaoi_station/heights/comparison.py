@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from vaoi_station.heights.estimates import PartHeight
+from vaoi_station.heights.estimates import Interval, PartHeight
 from vaoi_station.model import BoardType
 
 Comparison = Literal["agrees", "lower", "higher", "ambiguous", "unknown"]
@@ -15,6 +15,8 @@ TOLERANCE_MM, TOLERANCE_SHARE = 0.1, 0.1
 _LEAST, _LEAST_OTHER = 0.95, 0.995
 """Least probability of "agrees", and of "lower" and "higher": few bodies are other than expected."""
 
+_EDGE = 0.1
+"""Uncertainty of the ends of an interval, as a share of its width: the pictures fall off slowly there."""
 _WIDE, _WIDER = 0.03, 3.0
 """Share of the heights that err more than their standard deviation says, and the factor by which it is too small."""
 
@@ -33,14 +35,19 @@ def compare(height: PartHeight, expected_mm: float) -> tuple[Comparison, float]:
         higher = _beyond(high - height.height_mm, height.sigma_mm)
         agrees = max(0.0, 1 - lower - higher)
     else:
-        lower = sum(i.probability for i in height.intervals if i.high_mm <= low)
-        higher = sum(i.probability for i in height.intervals if i.low_mm >= high)
+        lower = sum(i.probability for i in height.intervals if i.high_mm + _edge_mm(i) <= low)
+        higher = sum(i.probability for i in height.intervals if i.low_mm - _edge_mm(i) >= high)
         agrees = sum(i.probability for i in height.intervals if low <= i.low_mm and i.high_mm <= high)
     chances: dict[Comparison, float] = {"agrees": agrees, "lower": lower, "higher": higher}
     best = max(chances, key=lambda name: chances[name])
     if chances[best] >= (_LEAST if best == "agrees" else _LEAST_OTHER):
         return best, chances[best]
     return ("ambiguous" if len(height.intervals) > 1 else "unknown"), chances[best]
+
+
+def _edge_mm(interval: Interval) -> float:
+    """Return how uncertain the ends of an interval are, mm."""
+    return _EDGE * (interval.high_mm - interval.low_mm)
 
 
 def _beyond(distance_mm: float, sigma_mm: float) -> float:

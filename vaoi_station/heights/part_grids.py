@@ -107,7 +107,14 @@ class Places:
         self.cameras = camera_arrays(mine)
         self.tester_from_cad = stitch.tester_from_cad.matrix
         """C (3, 3)."""
-        keys = [(i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None]
+        # Rows that a repeated pattern may have displaced by a period show other parts than their matrices say.
+        doubtful = {row for rows in stitch.quality.get("rows_apart", ()) for row in rows}
+        keys = [
+            (i, j)
+            for i, rows in enumerate(stitch.image_matrices)
+            for j, m in enumerate(rows)
+            if m is not None and j not in doubtful
+        ]
         self._px_per_mm = float(np.mean([c.px_per_mm for c in mine]))
         self._row_from_tester = np.array(stitch.row_motion)
         back = np.linalg.inv(self._row_from_tester)

@@ -49,6 +49,7 @@ def verdict_on(board: dict[str, Any], **more: dict[str, Any]) -> tuple[Outcome, 
     filmed, outcome = film(Drawing(0, scenario, ())), Outcome(0)
     stitch, findings = stitched(filmed)
     compare(outcome, filmed, stitch, findings)
+    assert bool(stitch.quality["rows_apart"]) == ("rows-repetitive" in (stitch.reason_codes or ()))
     return outcome, tuple(stitch.reason_codes or ())
 
 

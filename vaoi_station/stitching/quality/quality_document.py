@@ -12,6 +12,7 @@ from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE
 from vaoi_station.stitching.components.two_fiducials import unnoticed_mm
 from vaoi_station.stitching.quality.covariances import matrix_sigmas, row_covariances
 from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.quality.row_connections import rows_apart
 from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
 
 AMBIGUOUS = "ambiguous"
@@ -45,6 +46,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         ],
         "link_pairs": _link_pairs(f),
         "unplaced_rows": list(f.unplaced),
+        "rows_apart": rows_apart(f),
         "residual_px": {
             "median": _rounded(float(np.sqrt(np.median((a.link_px**2).sum(1)[used])))) if used.any() else None,
             "scatter": _rounded(a.floor_px),

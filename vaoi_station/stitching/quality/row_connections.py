@@ -88,27 +88,31 @@ def _ranges(rows: tuple[int, ...]) -> list[tuple[int, int]]:
     return list(zip((rows[0], *(b for _, b in ends)), (*(a for a, _ in ends), rows[-1]), strict=True))
 
 
-def repeated_rows(f: Findings) -> Iterator[Reason]:
-    """Yield a reason for rows that only a repeated pattern connects with the others, where no mark confirms the motion.
+def rows_apart(f: Findings) -> list[list[int]]:
+    """Return the groups of rows whose distance from the other rows is uncertain by periods of a repeated pattern.
 
-    If every group of rows shows a mark, the motion is confirmed: a motion that is wrong by a period of the pattern
-    would displace one of these marks.
+    A group that shows a fiducial is certain: a motion that is wrong by a period would displace that fiducial. If no
+    row shows one, all groups are returned.
     """
-    present = {row for _, row in f.scene.present}
     cuts = {(e.task.a[1], e.task.b[1]) for e in f.links if e.ambiguous and e.task.b is not None}
-    if not cuts & set(pairwise(sorted(present))):
-        return
+    rows = sorted({row for _, row in f.scene.present})
+    if not cuts & set(pairwise(rows)):
+        return []
     points = f.problem.fiducials
     marked = set(points.row.tolist()) if points is not None else set()
-    rows = sorted(present)
     groups = [[rows[0]]]
     for p, q in pairwise(rows):
         if (p, q) in cuts:
             groups.append([])
         groups[-1].append(q)
-    unsure = [row for group in groups if not marked & set(group) for row in group]
-    if unsure or not marked:
-        named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(unsure or rows)))
+    return [group for group in groups if not marked & set(group)]
+
+
+def repeated_rows(f: Findings) -> Iterator[Reason]:
+    """Yield a reason for rows whose motion against the others a repeated pattern leaves open and no mark confirms."""
+    unsure = [row for group in rows_apart(f) for row in group]
+    if unsure:
+        named = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in _ranges(tuple(unsure)))
         yield Reason(
             ReasonCode.ROWS_REPETITIVE,
             f"a repeated pattern connects the rows {named} with the others at several motions of the belt, and no "
