@@ -12,8 +12,8 @@ from types import ModuleType
 import pytest
 
 from vaoi_station.config import read_config
-from vaoi_station.doctor.config_check import check_config
 from vaoi_station.doctor.finding import Level
+from vaoi_station.doctor.runner import check_config
 from vaoi_station.files.caller_credentials import CA_VARIABLE, KEY_FILE_VARIABLE, KEY_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]

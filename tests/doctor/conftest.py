@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from vaoi_station.config import ApiConfig, CameraConfig, StationConfig, read_config
-from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Finding, Level
 from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 

@@ -22,7 +22,7 @@ from typing import Any
 
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.doctor import run_checks
-from vaoi_station.doctor.checks.running_station import ask
+from vaoi_station.doctor.running_station import ask
 
 TIMEOUT_S = 120.0
 

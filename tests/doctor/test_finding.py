@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.doctor.finding import EXIT_CODES, Finding, Level, Report, fault, not_applicable, ok, warning
+from vaoi_station.doctor.finding import EXIT_CODES, Finding, Level, Report, as_text, fault, not_applicable, ok, warning
 
 
 def report(*findings: Finding) -> Report:
@@ -48,3 +49,31 @@ def test_the_document_is_json_with_the_values_of_the_findings() -> None:
          "figures": {"limit_px": 1.5}},
     ]  # fmt: skip
     assert (document["format"], document["version"], document["running"]) == ("vaoi-doctor", 1, None)
+
+
+def named(station: str, *findings: Finding) -> Report:
+    """Return a report with these findings."""
+    return Report(station, "station.toml", "2026-01-01T00:00:00+00:00", "host", "1.0", None, findings)
+
+
+def test_lines_actions_and_summary() -> None:
+    findings = (
+        replace(ok("fine"), check="disk"),
+        replace(fault("is absent", "Check it.", code="x", subject="left"), check="cameras"),
+        replace(warning("slow", "Hurry.", code="y"), check="disk"),
+        replace(not_applicable("none"), check="usb"),
+    )
+    assert as_text(named("s", *findings)).splitlines() == [
+        "ok       disk     fine",
+        "FAULT    cameras  left: is absent",
+        "                  → Check it.",
+        "WARNING  disk     slow",
+        "                  → Hurry.",
+        "-        usb      none",
+        "",
+        "station 's': 1 fault, 1 warning, 1 ok, 1 not applicable",
+    ]
+
+
+def test_a_station_without_a_name_and_plural_counts() -> None:
+    assert as_text(named("", ok("fine"), ok("fine"))).endswith("\n0 faults, 0 warnings, 2 ok, 0 not applicable\n")

@@ -26,8 +26,7 @@ from vaoi_station.acquisition.controller.protocol.messages import REPLY, Request
 from vaoi_station.acquisition.controller.serial.exchange import Exchange
 from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.config import StationConfig
-from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.checks.controller import (
+from vaoi_station.doctor.controller_checks import (
     LATENCY,
     ControllerReply,
     controller,
@@ -37,6 +36,7 @@ from vaoi_station.doctor.checks.controller import (
 )
 from vaoi_station.doctor.finding import Finding, Level
 from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.line_config import Line
 
 RING = {"ring": {"channels": [0, 1], "on_us": 250.0}}
@@ -106,7 +106,7 @@ def test_only_what_is_judged_is_asked(paced: PacedChip, monkeypatch: pytest.Monk
 
     asked(paced.link, Type.SAFE)
     assert asked(paced.link, Type.STATUS).events_next > 0
-    monkeypatch.setattr("vaoi_station.doctor.checks.controller.Link", NotedLink)
+    monkeypatch.setattr("vaoi_station.doctor.controller_checks.Link", NotedLink)
     list(controller(context_of(paced.link)))
     assert set(sent) == {Type.IDENT, Type.STATUS, Type.CLOCK}
 

@@ -12,9 +12,8 @@ import pytest
 from tests.needs import lacking, need
 from vaoi_station.acquisition.cameras.aravis.opening import socket_bytes
 from vaoi_station.config import read_config
-from vaoi_station.doctor.checks.network import judge_buffers
-from vaoi_station.doctor.checks.usb import PARAMETER, judge_memory
 from vaoi_station.doctor.finding import Level
+from vaoi_station.doctor.machine_checks import USB_PARAMETER, judge_buffers, judge_usb_memory
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 PAPER = read_config(DEPLOY / "station-paper.toml")
@@ -36,8 +35,8 @@ def test_socket_buffers_hold_one_second_of_the_papers_cameras() -> None:
 def test_usb_memory_suffices_for_the_array() -> None:
     (line,) = lines("vaoi-usb-memory.conf")
     kind, path, *_, value = line.split()
-    assert (kind, path) == ("w", f"/{PARAMETER}")
-    assert judge_memory(int(value), len(PAPER.cameras)).level is Level.OK
+    assert (kind, path) == ("w", f"/{USB_PARAMETER}")
+    assert judge_usb_memory(int(value), len(PAPER.cameras)).level is Level.OK
 
 
 @pytest.mark.parametrize(

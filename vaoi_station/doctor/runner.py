@@ -1,4 +1,4 @@
-"""Run all checks in order. If a check raises an exception, this is reported as a fault, and the next check is run."""
+"""Run all checks in order: those of `vaoi doctor`, and those of `vaoi check-config`."""
 
 from __future__ import annotations
 
@@ -9,57 +9,63 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
 
-from vaoi_station.config import StationConfig, read_config
-from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.checks import (
-    camera_library,
-    cameras,
-    configured_files,
-    controller,
-    machine_clocks,
-    memory,
-    network,
-    receivers,
+from vaoi_station.config import StationConfig, absolute_paths, read_config
+from vaoi_station.doctor import (
+    camera_checks,
+    controller_checks,
+    file_checks,
+    machine_checks,
     running_station,
-    software,
-    station_certificate,
-    storage,
-    usb,
+    storage_checks,
 )
 from vaoi_station.doctor.finding import Finding, Report, fault, not_applicable, ok
 from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.caller_credentials import CallerCredentials
+from vaoi_station.files.documents import read_toml
+from vaoi_station.settings.faults import examine
 from vaoi_station.version import __version__
 
 T = TypeVar("T")
+REMEDY = "Correct the file; docs/configuration.md describes every key."
 MACHINE_CHECKS: tuple[tuple[str, Callable[[Machine], Iterable[Finding]]], ...] = (
-    ("python", software.python),
-    ("libraries", software.libraries),
-    ("compiled code", software.compiled_code_cache),
-    ("time", machine_clocks.wall_clock),
-    ("monotonic clock", machine_clocks.monotonic_clock),
+    ("compiled code", machine_checks.compiled_code_cache),
+    ("time", machine_checks.wall_clock),
 )
 """Checks that need no configuration: name in the report, and function."""
 STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], ...] = (
     ("station", running_station.station),
-    ("calibration", configured_files.calibration),
-    ("board types", configured_files.board_types),
-    ("flat fields", configured_files.flat_fields),
-    ("light programs", configured_files.programs),
-    ("stand-ins", configured_files.stand_ins),
-    ("certificate", station_certificate.station_certificate),
-    ("receivers", receivers.receivers),
-    ("disk", storage.data),
-    ("shared memory", memory.ring_space),
-    ("memory lock", memory.lock_limit),
-    ("aravis", camera_library.aravis),
-    ("socket buffers", network.socket_buffers),
-    ("USB memory", usb.memory),
-    ("cameras", cameras.cameras),
-    ("controller", controller.controller),
+    ("calibration", file_checks.calibration),
+    ("board types", file_checks.board_types),
+    ("flat fields", file_checks.flat_fields),
+    ("light programs", file_checks.programs),
+    ("stand-ins", file_checks.stand_ins),
+    ("certificate", file_checks.station_certificate),
+    ("receivers", file_checks.receivers),
+    ("disk", storage_checks.data),
+    ("shared memory", machine_checks.ring_space),
+    ("memory lock", machine_checks.lock_limit),
+    ("aravis", camera_checks.aravis),
+    ("socket buffers", machine_checks.socket_buffers),
+    ("USB memory", machine_checks.usb_memory),
+    ("cameras", camera_checks.cameras),
+    ("controller", controller_checks.controller),
 )
 """Checks that need a configuration. The running station comes first, because the later checks depend on it."""
+ALL_KEYS = frozenset(StationConfig.model_fields)
+FILE_CHECKS: dict[str, frozenset[str]] = {
+    "calibration": frozenset({"calibration", "cameras"}),
+    "board types": frozenset({"board_types"}),
+    "flat fields": frozenset({"flat_fields", "board_types", "cameras", "controller", "program"}),
+    "light programs": ALL_KEYS,
+    "stand-ins": ALL_KEYS,
+    "certificate": frozenset({"api"}),
+    "receivers": frozenset({"push", "data"}),
+    "disk": frozenset({"data"}),
+    "shared memory": frozenset({"ring", "line", "cameras"}),
+}
+"""Checks of the files that station.toml names, with the keys that must be valid for them."""
 
 
 def run_checks(path: Path, machine: Machine | None = None, credentials: CallerCredentials | None = None) -> Report:
@@ -86,17 +92,35 @@ def run_checks(path: Path, machine: Machine | None = None, credentials: CallerCr
     )
 
 
+def check_config(path: Path, machine: Machine | None = None) -> list[Finding]:
+    """Return the findings of a station.toml: every fault of the file, then those of the files it names.
+
+    Only an error of the TOML syntax hides other faults, because the rest of the file cannot be read.
+    """
+    try:
+        data = read_toml(path)
+    except VaoiError as error:
+        return [_wrong(error.message, error.action)]
+    faults, valid = examine(data)
+    config = StationConfig.model_construct(None, **valid)
+    config = config.model_copy(update=absolute_paths(config, path.resolve().parent))
+    running = running_station.find(config) if valid.keys() >= ALL_KEYS else None
+    context = CheckContext(config, machine or Machine(), running)
+    findings = [_wrong(f"{path}: {one}.") for one in faults]
+    for name, check in STATION_CHECKS:
+        if name in FILE_CHECKS and valid.keys() >= FILE_CHECKS[name]:
+            findings += [replace(finding, check=name) for finding in check(context)]
+    return findings
+
+
 def _run_check(name: str, check: Callable[[T], Iterable[Finding]], subject: T) -> list[Finding]:
     """Run one check and return its findings, labelled with the check's name. An exception becomes a finding."""
     try:
         return [replace(finding, check=name) for finding in check(subject)]
     except Exception as error:  # noqa: BLE001  (one broken check must not hide what the others find)
         message = f"the check itself failed: {type(error).__name__}: {error}"
-        return [
-            replace(
-                fault(message, "Report this with the output of vaoi doctor --json.", code="check-failed"), check=name
-            )
-        ]
+        action = "Report this with the output of vaoi doctor --json."
+        return [replace(fault(message, action, code="check-failed"), check=name)]
 
 
 def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]]:
@@ -104,8 +128,11 @@ def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]
     try:
         config = read_config(path)
     except VaoiError as error:
-        action = error.action or "Correct the file; docs/configuration.md describes every key."
-        return None, [replace(fault(error.message, action, code="configuration-wrong"), check="configuration")]
+        return None, [_wrong(error.message, error.action)]
     backends = sorted({config.controller.backend, *(c.backend for c in config.cameras)})
     message = f"{path}: {len(config.cameras)} cameras, {' and '.join(backends)}"
     return config, [replace(ok(message, figures={"cameras": len(config.cameras)}), check="configuration")]
+
+
+def _wrong(message: str, action: str = "") -> Finding:
+    return replace(fault(message, action or REMEDY, code="configuration-wrong"), check="configuration")

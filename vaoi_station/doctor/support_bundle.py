@@ -19,11 +19,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vaoi_station.config import StationConfig, read_config
-from vaoi_station.doctor.checks.running_station import ask
-from vaoi_station.doctor.config_check import check_config
-from vaoi_station.doctor.runner import run_checks
-from vaoi_station.doctor.station_connection import request
-from vaoi_station.doctor.text_report import problems_as_text
+from vaoi_station.doctor.finding import problems_as_text
+from vaoi_station.doctor.runner import check_config, run_checks
+from vaoi_station.doctor.running_station import ask, request
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.atomic_directory import refuse_existing
 from vaoi_station.files.caller_credentials import CallerCredentials

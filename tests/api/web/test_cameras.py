@@ -15,17 +15,7 @@ from tests.api.web.test_views import SIZES, WIDE, examine
 from vaoi_station.api.cameras.examination import Examinations
 from vaoi_station.api.cameras.models import Examination
 from vaoi_station.config import KeepConfig
-from vaoi_station.doctor import Machine, Report
-from vaoi_station.doctor.checks import (
-    camera_library,
-    controller,
-    machine_clocks,
-    memory,
-    network,
-    software,
-    storage,
-    usb,
-)
+from vaoi_station.doctor import Machine, Report, camera_checks, controller_checks, machine_checks, storage_checks
 from vaoi_station.doctor.finding import fault, warning
 
 pytestmark = pytest.mark.browser
@@ -77,17 +67,15 @@ def found_by_the_doctor() -> Report:
     """Return findings that the checks themselves made, with most of the values that texts state."""
     full = os.statvfs_result((4096, 4096, 10**6, 100, 100, 100, 100, 100, 0, 255))
     findings = (
-        storage.judge_space(full, "/data"),
-        storage.judge_quotas(full, 10**9, KeepConfig(), "/data"),
-        memory.judge_lock(2**20, 2**30),
-        network.judge_buffers(2**16, 2**22),
-        usb.judge_memory(16, 6),
-        machine_clocks.judge_wall_clock(machine_clocks.TIME_ERROR, 0),
-        machine_clocks.judge_monotonic(1e-3, "tsc"),
-        machine_clocks.judge_monotonic(1e-9, "hpet"),
-        camera_library.judge_version((0, 8, 26), "3.42.2", 2),
-        software.judge_cache_of_service(software.ServiceUnit("no-such-user", Path("/cache"))),
-        controller.judge_port(Path("/dev/vaoi-absent"), Machine()),
+        storage_checks.judge_space(full, "/data"),
+        storage_checks.judge_quotas(full, 10**9, KeepConfig(), "/data"),
+        machine_checks.judge_lock(2**20, 2**30),
+        machine_checks.judge_buffers(2**16, 2**22),
+        machine_checks.judge_usb_memory(16, 6),
+        machine_checks.judge_wall_clock(machine_checks.TIME_ERROR, 0),
+        camera_checks.judge_version((0, 8, 26), "3.42.2", 2),
+        machine_checks.judge_cache_of_service(machine_checks.ServiceUnit("no-such-user", Path("/cache"))),
+        controller_checks.judge_port(Path("/dev/vaoi-absent"), Machine()),
         warning("Disk is full.", "Free space.", code="storage-full"),
         fault("Newer.", "Read on.", code="newer-code"),
     )

@@ -15,9 +15,8 @@ def check_config(
 
     The exit code is 0 without problems, 1 with warnings, 2 with faults.
     """
-    from vaoi_station.doctor.config_check import check_config as check
-    from vaoi_station.doctor.finding import EXIT_CODES
-    from vaoi_station.doctor.text_report import problems_as_text
+    from vaoi_station.doctor.finding import EXIT_CODES, problems_as_text
+    from vaoi_station.doctor.runner import check_config as check
 
     findings = check(file)
     typer.echo(problems_as_text(file, findings))

@@ -27,12 +27,12 @@ def doctor(
     """
     if toggle_line_ready:
         from vaoi_station.config import read_config
-        from vaoi_station.doctor.line_output import toggle_line_output
+        from vaoi_station.doctor.controller_checks import toggle_line_output
 
         toggle_line_output(read_config(config).controller, typer.echo)
         return
     from vaoi_station.doctor import run_checks
-    from vaoi_station.doctor.text_report import as_text
+    from vaoi_station.doctor.finding import as_text
 
     report = run_checks(config, credentials=credentials_of(key_file, ca))
     typer.echo(json.dumps(report.document(), indent=1) if as_json else as_text(report), nl=as_json)

@@ -14,11 +14,10 @@ import pytest
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
 from tests.doctor.conftest import assert_problem, only
 from vaoi_station.config import StationConfig
-from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.checks.camera_library import aravis
-from vaoi_station.doctor.checks.cameras import cameras
+from vaoi_station.doctor.camera_checks import aravis, cameras
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.running_station import CheckContext
 
 Plug = Callable[..., Device]
 Make = Callable[..., StationConfig]

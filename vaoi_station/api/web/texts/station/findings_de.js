@@ -6,17 +6,12 @@ export const findings = {
   // Konfiguration, Rechner, Programme
   "configuration-wrong": ["station.toml ist fehlerhaft.", "Die Datei berichtigen; docs/configuration.md beschreibt jeden Schlüssel."],
   "check-failed": ["Diese Prüfung selbst ist gescheitert.", "Mit der Ausgabe von vaoi doctor --json dem Hersteller melden."],
-  "python-32-bit": ["Python ist ein 32-Bit-Programm; der Bildspeicher braucht mehr Adressraum.", "Ein 64-Bit-System installieren."],
-  "python-untried": ["Diese Version von Python ist nicht erprobt.", "Python 3.11 bis 3.13 verwenden."],
-  "library-absent": [({ library }) => `Die Bibliothek ${library} lässt sich nicht laden.`, ({ library }) => `Installieren: pip install ${library}`],
   "code-cache-unusable": [
     ({ path }) => `In ${path} lässt sich übersetzter Code nicht ablegen: Jeder Start übersetzt etwa eine Minute lang.`,
     "Das Verzeichnis dem Benutzer des Dienstes geben oder NUMBA_CACHE_DIR setzen.",
   ],
   "service-user-absent": [({ user }) => `Den Benutzer ${user} des Dienstes gibt es nicht.`, ({ user }) => `Als Verwalter: useradd --system ${user}`],
   "wall-clock-free": ["Die Uhr des Rechners wird nicht gestellt: Namen und Zeiten von Läufen weichen von denen anderer Rechner ab.", "Als Verwalter: timedatectl set-ntp true"],
-  "monotonic-clock-coarse": [({ resolution_us }) => `Die fortlaufende Uhr hat Schritte von ${resolution_us} µs; das ist zu grob.`, "highres=off aus den Parametern des Kernels entfernen."],
-  "monotonic-clock-slow": [({ source }) => `Die fortlaufende Uhr kommt von ${source} und wird langsam gelesen.`, "Ursache suchen mit journalctl -k -g clocksource; clocksource= aus den Parametern des Kernels entfernen."],
   "station-silent": ["Ein Prozess benutzt den Bildspeicher der Station, aber keine Station antwortet.", "Warten, falls sie gerade startet; sonst diesen Prozess beenden."],
   "api-port-in-use": [({ port }) => `Die Station läuft nicht, und ein anderes Programm benutzt ihren Port ${port}.`, ({ port }) => `Suchen mit ss -ltnp 'sport = :${port}' und beenden, oder [api] port in station.toml ändern.`],
 

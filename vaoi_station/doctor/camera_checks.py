@@ -8,13 +8,15 @@ camera offers. With a running station, the state is read from its REST service i
 from __future__ import annotations
 
 import gc
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from vaoi_station.acquisition.cameras.aravis import network
+from vaoi_station.acquisition.cameras.aravis import library, network
+from vaoi_station.acquisition.cameras.aravis.connection import USB3_MIN_VERSION
 from vaoi_station.acquisition.cameras.aravis.discovery import (
     OPENING_LOCK,
     find_by_serial,
@@ -27,9 +29,42 @@ from vaoi_station.acquisition.cameras.aravis.sequencing.sequencer import missing
 from vaoi_station.acquisition.cameras.aravis.settings import TRIGGER_WIDTH
 from vaoi_station.acquisition.cameras.aravis.trigger import FRAME_TRIGGERS, recipe_for
 from vaoi_station.config import CameraConfig
-from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
-from vaoi_station.errors import VaoiError
+from vaoi_station.doctor.running_station import CheckContext
+from vaoi_station.errors import DeviceError, VaoiError
+
+
+def aravis(context: CheckContext) -> Iterator[Finding]:
+    """Check that PyGObject and Aravis can be imported, and their versions."""
+    if not context.real_cameras:
+        yield not_applicable("no camera uses Aravis")
+        return
+    try:
+        library.aravis()
+        found = library.version()
+    except DeviceError as error:
+        yield fault(error.message, error.action, code=error.code)
+        return
+    gi = str(sys.modules["gi"].__version__)
+    yield judge_version(found, gi, sum(camera.serial is not None for camera in context.real_cameras))
+
+
+def judge_version(found: tuple[int, int, int], gi: str, perhaps_usb: int) -> Finding:
+    """Judge the version of Aravis. Every version supports GigE cameras; USB3 cameras need 0.8.30 or later."""
+    shown = ".".join(map(str, found))
+    figures: Figures = {"aravis": shown, "pygobject": gi}
+    message = f"Aravis {shown}, PyGObject {gi}"
+    # Aravis 0.8.28 made USB transfers asynchronous, 0.8.29 corrected their callbacks and underruns, and 0.8.30 sets
+    # the status of a buffer before it is pushed. Only a camera named by its serial number can be on USB.
+    if perhaps_usb and found < USB3_MIN_VERSION:
+        return warning(
+            f"{message}: unreliable with USB3 cameras; {perhaps_usb} of the cameras may be on USB.",
+            "Name GigE cameras by their address; for USB3 use a distribution with Aravis 0.8.30 or later (Debian 13).",
+            figures=figures,
+            code="aravis-old",
+        )
+    return ok(message, figures=figures)
+
 
 JUMBO = 8000
 """Packet size in bytes below which a port is reported. MTU 1500 needs six times as many packets as MTU 9000."""
@@ -79,18 +114,15 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
             offered = ask(camera)
         except VaoiError as error:
             message = error.message.removeprefix(f"{camera.label}: ")
-            yield fault(
-                message, f"{error.action} {_search_hint(camera, error)}".strip(), subject=camera.name, code=error.code
-            )
+            action = f"{error.action} {_search_hint(camera, error)}".strip()
+            yield fault(message, action, subject=camera.name, code=error.code)
             continue
         except glib_error() as error:
-            action = "Check its cable and power; switch it off and on."
-            yield fault(
+            message, action = (
                 f"stopped replying during the check: {error}",
-                action,
-                subject=camera.name,
-                code="camera-stopped-replying",
+                "Check its cable and power; switch it off and on.",
             )
+            yield fault(message, action, subject=camera.name, code="camera-stopped-replying")
             continue
         yield from judge_camera(camera, offered)
         serials[offered.serial].append(camera.name)
@@ -98,14 +130,11 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
             ports[offered.port].append((camera, offered))
     for serial, names in serials.items():
         if len(names) > 1:
-            message = f"{', '.join(names)} have the same serial number {serial!r}."
-            yield fault(
-                message,
+            message, action = (
+                f"{', '.join(names)} have the same serial number {serial!r}.",
                 "Correct their addresses in station.toml.",
-                subject=names[0],
-                code="camera-ambiguous",
-                figures={"serial": serial},
             )
+            yield fault(message, action, subject=names[0], code="camera-ambiguous", figures={"serial": serial})
     for port, members in ports.items():
         yield judge_port(port, members, context.config.line.shortest_period_s)
 
@@ -188,61 +217,39 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
 
 def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     """Yield a finding for every requirement that the camera does not meet."""
+    name = camera.name
     line = camera.trigger_line or recipe_for(offered.vendor).line
+    one_of_these = "in station.toml to one of these."
     if not set(FRAME_TRIGGERS) & set(offered.triggers):
         shown = ", ".join(offered.triggers) or "nothing"
-        yield fault(
-            f"offers the triggers {shown} only, but a frame trigger by wire is needed.",
-            "Use a camera with a trigger input.",
-            subject=camera.name,
-            code="camera-without-trigger",
-        )
+        message = f"offers the triggers {shown} only, but a frame trigger by wire is needed."
+        yield fault(message, "Use a camera with a trigger input.", subject=name, code="camera-without-trigger")
     elif line not in offered.sources:
-        shown = ", ".join(offered.sources)
-        yield fault(
-            f"has no trigger input {line}; it has {shown}.",
-            'Set trigger_line = "…" in station.toml to one of these.',
-            subject=camera.name,
-            code="camera-without-input",
-        )
+        message = f"has no trigger input {line}; it has {', '.join(offered.sources)}."
+        yield fault(message, f'Set trigger_line = "…" {one_of_these}', subject=name, code="camera-without-input")
     if camera.pixel_format not in offered.formats:
-        yield fault(
-            f"has no pixel format {camera.pixel_format}; it has {', '.join(offered.formats)}.",
-            "Set pixel_format in station.toml to one of these.",
-            subject=camera.name,
-            code="camera-without-format",
-        )
+        message = f"has no pixel format {camera.pixel_format}; it has {', '.join(offered.formats)}."
+        yield fault(message, f"Set pixel_format {one_of_these}", subject=name, code="camera-without-format")
     low, high = offered.exposure_us
     if not low <= camera.exposure_us <= high:
+        message = f"cannot expose for {camera.exposure_us:g} µs; its range is {low:g} … {high:g} µs."
         yield fault(
-            f"cannot expose for {camera.exposure_us:g} µs; its range is {low:g} … {high:g} µs.",
-            "Set exposure_us in station.toml within this range.",
-            subject=camera.name,
-            code="exposure-out-of-range",
+            message, "Set exposure_us in station.toml within this range.", subject=name, code="exposure-out-of-range"
         )
+    by_register = 'Set exposure_by = "auto" or "register" in station.toml.'
     if camera.exposure_by == "trigger-width" and TRIGGER_WIDTH not in offered.exposure_modes:
         has = f"its exposure modes are {', '.join(offered.exposure_modes)}" if offered.exposure_modes else "it has none"
-        yield fault(
-            f"cannot expose for the width of the trigger, as exposure_by states: {has}.",
-            'Set exposure_by = "auto" or "register" in station.toml.',
-            subject=camera.name,
-            code="camera-without-trigger-width",
-        )
+        message = f"cannot expose for the width of the trigger, as exposure_by states: {has}."
+        yield fault(message, by_register, subject=name, code="camera-without-trigger-width")
     if camera.exposure_by == "sequencer" and offered.without:
+        message = f"has no sequencer, as exposure_by states: {', '.join(offered.without)} missing."
+        yield fault(message, by_register, subject=name, code="sequencer-absent")
+    right, bottom = camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height
+    width, height = offered.sensor
+    if right > width or bottom > height:
+        message = f"has a sensor of {width}×{height} px, but the configured frame ends at column {right}, row {bottom}."
         yield fault(
-            f"has no sequencer, as exposure_by states: {', '.join(offered.without)} missing.",
-            'Set exposure_by = "auto" or "register" in station.toml.',
-            subject=camera.name,
-            code="sequencer-absent",
-        )
-    needed = (camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height)
-    if needed[0] > offered.sensor[0] or needed[1] > offered.sensor[1]:
-        has = "{}×{} px".format(*offered.sensor)
-        yield fault(
-            f"has a sensor of {has}, but the configured frame ends at column {needed[0]}, row {needed[1]}.",
-            "Correct width, height and offset_px in station.toml.",
-            subject=camera.name,
-            code="frame-exceeds-sensor",
+            message, "Correct width, height and offset_px in station.toml.", subject=name, code="frame-exceeds-sensor"
         )
 
 
@@ -263,21 +270,12 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
         # A larger MTU helps only up to the size that the camera itself can send.
         allowed = f"Set packet_bytes to {packet}: the cameras of this port send no larger packets."
         action = f"ip link set dev {port} mtu {wish}" if wish > mtu else allowed
-        return warning(
-            f"{message}; {wished[0].name} is configured for {wish}.",
-            action,
-            subject=port,
-            figures=figures,
-            code="packets-above-mtu",
-        )
+        message += f"; {wished[0].name} is configured for {wish}."
+        return warning(message, action, subject=port, figures=figures, code="packets-above-mtu")
     if packet < JUMBO:
-        return warning(
-            f"{message}; larger packets cost less processor time.",
-            f"ip link set dev {port} mtu 9000",
-            subject=port,
-            figures=figures,
-            code="packets-small",
-        )
+        message += "; larger packets cost less processor time."
+        action = f"ip link set dev {port} mtu 9000"
+        return warning(message, action, subject=port, figures=figures, code="packets-small")
     return ok(message, subject=port, figures=figures)
 
 
@@ -302,16 +300,10 @@ def _judge_reported(state: dict[str, Any]) -> Finding:
     figures: Figures = {key: state.get(key) for key in ("delivered", "incomplete", "temperature_c")}
     if not state.get("connected"):
         action = "Check its power and cable; the station opens it again by itself."
-        return fault(
-            f"is not connected: {message or 'no reason given'}",
-            action,
-            subject=name,
-            figures=figures,
-            code="camera-lost",
-        )
+        message = f"is not connected: {message or 'no reason given'}"
+        return fault(message, action, subject=name, figures=figures, code="camera-lost")
     if message:
-        return warning(
-            message, "See docs/internals/acquisition.md.", subject=name, figures=figures, code="camera-remark"
-        )
+        action = "See docs/internals/acquisition.md."
+        return warning(message, action, subject=name, figures=figures, code="camera-remark")
     counted = f"{figures['delivered']} frames delivered, {figures['incomplete']} incomplete"
     return ok(f"connected, {counted}", subject=name, figures=figures)

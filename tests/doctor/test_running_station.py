@@ -1,22 +1,33 @@
-"""Find the running station, read its state, and check its port."""
+"""Find the running station, and ask it."""
 
 from __future__ import annotations
 
 import os
 import socket
+import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
-from tests.doctor.conftest import assert_problem, at_port, only, without_privileges
+from tests.api.conftest import Served
+from tests.api.held_station import HeldStation
+from tests.doctor.conftest import assert_problem, at_port, only, with_aravis, with_config, without_privileges
+from tests.peers.certificates import make_authority, make_certificate
 from tests.peers.web_server import ScriptedHandler, serving
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
-from vaoi_station.config import StationConfig
-from vaoi_station.doctor.check_context import CheckContext, RunningProcess
-from vaoi_station.doctor.checks import cameras, controller, memory, running_station
+from vaoi_station.acquisition.ring.ring import Ring, ring_path
+from vaoi_station.acquisition.ring.ring_layout import RingLayout
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.audit import AuditLog
+from vaoi_station.config import ApiConfig, StationConfig
+from vaoi_station.doctor import camera_checks, controller_checks, machine_checks, running_station
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.running_station import CheckContext, RunningProcess, address_of, ask, request
+from vaoi_station.errors import InputError
+from vaoi_station.files.access_keys import KeyFile
+from vaoi_station.files.caller_credentials import CallerCredentials
 
 
 @pytest.fixture
@@ -48,8 +59,8 @@ def test_owner_of_the_ring_without_a_reply_is_a_warning(owned: StationConfig) ->
     context = CheckContext(owned, Machine(), found)
     station = only(running_station.station(context))
     assert_problem(station, Level.WARNING, f"process {os.getpid()} uses", "ConnectionRefused")
-    assert_problem(only(cameras.cameras(context)), Level.WARNING, "were not opened")
-    assert_problem(only(controller.controller(context)), Level.WARNING, "was not opened")
+    assert_problem(only(camera_checks.cameras(context)), Level.WARNING, "were not opened")
+    assert_problem(only(controller_checks.controller(context)), Level.WARNING, "was not opened")
 
 
 def test_station_of_another_user_is_recognised_by_its_reply(config: StationConfig) -> None:
@@ -64,7 +75,7 @@ def test_station_of_another_user_is_recognised_by_its_reply(config: StationConfi
         found = running_station.find(at_port(config, port))
         context = CheckContext(at_port(config, port), Machine(), found)
         finding = only(running_station.station(context))
-        lock = only(memory.lock_limit(context))
+        lock = only(machine_checks.lock_limit(context))
     assert (finding.level, finding.message) == (
         Level.OK,
         "runs as a process of another user, state 'armed'; its devices are not opened",
@@ -107,3 +118,58 @@ def test_reasons_of_a_station_that_is_not_faulted_are_warnings(config: StationCo
     snapshot = {"state": "idle", "reasons": [{"code": "x", "message": "m", "action": "a"}]}
     _, finding = running_station.station(CheckContext(config, Machine(), RunningProcess(4711, snapshot)))
     assert finding.level is Level.WARNING
+
+
+@pytest.fixture
+def closed(tmp_path: Path) -> Iterator[tuple[ApiConfig, str]]:
+    """The configuration of a station with TLS that asks for a key on loopback too, and a key."""
+    keys, audit = KeyFile(tmp_path / "keys.json"), AuditLog(tmp_path / "audit.jsonl")
+    made = make_certificate(tmp_path)
+    served = Served(HeldStation(), access=AccessControl(keys, audit, open_loopback=False), certificate=made)
+    served.client.close()  # its open connection would have 5 s to end
+    api = ApiConfig(port=served.port, certificate=made.certificate, private_key=made.private_key, open_loopback=False)
+    yield api, keys.create("reader", ["read"]).secret
+    served.stop()
+    audit.close()
+
+
+def test_the_certificate_of_the_configuration_is_trusted_and_no_other(
+    closed: tuple[ApiConfig, str], tmp_path: Path
+) -> None:
+    api, secret = closed
+    assert request(api, "/healthz", 20, 1000, CallerCredentials(secret))[0] == 200
+    other = make_authority(tmp_path, "other").certificate
+    with pytest.raises(ssl.SSLError, match=r"(?i)verify.failed"):
+        request(api, "/healthz", 20, 1000, CallerCredentials(secret, other))
+
+
+def test_a_station_that_asks_for_a_key_is_reported_as_such(closed: tuple[ApiConfig, str]) -> None:
+    api, secret = closed
+    assert ask(api, CallerCredentials(secret))["state"] == "idle"
+    with pytest.raises(InputError, match="--key-file"):
+        ask(api)
+
+
+def test_a_station_that_listens_everywhere_is_asked_on_loopback() -> None:
+    everywhere = ApiConfig(host="0.0.0.0", port=1)  # noqa: S104  (an address to connect to)
+    assert address_of(everywhere) == ("127.0.0.1", 1)
+    assert address_of(ApiConfig(host="10.0.0.1")) == ("10.0.0.1", 8350)
+
+
+@pytest.mark.parametrize(
+    ("pid", "description", "command"),
+    [(4711, "process 4711", "ps -fp 4711"), (None, "a process of another user", "vaoi doctor …, as root")],
+)
+def test_a_running_process_is_described(pid: int | None, description: str, command: str) -> None:
+    process = RunningProcess(pid)
+    assert (process.description, process.inspect_command) == (description, command)
+
+
+def test_layout_is_that_of_the_configuration(context: CheckContext) -> None:
+    assert context.layout == RingLayout.of(context.config)
+
+
+def test_only_aravis_cameras_are_real(context: CheckContext) -> None:
+    assert context.real_cameras == ()
+    config = with_aravis(context.config)
+    assert with_config(context, config).real_cameras == config.cameras

@@ -10,9 +10,9 @@ from pathlib import Path
 from stat import S_ISREG
 
 from vaoi_station.config import KeepConfig
-from vaoi_station.doctor.check_context import CheckContext
 from vaoi_station.doctor.finding import Figures, Finding, Level, fault, ok, warning
 from vaoi_station.doctor.machine import format_bytes, nearest, writable
+from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.files.directory_walk import files_below
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE

@@ -1,20 +1,26 @@
-"""Check the files that the configuration names: calibration, board types, scenario and recordings."""
+"""Check the files that the configuration names."""
 
 from __future__ import annotations
 
 import contextlib
+import importlib.util
+import ssl
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.backends import check_backends
+from vaoi_station.api.certificate import CertificateFiles, valid_until
 from vaoi_station.config import StationConfig
-from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.finding import Finding, fault, not_applicable, ok, warning
+from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import is_directory, writable
+from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.files import read_calibration
+from vaoi_station.files.text_files import read_text
 from vaoi_station.model import BoardType
+from vaoi_station.model.receivers import MqttConfig
 from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import EXPIRED_DAYS
 from vaoi_station.store import BoardTypeDirectory
@@ -166,3 +172,98 @@ def stand_ins(context: CheckContext) -> Iterator[Finding]:
     yield ok(
         "the scenario fits the configuration" if backend == "simulated" else "the recordings fit the configuration"
     )
+
+
+_OTHERS = 0o007
+"""Permissions of users who are neither owner nor group of a file."""
+
+
+def readable_by_others(path: Path, what: str, subject: str) -> Iterator[Finding]:
+    """Warn of a file with a secret that every user of the machine can read."""
+    if path.stat().st_mode & _OTHERS:
+        yield warning(
+            f"{what} in {path} can be read by every user.",
+            f"chmod o= {path}",
+            subject=subject,
+            code="secret-not-private",
+            figures={"path": str(path)},
+        )
+
+
+EARLY = timedelta(days=30)
+"""Time before the end of a certificate from which on the check warns."""
+
+
+def station_certificate(context: CheckContext) -> Iterator[Finding]:
+    """Check that certificate and private key fit each other, who may read the key, and how long both are valid."""
+    api = context.config.api
+    if api.certificate is None or api.private_key is None:
+        yield not_applicable("no certificate is configured: the station speaks HTTP without TLS")
+        return
+    try:
+        CertificateFiles(api.certificate, api.private_key)
+        end = valid_until(api.certificate)
+    except InputError as error:
+        yield fault(error.message, error.action, code="certificate-unusable")
+        return
+    yield from readable_by_others(api.private_key, "the private key of the station", "")
+    if end is None:
+        yield ok(f"{api.certificate} and its private key fit each other", figures={"path": str(api.certificate)})
+        return
+    left = end - datetime.now(UTC)
+    date = f"{end:%Y-%m-%d %H:%M} UTC"
+    figures: Figures = {"path": str(api.certificate), "days": left.days}
+    if left < EARLY:
+        yield warning(
+            f"{api.certificate} is valid until {date} only: callers refuse it then.",
+            "Replace certificate and private key; the station reads them again without a restart.",
+            code="certificate-expires",
+            figures=figures,
+        )
+    else:
+        yield ok(f"{api.certificate} is valid until {date}", figures=figures)
+
+
+def receivers(context: CheckContext) -> Iterator[Finding]:
+    """Check the broker of station.toml. A fault is a warning: the station films without it. Nothing is sent."""
+    broker = context.config.push.mqtt
+    if broker is None:
+        yield not_applicable("no MQTT broker is configured")
+        return
+    problems = list(_broker(broker))
+    yield from problems
+    if not problems:
+        yield ok(f"the MQTT broker {broker.host} can be used")
+
+
+def _broker(broker: MqttConfig) -> Iterator[Finding]:
+    if importlib.util.find_spec("paho") is None:
+        message = f"push.mqtt: {broker.host} is configured, but the package paho-mqtt is absent."
+        yield warning(message, "pip install 'vaoi-station[mqtt]'", subject="mqtt", code="mqtt-package-absent")
+    if broker.password_file is not None:
+        figures: Figures = {"path": str(broker.password_file)}
+        message, action = f"push.mqtt.password_file: {broker.password_file} is empty.", "Write the password."
+        try:
+            unusable = not read_text(broker.password_file).strip()
+        except VaoiError as error:
+            unusable, message = True, f"push.mqtt.password_file: {error.message}"
+            action = error.action or "Write the password to it, and make it readable to the service."
+        if unusable:
+            yield warning(message, action, subject="mqtt", code="mqtt-password-unusable", figures=figures)
+        if broker.password_file.is_file():
+            yield from readable_by_others(broker.password_file, "push.mqtt: the password", "mqtt")
+    if broker.ca is not None:
+        try:
+            ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(broker.ca)
+        except OSError as error:
+            message = f"push.mqtt.ca: {broker.ca} cannot be read as PEM certificates ({error})."
+            figures = {"path": str(broker.ca)}
+            yield warning(message, "Give a PEM file.", subject="mqtt", code="certificate-unusable", figures=figures)
+    if broker.certificate is not None and broker.private_key is not None:
+        try:
+            # Without a password here, an encrypted key would be asked for at the terminal.
+            ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(broker.certificate, broker.private_key, lambda: "")
+        except (OSError, ValueError) as error:
+            message = f"push.mqtt: {broker.certificate} and {broker.private_key} cannot be used ({error})."
+            action = "Give a certificate and its private key as PEM files without a password."
+            yield warning(message, action, subject="mqtt", code="certificate-unusable")

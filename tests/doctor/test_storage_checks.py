@@ -16,13 +16,13 @@ import pytest
 from tests.doctor.conftest import assert_problem, only, with_config, without_privileges
 from tests.needs import lacking
 from vaoi_station.config import KeepConfig
-from vaoi_station.doctor.check_context import CheckContext
-from vaoi_station.doctor.checks import storage
+from vaoi_station.doctor import storage_checks
 from vaoi_station.doctor.finding import Level
+from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.store import Database
 from vaoi_station.store.database_file import mark_acknowledged
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_data_directory_without_write_permission_is_a_fault(context: CheckContext) -> None:
@@ -30,17 +30,17 @@ def test_data_directory_without_write_permission_is_a_fault(context: CheckContex
     locked.mkdir(mode=0o500)
     config = context.config.model_copy(update={"data": locked / "data"})
     with without_privileges():
-        finding = only(storage.data(with_config(context, config)))
+        finding = only(storage_checks.data(with_config(context, config)))
     assert_problem(finding, Level.FAULT, "locked/data cannot be written to by this user")
 
 
 def test_file_in_place_of_the_data_directory_is_a_fault(context: CheckContext) -> None:
     context.config.data.write_text("")
-    assert_problem(only(storage.data(context)), Level.FAULT, "is not a directory")
+    assert_problem(only(storage_checks.data(context)), Level.FAULT, "is not a directory")
 
 
 def test_absent_data_directory_is_ok_and_is_not_created(context: CheckContext) -> None:
-    assert only(storage.data(context)).level is Level.OK
+    assert only(storage_checks.data(context)).level is Level.OK
     assert not context.config.data.exists()
 
 
@@ -56,20 +56,20 @@ def space(free_bytes: float, *, inodes: int = 1000, free_inodes: int = 1000) -> 
     ("free", "level"), [(199e6, Level.FAULT), (201e6, Level.WARNING), (1.99e9, Level.WARNING), (2.01e9, Level.OK)]
 )
 def test_limits_of_the_free_space(free: float, level: Level) -> None:
-    finding = storage.judge_space(space(free), "/data")
+    finding = storage_checks.judge_space(space(free), "/data")
     assert finding.level is level
     assert finding.figures == {"free_bytes": pytest.approx(free)}
     assert bool(finding.action) == (level is not Level.OK)
 
 
 def test_file_system_without_free_inodes_is_a_fault() -> None:
-    assert_problem(storage.judge_space(space(1e12, free_inodes=0), "/data"), Level.FAULT, "inodes")
-    assert storage.judge_space(space(1e12, inodes=0, free_inodes=0), "/data").level is Level.OK
+    assert_problem(storage_checks.judge_space(space(1e12, free_inodes=0), "/data"), Level.FAULT, "inodes")
+    assert storage_checks.judge_space(space(1e12, inodes=0, free_inodes=0), "/data").level is Level.OK
 
 
 def test_a_disk_that_cannot_hold_the_quotas_is_a_warning_with_the_numbers() -> None:
     keep = KeepConfig(database_gb=15.0, recordings_gb=20.0, mosaics_gb=1.0)
-    short = storage.judge_quotas(space(12e9), int(3e9), keep, "/data")
+    short = storage_checks.judge_quotas(space(12e9), int(3e9), keep, "/data")
     assert_problem(
         short,
         Level.WARNING,
@@ -79,10 +79,10 @@ def test_a_disk_that_cannot_hold_the_quotas_is_a_warning_with_the_numbers() -> N
     )
     assert short.figures == {"free_bytes": 12e9, "used_bytes": 3e9, "quota_bytes": 38e9}
     # What the station has written already counts as space for it.
-    assert storage.judge_quotas(space(12e9), int(26e9), keep, "/data").level is Level.OK
+    assert storage_checks.judge_quotas(space(12e9), int(26e9), keep, "/data").level is Level.OK
     without = KeepConfig(database_gb=15.0, recordings_gb=0.0)
-    assert storage.judge_quotas(space(16.1e9), 0, without, "/data").level is Level.OK
-    assert "recordings and" not in storage.judge_quotas(space(15e9), 0, without, "/data").message
+    assert storage_checks.judge_quotas(space(16.1e9), 0, without, "/data").level is Level.OK
+    assert "recordings and" not in storage_checks.judge_quotas(space(15e9), 0, without, "/data").message
 
 
 def test_database_and_recordings_are_what_the_station_uses(context: CheckContext) -> None:
@@ -92,7 +92,7 @@ def test_database_and_recordings_are_what_the_station_uses(context: CheckContext
     (data / "station.db-wal").write_bytes(bytes(500))
     (data / "audit.log").write_bytes(bytes(70))
     (data / "station.db").symlink_to("station.db-wal")
-    assert storage.bytes_in_use(data) == 3500
+    assert storage_checks.bytes_in_use(data) == 3500
 
 
 def mount_prefix() -> list[str]:
@@ -135,25 +135,25 @@ def test_full_file_systems_are_reported(
 
 def test_what_is_in_the_place_of_the_database_is_judged_and_left_as_it_is(tmp_path: Path) -> None:
     path = tmp_path / "station.db"
-    assert list(storage.database(path)) == []
+    assert list(storage_checks.database(path)) == []
     Database(path).close()
-    assert list(storage.database(path)) == []
+    assert list(storage_checks.database(path)) == []
     before = sorted(p.name for p in tmp_path.iterdir())
     connection = sqlite3.connect(path)
     connection.execute("PRAGMA user_version = 999")
     connection.close()
-    assert_problem(only(storage.database(path)), Level.FAULT, "has version 999 of the tables")
+    assert_problem(only(storage_checks.database(path)), Level.FAULT, "has version 999 of the tables")
     path.write_bytes(b"garbage " * 1000)
-    assert_problem(only(storage.database(path)), Level.FAULT, "is not a sound database")
+    assert_problem(only(storage_checks.database(path)), Level.FAULT, "is not a sound database")
     path.unlink()
-    assert_problem(only(storage.database(path)), Level.WARNING, "there was a database, and it is gone")
+    assert_problem(only(storage_checks.database(path)), Level.WARNING, "there was a database, and it is gone")
     os.mkfifo(path)
-    assert_problem(only(storage.database(path)), Level.FAULT, "is not a regular file")
+    assert_problem(only(storage_checks.database(path)), Level.FAULT, "is not a regular file")
     path.unlink()
     other = sqlite3.connect(path)
     other.execute("CREATE TABLE bookmarks (url)")
     other.close()
-    assert_problem(only(storage.database(path)), Level.FAULT, "is a database of another program")
+    assert_problem(only(storage_checks.database(path)), Level.FAULT, "is a database of another program")
     assert sorted(p.name for p in tmp_path.iterdir()) == before
 
 
@@ -161,7 +161,7 @@ def test_a_database_that_was_set_aside_stays_a_warning(tmp_path: Path) -> None:
     path = tmp_path / "station.db"
     path.write_bytes(b"garbage " * 1000)
     Database(path).close()
-    assert_problem(only(storage.database(path)), Level.WARNING, "was set aside because it was damaged")
+    assert_problem(only(storage_checks.database(path)), Level.WARNING, "was set aside because it was damaged")
     (kept,) = tmp_path.glob("station.db.damaged-*")
     mark_acknowledged(kept)
-    assert list(storage.database(path)) == []
+    assert list(storage_checks.database(path)) == []

@@ -1,21 +1,50 @@
-"""Judge what cameras offer, network ports, and the state that a running station reports."""
+"""Judge the camera library, what cameras offer, network ports, and the state that a running station reports."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from tests.doctor.conftest import assert_problem, only
+from tests.doctor.conftest import assert_problem, only, with_aravis
+from vaoi_station.acquisition.cameras.aravis import library
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.config import CameraConfig, StationConfig
-from vaoi_station.doctor.check_context import CheckContext, RunningProcess
-from vaoi_station.doctor.checks import cameras
+from vaoi_station.doctor import camera_checks
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.running_station import CheckContext, RunningProcess
 
-OFFERED = cameras.Offered(
+
+def test_absent_pygobject_is_a_fault(config: StationConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gi", None)
+    library.aravis.cache_clear()
+    try:
+        finding = only(camera_checks.aravis(CheckContext(with_aravis(config), Machine(), None)))
+    finally:
+        library.aravis.cache_clear()
+    assert_problem(finding, Level.FAULT, "cannot be used from Python")
+    assert "apt install" in finding.action
+
+
+@pytest.mark.parametrize(
+    ("version", "perhaps_usb", "level"),
+    [((0, 8, 26), 0, Level.OK), ((0, 8, 26), 1, Level.WARNING), ((0, 8, 30), 1, Level.OK), ((0, 9, 1), 2, Level.OK)],
+)
+def test_versions_of_aravis(version: tuple[int, int, int], perhaps_usb: int, level: Level) -> None:
+    finding = camera_checks.judge_version(version, "3.42.2", perhaps_usb)
+    assert finding.level is level
+    if level is Level.WARNING:
+        assert_problem(finding, level, "unreliable with USB3")
+
+
+def test_simulated_cameras_need_no_library(context: CheckContext) -> None:
+    assert only(camera_checks.aravis(context)).level is Level.NOT_APPLICABLE
+
+
+OFFERED = camera_checks.Offered(
     vendor="Maker", model="M", serial="1", triggers=("FrameStart",), sources=("Line0", "Line1"),
     formats=("Mono8", "Mono12"), exposure_us=(10.0, 1e6), sensor=(2048, 1536), trigger_mode="Off", port="lo",
     address="127.0.0.1", packets=PacketLimits(smallest=200, largest=16000, step=4),
@@ -30,7 +59,7 @@ def configured(**fields: Any) -> CameraConfig:
 
 
 def test_suitable_camera_is_ok() -> None:
-    finding = only(cameras.judge_camera(configured(), OFFERED))
+    finding = only(camera_checks.judge_camera(configured(), OFFERED))
     assert finding.level is Level.OK
     assert finding.message == "Maker M 1 replies and is free; the trigger is off now, the station turns it on"
     assert finding.figures == {"serial": "1", "trigger_mode": "Off", "port": "lo"}
@@ -52,37 +81,37 @@ def test_suitable_camera_is_ok() -> None:
     ],
 )
 def test_every_unmet_requirement_is_a_fault(fields: dict[str, Any], words: str) -> None:
-    assert_problem(only(cameras.judge_camera(configured(**fields), OFFERED)), Level.FAULT, words)
+    assert_problem(only(camera_checks.judge_camera(configured(**fields), OFFERED)), Level.FAULT, words)
 
 
 def test_camera_without_a_frame_trigger_is_a_fault() -> None:
     for triggers, words in (((), "nothing"), (("ExposureEnd",), "ExposureEnd only")):
-        finding = only(cameras.judge_camera(configured(), replace(OFFERED, triggers=triggers)))
+        finding = only(camera_checks.judge_camera(configured(), replace(OFFERED, triggers=triggers)))
         assert_problem(finding, Level.FAULT, words)
 
 
 def test_packets_larger_than_the_camera_sends_are_a_warning() -> None:
     """The interface takes such packets; a larger MTU would not help."""
-    finding = cameras.judge_port("lo", [(configured(packet_bytes=40000), OFFERED)], 0.1)
+    finding = camera_checks.judge_port("lo", [(configured(packet_bytes=40000), OFFERED)], 0.1)
     assert_problem(finding, Level.WARNING, "a is configured for 40000")
     assert finding.action.startswith("Set packet_bytes to 16000")
 
 
 def test_small_packets_are_a_warning() -> None:
     offered = replace(OFFERED, packets=PacketLimits(smallest=200, largest=1500, step=4))
-    finding = cameras.judge_port("lo", [(configured(), offered)], 0.1)
+    finding = camera_checks.judge_port("lo", [(configured(), offered)], 0.1)
     assert_problem(finding, Level.WARNING, "packets of 1500 bytes", "larger packets")
     assert finding.action == "ip link set dev lo mtu 9000"
 
 
 def test_port_that_is_too_slow_is_a_fault() -> None:
     camera = configured(width=2048, height=1536, link_mbit_s=100.0)
-    finding = cameras.judge_port("lo", [(camera, OFFERED), (camera, OFFERED)], 0.01)
+    finding = camera_checks.judge_port("lo", [(camera, OFFERED), (camera, OFFERED)], 0.01)
     assert_problem(finding, Level.FAULT, "2 cameras on port lo")
 
 
 def test_simulated_cameras_are_not_checked(context: CheckContext) -> None:
-    assert only(cameras.cameras(context)).level is Level.NOT_APPLICABLE
+    assert only(camera_checks.cameras(context)).level is Level.NOT_APPLICABLE
 
 
 def test_state_of_cameras_of_a_running_station(config: StationConfig) -> None:
@@ -93,7 +122,7 @@ def test_state_of_cameras_of_a_running_station(config: StationConfig) -> None:
             {"name": "third", "connected": True, "message": "is hot"},
         ],
     }
-    left, right, third = cameras.cameras(CheckContext(config, Machine(), RunningProcess(4711, snapshot)))
+    left, right, third = camera_checks.cameras(CheckContext(config, Machine(), RunningProcess(4711, snapshot)))
     assert_problem(left, Level.FAULT, "is not connected: not open yet")
     assert (right.level, right.figures["delivered"]) == (Level.OK, 7)
     assert_problem(third, Level.WARNING, "is hot")

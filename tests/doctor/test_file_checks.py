@@ -1,0 +1,259 @@
+"""Check the files that the configuration names; every fault is made for real."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from tests.doctor.conftest import assert_problem, changed, only, with_config, without_privileges
+from tests.peers.certificates import Certificate, make_authority, make_certificate
+from vaoi_station.config import ApiConfig, LightConfig, ReplayConfig
+from vaoi_station.doctor import file_checks
+from vaoi_station.doctor.file_checks import readable_by_others, receivers, station_certificate
+from vaoi_station.doctor.finding import Level
+from vaoi_station.doctor.running_station import CheckContext
+from vaoi_station.model import ProgramStep
+from vaoi_station.model.receivers import MqttConfig, PushConfig
+
+
+def test_complete_files_are_ok(context: CheckContext) -> None:
+    for check in (file_checks.calibration, file_checks.board_types, file_checks.stand_ins):
+        assert {finding.level for finding in check(context)} == {Level.OK}, check
+
+
+def test_calibration_of_another_array_is_a_fault(context: CheckContext) -> None:
+    cameras = (*context.config.cameras, context.config.cameras[0].model_copy(update={"name": "third"}))
+    three = with_config(context, context.config.model_copy(update={"cameras": cameras}))
+    assert_problem(only(file_checks.calibration(three)), Level.FAULT, "calibration.json", "3")
+
+
+def test_absent_calibration_is_a_fault(context: CheckContext) -> None:
+    context.config.calibration.unlink()
+    finding = only(file_checks.calibration(context))
+    assert_problem(finding, Level.FAULT, "calibration.json")
+    assert "vaoi calibrate" in finding.action
+
+
+def test_unreadable_board_types_are_named_one_by_one(context: CheckContext) -> None:
+    directory = context.config.board_types
+    (directory / "broken.json").write_text('{"format": "vaoi-board",')
+    (directory / "foreign.json").write_text('{"format": "something"}')
+    bad = [f for f in file_checks.board_types(context) if f.level is Level.FAULT]
+    assert [f.subject for f in bad] == ["broken.json", "foreign.json"]
+    assert all(f.action for f in bad)
+
+
+def test_absent_and_empty_directory_of_board_types(context: CheckContext) -> None:
+    shutil.rmtree(context.config.board_types)
+    assert_problem(only(file_checks.board_types(context)), Level.FAULT, "there is no directory")
+    context.config.board_types.mkdir()
+    assert_problem(only(file_checks.board_types(context)), Level.WARNING, "is empty", "cannot be armed")
+
+
+def test_read_only_directory_of_board_types_is_a_warning(context: CheckContext) -> None:
+    for directory in (context.config.board_types, *context.config.board_types.parents):
+        if directory.is_relative_to(Path("/tmp")) and os.access(directory, os.W_OK):
+            directory.chmod(directory.stat().st_mode | 0o055)
+    context.config.board_types.chmod(0o555)
+    with without_privileges():
+        finding = only(file_checks.board_types(context))
+    assert_problem(finding, Level.WARNING, "cannot be written to")
+
+
+def test_a_program_that_does_not_fit_is_named_with_its_board_type(context: CheckContext) -> None:
+    assert "none in station.toml, 0 of 1 board types" in only(file_checks.programs(context)).message
+    path = next(context.config.board_types.glob("*.json"))
+    board_type = json.loads(path.read_text())
+    path.write_text(json.dumps(board_type | {"line": {"speed_mm_s": 3.0}}))
+    finding = only(file_checks.programs(context))
+    assert_problem(finding, Level.FAULT, "line.speed_mm_s is 3.0, but must be")
+    assert finding.subject == board_type["name"]
+    long = context.config.model_copy(update={"program": (ProgramStep(light="ring", exposure_us=(9e5,)),)})
+    found = [f.subject for f in file_checks.programs(with_config(context, long))]
+    assert found == ["station", board_type["name"]]
+
+
+def test_scenario_with_another_period_is_a_fault(context: CheckContext) -> None:
+    slower = with_config(context, changed(context.config, "line", trigger_period_s=0.2))
+    assert_problem(only(file_checks.stand_ins(slower)), Level.FAULT, "period_s is 0.2")
+
+
+def test_absent_recordings_are_a_fault(context: CheckContext, tmp_path: Path) -> None:
+    config = changed(context.config, "controller", backend="replay")
+    config = config.model_copy(update={"replay": ReplayConfig(recordings=(tmp_path / "gone",))})
+    assert_problem(only(file_checks.stand_ins(with_config(context, config))), Level.FAULT, "gone")
+
+
+def test_real_devices_need_no_stand_ins(context: CheckContext) -> None:
+    config = changed(context.config, "controller", backend="serial")
+    finding = only(file_checks.stand_ins(with_config(context, config)))
+    assert finding.level is Level.NOT_APPLICABLE
+
+
+def with_flat_fields(
+    context: CheckContext, directory: Path, created: str, width: int | None = None, light: str | None = None
+) -> CheckContext:
+    heads = [camera.head for camera in context.config.cameras]
+    size = [{"width": width or h.width, "height": h.height, "read": 1.0, "shot": 0.03} for h in heads]
+    each = [{"camera": i, "file": f"fields/{i}.tiff", "level": 0.5, "rows": 4} for i in range(len(heads))]
+    if light is not None:
+        each = [field | {"light": light} for field in each]
+    document = {"format": "vaoi-flatfield", "version": 1, "created": created, "cameras": size, "fields": each}
+    (directory / "flatfield.json").write_text(json.dumps(document))
+    return with_config(context, context.config.model_copy(update={"flat_fields": directory, "program": ()}))
+
+
+def test_flat_fields_of_this_array_are_ok_until_they_expire(context: CheckContext, tmp_path: Path) -> None:
+    assert only(file_checks.flat_fields(context)).level is Level.NOT_APPLICABLE
+    today = datetime.now(UTC).isoformat()
+    assert only(file_checks.flat_fields(with_flat_fields(context, tmp_path, today))).level is Level.OK
+    old = only(file_checks.flat_fields(with_flat_fields(context, tmp_path, "2020-01-01T00:00:00+00:00")))
+    assert_problem(old, Level.WARNING, "days old and expire after 180")
+
+
+def test_flat_fields_of_other_lights_than_those_of_the_rows_are_reported(context: CheckContext, tmp_path: Path) -> None:
+    """The lights of a program, of the controller's order, and of the programs of board types."""
+    lit = with_flat_fields(context, tmp_path, datetime.now(UTC).isoformat(), light="ring")
+    assert only(file_checks.flat_fields(lit)).level is Level.OK
+    lights = {name: LightConfig(channels=(0,), on_us=100.0) for name in ("ring", "left")}
+    serial = changed(lit.config, "controller", backend="serial", lights=lights, order=("ring",))
+    assert only(file_checks.flat_fields(with_config(lit, serial))).level is Level.OK
+    turns = changed(serial, "controller", order=("ring", "left"))
+    finding = only(file_checks.flat_fields(with_config(lit, turns)))
+    assert_problem(finding, Level.FAULT, "have no field for the light 'left'")
+    path = next(context.config.board_types.glob("*.json"))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"program": [{"light": "left"}]}))
+    unfit, fit = file_checks.flat_fields(lit)
+    assert_problem(unfit, Level.WARNING, "board type", "have no field for the light 'left'")
+    assert fit.level is Level.OK
+
+
+def test_flat_fields_of_another_array_are_a_fault(context: CheckContext, tmp_path: Path) -> None:
+    today = datetime.now(UTC).isoformat()
+    other = with_flat_fields(context, tmp_path, today, width=100)
+    assert_problem(only(file_checks.flat_fields(other)), Level.FAULT, "has 100×", "px, but its frames have")
+    (tmp_path / "flatfield.json").unlink()
+    assert_problem(only(file_checks.flat_fields(other)), Level.FAULT, "flatfield.json: there is no such file")
+
+
+def test_only_a_file_that_every_user_can_read_is_named(tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.touch(0o600)
+    secret.chmod(0o640)
+    assert list(readable_by_others(secret, "the secret", "mes")) == []
+    secret.chmod(0o644)
+    finding = only(readable_by_others(secret, "the secret", "mes"))
+    assert_problem(finding, Level.WARNING, "the secret", str(secret))
+    assert finding.action == f"chmod o= {secret}"
+    assert finding.code == "secret-not-private"
+
+
+def with_certificate(context: CheckContext, made: Certificate) -> CheckContext:
+    api = ApiConfig(certificate=made.certificate, private_key=made.private_key)
+    return with_config(context, context.config.model_copy(update={"api": api}))
+
+
+def test_a_station_without_tls_needs_no_check(context: CheckContext) -> None:
+    assert only(station_certificate(context)).level is Level.NOT_APPLICABLE
+
+
+@pytest.mark.parametrize(("days", "level", "word"), [(400, Level.OK, "valid until"), (20, Level.WARNING, "refuse it")])
+def test_the_end_of_a_certificate_is_announced(
+    context: CheckContext, tmp_path: Path, days: int, level: Level, word: str
+) -> None:
+    finding = only(station_certificate(with_certificate(context, make_certificate(tmp_path, days=days))))
+    assert finding.level is level
+    assert word in finding.message
+    assert finding.code == ("certificate-expires" if level is Level.WARNING else "")
+    assert finding.figures["days"] == pytest.approx(days, abs=1)
+
+
+def test_files_that_are_absent_or_do_not_fit_each_other_are_a_fault(context: CheckContext, tmp_path: Path) -> None:
+    made = make_certificate(tmp_path)
+    other = make_certificate(tmp_path, "other")
+    for wrong in (
+        Certificate(made.certificate, tmp_path / "absent.key"),
+        Certificate(made.certificate, other.private_key),
+        Certificate(made.private_key, made.private_key),
+    ):
+        finding = only(station_certificate(with_certificate(context, wrong)))
+        assert_problem(finding, Level.FAULT, "[api] certificate", "cannot be used")
+        assert finding.code == "certificate-unusable"
+
+
+def test_a_key_that_the_service_cannot_read_is_a_fault(context: CheckContext, tmp_path: Path) -> None:
+    made = make_certificate(tmp_path)
+    made.private_key.chmod(0)
+    with without_privileges():
+        finding = only(station_certificate(with_certificate(context, made)))
+    assert_problem(finding, Level.FAULT, "Permission denied")
+
+
+def test_a_key_that_every_user_can_read_is_named(context: CheckContext, tmp_path: Path) -> None:
+    made = make_certificate(tmp_path, days=400)
+    made.private_key.chmod(0o644)
+    private, valid = station_certificate(with_certificate(context, made))
+    assert_problem(private, Level.WARNING, "private key", "every user")
+    assert valid.level is Level.OK
+
+
+def with_push(context: CheckContext, **fields: object) -> CheckContext:
+    push = PushConfig.model_validate(fields)
+    return with_config(context, context.config.model_copy(update={"push": push}))
+
+
+def private(path: Path, text: str, mode: int = 0o600) -> Path:
+    path.write_text(text)
+    path.chmod(mode)
+    return path
+
+
+def test_a_station_without_a_broker_needs_no_check(context: CheckContext) -> None:
+    assert only(receivers(context)).level is Level.NOT_APPLICABLE
+
+
+def test_a_sound_broker_is_ok(context: CheckContext, tmp_path: Path) -> None:
+    if importlib.util.find_spec("paho") is None:
+        pytest.fail("pip install paho-mqtt, as tests/run does")
+    authority = make_authority(tmp_path)
+    client = make_certificate(tmp_path, "client", authority)
+    broker = MqttConfig(
+        host="broker",
+        tls=True,
+        user="vaoi",
+        password_file=private(tmp_path / "password", "pass"),
+        ca=authority.certificate,
+        certificate=client.certificate,
+        private_key=client.private_key,
+    )
+    finding = only(receivers(with_push(context, mqtt=broker)))
+    assert finding.level is Level.OK
+    assert "the MQTT broker broker" in finding.message
+
+
+def test_certificates_and_passwords_of_a_broker(context: CheckContext, tmp_path: Path) -> None:
+    broken = private(tmp_path / "broken.pem", "no certificate")
+    broker = {"host": "b", "tls": True, "ca": broken, "certificate": broken, "private_key": broken}
+    push = with_push(context, mqtt={**broker, "user": "u", "password_file": tmp_path / "absent"})
+    found = list(receivers(push))
+    assert {f.level for f in found} == {Level.WARNING}
+    for word in ("password_file", "push.mqtt.ca", "cannot be used"):
+        assert any(word in f.message for f in found), word
+
+
+@pytest.mark.parametrize(("encoding", "sound"), [("utf-8-sig", True), ("utf-16", True), ("utf-16-le", False)])
+def test_a_password_may_have_a_byte_order_mark(
+    context: CheckContext, tmp_path: Path, encoding: str, sound: bool
+) -> None:
+    path = private(tmp_path / "password", "")
+    path.write_bytes("pass".encode(encoding))
+    found = list(receivers(with_push(context, mqtt={"host": "b", "user": "u", "password_file": path})))
+    faults = [f for f in found if "password_file" in f.message]
+    assert (faults == []) == sound
+    assert all("not UTF-8 text" in f.message and "Save it as UTF-8" in f.action for f in faults)

@@ -1,0 +1,227 @@
+"""Check the machine: cache of compiled code, clock, memory, socket buffers, USB."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import re
+import resource
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.doctor.conftest import assert_problem, changed, only, with_aravis, with_config, without_privileges
+from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.config import StationConfig
+from vaoi_station.doctor import file_checks, machine_checks, running_station
+from vaoi_station.doctor.finding import Level
+from vaoi_station.doctor.machine import Machine
+from vaoi_station.doctor.running_station import CheckContext, RunningProcess
+
+
+def test_no_writable_cache_for_compiled_code_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o500)
+    assert machine_checks.judge_cache(str(tmp_path), locked, locked).level is Level.OK
+    for given in (str(locked / "cache"), None):
+        with without_privileges():
+            finding = machine_checks.judge_cache(given, locked / "package", locked / "home")
+        assert_problem(finding, Level.WARNING, "every start compiles")
+
+
+def test_cache_beside_the_package_comes_first(tmp_path: Path) -> None:
+    finding = machine_checks.judge_cache(None, tmp_path / "package", tmp_path / "home")
+    assert finding.message == f"is stored in {tmp_path / 'package' / '__pycache__'}"
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine whose unit runs this environment as this user; its cache is `cache` in the folder returned."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    units = tmp_path / "usr/lib/systemd/system"
+    units.mkdir(parents=True)
+    unit = (Path(__file__).parents[2] / "deploy/vaoi-station.service").read_text()
+    user = pwd.getpwuid(os.getuid()).pw_name
+    for old, new in (
+        ("/opt/vaoi-station/venv", sys.prefix),
+        ("User=vaoi", f"User={user}"),
+        ("/var/cache/vaoi-station", f"{tmp_path}/cache"),
+    ):
+        assert old in unit
+        unit = unit.replace(old, new)
+    (units / machine_checks.UNIT).write_text(unit)
+    return tmp_path
+
+
+def test_the_cache_is_that_of_the_service_whoever_runs_the_doctor(installed: Path) -> None:
+    finding = only(machine_checks.compiled_code_cache(Machine(installed)))
+    assert (finding.level, finding.message) == (Level.OK, f"will be stored in {installed}/cache by the service")
+    (installed / "cache").mkdir()
+    assert (
+        only(machine_checks.compiled_code_cache(Machine(installed))).message
+        == f"is stored in {installed}/cache by the service"
+    )
+
+
+def test_a_cache_that_the_user_of_the_service_cannot_write_is_a_warning_for_root_too(installed: Path) -> None:
+    (installed / "cache").mkdir(mode=0o755)
+    unit = installed / "usr/lib/systemd/system" / machine_checks.UNIT
+    unit.write_text(re.sub(r"(?m)^User=.*$", "User=daemon", unit.read_text()))
+    finding = only(machine_checks.compiled_code_cache(Machine(installed)))
+    assert_problem(finding, Level.WARNING, "cannot be written to by daemon")
+    assert finding.action == f"install -d -o daemon -g daemon -m 750 {installed}/cache"
+
+
+def test_the_unit_of_another_installation_does_not_count(installed: Path) -> None:
+    unit = installed / "usr/lib/systemd/system" / machine_checks.UNIT
+    unit.write_text(unit.read_text().replace(f"ExecStart={sys.prefix}", "ExecStart=/opt/other"))
+    assert "by the service" not in only(machine_checks.compiled_code_cache(Machine(installed))).message
+
+
+def test_a_user_of_the_service_that_does_not_exist_is_a_fault() -> None:
+    finding = machine_checks.judge_cache_of_service(machine_checks.ServiceUnit("no-such-user", Path("/")))
+    assert_problem(finding, Level.FAULT, "no-such-user of the service does not exist")
+
+
+def test_wall_clock() -> None:
+    figures = {"synchronised": True, "max_error_ms": 1.5}
+    assert machine_checks.judge_wall_clock(0, 1500).figures == figures
+    unsynchronised = machine_checks.judge_wall_clock(machine_checks.TIME_ERROR, 16_000_000)
+    assert_problem(unsynchronised, Level.WARNING, "is not synchronised")
+    assert machine_checks.judge_wall_clock(-1, 0).level is Level.NOT_APPLICABLE
+
+
+def test_wall_clock_of_this_machine_is_read_without_privileges() -> None:
+    assert only(machine_checks.wall_clock(Machine())).level is not Level.FAULT
+
+
+def test_ring_that_fits_is_no_fault(context: CheckContext) -> None:
+    levels = {finding.level for finding in machine_checks.ring_space(context)}
+    assert levels <= {Level.OK, Level.WARNING}  # a warning where the temporary directory is on a disk
+
+
+def test_ring_larger_than_any_memory_is_a_fault(context: CheckContext) -> None:
+    huge = with_config(context, changed(context.config, "line", longest_board_mm=1e9))
+    assert_problem(next(iter(machine_checks.ring_space(huge))), Level.FAULT, "3 runs × 2 cameras", "has")
+
+
+def test_little_available_memory(context: CheckContext, tmp_path: Path) -> None:
+    (tmp_path / "proc").mkdir()
+    needed = context.layout.file_bytes
+    for available, level in ((needed // 2, Level.FAULT), (needed + needed // 4, Level.WARNING), (2 * needed, Level.OK)):
+        (tmp_path / "proc" / "meminfo").write_text(f"MemTotal: 1 kB\nMemAvailable: {available // 1024} kB\n")
+        poor = CheckContext(context.config, Machine(tmp_path), None)
+        assert only(machine_checks.ring_space(poor)).level is level
+
+
+def test_absent_ring_directory_is_a_fault(context: CheckContext) -> None:
+    context.config.ring.directory.rmdir()
+    assert_problem(only(machine_checks.ring_space(context)), Level.FAULT, "there is no directory")
+
+
+def test_ring_on_a_disk_is_a_warning(context: CheckContext, tmp_path: Path) -> None:
+    (tmp_path / "proc").mkdir()
+    mounts = f"proc /proc proc rw 0 0\n/dev/sda1 / ext4 rw 0 0\ntmpfs {tmp_path}/shm tmpfs rw 0 0\n"
+    (tmp_path / "proc" / "mounts").write_text(mounts)
+    assert only(machine_checks.ring_space(CheckContext(context.config, Machine(tmp_path), None))).level is Level.OK
+    (tmp_path / "proc" / "mounts").write_text(mounts.replace("tmpfs ", "ext4 ").replace(" tmpfs rw", " ext4 rw"))
+    last = list(machine_checks.ring_space(CheckContext(context.config, Machine(tmp_path), None)))[-1]
+    assert_problem(last, Level.WARNING, "is on ext4, not in memory")
+
+
+def test_directory_that_this_user_cannot_see_is_a_fault(context: CheckContext) -> None:
+    hidden = context.config.data.parent / "hidden"
+    hidden.mkdir(mode=0)
+    config = context.config.model_copy(update={"board_types": hidden / "types", "calibration": hidden / "c.json"})
+    config = changed(config, "ring", directory=hidden / "shm")
+    for check in (file_checks.board_types, file_checks.calibration, machine_checks.ring_space):
+        with without_privileges():
+            finding = only(check(with_config(context, config)))
+        assert_problem(finding, Level.FAULT, "hidden")
+
+
+def test_low_limit_of_locked_memory_is_a_warning(context: CheckContext) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, hard))
+    try:
+        with without_privileges():
+            finding = only(machine_checks.lock_limit(context))
+    finally:
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, (soft, hard))
+    assert_problem(finding, Level.WARNING, "this user may lock 65.5 kB of memory, the ring has 18.4 MB")
+
+
+def test_sufficient_limit_of_locked_memory_is_ok(context: CheckContext) -> None:
+    assert machine_checks.judge_lock(context.layout.file_bytes, context.layout.file_bytes).level is Level.OK
+    assert machine_checks.judge_lock(resource.RLIM_INFINITY, 10**12).level is Level.OK
+
+
+def test_capability_to_lock_any_memory_is_ok(context: CheckContext, tmp_path: Path) -> None:
+    (tmp_path / "proc" / "self").mkdir(parents=True)
+    (tmp_path / "proc" / "self" / "status").write_text("CapEff:\t0000000000004000\n")
+    finding = only(machine_checks.lock_limit(CheckContext(context.config, Machine(tmp_path), None)))
+    assert (finding.level, "CAP_IPC_LOCK" in finding.message) == (Level.OK, True)
+
+
+def test_process_that_owns_the_ring(config: StationConfig) -> None:
+    """The ring of a running process needs no further memory, and the kernel reports whether it is locked."""
+    with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
+        found = running_station.find(config)
+        assert found is not None
+        assert found.pid == os.getpid()
+        assert found.no_reply_reason
+        owned = CheckContext(config, Machine(), found)
+        assert only(machine_checks.ring_space(owned)).level is Level.OK
+        expected = Level.WARNING if ring.lock_note else Level.OK
+        assert only(machine_checks.lock_limit(owned)).level is expected
+    assert running_station.find(config) is None
+
+
+def test_running_station_that_could_not_lock_is_a_warning() -> None:
+    assert_problem(machine_checks.judge_locked(0, 1000, 7), Level.WARNING, "process 7 has not locked")
+    assert_problem(machine_checks.judge_locked(None, 1000, 7), Level.WARNING, "process 7 has not locked")
+    assert machine_checks.judge_locked(1000, 1000, 7).level is Level.OK
+
+
+def test_lock_of_another_users_process_cannot_be_read(config: StationConfig) -> None:
+    finding = only(machine_checks.lock_limit(CheckContext(config, Machine(), RunningProcess(None))))
+    assert finding.level is Level.NOT_APPLICABLE
+
+
+@pytest.mark.parametrize(("granted", "level"), [("212992", Level.WARNING), ("33554432", Level.OK), ("", Level.FAULT)])
+def test_socket_buffers(config: StationConfig, tmp_path: Path, granted: str, level: Level) -> None:
+    kernel = tmp_path / "proc/sys/net/core"
+    kernel.mkdir(parents=True)
+    (kernel / "rmem_max").write_text(granted + "\n")
+    finding = only(machine_checks.socket_buffers(CheckContext(with_aravis(config), Machine(tmp_path), None)))
+    assert finding.level is level
+    if level is Level.WARNING:
+        assert finding.figures == {"rmem_max_bytes": 212992, "needed_bytes": 10 * 1392 * 1040}
+        assert "net.core.rmem_max=16777216" in finding.action
+
+
+def test_simulated_cameras_need_no_socket_buffers(context: CheckContext) -> None:
+    assert only(machine_checks.socket_buffers(context)).level is Level.NOT_APPLICABLE
+
+
+@pytest.mark.parametrize(
+    ("granted", "level"),
+    [("15", Level.FAULT), ("16", Level.OK), ("0", Level.OK), (None, Level.NOT_APPLICABLE)],
+)
+def test_usb_memory(config: StationConfig, tmp_path: Path, granted: str | None, level: Level) -> None:
+    """Two cameras need 8 MB each; 0 means no limit."""
+    if granted is not None:
+        parameter = tmp_path / machine_checks.USB_PARAMETER
+        parameter.parent.mkdir(parents=True)
+        parameter.write_text(granted + "\n")
+    finding = only(machine_checks.usb_memory(CheckContext(with_aravis(config, serials=True), Machine(tmp_path), None)))
+    assert finding.level is level
+    if level is Level.FAULT:
+        assert_problem(finding, level, "usbfs_memory_mb is 15, 2 cameras on USB need 16")
+
+
+def test_cameras_with_addresses_need_no_usb_memory(config: StationConfig) -> None:
+    finding = only(machine_checks.usb_memory(CheckContext(with_aravis(config), Machine(), None)))
+    assert finding.level is Level.NOT_APPLICABLE

@@ -1,1 +1,0 @@
-"""The checks of `vaoi doctor`, one subject per module. No check changes anything."""
