@@ -25,8 +25,7 @@ import pytest
 from tests.needs import FILMS, LONG, VERDICT, need_films
 from vaoi_station.files import open_recording, read_board_type, read_calibration, write_stitch
 from vaoi_station.model import BoardType, Calibration, Stitch
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 # The result of a commit must not depend on the day, so its examples are fixed; during development they are new.
 # No example has a deadline: the first call of a compiled function waits for the compiler.

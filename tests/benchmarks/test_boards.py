@@ -13,7 +13,7 @@ from vaoi_station.benchmarks.boards import BenchmarkBoard, board_from_recording
 from vaoi_station.errors import NotFoundError
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
-from vaoi_station.stitching.board.expectation import turned_by
+from vaoi_station.stitching.expectation import turned_by
 
 
 @pytest.fixture

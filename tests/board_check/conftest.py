@@ -13,7 +13,7 @@ from vaoi_station.board_check.correction import Group, Move, moved_board_type
 from vaoi_station.board_check.run_frames import CheckedRun
 from vaoi_station.geometry import Camera, Lens, Projective, System, apply
 from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 
 PX_PER_MM = 14.0
 SIZE = (840, 640)

@@ -15,8 +15,7 @@ from typing import Any
 from vaoi_station.heights.comparison import TOLERANCE_MM, TOLERANCE_SHARE, heights_document
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 _SURE, _STEP_MM = 0.995, 0.02
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.drift.checks import RunCheck, combine_runs, make_run_check
 from vaoi_station.drift.estimate import DisplacementEstimate
-from vaoi_station.stitching.adjustment.camera_prior import attribute_motion
+from vaoi_station.stitching.adjustment.cameras import attribute_motion
 
 
 def estimate(displacement_px: np.ndarray, sigma_px: float = 0.02, **keys: np.ndarray) -> DisplacementEstimate:

@@ -13,8 +13,8 @@ from vaoi_station.rendering import ViewCalculator
 from vaoi_station.simulation.recording_writer import write_passage
 from vaoi_station.simulation.scenario_files import read_scenario, scenario_path
 from vaoi_station.simulation.twin import Twin
-from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
+from vaoi_station.stitching.work import stitch_frames
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from vaoi_station.errors import StateError
 from vaoi_station.heights.comparison import compare
 from vaoi_station.heights.estimates import PartHeight, measure_heights
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 
 def test_every_body_is_measured_within_its_standard_deviation(filmed: Any) -> None:

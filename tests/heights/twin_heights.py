@@ -16,8 +16,7 @@ from tests.cases.heights import errors, row
 from vaoi_station.heights.comparison import heights_document
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 Measured = dict[str, list[tuple[int, np.ndarray]]]
 """For each package and each board: the number of tall parts, and error and sigma (k, 2) of the measured ones, mm."""

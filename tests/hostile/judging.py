@@ -19,7 +19,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.recordings.reference_directory import with_confirmed_orientation
+from vaoi_station.stitching.recordings.references import with_confirmed_orientation
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 CLASSES = {

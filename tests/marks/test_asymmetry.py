@@ -10,7 +10,7 @@ import pytest
 
 from vaoi_station.marks.asymmetry import asymmetry_sigma_px, measure_asymmetry
 from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
-from vaoi_station.stitching.matching.prepared_frame import read_only
+from vaoi_station.stitching.matching.frames import read_only
 
 PLACE, SIZE = np.array([60.3, 59.6]), 26.0
 Paint = Callable[..., Any]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.marks.candidate_kernels import RING, ring_offsets, scan_candidates, suppress_non_maxima
 from vaoi_station.marks.mark_shape import coverage
-from vaoi_station.stitching.matching.prepared_frame import read_only
+from vaoi_station.stitching.matching.frames import read_only
 
 Paint = Callable[..., Any]
 COMPILES = settings(deadline=None)

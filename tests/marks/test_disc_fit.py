@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vaoi_station.marks.disc_fit import FITTED, NO_EDGE, TOO_FAR, fit_disc
-from vaoi_station.stitching.matching.prepared_frame import read_only
+from vaoi_station.stitching.matching.frames import read_only
 
 Paint = Callable[..., Any]
 COMPILES = settings(deadline=None)

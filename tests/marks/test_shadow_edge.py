@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from vaoi_station.marks import subpixel_localisation
 from vaoi_station.marks.shadow_edge import ShadowEdge, compared_reach_px, even_light, find_shadow_edge, light_unevenness
 from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
-from vaoi_station.stitching.matching.prepared_frame import read_only
+from vaoi_station.stitching.matching.frames import read_only
 
 (X, Y), SIZE = (60.3, 59.6), 16.0
 PLACE = np.array([X, Y])

@@ -8,7 +8,7 @@ import pytest
 
 from vaoi_station.marks.mark_shape import Shape
 from vaoi_station.marks.template_correlation import SHAPE_CODE, correlate_with_shape
-from vaoi_station.stitching.matching.prepared_frame import read_only
+from vaoi_station.stitching.matching.frames import read_only
 
 SHAPES = get_args(Shape)
 Paint = Callable[..., Any]

@@ -13,7 +13,7 @@ from vaoi_station.files.results import stitch_document
 from vaoi_station.reporting import StitchedRun, bundle, restitch, write_bundle
 from vaoi_station.reporting.bundle import replay_command
 from vaoi_station.stitching.recordings.opening import open_run
-from vaoi_station.stitching.recordings.reference_directory import teach
+from vaoi_station.stitching.recordings.references import teach
 
 
 def result_of(stitched: StitchedRun) -> dict[str, object]:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from vaoi_station.reporting import StitchedRun
 from vaoi_station.stitching.matching.evidence import Links
-from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
 from vaoi_station.stitching.recordings.origin import KEY
+from vaoi_station.stitching.work import stitch_frames
 
 
 def test_result_is_that_of_stitching(stitched: StitchedRun, run: Path) -> None:

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.board.expectation import Expectation
+from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import Task
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup, all_tasks
+from vaoi_station.stitching.work import StitchSetup, all_tasks, stitch_frames
 
 Array = NDArray[np.float64]
 

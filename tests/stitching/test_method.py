@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import get_args
 
-from vaoi_station.stitching.method import METHODS, MethodName
+from vaoi_station.stitching.matching.evidence import METHODS, MethodName
 
 
 def test_every_configured_name_but_that_of_the_paper_has_its_evidence() -> None:

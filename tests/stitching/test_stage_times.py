@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from vaoi_station.stitching.stage_times import StageTimes
+from vaoi_station.stitching.conclude import StageTimes
 
 
 def test_times_of_stages_add_up_to_the_whole() -> None:

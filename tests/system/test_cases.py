@@ -14,7 +14,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.files import open_recording
 from vaoi_station.geometry import apply
 from vaoi_station.runs.control.coordinator import StationCoordinator
-from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.work import stitch_frames
 
 TIMEOUT_S = 150.0
 RUNS = 20 if LONG else 6

@@ -20,9 +20,8 @@ from vaoi_station.demo.waiting import wait_for_run, wait_until_idle
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
 from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
-from vaoi_station.stitching.board.expectation import expectation_of
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.stitching.expectation import expectation_of
+from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 RUNS, WARM = (20, 7) if LONG else (8, 4)
 """Number of runs, and of those after which memory and open files may no longer grow."""

@@ -18,8 +18,8 @@ from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.simulation import Twin
 from vaoi_station.station import Station
-from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import open_run
+from vaoi_station.stitching.work import stitch_frames
 
 TIMEOUT_S = 150.0
 

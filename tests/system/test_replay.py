@@ -28,8 +28,7 @@ from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.simulation import Twin
 from vaoi_station.station import Station
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 TIMEOUT_S = 150.0
 COUNT = 20_000 if LONG else 200

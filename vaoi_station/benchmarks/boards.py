@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vaoi_station.files import open_recording, read_board_type, read_calibration
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.board.expectation import turned_by
+from vaoi_station.stitching.expectation import turned_by
 from vaoi_station.stitching.work import StitchSetup
 
 

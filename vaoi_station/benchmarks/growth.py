@@ -105,7 +105,7 @@ def _stitch(board: PrerenderedRun, reply: Connection[Any, Any]) -> None:
     import cv2
 
     from vaoi_station.runs.workers.warmup import warm_up
-    from vaoi_station.stitching.board.expectation import expectation_of
+    from vaoi_station.stitching.expectation import expectation_of
     from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
     cv2.setNumThreads(1)

@@ -21,9 +21,9 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, locate_mark
 from vaoi_station.marks.centre_of_gravity import locate_by_centre_of_gravity
 from vaoi_station.marks.mark_shape import Shape
-from vaoi_station.stitching.board.fiducial_detection import detect_marks
+from vaoi_station.stitching.board.fiducials import detect_marks
 from vaoi_station.stitching.matching.evidence import Task
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.frames import PreparedFrame
 
 SIZES_PX = (12.0, 16.0, 20.0, 24.0, 32.0, 40.0)
 _OFF_SHARE = 0.15

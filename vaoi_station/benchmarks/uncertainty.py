@@ -20,7 +20,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.files.documents import read_json
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
-from vaoi_station.stitching.adjustment.surface import basis
+from vaoi_station.stitching.adjustment.problem import basis
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
 from vaoi_station.stitching.work import TaskRunner, all_tasks

@@ -8,8 +8,8 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.adjustment.problem import Ints
+from vaoi_station.stitching.geometry import ComponentIndex
 
 _STEP_MM = 0.25
 _LEAST, _MOST = 3, 40

@@ -19,9 +19,8 @@ from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
-from vaoi_station.stitching.board.expectation import turned_by
-from vaoi_station.stitching.components.part_views import central_views
-from vaoi_station.stitching.components.shift import measure_component_shift
+from vaoi_station.stitching.components.centres import central_views, measure_component_shift
+from vaoi_station.stitching.expectation import turned_by
 
 LEAST_COMPONENTS = 3
 _LEAST_SCORE, _LEAST_LEAD = 6.0, 1.0

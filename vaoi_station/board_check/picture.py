@@ -13,7 +13,7 @@ from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.board_check.run_frames import CheckedRun
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 
 _MARGIN_MM = 4.0
 _SIDE_PX = 1600

@@ -12,9 +12,8 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch, Surface
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.footprints import FootprintViews
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 _MOST_PREPARED = 24
 """Number of frames that are kept in memory; components are measured frame by frame."""

@@ -13,7 +13,7 @@ from vaoi_station.drift.estimate import DisplacementEstimate
 from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Strict
-from vaoi_station.stitching.adjustment.camera_prior import Attribution, attribute_motion
+from vaoi_station.stitching.adjustment.cameras import Attribution, attribute_motion
 
 _DIGITS = 7
 """Significant digits of stored matrices: more than the estimate's accuracy needs, half as long as full precision."""

@@ -8,11 +8,9 @@ import numpy as np
 
 from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.camera_equations import comparable_cameras, ground_changes, move_points
-from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, SurfaceBasis
+from vaoi_station.stitching.adjustment.cameras import comparable_cameras, ground_changes, move_points
+from vaoi_station.stitching.adjustment.problem import SIGMA_MM, AdjustmentResult, FiducialPoints, Ints, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.quality.findings import Findings
 
 _USED = 0.1

@@ -15,7 +15,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.displacement import PARAMETERS, displace_camera, rms_displacement_px
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration, CameraHead
-from vaoi_station.stitching.adjustment.camera_prior import Attribution
+from vaoi_station.stitching.adjustment.cameras import Attribution
 
 LEAST_RUNS, MOST_RUNS = 3, 50
 LEAST_LINKS = 30

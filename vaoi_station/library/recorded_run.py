@@ -14,11 +14,11 @@ from vaoi_station.files import read_stitch
 from vaoi_station.library.arguments import require_path
 from vaoi_station.library.stitched_run import StitchedRun, check_frame_index, check_result
 from vaoi_station.model import BoardType, Calibration, Stitch
-from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
-from vaoi_station.stitching.method import MethodName
-from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.matching.evidence import MethodName
+from vaoi_station.stitching.paper_method import stitch_by_paper
 from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
 from vaoi_station.stitching.recordings.origin import check_origin, with_origin
+from vaoi_station.stitching.work import stitch_frames
 
 Method = Literal["auto", "features", "fiducials", "reference", "paper"]
 METHODS: tuple[Method, ...] = ("auto", "features", "fiducials", "reference", "paper")

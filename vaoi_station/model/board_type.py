@@ -75,6 +75,9 @@ class Visibility(FrozenModel):
         )
 
 
+UnseenCause = Literal["frames-unconfirmed", "frames-lost", "filming-ended", "filming-began", "seam", "beyond-view"]
+"""Why the good frames show too little of a component."""
+
 VISIBILITY = Visibility(coverage=0.99, views=0, in_one_frame=False)
 """The visibility that every component must have, unless component, board type or station ask for something else."""
 

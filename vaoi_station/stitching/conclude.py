@@ -2,44 +2,121 @@
 
 The order of the stages is that of section 3.3 of the paper. First the motion of the rows is estimated from links alone,
 then the position of the board from its fiducials. Last, all unknowns are estimated together in one adjustment.
+
+Measure the wall time of consecutive stages.
+
+Build the result of a run from its findings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import VISIBILITY, ReasonCode, Stitch, Visibility
+from vaoi_station.model import VISIBILITY, Reason, ReasonCode, Status, Stitch, Visibility
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.observations import LinkStore
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, LinkStore, Problem
 from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links, motion_from_marks
 from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
-from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.board.reference_orientation import ReferenceScene
-from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links
+from vaoi_station.stitching.board.reference import Reference, ReferenceScene
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.geometry import views_by_address
+from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, Method
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.link import are_copies
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
-from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.method import METHODS, Method
+from vaoi_station.stitching.quality.confirmation import RowLights, dark_lights
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.missing.dark_lights import RowLights, dark_lights
 from vaoi_station.stitching.quality.quality_document import quality_document
 from vaoi_station.stitching.quality.verdict import decide_verdict
-from vaoi_station.stitching.result import build_result
-from vaoi_station.stitching.stage_times import StageTimes
 from vaoi_station.version import __version__
+
+
+@dataclass
+class StageTimes:
+    """Wall times of consecutive stages in ms, by name.
+
+    The first stage begins when this object is created, every other stage when the stage before it ends.
+    """
+
+    ms: dict[str, float] = field(default_factory=dict)
+    _last: float = field(default_factory=time.perf_counter)
+
+    def finish(self, name: str) -> None:
+        """End the current stage and record its wall time under `name`."""
+        now = time.perf_counter()
+        self.ms[name] = round((now - self._last) * 1e3, 3)
+        self._last = now
+
+
+def build_result(
+    findings: Findings, method: str, status: Status, reasons: tuple[Reason, ...], quality: dict[str, Any]
+) -> Stitch:
+    """Return the result document: matrices, surface, positions of components, and the verdict."""
+    matrix = findings.cad_matrix
+    # model_construct skips validation: the values are computed here, and a large board has thousands of entries
+    return Stitch.model_construct(
+        method=method,
+        image_matrices=tuple(_image_matrices(findings)),
+        camera_matrices=tuple(_read_only(c.image_from_row.matrix) for c in findings.scene.cameras),
+        cad_matrix=None if matrix is None else _read_only(matrix),
+        row_motion=tuple(_read_only(findings.adjusted.motion.rows_from_tester)),
+        status=status,
+        reasons=tuple(reason.text for reason in reasons),
+        reason_codes=tuple(reason.code.value for reason in reasons),
+        quality=quality,
+        surface=findings.surface,
+        components=_component_views(findings),
+        local_matrices=_local_matrices(findings),
+        board_matrices=_board_matrices(findings),
+        skipped_boards=tuple(at for at, marks in findings.bad_marks.items() if marks.state == "bad") or None,
+    )
+
+
+def _image_matrices(findings: Findings) -> Iterator[tuple[NDArray[Any] | None, ...]]:
+    """Yield for each camera i the matrices M_ij of all rows j; None for a frame that has no place on the board."""
+    rows = findings.adjusted.motion.rows_from_tester
+    for i, camera in enumerate(findings.scene.cameras):
+        matrices = _read_only(camera.image_from_row.matrix @ rows)
+        yield tuple(m if findings.places(i, j) else None for j, m in enumerate(matrices))
+
+
+def _component_views(findings: Findings) -> dict[str, tuple[tuple[int, int, float, float], ...]] | None:
+    """Return the footprint views (camera, row, x, y) of each component, by its address; None without a CAD mapping."""
+    if findings.plane is None or findings.views is None:
+        return None
+    addresses = findings.plane.components.addresses
+    return views_by_address(addresses, findings.views) if addresses else {}
+
+
+def _local_matrices(findings: Findings) -> dict[str, Floats] | None:
+    """Return C of the components that local fiducials place, by address; None without any."""
+    places = findings.own_places.local.items()
+    return {ref: _read_only(place.matrix) for ref, place in places if place.matrix is not None} or None
+
+
+def _board_matrices(findings: Findings) -> dict[str, Floats] | None:
+    """Return C of the boards of a panel that their fiducials place, by position; None without any."""
+    return {position: _read_only(matrix) for position, matrix in findings.own_places.of_boards.items()} or None
+
+
+def _read_only(matrices: Floats) -> Floats:
+    """Return a read-only copy of matrices: results are used in several places."""
+    out = matrices.copy()
+    out.setflags(write=False)
+    return out
+
 
 NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping", ReasonCode.NO_BOARD_TYPE)
 

@@ -1,4 +1,6 @@
-"""Divide a run into tasks: list the tasks, find those that a new frame makes possible, and perform them.
+"""Stitching of a complete recording, with the same tasks as in the station, but one after the other.
+
+Divide a run into tasks: list the tasks, find those that a new frame makes possible, and perform them.
 
 A task depends on its one or two frames only, never on another task. Tasks can therefore run in any process and in any
 order as soon as their frames are present. They return the same evidence in the live station and offline.
@@ -19,20 +21,17 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import VISIBILITY, BoardType, Stitch, Visibility
-from vaoi_station.stitching.adjustment.observations import LinkStore
+from vaoi_station.model import VISIBILITY, BoardType, RecordingHead, Stitch, Visibility
+from vaoi_station.stitching.adjustment.problem import LinkStore
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
-from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.fiducial_detection import detect_marks
+from vaoi_station.stitching.board.fiducials import detect_marks
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.conclude import PriorKnowledge, conclude
-from vaoi_station.stitching.matching.evidence import Detections, Evidence, FrameKey, Links, Task
-from vaoi_station.stitching.matching.frame_pair import FramePair
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, MethodName, Task
+from vaoi_station.stitching.matching.frame_pair import FramePair, overlap_share
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.link import link_neighbours, link_reference, link_rows
-from vaoi_station.stitching.matching.overlap import overlap_share
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.method import METHODS, MethodName
 from vaoi_station.stitching.quality.findings import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
@@ -345,3 +344,50 @@ def _dt_s(p: int, q: int, times_s: Mapping[int, float]) -> float:
     """Return the time in s from the pulse of row p to the pulse of row q."""
     # rounded to a microsecond, so that nominally equal steps are the same key in caches and equal in tasks
     return round(float(times_s[q] - times_s[p]), 6)
+
+
+Frames = Callable[[int, int], NDArray[Any] | None]
+KEPT_BYTES = 256_000_000
+"""Size of the frames of a run that stay in memory while it is stitched."""
+
+
+def kept_frames(frame: Frames, most_bytes: int = KEPT_BYTES) -> Frames:
+    """Return a function that keeps the first frames it returns, up to a size, and reads the others each time.
+
+    The conclusion of a run reads every frame several times, in other orders than the tasks.
+    """
+    kept: dict[tuple[int, int], NDArray[Any]] = {}
+    room = most_bytes
+
+    def kept_frame(camera: int, row: int) -> NDArray[Any] | None:
+        nonlocal room
+        if (pixels := kept.get((camera, row))) is not None:
+            return pixels
+        pixels = frame(camera, row)
+        # No frame replaces a kept one: where all are read in turns, the one used longest ago is the one needed next.
+        if pixels is not None and pixels.nbytes <= room:
+            kept[camera, row] = pixels
+            room -= pixels.nbytes
+        return pixels
+
+    return kept_frame
+
+
+def stitch_frames(
+    setup: StitchSetup, head: RecordingHead, frame: Frames, reference_frame: Frames | None = None
+) -> Stitch:
+    """Stitch the frames of a finished run.
+
+    Args:
+        setup: inputs that are known before the board is filmed.
+        head: head of the recording, with cameras, rows and times.
+        frame: function that returns the pixels of a camera and a row; None where a frame never arrived.
+        reference_frame: the same function for the frames of the reference, if `setup` has a reference.
+    """
+    # A run with missing frames is stitched from the other frames. Only the tasks of the missing frames are left out.
+    lost = set(head.missing)
+    present = [(i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in lost]
+    times_s = head.motion_times_s()
+    runner = TaskRunner(setup, kept_frames(frame), reference_frame)
+    evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), setup)]
+    return runner.conclude(times_s, present, evidence, head.doubts)

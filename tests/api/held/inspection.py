@@ -7,7 +7,7 @@ from typing import Any
 from vaoi_station.model import BoardType
 from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.runs.states.timeline_schemas import BarrierTiming, RowTiming, TaskTiming, Timeline
-from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 
 _STEP_S = 0.1
 

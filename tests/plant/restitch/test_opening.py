@@ -15,7 +15,7 @@ from vaoi_station.line_config import ExpectedBoard
 from vaoi_station.model.board_type import Visibility
 from vaoi_station.plant.restitch.opening import open_archived
 from vaoi_station.plant.restitch.terms import Terms
-from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
+from vaoi_station.stitching.expectation import StitchTerms
 
 TERMS = StitchTerms(
     leading_edge_mm=3.0,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.displacement import displace_camera
 from vaoi_station.geometry.similarity import apply_similarity
-from vaoi_station.stitching.adjustment.camera_equations import (
+from vaoi_station.stitching.adjustment.cameras import (
     camera_effects,
     comparable_cameras,
     displaced_cameras,
@@ -24,10 +24,16 @@ from vaoi_station.stitching.adjustment.camera_equations import (
     without_direction,
 )
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.observations import Observations, to_observations
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.problem import (
+    SIGMA_MM,
+    AdjustmentResult,
+    FiducialPoints,
+    Observations,
+    Problem,
+    SurfaceBasis,
+    to_observations,
+)
 from vaoi_station.stitching.adjustment.solver import adjust
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.camera_prior import attribute_motion, prior_weights, spread_of_unseen_motion
+from vaoi_station.stitching.adjustment.cameras import attribute_motion, prior_weights, spread_of_unseen_motion
 
 SIGMA_PX = 0.02
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.similarity import apply_similarity
-from vaoi_station.stitching.adjustment.fiducial_equations import (
+from vaoi_station.stitching.adjustment.equations import (
     detection_equations,
     detection_sigma_mm,
     fiducial_residuals,

@@ -9,15 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.stitching.adjustment.envelope import Envelope, add_equations
-from vaoi_station.stitching.adjustment.height_equations import (
+from vaoi_station.stitching.adjustment.equations import (
     Coupling,
     HeightScatter,
     OtherColumns,
     eliminate_heights,
     height_changes,
 )
-from vaoi_station.stitching.adjustment.observations import CameraPairs, LinkArrays, to_observations
-from vaoi_station.stitching.adjustment.problem import Problem
+from vaoi_station.stitching.adjustment.problem import CameraPairs, LinkArrays, Problem, to_observations
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 ROWS, BASIS, CAMERAS, PARTS = 4, 2, 3, 5

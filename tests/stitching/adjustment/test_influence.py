@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from tests.stitching.adjustment.test_solver import PX_PER_MM, Bench, C, bench, started
 from vaoi_station.stitching.adjustment import influence, solver
-from vaoi_station.stitching.adjustment.height_equations import HeightModel
+from vaoi_station.stitching.adjustment.equations import HeightModel, LinkState
 from vaoi_station.stitching.adjustment.influence import Assembly, few_places, groups_of_marks, number_clusters
-from vaoi_station.stitching.adjustment.link_equations import LinkState
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.observations import LinkArrays, Observations
 from vaoi_station.stitching.adjustment.problem import (
     FIXTURE,
     REFERENCE,
     AdjustmentResult,
     FiducialPoints,
     Influence,
+    LinkArrays,
+    Observations,
     Problem,
 )
 from vaoi_station.stitching.adjustment.solver import adjust

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.stitching.adjustment.initial_motion import chain_links, connected_rows
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.observations import Observations, to_observations
+from vaoi_station.stitching.adjustment.problem import Observations, to_observations
+from vaoi_station.stitching.adjustment.row_motion import chain_links, connected_rows
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 NOMINAL = nominal_motion(np.array([0.0, 0.1, 0.2, 0.3, 0.4]), np.array([0.0, 50.0]), np.array([0.0, 0.0]))

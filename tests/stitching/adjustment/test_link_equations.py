@@ -8,25 +8,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.adjustment.camera_equations import CameraEffects
+from vaoi_station.stitching.adjustment.cameras import CameraEffects
 from vaoi_station.stitching.adjustment.envelope import Envelope, add_equations
-from vaoi_station.stitching.adjustment.height_equations import (
+from vaoi_station.stitching.adjustment.equations import (
     Coupling,
     HeightModel,
-    OtherColumns,
-    eliminate_heights,
-    height_changes,
-)
-from vaoi_station.stitching.adjustment.link_equations import (
     LinkModel,
     LinkState,
     MotionArrays,
     NoiseModel,
+    OtherColumns,
     add_links,
     compute_residuals,
     compute_weights,
+    eliminate_heights,
+    height_changes,
 )
-from vaoi_station.stitching.adjustment.observations import CameraPairs, LinkArrays, cells_of
+from vaoi_station.stitching.adjustment.problem import CameraPairs, LinkArrays, cells_of
 
 Array = NDArray[np.float64]
 ROWS, LINKS, BASIS, PARTS, CAMERAS = 4, 60, 3, 5, 3

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.stitching.adjustment.noise_floor import NoiseFloors, noise_floor
-from vaoi_station.stitching.adjustment.observations import to_observations
-from vaoi_station.stitching.adjustment.problem import Problem
+from vaoi_station.stitching.adjustment.problem import Problem, to_observations
+from vaoi_station.stitching.adjustment.solver import NoiseFloors, noise_floor
 from vaoi_station.stitching.matching.evidence import Links, Task
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import Lens
-from vaoi_station.stitching.adjustment.observations import (
+from vaoi_station.stitching.adjustment.problem import (
     LinkStore,
     group_begins,
     index_in_group,
@@ -18,8 +18,8 @@ from vaoi_station.stitching.adjustment.observations import (
     to_observations,
 )
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
 from vaoi_station.stitching.matching.patches import match_patches, patch_centres
+from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
 
 def links(task: Task, a: Any, b: Any, information: Any = None) -> Links:

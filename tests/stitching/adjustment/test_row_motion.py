@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.observations import to_observations
-from vaoi_station.stitching.adjustment.problem import Problem
+from vaoi_station.stitching.adjustment.problem import Problem, to_observations
 from vaoi_station.stitching.adjustment.row_motion import board_texture, mark_links, motion_from_links, motion_from_marks
 from vaoi_station.stitching.matching.evidence import Detections, Links, Task
 

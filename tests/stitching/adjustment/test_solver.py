@@ -16,14 +16,20 @@ from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment import noise_floor as floors
 from vaoi_station.stitching.adjustment import solver as adjustment
-from vaoi_station.stitching.adjustment.initial_motion import chain_links
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.observations import to_observations
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.problem import (
+    SIGMA_MM,
+    AdjustmentResult,
+    FiducialPoints,
+    Problem,
+    SurfaceBasis,
+    basis,
+    to_observations,
+)
+from vaoi_station.stitching.adjustment.row_motion import chain_links
 from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_subsampled
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
+from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
 Array = NDArray[np.float64]
 ROWS, STEP_MM, PX_PER_MM = 6, 8.0, 10.0

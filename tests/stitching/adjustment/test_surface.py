@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis, basis_at_board, prior_sigma_mm, to_surface
+from vaoi_station.stitching.adjustment.problem import SIGMA_MM, basis, basis_at_board, prior_sigma_mm, to_surface
 
 BOARD = BoardType(name="b", unit="inch", outline=((0.0, 3.0), (2.0, 0.5)))
 

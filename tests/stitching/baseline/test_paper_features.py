@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from vaoi_station.stitching.baseline import paper_features as paper
 
 from vaoi_station.geometry import Euclidean, apply
 from vaoi_station.geometry.robust import Failure
-from vaoi_station.stitching.baseline import paper_features as paper
 
 
 def error_mm(motion: Any, truth: Any, points: NDArray[np.float64]) -> float:

@@ -10,7 +10,7 @@ import pytest
 
 from vaoi_station.geometry import Euclidean, System
 from vaoi_station.model import Status
-from vaoi_station.stitching.baseline.paper_method import NO_MEASURE, as_motion, stitch_by_paper
+from vaoi_station.stitching.paper_method import NO_MEASURE, as_motion, stitch_by_paper
 
 
 @pytest.fixture(scope="module")

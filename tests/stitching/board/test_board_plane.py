@@ -14,7 +14,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
-from vaoi_station.stitching.board.expectation import Expectation
+from vaoi_station.stitching.expectation import Expectation
 
 numbers = st.floats(-50, 50)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import BoardType, Status
-from vaoi_station.stitching.board.expectation import Expectation
+from vaoi_station.stitching.expectation import Expectation
 
 
 def described(board_type: BoardType, *, turned: bool = False, **keys: Any) -> BoardType:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.board.component_index import ComponentIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 
 MARGIN_MM = 0.3
 """Solder and shadow around a footprint belong to its component."""

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.geometry import Lens, apply
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.board.component_index import ComponentIndex
-from vaoi_station.stitching.board.coverage import component_coverage
+from vaoi_station.stitching.geometry import ComponentIndex, component_coverage
 
 C = np.array([[1.0, 0.02, -8.0], [0.02, -1.0, 20.0], [0, 0, 1]])
 

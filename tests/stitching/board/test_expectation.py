@@ -9,7 +9,7 @@ import pytest
 
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.board.expectation import Expectation, expectation_of
+from vaoi_station.stitching.expectation import Expectation, expectation_of
 
 BOARD = BoardType(name="b", unit="inch", outline=((0.0, 0.0), (4.0, 2.0)))
 W, L = 101.6, 50.8

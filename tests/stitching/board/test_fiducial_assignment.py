@@ -17,8 +17,7 @@ from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle
-from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.fiducial_assignment import (
+from vaoi_station.stitching.board.fiducials import (
     FiducialCandidates,
     Hypothesis,
     assign_fiducials,
@@ -29,6 +28,7 @@ from vaoi_station.stitching.board.fiducial_assignment import (
     merge_detections,
     outside_share,
 )
+from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import Detections, Task
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.fiducial_detection import (
+from vaoi_station.stitching.board.fiducials import (
     detect_marks,
     detect_more_marks,
     fixture_kind,
@@ -19,8 +19,7 @@ from vaoi_station.stitching.board.fiducial_detection import (
     relocate_fiducials,
 )
 from vaoi_station.stitching.matching.evidence import Detections, Task
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 
 def true_places(filmed: Any) -> dict[tuple[int, int], dict[int, Any]]:

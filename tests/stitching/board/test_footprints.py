@@ -10,9 +10,8 @@ import pytest
 from vaoi_station.geometry import Euclidean, System
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.board.board_plane import board_plane
-from vaoi_station.stitching.board.component_index import ComponentIndex
-from vaoi_station.stitching.board.footprints import FootprintViews, component_at, landmarks, views_by_address
+from vaoi_station.stitching.board.board_plane import board_plane, component_at, landmarks
+from vaoi_station.stitching.geometry import ComponentIndex, FootprintViews, views_by_address
 
 C = np.array([1.0, 0.02, -12.0, -8.0])
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.board.frame_visibility import FrameArrays
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.geometry import FrameArrays
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 MOTION = Motion(np.array([0.0, 0.004, -0.003]), np.array([[0.0, 0], [0.2, -9.0], [-0.1, -18.0]]), np.array([5.0, 1.0]))
 

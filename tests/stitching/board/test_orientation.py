@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.board.orientation import (
+from vaoi_station.stitching.board.outline import (
     Orientation,
     compare_orientations,
     measure_outline_contrast,
@@ -21,8 +21,7 @@ from vaoi_station.stitching.board.orientation import (
     straight_pieces,
     subsample_pieces,
 )
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 OUTLINE = [[0.0, 0.0], [34.0, 22.0]]
 PARTS: list[dict[str, Any]] = [

@@ -11,10 +11,8 @@ import pytest
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.board.orientation import measure_outline_contrast
-from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_shift
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_contrast, measure_outline_shift
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 PLACED = np.array([[1.0, 0, -14.0], [0, 1, -10.0], [0, 0, 1]])
 STILL = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))

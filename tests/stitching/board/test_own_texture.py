@@ -10,13 +10,11 @@ import pytest
 from vaoi_station.model import BoardType, ReasonCode, Status
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.observations import to_observations
-from vaoi_station.stitching.adjustment.problem import Problem
+from vaoi_station.stitching.adjustment.problem import Problem, to_observations
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.own_texture import _quantile_of_known, beside, outline_confirmed, without_links_beside
+from vaoi_station.stitching.board.outline import _quantile_of_known, beside, outline_confirmed, without_links_beside
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 MARKS = ((-5.0, 4.0), (-5.0, 34.4), (65.0, 20.0), (30.0, -5.0), (30.0, 45.0))

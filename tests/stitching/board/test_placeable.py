@@ -8,7 +8,7 @@ import pytest
 
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.board.placeable import refuse_unplaceable
+from vaoi_station.stitching.expectation import refuse_unplaceable
 
 MARKS: list[dict[str, Any]] = [{"name": f"F{n}", "x": 5.0 * n, "y": 1.0, "diameter": 1.0} for n in range(3)]
 

@@ -9,10 +9,9 @@ import pytest
 
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.board.reference_orientation import ReferenceOrientation
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.recordings.reference_directory import awaits_confirmation, with_confirmed_orientation
+from vaoi_station.stitching.board.reference import Reference, ReferenceOrientation
+from vaoi_station.stitching.recordings.references import awaits_confirmation, with_confirmed_orientation
+from vaoi_station.stitching.work import stitch_frames
 
 
 def symmetric(board_type: BoardType) -> BoardType:

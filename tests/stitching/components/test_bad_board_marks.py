@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.components.bad_board_marks import MarkedPanel, look_of, read_bad_marks
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.components.bad_boards import MarkedPanel, look_of, read_bad_marks
+from vaoi_station.stitching.matching.frames import Scene
 
 SIZE_PX, MIDDLE = 16.0, np.array([40.3, 29.6])
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from vaoi_station.model import ReasonCode
-from vaoi_station.stitching.components.board_reasons import board_reasons
-from vaoi_station.stitching.components.panel_boards import BoardPlace
+from vaoi_station.stitching.components.bad_boards import board_reasons
+from vaoi_station.stitching.components.places import BoardPlace
 
 GOOD = BoardPlace(("F1", "F2"), (), np.zeros(2), 0.0, 0.001, 1e-5, np.zeros(2), 0.002, np.eye(3))
 LOST = replace(GOOD, fiducials=(), lost=("F1", "F2"), matrix=None, sigma_mm=0.15, refusal="F1, F2 was not found")

@@ -11,8 +11,8 @@ import pytest
 from vaoi_station.model import Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.components.likeness import Likeness, shown_by_points
-from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.components.other_type import Likeness, shown_by_points
+from vaoi_station.stitching.work import stitch_frames
 
 
 def filmed_against(filmed: Any, reference: Stitch, section: str, **changes: Any) -> Stitch:

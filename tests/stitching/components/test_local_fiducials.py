@@ -13,13 +13,8 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.fiducial_assignment import LOCAL_MM
-from vaoi_station.stitching.components.local_fiducials import (
-    LocalPlace,
-    common_displacement_mm,
-    local_places,
-    placed_landmarks,
-)
+from vaoi_station.stitching.board.fiducials import LOCAL_MM
+from vaoi_station.stitching.components.places import LocalPlace, common_displacement_mm, local_places, placed_landmarks
 
 C = np.array([[0.0, 1.0, 5.0], [1.0, 0.0, -2.0], [0, 0, 1]])
 PX_PER_MM = 20.0

@@ -13,8 +13,8 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.fiducial_assignment import LOCAL_MM
-from vaoi_station.stitching.components.own_places import own_places
+from vaoi_station.stitching.board.fiducials import LOCAL_MM
+from vaoi_station.stitching.components.places import own_places
 
 
 def test_local_fiducials_place_their_component_on_a_displaced_board() -> None:

@@ -15,8 +15,8 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.fiducial_assignment import LOCAL_MM
-from vaoi_station.stitching.components.panel_boards import (
+from vaoi_station.stitching.board.fiducials import LOCAL_MM
+from vaoi_station.stitching.components.places import (
     BoardPlace,
     board_places,
     components_of,

@@ -11,9 +11,9 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.footprints import FootprintViews
-from vaoi_station.stitching.components.part_views import central_views, reduced_patch, reduction
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.components.centres import central_views, reduced_patch, reduction
+from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.matching.frames import Scene
 
 
 def test_each_component_is_taken_from_the_good_frame_that_shows_it_most_central(workshop: Any) -> None:

@@ -15,11 +15,9 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Status
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.footprints import FootprintViews
-from vaoi_station.stitching.components.part_views import central_views
-from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.components.centres import ComponentShift, central_views, measure_component_shift
+from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 C = np.array([[1.0, 0, -15.0], [0, 1, -10.0], [0, 0, 1]])
 WRONG = np.array([[1 - 0.15 / 25, 0, -0.08], [0, 1 - 0.15 / 25, -0.05], [0, 0, 1]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import apply
-from vaoi_station.stitching.components.shift_and_turn import fit_shift_and_turn
+from vaoi_station.stitching.components.places import fit_shift_and_turn
 
 AT = np.array([[10.0, 20.0], [40.0, 24.0], [30.0, 60.0]])
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from tests.stitching.quality.test_agreement import PLANE, adjusted, points
 from vaoi_station.model import ReasonCode
-from vaoi_station.stitching.components.shift import ComponentShift
-from vaoi_station.stitching.components.shift_reasons import component_reasons
+from vaoi_station.stitching.components.centres import ComponentShift, component_reasons
 
 SMALL = np.diag([0.003, 0.003, 0.003, 0.003]) ** 2
 SOUND = ComponentShift(np.array([0.01, -0.01, 0.0, 0.004]), SMALL, np.zeros(2), 12.0, 20)

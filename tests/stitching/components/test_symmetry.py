@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.components.symmetry import centre_of_symmetry
+from vaoi_station.stitching.components.centres import centre_of_symmetry
 
 PX_PER_MM = 16.0
 HALF = np.array([20.0, 9.0])

@@ -10,8 +10,7 @@ import pytest
 from tests.stitching.quality.test_agreement import PLANE, points
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.problem import REFERENCE
-from vaoi_station.stitching.components.shift import ComponentShift
-from vaoi_station.stitching.components.two_fiducials import likely_errors, two_that_place, unnoticed_mm
+from vaoi_station.stitching.components.centres import ComponentShift, likely_errors, two_that_place, unnoticed_mm
 
 FIDUCIALS = np.array([[-12.0, -7.0], [13.0, 6.0]])
 NONE = ComponentShift(np.zeros(4), np.diag([0.006, 0.005, 0.005, 0.006]) ** 2, np.array([4.0, -1.0]), 9.0, 20)

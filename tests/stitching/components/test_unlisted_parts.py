@@ -12,7 +12,7 @@ from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import BoardType, ReasonCode, Status
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.components.unlisted_parts import UnlistedParts, find_unlisted_parts, unlisted_part_reasons
+from vaoi_station.stitching.components.other_type import UnlistedParts, find_unlisted_parts, unlisted_part_reasons
 
 LARGEST = 3
 

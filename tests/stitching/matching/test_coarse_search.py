@@ -11,8 +11,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from vaoi_station.geometry.robust import Failure
-from vaoi_station.stitching.matching.coarse_search import CoarseShift, best_peaks, correlations, find_shift
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.frames import PreparedFrame
+from vaoi_station.stitching.matching.link import CoarseShift, best_peaks, correlations, find_shift
 
 SIZE = (640, 480)
 REACH = np.array([40.0, 40.0])

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.matching.corner_selection import best_corners
-from vaoi_station.stitching.matching.prepared_frame import read_only
+from vaoi_station.stitching.matching.frames import read_only
+from vaoi_station.stitching.matching.link import best_corners
 
 
 def image(seed: int) -> NDArray[np.uint8]:

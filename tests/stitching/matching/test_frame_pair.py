@@ -12,8 +12,8 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frame_pair import FramePair, GridPair, in_one_exposure, in_one_grid, is_warped
+from vaoi_station.stitching.matching.frames import PreparedFrame
 from vaoi_station.stitching.matching.link import link_in_place, link_neighbours
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
 
 SIZE, OTHER_SIZE = (480, 360), (420, 400)
 SCALE, OVERLAP_MM, NOISE = 10.0, 13.0, 1.5

@@ -15,14 +15,8 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import apply
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
-from vaoi_station.stitching.matching.link import (
-    are_copies,
-    choose_corners,
-    link_neighbours,
-    link_reference,
-    link_rows,
-)
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.frames import PreparedFrame
+from vaoi_station.stitching.matching.link import are_copies, choose_corners, link_neighbours, link_reference, link_rows
 
 SIZE = (480, 360)
 SCALE = 10.0

@@ -14,8 +14,8 @@ from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.simulation import read_scenario, scenario_path
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
-from vaoi_station.stitching.matching.motion_search import candidate_motions, has_rival, possible_motions
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.frames import PreparedFrame
+from vaoi_station.stitching.matching.relinking import candidate_motions, has_rival, possible_motions
 
 NOMINAL = np.array([0.0, 10.0])
 NOMINAL_GRID = np.array([0.0, 11.0])

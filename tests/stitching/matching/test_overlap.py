@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.geometry import Lens
-from vaoi_station.stitching.matching.overlap import overlap_box, overlap_polygon, overlap_share, predict
+from vaoi_station.stitching.matching.frame_pair import overlap_box, overlap_polygon, overlap_share, predict
 
 
 def test_a_shift_cuts_off_the_part_that_leaves_the_frame(workshop: Any) -> None:

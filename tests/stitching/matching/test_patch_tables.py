@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from vaoi_station.stitching.matching.patch_tables import (
+from vaoi_station.stitching.matching.refinement import (
     ACROSS,
     BINOMIAL,
     BLUR_REACH,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.stitching.matching.prepared_frame import MaskedFrame, PreparedFrame, downsampled, half_size, resample
+from vaoi_station.stitching.matching.frames import MaskedFrame, PreparedFrame, downsampled, half_size, resample
 
 
 def test_copies_keep_positions(workshop: Any) -> None:

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.stitching.matching.patch_tables import BINOMIAL, WINDOW_PX
-from vaoi_station.stitching.matching.prepared_frame import read_only
-from vaoi_station.stitching.matching.refinement import refine
+from vaoi_station.stitching.matching.frames import read_only
+from vaoi_station.stitching.matching.refinement import BINOMIAL, WINDOW_PX, refine
 
 Array = NDArray[np.float64]
 HALF = WINDOW_PX // 2

@@ -11,9 +11,8 @@ from vaoi_station.model import Status
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.scenario import Scenario, SpeedChange
 from vaoi_station.stitching.matching.evidence import Links
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
-from vaoi_station.stitching.matching.scene import Scene
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from vaoi_station.model import Status
-from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.work import stitch_frames
 
 DOUBT = "trigger of camera 1: it runs freely; these frames are not used"
 

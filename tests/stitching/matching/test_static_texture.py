@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from vaoi_station.stitching.matching.frame_pair import FramePair
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.static_texture import STATIC_PX, shows_patches, static_corners
+from vaoi_station.stitching.matching.frames import PreparedFrame
+from vaoi_station.stitching.matching.link import STATIC_PX, shows_patches, static_corners
 
 PLACES = np.array([[60.5, 50.5], [160.5, 120.5], [20.5, 120.5], [300.5, 200.5]])
 

@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
-from vaoi_station.stitching.matching.patch_tables import BINOMIAL, BLUR_REACH, PITCH_PX, WINDOW_PX
-from vaoi_station.stitching.matching.tiles import Pixels, Plane, blur, cut, saturated_share
+from vaoi_station.stitching.matching.refinement import (
+    BINOMIAL,
+    BLUR_REACH,
+    PITCH_PX,
+    WINDOW_PX,
+    Pixels,
+    Plane,
+    blur,
+    cut,
+    saturated_share,
+)
 
 SIZE = WINDOW_PX + 2
 SIDE = SIZE + 2 * BLUR_REACH

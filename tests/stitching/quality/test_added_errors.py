@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
-from vaoi_station.stitching.quality.added_errors import reference_share, with_common_error
+from vaoi_station.stitching.quality.uncertainty import reference_share, with_common_error
 from vaoi_station.stitching.work import TaskRunner
 
 

@@ -11,8 +11,7 @@ import pytest
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.observations import Observations
-from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem
+from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Observations, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.quality.agreement import (
@@ -20,10 +19,9 @@ from vaoi_station.stitching.quality.agreement import (
     fiducial_reasons,
     outline_reasons,
     reference_reasons,
-    seam_offset_px,
-    seam_px,
     uncertain_detections,
 )
+from vaoi_station.stitching.quality.seams import seam_offset_px, seam_px
 
 MARKS = [(2.0, 2.0), (38.0, 3.0), (20.0, 18.0), (3.0, 17.0)]
 BOARD = BoardType.model_validate(

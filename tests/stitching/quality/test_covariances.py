@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.observations import Observations
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
-from vaoi_station.stitching.quality.covariances import largest_sigma, matrix_sigmas, row_covariances
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Observations, Problem
+from vaoi_station.stitching.quality.uncertainty import largest_sigma, matrix_sigmas, row_covariances
 
 PIVOT = np.array([3.0, -2.0])
 NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), Observations.empty(), np.zeros(0, dtype=np.int_))

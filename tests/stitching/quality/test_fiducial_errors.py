@@ -10,7 +10,7 @@ import pytest
 
 from vaoi_station.model import BoardType, Status
 from vaoi_station.stitching.adjustment.problem import FIXTURE
-from vaoi_station.stitching.quality.fiducial_errors import contradiction_reasons
+from vaoi_station.stitching.quality.agreement import contradiction_reasons
 from vaoi_station.stitching.work import TaskRunner
 
 

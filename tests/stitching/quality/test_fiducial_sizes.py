@@ -9,7 +9,7 @@ import pytest
 
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import BoardType, Status
-from vaoi_station.stitching.quality.fiducial_sizes import wrong_size
+from vaoi_station.stitching.quality.agreement import wrong_size
 from vaoi_station.stitching.quality.verdict import decide_verdict
 
 

@@ -10,8 +10,7 @@ import pytest
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.scenario import AbsentPart
 from vaoi_station.stitching.quality.heights import FootprintArrays, LinkArrays, per_link_heights
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 
 def heights_of_twin(seed: int, absent: tuple[str, ...] = ()) -> dict[str, tuple[float, float, float]]:

@@ -12,8 +12,7 @@ import pytest
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import ReasonCode, Status
 from vaoi_station.stitching.adjustment.problem import Influence
-from vaoi_station.stitching.quality.row_connections import disputed_positions, scattered_links
-from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.quality.verdict import decide_verdict, disputed_positions, scattered_links
 
 
 def test_unconnected_rows_are_a_reason(filmed: Any) -> None:

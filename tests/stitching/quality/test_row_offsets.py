@@ -9,7 +9,7 @@ import pytest
 
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import Status
-from vaoi_station.stitching.quality.row_offsets import row_offset, shifted_cameras
+from vaoi_station.stitching.quality.seams import row_offset, shifted_cameras
 from vaoi_station.stitching.quality.verdict import decide_verdict
 
 

@@ -14,7 +14,7 @@ from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.geometry import apply
 from vaoi_station.model import Reason, Status
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.quality.seam_causes import explain_seam
+from vaoi_station.stitching.quality.seams import explain_seam
 from vaoi_station.stitching.quality.verdict import decide_verdict
 from vaoi_station.stitching.work import StitchSetup
 

@@ -11,11 +11,10 @@ import pytest
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.observations import Observations
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Problem
-from vaoi_station.stitching.board.board_plane import board_plane
-from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
-from vaoi_station.stitching.matching.scene import Scene
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Observations, Problem
+from vaoi_station.stitching.board.board_plane import board_plane, landmarks
+from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.quality.uncertainty import (
     MODEL_PX,
     DisplacementArrays,

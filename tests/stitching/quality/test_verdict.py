@@ -11,8 +11,8 @@ import pytest
 
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import BoardType, Calibration, ReasonCode, Status
-from vaoi_station.stitching.components.local_fiducials import LocalPlace
-from vaoi_station.stitching.method import METHODS
+from vaoi_station.stitching.components.places import LocalPlace
+from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.quality.verdict import OK_SIGMA_PX, _Placed, _unusable_local_fiducials, decide_verdict
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.stitching.recordings.offline import kept_frames, stitch_frames
+from vaoi_station.stitching.work import kept_frames, stitch_frames
 
 
 def test_each_frame_is_read_once_and_missing_ones_are_not(filmed: Any) -> None:

@@ -14,9 +14,9 @@ from vaoi_station.files import read_calibration, write_calibration
 from vaoi_station.model import Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
-from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
-from vaoi_station.stitching.recordings.reference_directory import teach
+from vaoi_station.stitching.recordings.references import teach
+from vaoi_station.stitching.work import stitch_frames
 
 
 @pytest.fixture(scope="module")

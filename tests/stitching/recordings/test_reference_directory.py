@@ -21,7 +21,7 @@ from vaoi_station.files import (
 from vaoi_station.model import BoardType, Calibration, Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
-from vaoi_station.stitching.recordings.reference_directory import (
+from vaoi_station.stitching.recordings.references import (
     RESULT,
     StoredReference,
     open_reference,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.stitching.recordings.reference_frames import MOST_PER_ROW, select_reference_frames
+from vaoi_station.stitching.recordings.references import MOST_PER_ROW, select_reference_frames
 
 BOARD = BoardType(name="b", outline=((0.0, 0.0), (60.0, 40.0)))
 """Its middle lies at tester (0, 0); cameras show 20 × 16 mm, one beside the other."""

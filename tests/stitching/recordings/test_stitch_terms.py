@@ -7,8 +7,7 @@ import pytest
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType
 from vaoi_station.model.board_type import Visibility
-from vaoi_station.stitching.board.expectation import expectation_of
-from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
+from vaoi_station.stitching.expectation import StitchTerms, expectation_of
 
 
 @pytest.mark.parametrize("velocity", [(0.0, 100.3), (0.0, -100.3), (77.7, 1.0)])

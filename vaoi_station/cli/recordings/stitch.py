@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 if TYPE_CHECKING:
-    from vaoi_station.stitching.method import MethodName
+    from vaoi_station.stitching.matching.evidence import MethodName
 
 
 class Method(StrEnum):
@@ -38,10 +38,10 @@ def stitch(
     """Stitch a recorded run: compute one matrix per frame, and C from CAD to tester."""
     from vaoi_station.errors import InputError
     from vaoi_station.files import write_stitch
-    from vaoi_station.stitching.baseline.paper_method import stitch_by_paper
-    from vaoi_station.stitching.recordings.offline import stitch_frames
+    from vaoi_station.stitching.paper_method import stitch_by_paper
     from vaoi_station.stitching.recordings.opening import open_run
     from vaoi_station.stitching.recordings.origin import ESTIMATED_BITS, with_origin
+    from vaoi_station.stitching.work import stitch_frames
 
     # The paper's method does not use this kind of evidence, but opening a run requires one.
     evidence = cast("MethodName", "auto" if method is Method.PAPER else method.value)

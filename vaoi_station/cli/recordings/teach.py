@@ -25,7 +25,7 @@ def teach(
     ] = None,
 ) -> None:
     """Stitch a recording and keep it as the reference against which later runs of its board type are placed."""
-    from vaoi_station.stitching.recordings.reference_directory import teach as keep
+    from vaoi_station.stitching.recordings.references import teach as keep
 
     stitch = keep(
         case,

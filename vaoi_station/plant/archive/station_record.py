@@ -10,7 +10,7 @@ from vaoi_station.config import MethodName
 from vaoi_station.errors import InputError
 from vaoi_station.files.documents import parse, read_json
 from vaoi_station.model import Status
-from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
+from vaoi_station.stitching.expectation import StitchTerms
 
 RUN_FILE = "run.json"
 

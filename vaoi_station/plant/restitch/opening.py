@@ -9,9 +9,9 @@ from vaoi_station.files.documents import write_bytes
 from vaoi_station.plant.archive.addition import REFERENCE
 from vaoi_station.plant.archive.station_record import read_record
 from vaoi_station.plant.restitch.terms import Terms
-from vaoi_station.stitching.method import METHODS
+from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
-from vaoi_station.stitching.recordings.reference_directory import RESULT
+from vaoi_station.stitching.recordings.references import RESULT
 
 
 def open_archived(folder: Path, scratch: Path, terms: Terms) -> tuple[OpenedRun, list[str]]:

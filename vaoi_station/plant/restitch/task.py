@@ -23,9 +23,9 @@ from vaoi_station.plant.restitch.opening import open_archived
 from vaoi_station.plant.restitch.terms import Terms
 from vaoi_station.plant.tables import RunKey, Tables, result_tables
 from vaoi_station.plant.workers.run_work import Outcome, perform
-from vaoi_station.stitching.recordings.offline import stitch_frames
 from vaoi_station.stitching.recordings.opening import OpenedRun
 from vaoi_station.stitching.recordings.origin import with_origin
+from vaoi_station.stitching.work import stitch_frames
 
 FORMAT, VERSION = "vaoi-restitched-run", 1
 _OF_RESULTS = frozenset(code.value for code in ReasonCode)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any
 
-from vaoi_station.stitching.method import MethodName
+from vaoi_station.stitching.matching.evidence import MethodName
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ from vaoi_station.rendering.selection import Measure, select
 from vaoi_station.rendering.view_table import ViewTable
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
-from vaoi_station.stitching.board.component_index import ComponentIndex
-from vaoi_station.stitching.board.coverage import Coverage, component_coverage
+from vaoi_station.stitching.geometry import ComponentIndex, Coverage, component_coverage
 
 _ALIKE = 8
 """Largest number of addresses that the refusal of an unknown component names."""

@@ -18,14 +18,14 @@ from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import BoardTypeSummary, Reason
 from vaoi_station.runs.states.stitching_schemas import ReferenceRecord, ReferenceStatus, StitchingMethod
-from vaoi_station.stitching.board.placeable import refuse_unplaceable
-from vaoi_station.stitching.recordings.reference_directory import (
+from vaoi_station.stitching.expectation import refuse_unplaceable
+from vaoi_station.stitching.recordings.references import (
     CONFIRM,
     awaits_confirmation,
+    select_reference_frames,
     with_confirmed_orientation,
     write_reference,
 )
-from vaoi_station.stitching.recordings.reference_frames import select_reference_frames
 from vaoi_station.store import BoardTypeDirectory
 
 Pixels = Callable[[int], Image]

@@ -15,9 +15,8 @@ from vaoi_station.model import BoardType, Calibration
 from vaoi_station.runs.run.reference_store import ReferenceStore, StoredReference
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import ArmedWith, Reason
-from vaoi_station.stitching.board.expectation import expectation_of
-from vaoi_station.stitching.board.placeable import refuse_unplaceable
-from vaoi_station.stitching.method import METHODS
+from vaoi_station.stitching.expectation import expectation_of, refuse_unplaceable
+from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
 

@@ -22,7 +22,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType
 from vaoi_station.runs.states.stitching_schemas import ReferenceRecord
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.recordings.reference_directory import open_reference
+from vaoi_station.stitching.recordings.references import open_reference
 from vaoi_station.store import Store
 
 _log = logging.getLogger(__name__)

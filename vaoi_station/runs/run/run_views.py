@@ -33,7 +33,7 @@ from vaoi_station.runs.states.schemas import (
 )
 from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
 from vaoi_station.runs.states.timeline_schemas import BarrierTiming, RowTiming, Timeline
-from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
+from vaoi_station.stitching.expectation import StitchTerms
 from vaoi_station.version import __version__
 
 

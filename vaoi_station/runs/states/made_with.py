@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict
 
 from vaoi_station.config import MethodName
 from vaoi_station.model.board_type import BoardTypeState
-from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
+from vaoi_station.stitching.expectation import StitchTerms
 
 
 class MadeWith(BaseModel):

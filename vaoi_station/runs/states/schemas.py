@@ -13,12 +13,12 @@ from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.config import MethodName
 from vaoi_station.errors import VaoiError
 from vaoi_station.model import FrameRecord, Status
+from vaoi_station.model.board_type import UnseenCause
 from vaoi_station.runs.states.decision_schemas import Decision
 from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.made_with import MadeWith, Origin
 from vaoi_station.runs.states.storage_schemas import ArchiveStatus, SetAsideFile
 from vaoi_station.runs.states.tables import RunState, StationState
-from vaoi_station.stitching.quality.missing.cause import Cause as UnseenCause
 
 ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 

@@ -23,7 +23,7 @@ from vaoi_station.mosaic.cells import label_boxes
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.rendering import frame_pairs
 from vaoi_station.steps import completed
-from vaoi_station.stitching.matching.prepared_frame import resample
+from vaoi_station.stitching.matching.frames import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 _PX_PER_MM, _WIDTH_PX, _HEIGHT_PX = 10.0, 400, 300

@@ -19,7 +19,7 @@ import numpy as np
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.adjustment.problem import Ints
 
 _MIN_PIVOT = 1e-14
 """An unknown is unobserved if its pivot, divided by its diagonal entry before elimination, is below this."""

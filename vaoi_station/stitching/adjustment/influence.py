@@ -35,11 +35,17 @@ from vaoi_station.stitching.adjustment.envelope import (
     solve_backward,
     solve_forward,
 )
-from vaoi_station.stitching.adjustment.fiducial_equations import Equations
-from vaoi_station.stitching.adjustment.height_equations import HeightEquations, HeightModel, eliminate_heights
-from vaoi_station.stitching.adjustment.link_equations import LinkModel, LinkState, MotionArrays, add_links
-from vaoi_station.stitching.adjustment.observations import Ints, LinkArrays
-from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Influence
+from vaoi_station.stitching.adjustment.equations import (
+    Equations,
+    HeightEquations,
+    HeightModel,
+    LinkModel,
+    LinkState,
+    MotionArrays,
+    add_links,
+    eliminate_heights,
+)
+from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Influence, Ints, LinkArrays
 
 _SQUARE_MM = 5.0
 """Side of the squares: about the size of components, holes and their shadows."""

@@ -15,8 +15,11 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, Projective, System
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.board.component_index import ComponentIndex
-from vaoi_station.stitching.board.expectation import Expectation
+from vaoi_station.stitching.adjustment.problem import Ints
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.geometry import ComponentIndex
+from vaoi_station.stitching.matching.frames import Scene
+from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
 _ALIKE_RAD, _ROUNDING = np.radians(3.0), 1e-6
 """Largest angle (rad) between two cameras that count as mounted alike; tolerance for rounding errors.
@@ -114,3 +117,26 @@ def expected_angle(plane: BoardPlane, camera: Camera, expectation: Expectation) 
     # The expected angle holds in the image. A step of one pixel in that direction, mapped to mm, gives the direction.
     way = camera.row_from_image(np.stack([middle, middle + (np.cos(turn), np.sin(turn))]))
     return float(np.arctan2(*(way[1] - way[0])[::-1]))
+
+
+def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
+    """Return for each board point (k, 2), mm, the number of the smallest component on which it lies, or −1 for none."""
+    return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
+
+
+def near_component(plane: BoardPlane, c: Floats, board_mm: Floats, scene: Scene) -> Ints:
+    """Return for each board point (k, 2), mm, the number of the component that a link's patch there reaches, or −1."""
+    half_patch_mm = WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))
+    wider = plane.components.widened(half_patch_mm)
+    return wider.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
+
+
+def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:
+    """Return names and CAD coordinates (n, 2) of the points whose views are computed.
+
+    These are the centres of the components or, for a board type without components, two corners of the board.
+    """
+    parts = plane.components
+    if parts.addresses:
+        return parts.addresses, parts.center
+    return ("low corner", "high corner"), np.array(plane.board_type.extent())

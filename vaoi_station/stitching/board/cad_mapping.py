@@ -17,43 +17,61 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import ReasonCode
-from vaoi_station.stitching.adjustment.camera_equations import comparable_cameras
+from vaoi_station.stitching.adjustment.cameras import comparable_cameras
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, SurfaceBasis
+from vaoi_station.stitching.adjustment.problem import (
+    SIGMA_MM,
+    AdjustmentResult,
+    FiducialPoints,
+    Problem,
+    SurfaceBasis,
+    basis_at_board,
+)
 from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links
 from vaoi_station.stitching.adjustment.solver import adjust
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM, basis_at_board
-from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle, typical_camera
-from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.fiducial_assignment import (
+from vaoi_station.stitching.board.board_plane import (
+    BoardPlane,
+    component_at,
+    expected_angle,
+    near_component,
+    typical_camera,
+)
+from vaoi_station.stitching.board.fiducials import (
     Hypothesis,
     assign_fiducials,
+    detect_more_marks,
+    displaced_places,
     find_board,
     find_rough_places,
     merge_detections,
+    relocate_fiducials,
 )
-from vaoi_station.stitching.board.fiducial_detection import detect_more_marks, displaced_places, relocate_fiducials
-from vaoi_station.stitching.board.footprints import component_at, near_component
-from vaoi_station.stitching.board.orientation import (
-    Orientation,
-    OutlineContrast,
-    compare_orientations,
-    measure_outline_contrast,
-)
-from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_shift
-from vaoi_station.stitching.board.own_texture import (
+from vaoi_station.stitching.board.outline import (
     MOST_BESIDE,
     LeftOut,
+    Orientation,
+    OutlineContrast,
+    OutlineShift,
+    compare_orientations,
     links_on_board,
+    measure_outline_contrast,
+    measure_outline_shift,
     outline_confirmed,
     shares_beside,
     without_links_beside,
 )
-from vaoi_station.stitching.board.reference import Reference, cad_points, disagreeing_reference, initial_similarity
-from vaoi_station.stitching.board.reference_orientation import ReferenceScene, Rivals, compare_with_reference
-from vaoi_station.stitching.matching.evidence import Detections, Links
-from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.method import Method
+from vaoi_station.stitching.board.reference import (
+    Reference,
+    ReferenceScene,
+    Rivals,
+    cad_points,
+    compare_with_reference,
+    disagreeing_reference,
+    initial_similarity,
+)
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.matching.evidence import Detections, Links, Method
+from vaoi_station.stitching.matching.frames import Scene
 
 _LEAST_REFERRED = 12
 """Least number of points linked to a reference that can place a board without fiducials."""

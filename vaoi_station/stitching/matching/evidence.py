@@ -1,4 +1,4 @@
-"""Tasks and the evidence they return: links between two frames, and detections of marks in one frame."""
+"""Tasks, the evidence they return, and the evidence that each method of stitching may use (paper, 3.3.1 to 3.3.3)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from vaoi_station.config import MethodName
 from vaoi_station.geometry.transforms import Floats
 
 FrameKey = tuple[int, int]
@@ -81,3 +82,28 @@ class Detections:
 
 
 Evidence = Links | Detections
+
+
+__all__ = ["METHODS", "Method", "MethodName"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """The kinds of evidence that a stitching method may use."""
+
+    links: bool
+    """Whether to use texture that is linked from row to row and from camera to camera."""
+    marks: bool
+    """Whether to use the fiducials of the board."""
+    fixture: bool
+    """Whether to use the fixture marks."""
+    reference: bool
+    """Whether to use texture that is linked to a reference run of the same board type."""
+
+
+METHODS: dict[str, Method] = {
+    "auto": Method(links=True, marks=True, fixture=True, reference=True),
+    "features": Method(links=True, marks=True, fixture=False, reference=False),
+    "fiducials": Method(links=False, marks=True, fixture=True, reference=False),
+    "reference": Method(links=False, marks=False, fixture=False, reference=True),
+}

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.matching.patch_tables import NOISE_SHARE, WINDOW_PX
-from vaoi_station.stitching.matching.prepared_frame import read_only
-from vaoi_station.stitching.matching.refinement import MARGIN_PX, Refinement, refine
+from vaoi_station.stitching.matching.frames import read_only
+from vaoi_station.stitching.matching.refinement import MARGIN_PX, NOISE_SHARE, WINDOW_PX, Refinement, refine
 
 PATCH_PX = WINDOW_PX + 10
 """Side of the square of image pixels on which a patch depends, including the reach of the blur."""

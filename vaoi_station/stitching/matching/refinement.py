@@ -17,6 +17,13 @@ blurred pixels in place of t.
 **Memory.** Patches and tiles are flat arrays whose lines begin `PITCH_PX` apart, so that one loop runs over all lines.
 The compiler turns this loop into vector instructions, which it would not do for a loop over one line of 24 pixels. In
 every sum of products, at least one factor is 0 in the padding of the lines.
+
+Constants of `refinement`: the sizes of a patch, the weights of the blur, and the weights of the interpolation.
+
+Cut tiles out of an image: blurred squares, from which `refinement` takes patches and windows.
+
+A tile is a flat array whose lines lie `PITCH_PX` apart, so that one loop runs over all lines (see `refinement`). It is
+computed from a square of raw pixels, which is larger by `BLUR_REACH` on every side and may have a larger pitch.
 """
 
 from __future__ import annotations
@@ -29,19 +36,140 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.matching.patch_tables import (
-    ACROSS,
-    BINOMIAL,
-    BLUR_REACH,
-    DOWN,
-    FRACTIONS,
-    INSIDE,
-    PITCH_PX,
-    SINC,
-    TAPS,
-    WINDOW_PX,
-)
-from vaoi_station.stitching.matching.tiles import Pixels, Plane, blur, cut, saturated_share
+
+WINDOW_PX = 24
+"""Side of a patch: three vector registers of eight pixels."""
+PITCH_PX = 32
+"""Distance between the starts of two lines of a patch or tile in memory, in pixels.
+
+The rest of each line is filled with 0, so that one loop can run over all lines at once."""
+BINOMIAL = (20, 15, 6, 1)
+"""Weights of the blur, in 64ths, from the centre outwards.
+
+They are whole numbers, they are close to a Gaussian with σ = 1.22 px, and they remove the Nyquist frequency
+completely."""
+BLUR_REACH = 3
+"""Number of pixels on each side of a pixel that the blur reads."""
+TAPS = 6
+"""Number of neighbouring pixels from which the sinc interpolates a value in one direction."""
+FRACTIONS = 512
+"""Number of fractions of a pixel for which `SINC` contains weights; weights in between are interpolated linearly."""
+KERNEL_REACH, KERNEL_STEPS = 3, 512
+"""Reach in pixels of the sinc with which frames are resampled, and number of distances per pixel in `KERNEL`."""
+_KAISER = 6.0
+"""Shape parameter of the Kaiser window, which limits the sinc to `TAPS` pixels."""
+
+_Table = NDArray[np.float32]
+
+
+def _sinc() -> _Table:
+    """Return the weights (FRACTIONS + 1, TAPS) of a windowed sinc.
+
+    The weights of each fraction sum to 1, so that interpolation does not change the mean grey level.
+    """
+    f = np.linspace(0, 1, FRACTIONS + 1)
+    at = np.arange(1 - TAPS // 2, TAPS // 2 + 1) - f[:, None]
+    window = np.i0(_KAISER * np.sqrt(np.maximum(1 - (at / (TAPS / 2)) ** 2, 0)))
+    weights = np.sinc(at) * window
+    return np.asarray(weights / weights.sum(1, keepdims=True), dtype=np.float32)
+
+
+def _kernel() -> _Table:
+    """Return the weights of a windowed sinc at the distances 0 … KERNEL_REACH, `KERNEL_STEPS` per pixel."""
+    at = np.arange(KERNEL_REACH * KERNEL_STEPS + 2) / KERNEL_STEPS
+    window = np.i0(_KAISER * np.sqrt(np.maximum(1 - (at / KERNEL_REACH) ** 2, 0))) / np.i0(_KAISER)
+    return np.asarray(np.sinc(at) * window, dtype=np.float32)
+
+
+def _in_lines(values: NDArray[np.float64]) -> _Table:
+    """Return the values of a patch (WINDOW_PX, WINDOW_PX) as a flat array, each line padded with 0 to PITCH_PX."""
+    lines = np.zeros((WINDOW_PX, PITCH_PX), dtype=np.float32)
+    lines[:, :WINDOW_PX] = values
+    return lines.ravel()
+
+
+NOISE_SHARE = float((924 / 64**2) ** 2)
+"""Share of the variance of white noise that remains after the blur. The squared weights of the blur sum to
+C(12, 6) / 64² = 924 / 64² in x, and the same in y."""
+SINC = _sinc()
+"""(FRACTIONS + 1, TAPS) weights of the sinc interpolation at the fractions 0 … 1 of a pixel. The error of the
+interpolation displaces blurred texture by 0.002 px."""
+KERNEL = _kernel()
+"""(1538,) weights of the sinc, by distance from a pixel."""
+INSIDE = _in_lines(np.ones((WINDOW_PX, WINDOW_PX)))
+"""(768,) 1 at the pixels of a patch and 0 in the padding of its lines."""
+ACROSS, DOWN = map(_in_lines, np.meshgrid(np.linspace(-1, 1, WINDOW_PX), np.linspace(-1, 1, WINDOW_PX)))
+"""(768,) the coordinates x and y of each pixel of a patch, from −1 to 1; 0 in the padding of its lines."""
+
+
+Pixels = NDArray[np.uint8]
+Plane = NDArray[np.float32]
+
+_SATURATED = 254
+"""Grey level from which a pixel counts as saturated."""
+_F32 = np.float32
+
+
+@inlined
+def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wide: int) -> None:
+    """Copy the raw pixels for a tile of side `size` from an image to `raw`, a flat array with lines `pitch` apart.
+
+    The square of raw pixels begins at (x0, y0) of the image and is larger than the tile by `BLUR_REACH` on every side.
+    Outside the image, border pixels are repeated. `wide` equals `pitch`, but is not a constant for the compiler, which
+    would unroll a copy of constant length byte by byte.
+    """
+    h, w = image.shape
+    side = size + 2 * BLUR_REACH
+    if 0 <= x0 <= w - pitch and 0 <= y0 <= h - side:
+        for y in range(side):
+            line, to = image[y0 + y, x0 : x0 + wide], raw[y * pitch : y * pitch + wide]
+            for x in range(wide):
+                to[x] = line[x]
+    else:
+        for y in range(side):
+            line = image[min(max(y0 + y, 0), h - 1)]
+            for x in range(side):
+                raw[y * pitch + x] = line[min(max(x0 + x, 0), w - 1)]
+
+
+@inlined
+def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: float) -> None:
+    """Blur raw pixels to a tile `out` of side `size`, and subtract the constant `less`.
+
+    The blur first runs down the columns, in exact whole numbers, and then along the lines. `half_way` is a buffer for
+    the values in between. Lines of `raw` lie `pitch` apart.
+    """
+    w0, w1, w2, w3 = BINOMIAL
+    p = pitch
+    for n in range(size * p):
+        near = w1 * (raw[n + 2 * p] + raw[n + 4 * p]) + w2 * (raw[n + p] + raw[n + 5 * p])
+        half_way[n] = np.uint16(w0 * raw[n + 3 * p] + near + w3 * (raw[n] + raw[n + 6 * p]))
+    # 4096 = 64²: the weights of both directions are in 64ths. The sum down the columns was exact; only these products
+    # round.
+    v0, v1, v2, v3 = _F32(w0 / 4096), _F32(w1 / 4096), _F32(w2 / 4096), _F32(w3 / 4096)
+    constant = _F32(less)
+    for y in range(size):
+        v, to = half_way[y * p : y * p + PITCH_PX + 2 * BLUR_REACH], out[y * PITCH_PX : (y + 1) * PITCH_PX]
+        for x in range(PITCH_PX):
+            near = v1 * (v[x + 2] + v[x + 4]) + v2 * (v[x + 1] + v[x + 5])
+            to[x] = v0 * v[x + 3] + near + v3 * (v[x] + v[x + 6]) - constant
+
+
+@inlined
+def saturated_share(raw: Pixels, size: int, pitch: int, x0: int, y0: int) -> float:
+    """Return the share of saturated pixels in the window whose first pixel is (x0, y0) of the raw pixels of a tile."""
+    # Most tiles have no saturated pixel. Their maximum, a vectorised loop, shows this without counting.
+    brightest = np.uint8(0)
+    for n in range((size + 2 * BLUR_REACH) * pitch):
+        brightest = max(brightest, raw[n])
+    if brightest < _SATURATED:
+        return 0.0
+    count = 0
+    for y in range(y0, y0 + WINDOW_PX):
+        for x in range(x0, x0 + WINDOW_PX):
+            count += raw[y * pitch + x] >= _SATURATED
+    return count / (WINDOW_PX * WINDOW_PX)
+
 
 _MOST_TILES = 7
 """Largest number of tiles cut out of image b for one patch. Within each tile the window can move by 1.5 px."""
@@ -73,7 +201,6 @@ _SIZE = WINDOW_PX * PITCH_PX
 
 _Patch = tuple[Plane, Plane, Plane, Plane, Plane]
 """The arrays of one patch, (768,) each: grey levels t minus their mean, slopes in x and in y, t·x and t·y."""
-_Float = np.float32
 
 
 class Refinement(NamedTuple):
@@ -111,12 +238,12 @@ def refine(  # noqa: PLR0915  (one loop over patches whose parts are inlined)
     count = len(corners)
     b_px, hessian, blurred = np.empty((count, 2)), np.empty((count, 2, 2)), np.zeros((count, 2, 2))
     score, scatter, last_step_px, saturated = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
-    raw, half_way = np.zeros(_RAW_LINES * _B_PITCH, np.uint8), np.zeros(_RAW_LINES * _B_PITCH, _Float)
-    tile_a, tile_b = np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
-    padded_x, padded_y = np.zeros(_SIZE + 2 * _PADDING, _Float), np.zeros(_SIZE + 2 * _PADDING, _Float)
+    raw, half_way = np.zeros(_RAW_LINES * _B_PITCH, np.uint8), np.zeros(_RAW_LINES * _B_PITCH, _F32)
+    tile_a, tile_b = np.zeros(_TILE, _F32), np.zeros(_TILE, _F32)
+    padded_x, padded_y = np.zeros(_SIZE + 2 * _PADDING, _F32), np.zeros(_SIZE + 2 * _PADDING, _F32)
     gx, gy = padded_x[_PADDING : _PADDING + _SIZE], padded_y[_PADDING : _PADDING + _SIZE]
-    t, tx, ty = np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float), np.zeros(_SIZE, _Float)
-    patch, factor, lines, soft = (t, gx, gy, tx, ty), np.zeros((4, 4)), np.zeros(_TILE, _Float), np.zeros(_TILE, _Float)
+    t, tx, ty = np.zeros(_SIZE, _F32), np.zeros(_SIZE, _F32), np.zeros(_SIZE, _F32)
+    patch, factor, lines, soft = (t, gx, gy, tx, ty), np.zeros((4, 4)), np.zeros(_TILE, _F32), np.zeros(_TILE, _F32)
     lead_x, lead_y, followed = 0.0, 0.0, 0
     # `one` is always 1, but the compiler does not know it. Otherwise it would unroll copies of constant length byte by
     # byte.
@@ -222,17 +349,17 @@ def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float,
         The mean of the patch, t·t, and the entries xx, xy, yy of H.
     """
     t, gx, gy, tx, ty = patch
-    half, total, p = _Float(0.5), _Float(0), PITCH_PX
+    half, total, p = _F32(0.5), _F32(0), PITCH_PX
     for n in range(_SIZE):
         total += INSIDE[n] * tile[n + p + 1]
-    mean = total / _Float(_AREA)
+    mean = total / _F32(_AREA)
     for n in range(_SIZE):
         here, inside = tile[n + p + 1], INSIDE[n]
         t[n], tx[n], ty[n] = inside * (here - mean), here * ACROSS[n], here * DOWN[n]
         gx[n] = inside * half * (tile[n + p + 2] - tile[n + p])
         gy[n] = inside * half * (tile[n + 2 * p + 1] - tile[n + 1])
-    s02 = s03 = s11 = s12 = s13 = s22 = s23 = s33 = _Float(0)
-    x0 = x1 = x2 = x3 = y0 = y1 = y2 = y3 = _Float(0)
+    s02 = s03 = s11 = s12 = s13 = s22 = s23 = s33 = _F32(0)
+    x0 = x1 = x2 = x3 = y0 = y1 = y2 = y3 = _F32(0)
     for n in range(_SIZE):
         a, b, c, u, v = t[n], tx[n], ty[n], gx[n], gy[n]
         s02 += b
@@ -257,9 +384,9 @@ def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float,
     _factorise(factor)
     p0, p1, p2, p3 = _solved(factor, float(x0), float(x1), float(x2), float(x3))
     q0, q1, q2, q3 = _solved(factor, float(y0), float(y1), float(y2), float(y3))
-    u0, u1, u2, u3 = _Float(p0), _Float(p1), _Float(p2), _Float(p3)
-    v0, v1, v2, v3 = _Float(q0), _Float(q1), _Float(q2), _Float(q3)
-    xx = xy = yy = _Float(0)
+    u0, u1, u2, u3 = _F32(p0), _F32(p1), _F32(p2), _F32(p3)
+    v0, v1, v2, v3 = _F32(q0), _F32(q1), _F32(q2), _F32(q3)
+    xx = xy = yy = _F32(0)
     for n in range(_SIZE):
         u = gx[n] - (u0 * INSIDE[n] + u1 * t[n] + u2 * tx[n] + u3 * ty[n])
         v = gy[n] - (v0 * INSIDE[n] + v1 * t[n] + v2 * tx[n] + v3 * ty[n])
@@ -316,7 +443,7 @@ def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, flo
         soft: buffer for slopes that are blurred in y only.
     """
     w0, w1, w2, w3 = BINOMIAL
-    v0, v1, v2, v3 = _Float(w0 / 64), _Float(w1 / 64), _Float(w2 / 64), _Float(w3 / 64)
+    v0, v1, v2, v3 = _F32(w0 / 64), _F32(w1 / 64), _F32(w2 / 64), _F32(w3 / 64)
     p, count = PITCH_PX, (WINDOW_PX + 2 * BLUR_REACH) // 2
     soft_x, soft_y, room = soft[: (count + 1) * p], soft[(count + 1) * p :], 2 * BLUR_REACH
     for y in range(count):
@@ -327,7 +454,7 @@ def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, flo
             to_x[x] = v0 * f[x + 3 * p] + near + v3 * (f[x] + f[x + 6 * p])
             near = v1 * (g[x + 2 * p] + g[x + 4 * p]) + v2 * (g[x + p] + g[x + 5 * p])
             to_y[x] = v0 * g[x + 3 * p] + near + v3 * (g[x] + g[x + 6 * p])
-    xx = xy = yy = _Float(0)
+    xx = xy = yy = _F32(0)
     for n in range(count * p):
         u = v0 * soft_x[n + 3] + v1 * (soft_x[n + 2] + soft_x[n + 4])
         v = v0 * soft_y[n + 3] + v1 * (soft_y[n + 2] + soft_y[n + 4])
@@ -346,12 +473,12 @@ def _bilinear(tile: Plane, x: float, y: float, patch: _Patch) -> tuple[float, fl
     The window is interpolated bilinearly; t, gx, gy are the arrays of the patch.
     """
     t, gx, gy = patch[0], patch[1], patch[2]
-    x0, y0, one = int(x), int(y), _Float(1)
-    fx, fy = _Float(x - x0), _Float(y - y0)
+    x0, y0, one = int(x), int(y), _F32(1)
+    fx, fy = _F32(x - x0), _F32(y - y0)
     w00, w01, w10, w11 = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
     first = y0 * PITCH_PX + x0
     v = tile[first : first + _SIZE + PITCH_PX + 1]
-    st = sx = sy = _Float(0)
+    st = sx = sy = _F32(0)
     for n in range(_SIZE):
         s = w00 * v[n] + w01 * v[n + 1] + w10 * v[n + PITCH_PX] + w11 * v[n + PITCH_PX + 1]
         st += s * t[n]
@@ -376,7 +503,7 @@ def _sharp(
     for n in range(count):
         lines[n] = w0 * v[n] + w1 * v[n + 1] + w2 * v[n + 2] + w3 * v[n + 3] + w4 * v[n + 4] + w5 * v[n + 5]
     w0, w1, w2, w3, w4, w5 = _weights(y - y0)
-    s1 = st = sx = sy = ss = su = sv = _Float(0)
+    s1 = st = sx = sy = ss = su = sv = _F32(0)
     for n in range(_SIZE):
         s = w0 * lines[n] + w1 * lines[n + p] + w2 * lines[n + 2 * p]
         s += w3 * lines[n + 3 * p] + w4 * lines[n + 4 * p] + w5 * lines[n + 5 * p]
@@ -396,5 +523,5 @@ def _weights(f: float) -> tuple[float, float, float, float, float, float]:
     """Return the weights of the sinc's six points for a fraction f (0 … 1) of a pixel, interpolated in `SINC`."""
     at = f * FRACTIONS
     n = min(int(at), FRACTIONS - 1)
-    w = SINC[n] + _Float(at - n) * (SINC[n + 1] - SINC[n])
+    w = SINC[n] + _F32(at - n) * (SINC[n + 1] - SINC[n])
     return w[0], w[1], w[2], w[3], w[4], w[5]

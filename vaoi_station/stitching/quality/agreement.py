@@ -1,27 +1,133 @@
-"""Check that fiducials, CAD data, calibration, outline and reference agree.
+"""Search for fiducials of another size: check whether the board type states a wrong diameter.
+
+The search for fiducials finds only marks of about the stated size. If no board was found, the frames are searched once
+more for marks of other sizes. If such marks lie at the distances of the fiducials, and the outline of the board is
+visible where these marks put it, the diameter in the board type is wrong.
+
+An error of one of three or more fiducials, as the others show it.
+
+Fiducials that lie where the CAD data have them fit together to a few hundredths of a pixel. If they do not, one of them
+may be off by far more than its residual: bow, tilt and scale of the board, and the others, take a part of the error,
+and the residual may be that of another fiducial. So each of them is left out in turn, and its distance from the place
+that the rest predicts is the error that would explain everything.
+
+Check that fiducials, CAD data, calibration, outline and reference agree.
 
 A disagreement is a reason in words and numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
 from vaoi_station.geometry.robust import Failure, fit_similarity
 from vaoi_station.geometry.transforms import Floats, System
-from vaoi_station.model import Reason, ReasonCode
+from vaoi_station.model import BoardType, Reason, ReasonCode
+from vaoi_station.stitching.adjustment.equations import detection_sigma_mm, fiducial_residuals
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Problem
-from vaoi_station.stitching.adjustment.surface import SIGMA_MM
-from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.outline import OutlineShift
+from vaoi_station.stitching.adjustment.problem import (
+    REFERENCE,
+    SIGMA_MM,
+    AdjustmentResult,
+    FiducialPoints,
+)
+from vaoi_station.stitching.adjustment.solver import adjust
+from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
+from vaoi_station.stitching.board.fiducials import detect_marks, find_board, merge_detections
+from vaoi_station.stitching.board.outline import OutlineShift, measure_outline_contrast
 from vaoi_station.stitching.board.reference import inliers
-from vaoi_station.stitching.components.local_fiducials import common_displacement_mm
-from vaoi_station.stitching.matching.evidence import Links
-from vaoi_station.stitching.quality.fiducial_errors import contradiction_reasons
+from vaoi_station.stitching.components.places import common_displacement_mm
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.matching.evidence import Task
+from vaoi_station.stitching.matching.frames import Scene
+
+_LEAST = 3
+"""Least number of fiducials that contradict one another: two leave no residual."""
+_CONTRADICTION = 4.0
+"""Residual of a fiducial above which the fiducials do not fit together, in standard deviations. Measured: right boards
+reach 2.3 (hostile.md)."""
+_LIMIT_PX = 0.30
+"""Largest error of one fiducial that is accepted, px: that of a residual, and of one of two fiducials."""
+
+
+def contradiction_reasons(
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, px_per_mm: float
+) -> list[Reason]:
+    """Return a reason if fiducials do not fit together, and an error of one of them that would explain it is too large.
+
+    Args:
+        plane: plane of the board type.
+        adjusted: solution of the common adjustment of all unknowns.
+        points: fiducial points of that adjustment.
+        px_per_mm: resolution of the station.
+    """
+    if points is None or adjusted.similarity is None or (points.which < 0).any():
+        return []
+    found = set(points.which.tolist())
+    used = sorted(found - plane.board_type.apart_from_c(found))
+    if len(used) < _LEAST:
+        return []
+    off = _residuals(points, adjusted.fiducial_px, used)
+    worst = max(off, key=lambda n: off[n][1])
+    if off[worst][1] <= _CONTRADICTION:
+        return []
+    errors = _errors_mm(adjusted, used)
+    if max(errors.values(), default=0.0) * px_per_mm <= _LIMIT_PX:
+        return []
+    names = [fiducial.name for fiducial in plane.board_type.fiducials]
+    px, sigmas = off[worst]
+    each = ", or ".join(f"{names[n]} by {mm:.2f} mm ({mm * px_per_mm:.1f} px)" for n, mm in errors.items())
+    text = (
+        f"the fiducials do not fit together: {names[worst]} lies {px:.2f} px from its place, {sigmas:.0f} standard "
+        f"deviations; one that is not at its CAD position would explain it, {each} (limit {_LIMIT_PX} px); check them "
+        "in the CAD data and on the board"
+    )
+    return [Reason(ReasonCode.FIDUCIAL_OFF_PLACE, text)]
+
+
+def _residuals(points: FiducialPoints, off_px: Floats, used: Collection[int]) -> dict[int, tuple[float, float]]:
+    """Return the length of the mean residual of each fiducial, px, and in its standard deviations per axis."""
+    weight = (detection_sigma_mm(points) * points.px_per_mm) ** -2.0
+    out = {}
+    for n in used:
+        own = points.which == n
+        px = float(np.hypot(*np.average(off_px[own], axis=0, weights=weight[own])))
+        out[n] = px, px * float(np.sqrt(weight[own].sum()))
+    return out
+
+
+def _errors_mm(adjusted: AdjustmentResult, used: Collection[int]) -> dict[int, float]:
+    """Return by how much each fiducial would be off its CAD position if it were the wrong one, mm.
+
+    Those without which the others still do not fit are left out, unless that holds for all.
+    """
+    every = {n: _without(adjusted, n, [k for k in used if k != n]) for n in used}
+    explained = {n: mm for n, (mm, sigmas) in every.items() if sigmas <= _CONTRADICTION}
+    return explained or {n: mm for n, (mm, _) in every.items()}
+
+
+def _without(adjusted: AdjustmentResult, n: int, others: Collection[int]) -> tuple[float, float]:
+    """Adjust the run without fiducial n; return its distance (mm) from its place, and the others' largest residual.
+
+    The cameras stay where the adjustment has found them. The residual is in standard deviations.
+    """
+    problem, points, c = adjusted.problem, adjusted.problem.fiducials, adjusted.similarity
+    assert points is not None
+    assert c is not None
+    own = np.flatnonzero(points.which == n)
+    rest, surface = np.flatnonzero(points.which != n), problem.surface
+    basis = surface.at_fiducials if surface else np.zeros((len(points.which), 0))
+    kept = surface and replace(surface, at_fiducials=basis[rest])
+    fitted = adjust(replace(problem, fiducials=points.select(rest), surface=kept, cameras=()), adjusted.motion, c)
+    assert fitted.similarity is not None
+    alone = points.select(own)
+    off_mm = fiducial_residuals(alone, fitted.motion, fitted.similarity, basis[own], fitted.surface_mm)[0]
+    misfits = _residuals(points.select(rest), fitted.fiducial_px, others)
+    return float(np.hypot(*off_mm.mean(0))), max(sigmas for _, sigmas in misfits.values())
+
 
 _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
@@ -47,13 +153,6 @@ factor."""
 
 _C_COLUMNS = slice(3, 5)
 """Columns of (a, b) of C in the covariance of a row, behind the row's own three unknowns."""
-_LEAST_REJECTED, _USED, _MOSTLY, _REJECTED_PX = 6, 0.1, 0.5, 0.3
-"""Least number of links of a seam from which most can be rejected, weight above which one is used, their share, and the
-residual of rejected links, px, that shows that the cameras disagree; a smaller one shows nothing."""
-_SAME_HEIGHT_PX, _ALIKE_SHARE = 0.5, 0.6
-"""Two heights of a component, by links across the seam and by others, agree up to this displacement at the seam, px.
-
-If at least the share `_ALIKE_SHARE` of the corners in an overlap is found again, both pictures are of one place."""
 _LEAST_REFERRED, _LEAST_AGREEING = 12, 0.5
 """Number of points of a reference from which on they are compared with the fiducials, and least share that agrees."""
 _REFERENCE_SIGMAS, _REFERENCE_LIMIT_PX = 4.0, 0.3
@@ -196,73 +295,6 @@ def reference_reasons(points: FiducialPoints | None, residual_px: Floats) -> lis
     ]
 
 
-def seam_offset_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) -> float:
-    """Return the length of the median residual, px, of links between two cameras that lie beside components.
-
-    A link whose patch reaches a component may lie on its side. Its residual along the lean then shows the height of the
-    side, not an error of the seam. Only links on the bare board count along the lean, and only if there are enough.
-
-    Args:
-        problem: the problem of the adjustment.
-        adjusted: its solution.
-        at: indices of the links.
-        least: least number of links on the bare board that show an offset along the lean.
-    """
-    o, off_px = problem.links, adjusted.link_px[at]
-    lean = o.b_lean[at] - o.a_lean[at]
-    length = np.hypot(*lean.T)
-    if not (length > 0).all():
-        return float(np.hypot(*np.median(off_px, axis=0)))
-    (x, y), surely = (lean / length[:, None]).T, ~problem.reaches_component[at]
-    along, across = off_px[:, 0] * x + off_px[:, 1] * y, off_px[:, 1] * x - off_px[:, 0] * y
-    shown = float(np.median(along[surely])) if surely.sum() >= least else 0.0
-    return float(np.hypot(shown, np.median(across)))
-
-
-def agreeing_links(problem: Problem, adjusted: AdjustmentResult, seam: Sequence[Links], left: int) -> int:
-    """Return the number of used links that are evidence that camera `left` and the next one show the same place.
-
-    On a component, its estimated height explains any residual across the seam. Such links count only if links from row
-    to row give the same height, or if most corners of the overlap are found again.
-
-    Args:
-        problem: the problem of the adjustment.
-        adjusted: its solution.
-        seam: the evidence of the two cameras, from all rows.
-        left: the lower number of the two cameras.
-    """
-    o, component = problem.links, problem.component
-    used = (adjusted.weight > _USED) & (o.seam == left)
-    rows, between = adjusted.heights_mm
-    alike = sum(len(e.a_px) for e in seam) >= _ALIKE_SHARE * sum(e.tried for e in seam)
-    if len(rows) and not alike:
-        off_px = np.abs(between - rows)[component] * np.hypot(*(o.b_lean - o.a_lean).T) * o.px_per_mm
-        used &= (component < 0) | (off_px < _SAME_HEIGHT_PX)
-    return int(used.sum())
-
-
-def seam_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) -> float | None:
-    """Return by how much two cameras disagree, px; None if their links do not show it.
-
-    Links on components are left out, since the height of a component is no error of the seam. If nearly all links lie
-    on components, and most links were rejected, the camera may have moved by pixels: without links on the bare board,
-    their noise floor is not widened. Then all of them count, across the lean, to which heights do not contribute.
-
-    Args:
-        problem: the problem of the adjustment.
-        adjusted: its solution.
-        at: indices of all links between the two cameras.
-        least: least number of links on the bare board.
-    """
-    bare = at[problem.component[at] < 0]
-    if len(bare) >= least:
-        return seam_offset_px(problem, adjusted, bare, least)
-    if len(at) < _LEAST_REJECTED or (adjusted.weight[at] > _USED).mean() > _MOSTLY:
-        return None
-    across_px = seam_offset_px(problem, adjusted, at, len(at) + 1)
-    return across_px if across_px > _REJECTED_PX else None
-
-
 FiducialPlaces = dict[int, tuple[Floats, float]]
 """For each fiducial, by its index in the board type: its position, and the mean length of its residuals (px).
 
@@ -371,3 +403,65 @@ def _scale_reason(plane: BoardPlane, scale: float, px_per_mm: float, displaced: 
         "scaled, the calibration is wrong, the board lies above or below the calibrated plane, or it is of another "
         f"type{displaced}",
     )
+
+
+_FACTORS = (0.7, 1.4, 0.83, 1.2, 0.5, 2.0)
+"""Sizes that are searched, relative to those of the board type.
+
+A search for one size finds marks whose size differs by up to about 15 %."""
+_ENOUGH = 3
+"""Number of fiducials that suffices to find the board. With fewer, the outline must confirm the board's position."""
+
+
+def wrong_size(
+    board_type: BoardType, scene: Scene, expectation: Expectation, motion: Motion, texture_mm: Floats
+) -> Reason | None:
+    """Return a reason if marks of another size lie where the fiducials should be, otherwise None.
+
+    Args:
+        board_type: the board type whose fiducials were not found.
+        scene: the frames of the run.
+        expectation: expected position of the board.
+        motion: motion of the rows, from links alone.
+        texture_mm: (k, 2) linked points, which should lie on the board.
+    """
+    best: tuple[float, float] | None = None
+    for factor in _FACTORS:
+        cost = _cost(_resized(board_type, factor), scene, expectation, motion, texture_mm)
+        if cost is not None and (best is None or cost < best[0]):
+            best = cost, factor
+    if best is None:
+        return None
+    stated = sorted({f.diameter for f in board_type.fiducials})
+    sizes = ", ".join(f"{size * board_type.mm_per_unit:.2g} mm" for size in stated)
+    found = ", ".join(f"about {size * best[1] * board_type.mm_per_unit:.2g} mm" for size in stated)
+    return Reason(
+        ReasonCode.FIDUCIAL_SIZE,
+        f"marks of {found} are where fiducials of {sizes} are expected: correct the diameter of the fiducials in the "
+        "board type",
+    )
+
+
+def _cost(
+    board_type: BoardType, scene: Scene, expectation: Expectation, motion: Motion, texture_mm: Floats
+) -> float | None:
+    """Return the cost of the best position of the board, without unit; None if no position is found or confirmed."""
+    plane = board_plane(board_type, scene.cameras[0])
+    detections = [
+        detect_marks(Task("marks", key), scene.prepared(key), scene.cameras[key[0]], board_type)
+        for key in scene.present
+    ]
+    places = merge_detections(detections, scene.cameras, motion)
+    angle = expected_angle(plane, typical_camera(scene.cameras), expectation)
+    found = find_board(plane, places, angle, expectation, np.asarray(texture_mm))
+    if isinstance(found, Failure):
+        return None
+    outline = measure_outline_contrast(board_type, plane.matrix(found.c), scene, motion)
+    if len(found.fiducials) < min(_ENOUGH, len(board_type.fiducials)) or (outline is not None and not outline.visible):
+        return None
+    return found.cost if outline is not None or len(found.fiducials) >= _ENOUGH else None
+
+
+def _resized(board_type: BoardType, factor: float) -> BoardType:
+    resized = tuple(f.model_copy(update={"diameter": f.diameter * factor}) for f in board_type.fiducials)
+    return board_type.model_copy(update={"fiducials": resized})

@@ -29,7 +29,7 @@ import numpy as np
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.body_extents import EXTENTS
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.observations import Ints
+from vaoi_station.stitching.adjustment.problem import Ints
 
 _OUTLIER, _INSIDE, _WIDE, _BELOW = 0.05, 0.84, 0.03, 0.05
 """Prior probabilities for a link: that it is an outlier, and three for links inside the extent of the body.

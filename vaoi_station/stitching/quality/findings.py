@@ -13,41 +13,46 @@ from vaoi_station.geometry.displacement import rms_displacement_px
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, Surface, Visibility
-from vaoi_station.stitching.adjustment.initial_motion import connected_rows
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem
-from vaoi_station.stitching.adjustment.surface import to_surface
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, to_surface
+from vaoi_station.stitching.adjustment.row_motion import connected_rows
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
-from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.board.footprints import FootprintViews, frames_of_marks
-from vaoi_station.stitching.board.reference_orientation import ReferenceScene
-from vaoi_station.stitching.components.bad_board_marks import BoardMarks, MarkedPanel, read_bad_marks
-from vaoi_station.stitching.components.local_fiducials import placed_landmarks, placed_parts
-from vaoi_station.stitching.components.own_places import OwnPlaces, own_places
-from vaoi_station.stitching.components.panel_boards import components_of
-from vaoi_station.stitching.components.part_views import PartView, central_views
-from vaoi_station.stitching.components.shift import ComponentShift, measure_component_shift
-from vaoi_station.stitching.matching.evidence import FrameKey, Links
-from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.method import Method
-from vaoi_station.stitching.quality.added_errors import (
+from vaoi_station.stitching.board.reference import ReferenceScene
+from vaoi_station.stitching.components.bad_boards import BoardMarks, MarkedPanel, read_bad_marks
+from vaoi_station.stitching.components.centres import ComponentShift, PartView, central_views, measure_component_shift
+from vaoi_station.stitching.components.places import (
+    OwnPlaces,
+    components_of,
+    own_places,
+    placed_landmarks,
+    placed_parts,
+)
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.geometry import FootprintViews, frames_of_marks
+from vaoi_station.stitching.matching.evidence import FrameKey, Links, Method
+from vaoi_station.stitching.matching.frames import Scene
+from vaoi_station.stitching.quality.confirmation import (
+    CheckedFrames,
+    DarkLight,
+    check_frames,
+    frames_with_edge,
+    linked_to_before,
+    repeated_frames,
+)
+from vaoi_station.stitching.quality.heights import Height, component_heights
+from vaoi_station.stitching.quality.pictures import LensError, lens_errors, position_errors_px
+from vaoi_station.stitching.quality.seams import LIFT_LIMIT_MM, Lift, agreeing_links, measure_lift, row_offset, seam_px
+from vaoi_station.stitching.quality.uncertainty import (
+    PredictedSigma,
+    largest_sigma,
+    predict_sigma,
     reference_share,
+    seam_sigma_px,
     with_camera_errors,
     with_common_error,
     with_component_errors,
 )
-from vaoi_station.stitching.quality.agreement import agreeing_links, seam_px
-from vaoi_station.stitching.quality.covariances import largest_sigma
-from vaoi_station.stitching.quality.heights import Height, component_heights
-from vaoi_station.stitching.quality.missing.board_edge import frames_with_edge
-from vaoi_station.stitching.quality.missing.confirmation import CheckedFrames, check_frames, linked_to_before
-from vaoi_station.stitching.quality.missing.dark_lights import DarkLight
-from vaoi_station.stitching.quality.missing.repeated_frames import repeated_frames
-from vaoi_station.stitching.quality.missing.unseen import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
-from vaoi_station.stitching.quality.pictures.lens_errors import LensError, lens_errors, position_errors_px
-from vaoi_station.stitching.quality.row_offsets import row_offset
-from vaoi_station.stitching.quality.seam_causes import LIFT_LIMIT_MM, Lift, measure_lift
-from vaoi_station.stitching.quality.uncertainty import PredictedSigma, predict_sigma, seam_sigma_px
+from vaoi_station.stitching.quality.visibility import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
 
 _USED = 0.1
 """Weight above which a link counts as used."""

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Ints, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.matching.patch_tables import WINDOW_PX
+from vaoi_station.stitching.matching.refinement import WINDOW_PX
 from vaoi_station.stitching.quality.body_heights import BodyLinks, body_heights
 
 _WORST_MM = 0.5

@@ -9,11 +9,10 @@ import numpy as np
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import measured_velocity
 from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE
-from vaoi_station.stitching.components.two_fiducials import unnoticed_mm
-from vaoi_station.stitching.quality.covariances import matrix_sigmas, row_covariances
+from vaoi_station.stitching.components.centres import unnoticed_mm
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.row_connections import rows_apart
-from vaoi_station.stitching.quality.uncertainty import surface_sigma_mm
+from vaoi_station.stitching.quality.uncertainty import matrix_sigmas, row_covariances, surface_sigma_mm
+from vaoi_station.stitching.quality.verdict import rows_apart
 
 AMBIGUOUS = "ambiguous"
 """Value of `quality.orientation` if the board turned by 180° would fit as well."""

@@ -1,4 +1,19 @@
-"""Predicted uncertainty of component positions: the covariance of the adjustment, carried over to the images.
+"""Errors that the covariance of the adjustment does not contain, added to the prediction.
+
+The CAD coordinates of all links to a reference come from the reference's own CAD mapping. So they all have the error of
+that mapping. No residual shows this error, and it does not average out. Its effect on the result is proportional to the
+weight of the reference in the estimate of C. Components that local
+fiducials or those of a board of a panel place have the errors of these.
+
+Covariances of D_j and standard deviations of M_ij, in the form in which results contain them.
+
+The pivot c is a fixed point of the conveyor's plane in the middle of the array. Three numbers describe the motion of a
+row: the turn φ of D_j (rad), and the position (x, y) (mm, row coordinates) of the board point that lies under the pivot
+in that row. With errors δφ and δ(x, y), a ground point p has the error δ(x, y) + δφ·(−(p − c)_y, (p − c)_x). The error
+of its image point is the derivative of N_i times that. Row 0 has no uncertainty, since D_0 is the identity by
+definition.
+
+Predicted uncertainty of component positions: the covariance of the adjustment, carried over to the images.
 
 The position of a component in an image depends on the motion of the row, on C and on the surface. The covariance of the
 position is computed as that of the residual that an exact detection of the component would have.
@@ -7,28 +22,82 @@ position is computed as that of the residual that an exact detection of the comp
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.camera_error import basis_px
 from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.camera_equations import camera_effects, row_changes
-from vaoi_station.stitching.adjustment.observations import Ints
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult
-from vaoi_station.stitching.adjustment.surface import basis
-from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.footprints import FootprintViews, landmarks
+from vaoi_station.stitching.adjustment.cameras import camera_effects, row_changes
+from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Ints, basis
+from vaoi_station.stitching.board.board_plane import BoardPlane, landmarks
+from vaoi_station.stitching.board.reference import inliers
+from vaoi_station.stitching.geometry import FootprintViews
 from vaoi_station.stitching.matching.evidence import FrameKey
-from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.quality.covariances import largest_sigma
+from vaoi_station.stitching.matching.frames import Scene
+
+
+def row_covariances(adjusted: AdjustmentResult) -> Floats:
+    """Compute the covariance of (φ, x, y) at the pivot for each of the m matrices D_j: (m, 3, 3), rad and mm."""
+    motion = adjusted.motion
+    m = len(motion.angle)
+    c, s = np.cos(motion.angle), np.sin(motion.angle)
+    # The adjustment uses the inverse of D_j, board = R(φ)·(x − c) + c + s. An error δs of this shift moves the ground
+    # point by −R(−φ)·δs, and an error of the turn has the opposite sign.
+    turn = np.zeros((m, 3, 3))
+    turn[:, 0, 0] = -1
+    turn[:, 1, 1], turn[:, 1, 2], turn[:, 2, 1], turn[:, 2, 2] = -c, -s, s, -c
+    return np.asarray(turn @ adjusted.covariance[:, :3, :3] @ turn.swapaxes(1, 2))
+
+
+def matrix_sigmas(cameras: Sequence[Camera], pivot_mm: Floats, rows: Floats) -> Floats:
+    """Compute the standard deviations (n, m, 2) px of the matrices M_ij of n cameras and m rows.
+
+    The two values are the standard deviation at the centre of the frame and that at its worst corner, each in the
+    direction where it is largest.
+
+    Args:
+        cameras: the n cameras.
+        pivot_mm: (2,) the pivot.
+        rows: (m, 3, 3) covariances of the rows' motion, from `row_covariances`.
+    """
+    return np.array([_sigmas(camera, pivot_mm, rows) for camera in cameras])
+
+
+def largest_sigma(covariance: Floats) -> Floats:
+    """Compute the largest standard deviation over all directions, (…), for covariances (…, 2, 2)."""
+    # Closed form of the larger eigenvalue of a symmetric 2×2 matrix, for all matrices at once.
+    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    return np.asarray(np.sqrt(np.maximum((a + d) / 2 + np.hypot((a - d) / 2, b), 0)))
+
+
+def _sigmas(camera: Camera, pivot_mm: Floats, rows: Floats) -> Floats:
+    w, h = camera.width_px - 1.0, camera.height_px - 1.0
+    ground = camera.ground(np.array([camera.center_px, (0, 0), (w, 0), (w, h), (0, h)]))
+    arm = ground - pivot_mm
+    by_row = np.zeros((5, 2, 3))
+    by_row[:, 0, 0], by_row[:, 1, 0] = -arm[:, 1], arm[:, 0]
+    by_row[:, 0, 1] = by_row[:, 1, 2] = 1
+    j = _slope(camera, ground) @ by_row
+    sigma = largest_sigma(j[None] @ rows[:, None] @ j.swapaxes(1, 2)[None])
+    return np.stack([sigma[:, 0], sigma[:, 1:].max(1)], -1)
+
+
+def _slope(camera: Camera, ground_mm: Floats) -> Floats:
+    """Compute the derivatives (k, 2, 2) of undistorted pixels by ground points (k, 2), px/mm."""
+    n = camera.image_from_row.matrix
+    homogeneous = np.column_stack([ground_mm, np.ones(len(ground_mm))]) @ n.T
+    px = homogeneous[:, :2] / homogeneous[:, 2:]
+    return np.asarray((n[None, :2, :2] - px[:, :, None] * n[None, 2:, :2]) / homogeneous[:, 2, None, None])
+
 
 MODEL_PX = 0.002
 """Standard deviation of errors that no residual shows: errors of calibration, artwork and flatness."""
@@ -366,3 +435,73 @@ def position_covariances(
                     yy += jc[1, c] * value * jc[1, b]
         out[k, 0, 0], out[k, 0, 1], out[k, 1, 0], out[k, 1, 1] = xx, xy, xy, yy
     return out
+
+
+def reference_share(points: FiducialPoints | None, residual_px: Floats) -> float:
+    """Return which share (0 to 1) of the information about C comes from the reference.
+
+    Args:
+        points: the k points with known CAD coordinates.
+        residual_px: (k, 2) their residuals in the adjustment.
+    """
+    if points is None or not len(points.which):
+        return 0.0
+    sigma_px = points.sigma_mm * points.px_per_mm
+    weight = np.where(inliers(points, residual_px), sigma_px**-2.0, 0.0)
+    whole = float(weight.sum())
+    return float(weight[points.which == REFERENCE].sum()) / whole if whole > 0 else 0.0
+
+
+def with_common_error(predicted: PredictedSigma, sigma_px: float) -> PredictedSigma:
+    """Return a prediction with an additional error that all component positions have in common, px per axis."""
+    if predicted.worst_px is None:
+        return predicted
+    return replace(
+        predicted,
+        rows_px=tuple(float(np.hypot(v, sigma_px)) for v in predicted.rows_px),
+        worst_px=float(np.hypot(predicted.worst_px, sigma_px)),
+        covariance_px2=predicted.covariance_px2 + sigma_px**2 * np.eye(2),
+    )
+
+
+def with_camera_errors(predicted: PredictedSigma, sigma_px: Mapping[int, float]) -> PredictedSigma:
+    """Return a prediction with an additional error for each camera, px per axis; none for cameras without an entry."""
+    if predicted.worst_px is None or not any(sigma_px.values()):
+        return predicted
+    camera = predicted.seen_in[:, 0]
+    added = np.zeros(int(camera.max(initial=0)) + 1)
+    for i, px in sigma_px.items():
+        if i < len(added):
+            added[i] = px
+    return _with_added(predicted, added[camera])
+
+
+def with_component_errors(
+    predicted: PredictedSigma, sigma_mm: Mapping[str, float], cameras: Sequence[Camera], skipped: Collection[str] = ()
+) -> PredictedSigma:
+    """Return a prediction with an additional error for each component, mm per axis, by address; none without an entry.
+
+    These are the errors of fiducials that place a component, or the board of a panel on which it is. The largest
+    standard deviations of rows and run do not contain those of `skipped` components.
+    """
+    if predicted.worst_px is None or not sigma_mm:
+        return predicted
+    camera = predicted.seen_in[:, 0]
+    px_per_mm = np.array([c.px_per_mm for c in cameras])[camera]
+    added = np.array([sigma_mm.get(name, 0.0) for name in predicted.names])[predicted.part] * px_per_mm
+    demanded = np.array([name not in skipped for name in predicted.names], np.bool_)[predicted.part]
+    return _with_added(predicted, added, demanded)
+
+
+def _with_added(
+    predicted: PredictedSigma, sigma_px: Floats, demanded: NDArray[np.bool_] | bool = True
+) -> PredictedSigma:
+    """Return a prediction with an additional error (k,) of each of k views, px per axis.
+
+    The largest standard deviations contain those of the `demanded` views (k,) only.
+    """
+    covariance = predicted.covariance_px2 + (sigma_px**2)[:, None, None] * np.eye(2)
+    length, rows = np.where(demanded, largest_sigma(covariance), 0.0), np.array(predicted.rows_px)
+    np.maximum.at(rows, predicted.seen_in[:, 1], length)
+    worst = max(float(length.max(initial=0)), predicted.worst_px or 0.0)
+    return replace(predicted, rows_px=tuple(rows.tolist()), worst_px=worst, covariance_px2=covariance)

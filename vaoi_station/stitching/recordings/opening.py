@@ -8,14 +8,10 @@ from pathlib import Path
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
 from vaoi_station.model import Calibration
-from vaoi_station.stitching.board.expectation import turned_by
-from vaoi_station.stitching.board.placeable import refuse_unplaceable
-from vaoi_station.stitching.matching.evidence import FrameKey
-from vaoi_station.stitching.method import MethodName
-from vaoi_station.stitching.recordings.offline import Frames
-from vaoi_station.stitching.recordings.reference_directory import StoredReference, open_reference, with_reference
-from vaoi_station.stitching.recordings.stitch_terms import StitchTerms
-from vaoi_station.stitching.work import StitchSetup, TaskRunner
+from vaoi_station.stitching.expectation import StitchTerms, refuse_unplaceable, turned_by
+from vaoi_station.stitching.matching.evidence import FrameKey, MethodName
+from vaoi_station.stitching.recordings.references import StoredReference, open_reference, with_reference
+from vaoi_station.stitching.work import Frames, StitchSetup, TaskRunner
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.model import BoardType, Calibration, RecordingHead
-from vaoi_station.stitching.recordings.offline import stitch_frames
-from vaoi_station.stitching.work import StitchSetup
+from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 from ..adapter import Setting
 from ..strip import Floats, Matrices, Strip

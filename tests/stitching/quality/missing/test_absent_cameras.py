@@ -10,9 +10,9 @@ import pytest
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
-from vaoi_station.stitching.board.expectation import Expectation
-from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.quality.missing.absent_cameras import absent_camera_reasons, expected_fiducials
+from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.matching.frames import Scene
+from vaoi_station.stitching.quality.visibility import absent_camera_reasons, expected_fiducials
 
 MARKS = {"LEFT": (2.0, 5.0), "MIDDLE": (18.5, 5.0), "RIGHT": (34.0, 5.0)}
 PLACED = Expectation(corner_mm=(-10.0, -5.0))

@@ -10,10 +10,9 @@ import pytest
 from tests.hostile.judging import judge
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.observations import Observations
-from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
+from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Observations
 from vaoi_station.stitching.matching.evidence import Links, Task
-from vaoi_station.stitching.quality.missing.confirmation import (
+from vaoi_station.stitching.quality.confirmation import (
     confirmed_beside,
     confirmed_by_links,
     confirmed_by_points,

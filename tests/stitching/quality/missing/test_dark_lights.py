@@ -8,9 +8,8 @@ import numpy as np
 
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import ReasonCode
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.quality.missing.dark_lights import DarkLight, RowLights, dark_light_reasons, dark_lights
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
+from vaoi_station.stitching.quality.confirmation import DarkLight, RowLights, dark_light_reasons, dark_lights
 from vaoi_station.stitching.quality.verdict import decide_verdict
 
 LIGHTS = RowLights(("even", "left", "right") * 3, {"left": (2,), "right": (0, 3)})

@@ -14,9 +14,8 @@ from tests.hostile.filming import film
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.matching.prepared_frame import PreparedFrame
-from vaoi_station.stitching.matching.scene import Scene
-from vaoi_station.stitching.quality.missing.repeated_frames import repeated_frames
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
+from vaoi_station.stitching.quality.confirmation import repeated_frames
 
 SIZE_PX, PX_PER_MM, STEP_MM = (320, 240), 10.0, 3.0
 MOTION = Motion(np.zeros(2), np.array([(0.0, 0.0), (-STEP_MM, 0.0)]), np.zeros(2))

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import VISIBILITY, BoardType, ReasonCode, Status, Visibility
-from vaoi_station.stitching.board.component_index import ComponentIndex
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.quality.missing.unseen import (
+from vaoi_station.stitching.geometry import ComponentIndex
+from vaoi_station.stitching.quality.visibility import (
     FilmedBoard,
     SeenFrames,
     UnseenComponent,
@@ -21,7 +21,7 @@ from vaoi_station.stitching.quality.missing.unseen import (
     unconfirmed_reasons,
     unseen_reasons,
 )
-from vaoi_station.stitching.recordings.offline import stitch_frames
+from vaoi_station.stitching.work import stitch_frames
 
 
 def with_changes(board_type: BoardType, **keys: Any) -> BoardType:

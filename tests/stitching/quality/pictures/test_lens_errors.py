@@ -13,7 +13,7 @@ from tests.hostile.judging import stitched
 from tests.hostile.mistakes import Mistake, scenario_changes
 from vaoi_station.model import ReasonCode, Status, Stitch
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.pictures.lens_errors import LensError, position_errors_px
+from vaoi_station.stitching.quality.pictures import LensError, position_errors_px
 from vaoi_station.stitching.quality.verdict import decide_verdict
 
 SEEDS = (3037, 3052, 3071)

@@ -13,7 +13,7 @@ from tests.hostile.judging import judge
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import ReasonCode, Status
 from vaoi_station.stitching.adjustment.problem import REFERENCE
-from vaoi_station.stitching.quality.pictures.sharpness import blur_reasons, camera_blurs
+from vaoi_station.stitching.quality.pictures import blur_reasons, camera_blurs
 
 
 def blurs_of(found: Any, scene: Any = None, points: Any = None) -> dict[int, float]:

@@ -1,0 +1,737 @@
+"""Build the normal equations of all links in compiled passes over the links, in every step of the adjustment.
+
+A link states that ground point a of row p and ground point b of row q are the same point of the board. Its residual is
+
+    r = board(q, b) − board(p, a) + l·h,    l = R(φ_q)·l_b − R(φ_p)·l_a,
+
+where board() is the map from ground to board of `Motion`, R(φ) a rotation, l_a and l_b the leans of the two points, l
+the change of the residual per mm of height, and h the height of the point: that of the surface plus that of the
+component.
+
+Unknowns are (φ, sx, sy) of every row, in the columns 3·row to 3·row + 2, the coefficients of the surface, and the
+displacements of the cameras (`camera_equations.py`). The normal matrix is stored in its envelope (`envelope.py`). The
+heights of components have separate normal equations (`height_equations.py`).
+
+Compiled functions take their arrays in named tuples, which Numba unpacks without a copy.
+
+Set up the equations of detected fiducials, and the prior equation of the scale of C.
+
+Eliminate the heights of components from the normal equations.
+
+Each height occurs only in the links that lie on its component. It is coupled to the rows and cameras that see the
+component and to the surface, but to no other height. The heights therefore have normal equations of their own
+(`HeightEquations`). Their Schur complement is subtracted from the other normal equations before these are solved.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.robust import huber_weights
+from vaoi_station.geometry.similarity import apply_similarity, similarity_jacobian
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.stitching.adjustment.cameras import CameraEffects, row_change
+from vaoi_station.stitching.adjustment.envelope import Envelope, NormalEquations
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.problem import (
+    CameraPairs,
+    FiducialPoints,
+    Ints,
+    LinkArrays,
+    Problem,
+    cells_of,
+    group_begins,
+)
+
+_SINGLE_PX, _COMMON_PX = 0.002, 0.004
+"""Standard deviations of two errors of a detection that `sigma_mm` does not include.
+
+`_SINGLE_PX` is independent for each detection. `_COMMON_PX` is common to all detections of one fiducial (artwork,
+light) and does not average out (docs/measured/uncertainty.md)."""
+_SCALE_SIGMA = 3e-4
+"""Standard deviation of the relative size of a board against its CAD data: boards shrink and stretch."""
+_KNEE, _CUT = 2.0, 6.0
+"""Residuals beyond `_KNEE` standard deviations lose weight (Huber). Fixture marks and reference points, of which there
+are many, have no weight beyond `_CUT` standard deviations."""
+
+Equations = tuple[Ints, Floats, Floats]
+"""k sets of r whitened equations a·δ + b ≈ 0 in f unknowns: columns (k, f) of the unknowns, a (k, r, f), b (k, r)."""
+
+
+def fiducial_residuals(
+    points: FiducialPoints, motion: Motion, c: Floats, basis: Floats, surface_mm: Floats
+) -> tuple[Floats, Floats]:
+    """Return the residuals (s, 2) of s detections in mm, and their Jacobian (s, 2, 3 + 4 + f).
+
+    The Jacobian contains the derivatives by (φ, sx, sy) of the row, by the four numbers of C, and by the f coefficients
+    of the surface.
+
+    Args:
+        points: the detections.
+        motion: the motion of the rows.
+        c: the similarity C as (a, b, x, y).
+        basis: (s, f) values of the surface's basis functions at the detections; f may be 0.
+        surface_mm: (f,) coefficients of the surface.
+    """
+    height = basis @ surface_mm if basis.shape[1] else np.zeros(len(points.row))
+    lean = motion.turned(points.row, points.lean)
+    residual = motion.board(points.row, points.ground_mm) + lean * height[:, None] - apply_similarity(c, points.cad)
+    parts = [_row_jacobian(motion, points.row, points.ground_mm), -similarity_jacobian(points.cad)]
+    if basis.shape[1]:
+        parts.append(lean[:, :, None] * basis[:, None, :])
+    return residual, np.concatenate(parts, 2)
+
+
+def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floats, others: Ints) -> Equations:
+    """Return the robustly weighted, whitened equations of s detections.
+
+    Args:
+        points: the detections.
+        residual: (s, 2) residuals, mm.
+        jacobian: (s, 2, 3 + u) their derivatives by the row of each detection and by u other unknowns.
+        others: (s, u) columns of the other unknowns of each detection: C, the surface, and the camera.
+    """
+    sigma = detection_sigma_mm(points)
+    chi = np.sqrt((residual**2).sum(1) / 2) / sigma
+    many = points.which < 0
+    if many.any():
+        # While the rows have only their nominal motion, all these points have large residuals without being outliers.
+        # The limits are therefore scaled by the median residual.
+        scale = max(float(np.median(chi[many])), 1.0)
+        chi, sigma = np.where(many, chi / scale, chi), np.where(many, sigma * scale, sigma)
+    robust = np.where(many & (chi > _CUT), 0.0, huber_weights(chi, _KNEE))
+    weight = (np.sqrt(robust) / sigma)[:, None]
+    columns = np.concatenate([3 * points.row[:, None] + np.arange(3), others], 1)
+    return columns, weight[:, :, None] * jacobian, weight * residual
+
+
+def scale_equation(c: Floats, nominal_scale: float, columns: Ints) -> Equations:
+    """Return the prior equation that the scale of the similarity c = (a, b, x, y) is close to its nominal value.
+
+    `columns` (2,) are the columns of the unknowns a and b.
+    """
+    scale = float(np.hypot(*c[:2]))
+    sigma = _SCALE_SIGMA * nominal_scale
+    gradient = c[None, None, :2] / scale / sigma
+    return columns[None], gradient, np.array([[(scale - nominal_scale) / sigma]])
+
+
+def detection_sigma_mm(points: FiducialPoints) -> Floats:
+    """Return the standard deviation (s,) of each detection, mm.
+
+    If a fiducial has n detections, the variance of their common error is multiplied by n in each. The mean of the
+    detections then has at least the variance of the common error.
+    """
+    own = points.sigma_mm**2 + (_SINGLE_PX / points.px_per_mm) ** 2
+    shared = (_COMMON_PX / points.px_per_mm) ** 2
+    fiducial = points.which >= 0
+    count = np.bincount(points.which[fiducial], minlength=1)
+    times = np.where(fiducial, count[np.maximum(points.which, 0)], 1)
+    return np.asarray(np.sqrt(own + times * shared))
+
+
+def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
+    """Return the derivatives (k, 2, 3) of `motion.board` at ground points (k, 2) by (φ, sx, sy) of their rows (k,)."""
+    arm = motion.turned(row, ground_mm - motion.pivot)
+    one, nil = np.ones(len(arm)), np.zeros(len(arm))
+    return np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)
+
+
+_BODY_MM, _COMMON_MM = 0.3, 0.2
+"""Standard deviation of the heights of a component's points about the component's height (body, leads, board between).
+
+The second value is that of the mean height of those points that one pair of frames links. Without them, links on
+components counted like those on the bare board, and estimated a bow of up to 0.8 mm that was not there
+(docs/measured/hostile.md)."""
+_SHARE = 0.3
+"""Least value of the same, as a share of the component's height.
+
+Points of tall components lie anywhere between the board and the top: heights that are distributed evenly scatter by
+0.29 of the largest."""
+_SIDE_MM = 0.1
+"""The same for links between two cameras beside a component: each camera sees another side of it, or its shadow."""
+_BESIDE_SHARE, _LOW_MM = 0.58, 0.5
+"""Root mean square height of points on the side of a component, as a share of that part of its height that exceeds
+`_LOW_MM`. The sides of lower components hardly reach into patches beside them."""
+
+
+class HeightModel(NamedTuple):
+    """For each of k links, the surface functions and the component on which the height of its point depends."""
+
+    basis: Floats
+    """(k, f) values of the surface's f basis functions at the links; f may be 0."""
+    component: Ints
+    """(k,) index of the component height, −1 for a link on the bare board."""
+
+
+class HeightScatter:
+    """The scatter of the heights of k links' points about the modelled heights.
+
+    Points of one component lie at different heights, and those beside it on its side or on the board. Their mean height
+    in one pair of frames is an error that its links have in common, so that links on one body never outweigh few on the
+    board. Both grow with the component's height, which the adjustment estimates.
+    """
+
+    cell: Ints
+    """(k,) number of the links on or beside one component in one pair of frames (`cells_of`); −1 on the bare board."""
+
+    def __init__(self, problem: Problem, height: Ints, parts: int) -> None:
+        """Find the component on or beside which each link lies.
+
+        Args:
+            problem: the problem of the adjustment.
+            height: (k,) index of the height of each link, or −1 (`HeightModel.component`).
+            parts: number of components with links.
+        """
+        links, on = problem.links, problem.component >= 0
+        self._beside = problem.reaches_component & ~on
+        sides = self._beside & (links.p == links.q)
+        self._part = np.where(self._beside, problem.near, problem.component) if len(problem.near) else problem.component
+        # Sides at a seam have their heights in common, whatever component they belong to.
+        beside = np.where(sides, 2 * parts, 2 * parts + 1 + self._part)
+        self.cell = cells_of(np.where(self._beside, beside, height), links.group)
+        self._least = np.where(on, _BODY_MM, np.where(sides, _SIDE_MM, 0.0))
+        self._least_common = np.where(self._least > 0, _COMMON_MM, 0.0)
+        self._known = np.flatnonzero((self._part >= 0) & (self._part < parts))
+
+    def at(self, heights_mm: Floats) -> tuple[Floats, Floats]:
+        """Return standard deviations (k,), mm: of the height of single points, and of the mean height of each cell.
+
+        `heights_mm` (2, n) are the estimated heights of the components by links from row to row, and by those between
+        cameras. They lie on other points of a component: the taller counts.
+        """
+        height = np.maximum(heights_mm.max(0), 0.0)[self._part[self._known]]
+        side = _BESIDE_SHARE * np.maximum(height - _LOW_MM, 0.0)
+        of_height = np.zeros(len(self._part))
+        of_height[self._known] = np.where(self._beside[self._known], side, _SHARE * height)
+        return np.maximum(self._least, of_height), np.maximum(self._least_common, of_height * (_COMMON_MM / _BODY_MM))
+
+
+class Coupling(NamedTuple):
+    """The unknowns to which each of c component heights is coupled: a range of rows, the surface, a range of cameras.
+
+    The entries of a height in `HeightEquations.entries` stand in this order, which is that of the columns of the normal
+    matrix: (φ, sx, sy) of its rows, the coefficients of the surface, (x, y, turn) of its cameras.
+    """
+
+    row: Ints
+    """(c,) the first row that sees each component; 0 for a component without links."""
+    last: Ints
+    """(c,) the last row that sees each component; −1 for a component without links."""
+    camera: Ints
+    """(c,) the first camera that sees each component; 0 for a component without links."""
+    at: Ints
+    """(c + 1,) index of the first entry of each component in `HeightEquations.entries`."""
+    surface: int
+    """The number of coefficients of the surface."""
+    surface_column: int
+    """Column of the first coefficient of the surface in the normal matrix."""
+    camera_column: int
+    """Column of the first camera's displacement in the normal matrix; −1 if the cameras are taken as exact."""
+
+    @staticmethod
+    def of(component: Ints, links: LinkArrays, pairs: CameraPairs, columns: OtherColumns) -> Coupling:
+        """Build the coupling of component heights to the unknowns of the links that lie on the components.
+
+        `component` (k,) is the index of the height of every link, or −1.
+        """
+        first, last, camera, width = _ranges(component, links.p, links.q, links.group, pairs, columns)
+        at = np.append(0, np.cumsum(width))
+        return Coupling(first, last, camera, at, columns.surface, columns.surface_column, columns.camera_column)
+
+    def equations(self, heights_mm: Floats, sigma_mm: float, sunk_mm: float) -> HeightEquations:
+        """Return the equations of the component heights without any link: they contain only the prior.
+
+        The prior expects a height of 0 with standard deviation `sigma_mm`. As components stand above the board, the
+        standard deviation of heights that are below 0 is `sunk_mm`. The unknowns are changes of the current heights
+        `heights_mm` (c,).
+        """
+        normal = np.where(heights_mm < 0, 1 / sunk_mm**2, 1 / sigma_mm**2)
+        return HeightEquations(np.zeros(int(self.at[-1])), normal, -heights_mm * normal)
+
+    def envelope(self, links: LinkArrays, rows: int, others: int) -> Envelope:
+        """Build the envelope of the normal equations of `rows` rows and `others` further unknowns.
+
+        Two rows are coupled if they are consecutive (prior of the belt), if a link connects them, or if both see the
+        same component, whose height is eliminated.
+        """
+        furthest, first = np.minimum(np.arange(rows) + 1, rows - 1), group_begins(links.group)
+        p, q = links.p[first], links.q[first]
+        np.maximum.at(furthest, np.minimum(p, q), np.maximum(p, q))
+        np.maximum.at(furthest, self.row, self.last)
+        return Envelope.of(furthest, others)
+
+
+class OtherColumns(NamedTuple):
+    """The columns of the unknowns that all rows share, and the number of component heights."""
+
+    surface: int
+    """The number of coefficients of the surface that are unknowns."""
+    surface_column: int
+    """Column of the first coefficient of the surface in the normal matrix."""
+    camera_column: int
+    """Column of the first camera's displacement; −1 if the cameras are taken as exact."""
+    heights: int
+    """The number c of component heights."""
+
+
+class HeightEquations(NamedTuple):
+    """The normal equations of c component heights, and their coupling to the other unknowns."""
+
+    entries: Floats
+    """The entries of the normal matrix between each height and the other unknowns, in the order of `Coupling`."""
+    normal: Floats
+    """(c,) diagonal of the normal matrix of the heights, which are not coupled to one another."""
+    right: Floats
+    """(c,) right-hand side of the heights' normal equations."""
+
+
+@compiled
+def _ranges(
+    component: Ints, p: Ints, q: Ints, group: Ints, pairs: CameraPairs, columns: OtherColumns
+) -> tuple[Ints, Ints, Ints, Ints]:
+    """Find the rows and cameras to which the height of each of c components is coupled.
+
+    Returns:
+        First row, last row, first camera, and number of entries in `HeightEquations.entries`, (c,) each.
+    """
+    count = columns.heights
+    first, last = np.zeros(count, np.int64), np.full(count, -1)
+    camera, furthest = np.zeros(count, np.int64), np.full(count, -1)
+    for n in range(len(component)):
+        c = component[n]
+        if c >= 0:
+            low, high = min(p[n], q[n]), max(p[n], q[n])
+            left, right = pairs.a[group[n]], pairs.b[group[n]]
+            first[c] = low if last[c] < 0 else min(first[c], low)
+            camera[c] = left if last[c] < 0 else min(camera[c], left)
+            last[c], furthest[c] = max(last[c], high), max(furthest[c], right)
+    width = np.zeros(count, np.int64)
+    for c in range(count):
+        if last[c] >= 0:
+            width[c] = 3 * (last[c] - first[c] + 1) + columns.surface
+            if columns.camera_column >= 0:
+                width[c] += 3 * (furthest[c] - camera[c] + 1)
+    return first, last, camera, width
+
+
+@inlined
+def _fill_columns(coupling: Coupling, c: int, columns: Ints) -> int:
+    """Write the columns of the normal matrix to which the entries of component c belong; return their number."""
+    count = 0
+    for row in range(coupling.row[c], coupling.last[c] + 1):
+        for k in range(3):
+            columns[count + k] = 3 * row + k
+        count += 3
+    for k in range(coupling.surface):
+        columns[count + k] = coupling.surface_column + k
+    for k in range(count + coupling.surface, coupling.at[c + 1] - coupling.at[c]):
+        columns[k] = coupling.camera_column + 3 * coupling.camera[c] + k - count - coupling.surface
+    return int(coupling.at[c + 1] - coupling.at[c])
+
+
+@compiled
+def eliminate_heights(coupling: Coupling, heights: HeightEquations, normal: NormalEquations) -> None:
+    """Eliminate the heights: subtract their Schur complement from the normal equations of the other unknowns."""
+    at, values, right, entries = normal.at, normal.values, normal.right, heights.entries
+    columns = np.empty(len(right), np.int64)
+    for c in range(len(heights.normal)):
+        begin = coupling.at[c]
+        if coupling.at[c + 1] == begin:
+            continue
+        count = _fill_columns(coupling, c, columns)
+        for a in range(count):
+            own = entries[begin + a] / heights.normal[c]
+            if own != 0:
+                i = columns[a]
+                right[i] -= own * heights.right[c]
+                for b in range(a + 1):
+                    # columns ascend, so that this is in the lower triangle
+                    values[at[i] + columns[b]] -= own * entries[begin + b]
+
+
+@compiled
+def height_changes(coupling: Coupling, heights: HeightEquations, delta: Floats) -> Floats:
+    """Return the changes (c,) of component heights, mm, that follow from changes (n,) of all other unknowns."""
+    out, columns = heights.right.copy(), np.empty(len(delta), np.int64)
+    for c in range(len(out)):
+        begin = coupling.at[c]
+        if coupling.at[c + 1] > begin:
+            for a in range(_fill_columns(coupling, c, columns)):
+                out[c] -= heights.entries[begin + a] * delta[columns[a]]
+        out[c] /= heights.normal[c]
+    return out
+
+
+class MotionArrays(NamedTuple):
+    """The motion of m rows, in the form that compiled functions take."""
+
+    angle: Floats
+    """(m,) angle φ by which each row is rotated, rad."""
+    shift: Floats
+    """(m, 2) shift s of each row, mm."""
+    pivot: Floats
+    """(2,) point about which the rows are rotated, mm."""
+
+
+class LinkState(NamedTuple):
+    """Values that each step of the adjustment computes for k links; the arrays are overwritten in place."""
+
+    residual: Floats
+    """(k, 2) residual r, mm."""
+    lean: Floats
+    """(k, 2) change l of the residual per mm of height of the point."""
+    sigma: Floats
+    """(k,) length of the residual in standard deviations: rms of its two axes."""
+    robust: Floats
+    """(k,) robust weight, 0 … 1."""
+    weight: Floats
+    """(k, 3) entries xx, xy, yy of the weight matrix, mm⁻²."""
+
+    @staticmethod
+    def zeros(k: int) -> LinkState:
+        """Return the state of k links before the first step: all values are 0."""
+        return LinkState(np.zeros((k, 2)), np.zeros((k, 2)), np.zeros(k), np.zeros(k), np.zeros((k, 3)))
+
+
+class NoiseModel(NamedTuple):
+    """The noise of k links by kind of link, and the limits of the robust loss."""
+
+    kind: Ints
+    """(k,) kind of each link, an index into `floor_px` and `shared_px` (`NoiseFloors`)."""
+    floor_px: Floats
+    """(n,) noise floor of each of n kinds: scatter of single links beyond image noise."""
+    shared_px: Floats
+    """(n,) standard deviation, for each kind, of the error that all links of one pair of frames have in common."""
+    knee: float
+    """Residuals beyond this number of standard deviations lose weight (Huber)."""
+    cut: float
+    """Residuals beyond this number of standard deviations have no weight."""
+    raised: NDArray[np.bool_]
+    """(k,) whether each link may lie above the modelled height: on a component or on its leads."""
+    scatter_mm: Floats
+    """(k,) standard deviation of the height of each link's point about the modelled height; 0 on the bare board."""
+    cell: Ints
+    """(k,) number of the cell of each link (`observations.cells_of`); −1 on the bare board."""
+    common_mm: Floats
+    """(k,) standard deviation of the mean height of the points of each link's cell, which its links have in common."""
+    plainly: float
+    """Number of standard deviations above the bare board from which on a point loses weight; infinite for none."""
+
+
+@compiled
+def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats, state: LinkState) -> None:
+    """Write to `state` residual and lean of every link, for points at heights (k,) above the calibrated plane."""
+    p, q, a_mm, b_mm, a_lean, b_lean = links.p, links.q, links.a_mm, links.b_mm, links.a_lean, links.b_lean
+    shift, pivot, residual, lean = motion.shift, motion.pivot, state.residual, state.lean
+    cos, sin = np.cos(motion.angle), np.sin(motion.angle)
+    for n in range(len(p)):
+        i, j = p[n], q[n]
+        ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
+        lx = cos[j] * b_lean[n, 0] - sin[j] * b_lean[n, 1] - cos[i] * a_lean[n, 0] + sin[i] * a_lean[n, 1]
+        ly = sin[j] * b_lean[n, 0] + cos[j] * b_lean[n, 1] - sin[i] * a_lean[n, 0] - cos[i] * a_lean[n, 1]
+        dx = cos[j] * bx - sin[j] * by + shift[j, 0] - cos[i] * ax + sin[i] * ay - shift[i, 0]
+        dy = sin[j] * bx + cos[j] * by + shift[j, 1] - sin[i] * ax - cos[i] * ay - shift[i, 1]
+        residual[n, 0], residual[n, 1] = dx + lx * height_mm[n], dy + ly * height_mm[n]
+        lean[n, 0], lean[n, 1] = lx, ly
+
+
+@compiled
+def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: LinkState) -> None:
+    """Compute sigma, robust weight and weight matrix of every link from its residual.
+
+    A link may lie above the modelled height (`noise.raised`). If its residual shows this, its weight along the lean is
+    that of a point of unknown height. If not, it keeps its weight, since components stand above the board. Points of
+    the bare board lose weight if they lie plainly above it (`noise.plainly`): on a part that the board type lacks.
+
+    The points of one component have different heights: body, leads, solder, board in between. Two cameras see different
+    sides of it. The scatter of heights is noise along the lean. The mean height of the few corners that a pair of
+    frames shows (a cell) has an error in common, which limits the sum of their weights. Links whose patches overlap
+    share the noise of their pixels, and weigh together as much as one. The links of one pair of frames have an error in
+    common: its inverse variance limits the sum of their weights.
+
+    Args:
+        links: the links, of which covariance, resolution, overlap and group are used.
+        noise: the noise of the links.
+        groups: number of pairs of frames.
+        state: its residuals are read; sigma, robust weight and weight are written.
+    """
+    px_per_mm, group, noise_mm2, kind = links.px_per_mm, links.group, links.noise_mm2, noise.kind
+    floor_px, shared_px, knee, cut = noise.floor_px, noise.shared_px, noise.knee, noise.cut
+    residual, sigma, robust, weight = state.residual, state.sigma, state.robust, state.weight
+    of_group, of_cell = np.zeros(groups), np.zeros(noise.cell.max() + 1 if len(noise.cell) else 0)
+    for n in range(len(residual)):
+        floor = (floor_px[kind[n]] / px_per_mm[n]) ** 2
+        a, b, d = noise_mm2[n, 0, 0] + floor, noise_mm2[n, 0, 1], noise_mm2[n, 1, 1] + floor
+        determinant = a * d - b * b
+        xx, xy, yy = d / determinant, -b / determinant, a / determinant
+        x, y = residual[n, 0], residual[n, 1]
+        lx, ly = state.lean[n, 0], state.lean[n, 1]
+        wx, wy = xx * lx + xy * ly, xy * lx + yy * ly
+        information = lx * wx + ly * wy
+        if noise.scatter_mm[n] > 0:
+            variance = noise.scatter_mm[n] ** 2
+            k = 1 / (1 + information * variance)
+            xx, xy, yy = xx - k * variance * wx * wx, xy - k * variance * wx * wy, yy - k * variance * wy * wy
+            wx, wy, information = k * wx, k * wy, k * information
+        # The height that the residual shows, times the information.
+        height = -(wx * x + wy * y)
+        # In standard deviations. Noise alone makes a point of the bare board look raised by one.
+        if noise.raised[n] and height > math.sqrt(information):
+            own = (height - math.sqrt(information)) / information
+            k = 1 / (information + 1 / own**2)
+            xx, xy, yy = xx - k * wx * wx, xy - k * wx * wy, yy - k * wy * wy
+        sigma[n] = math.sqrt(max(xx * x * x + 2 * xy * x * y + yy * y * y, 0.0) / 2)
+        robust[n] = 1.0 if sigma[n] <= knee else knee / sigma[n] if sigma[n] <= cut else 0.0
+        if not noise.raised[n] and noise.scatter_mm[n] == 0 and information > 0:
+            robust[n] /= 1 + max(height / math.sqrt(information) - noise.plainly, 0.0) ** 2
+        part = robust[n] / links.overlap[n]
+        weight[n, 0], weight[n, 1], weight[n, 2] = part * xx, part * xy, part * yy
+        if noise.cell[n] >= 0:
+            of_cell[noise.cell[n]] += weight[n, 0] * lx * lx + 2 * weight[n, 1] * lx * ly + weight[n, 2] * ly * ly
+    # n equal weights w with a common variance s² sum to n·w / (1 + n·w·s²), which stays below 1 / s²
+    for n in range(len(residual)):
+        lx, ly = state.lean[n, 0], state.lean[n, 1]
+        wx, wy = weight[n, 0] * lx + weight[n, 1] * ly, weight[n, 1] * lx + weight[n, 2] * ly
+        information = lx * wx + ly * wy
+        if noise.cell[n] >= 0 and information > 0:
+            k = (1 - 1 / (1 + of_cell[noise.cell[n]] * noise.common_mm[n] ** 2)) / information
+            weight[n, 0], weight[n, 1] = weight[n, 0] - k * wx * wx, weight[n, 1] - k * wx * wy
+            weight[n, 2] -= k * wy * wy
+        of_group[group[n]] += (weight[n, 0] + weight[n, 2]) / 2
+    for n in range(len(residual)):
+        share = 1 / (1 + of_group[group[n]] * (shared_px[kind[n]] / px_per_mm[n]) ** 2)
+        for i in range(3):
+            weight[n, i] *= share
+
+
+class LinkModel(NamedTuple):
+    """The unknowns on which links depend besides the rows: surface, component heights, camera displacements."""
+
+    heights: HeightModel
+    coupling: Coupling
+    pairs: CameraPairs
+    cameras: CameraEffects
+
+
+@compiled
+def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
+    links: LinkArrays,
+    motion: MotionArrays,
+    model: LinkModel,
+    state: LinkState,
+    heights: HeightEquations,
+    normal: NormalEquations,
+) -> None:
+    """Add all links to the normal equations of rows, surface and cameras, and to those of the heights.
+
+    Args:
+        links: the links. Those of one group (pair of frames) are adjacent and have the same rows p and q.
+        motion: the motion at which the residuals were computed.
+        model: the other unknowns on which the links depend.
+        state: the state of the links, of which residual, lean and weight are used.
+        heights: normal equations of the heights, changed in place.
+        normal: normal equations of the other unknowns, changed in place.
+    """
+    p, q, a_mm, b_mm, group = links.p, links.q, links.a_mm, links.b_mm, links.group
+    pivot, basis, component = motion.pivot, model.heights.basis, model.heights.component
+    coupling, pairs, cameras = model.coupling, model.pairs, model.cameras
+    residual, lean, weight = state.residual, state.lean, state.weight
+    tied_row, tied_at, entries = coupling.row, coupling.at, heights.entries
+    height_normal, height_right = heights.normal, heights.right
+    cos, sin = np.cos(motion.angle), np.sin(motion.angle)
+    f, movable = basis.shape[1], coupling.camera_column >= 0
+    width = 6 + f + (6 if movable else 0)
+    columns = np.zeros(width, np.int64)
+    square, product = np.zeros((width, width)), np.zeros(width)
+    for k in range(f):
+        columns[6 + k] = coupling.surface_column + k
+    # changes of (φ, sx, sy) of row p and of row q that have the effect of a displacement of the first, second camera
+    by_a, by_b = np.zeros((3, 3)), np.zeros((3, 3))
+    most = _longest(group)
+    at_lift, bases, count = np.empty((6, most)), np.empty((f, most)), 0
+    for n in range(len(p)):
+        i, j = p[n], q[n]
+        if movable and count == 0:
+            row_change(cameras, pairs.a[group[n]], cos[i], sin[i], pivot, by_a)
+            row_change(cameras, pairs.b[group[n]], cos[j], sin[j], pivot, by_b)
+        ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
+        # derivatives of the residual by φ_p (px, py) and φ_q (qx, qy); those by the shifts of p and q are −1 and 1
+        px, py = sin[i] * ax + cos[i] * ay, -cos[i] * ax + sin[i] * ay
+        qx, qy = -sin[j] * bx - cos[j] * by, cos[j] * bx - sin[j] * by
+        lx, ly = lean[n, 0], lean[n, 1]
+        xx, xy, yy = weight[n, 0], weight[n, 1], weight[n, 2]
+        rx, ry = xx * residual[n, 0] + xy * residual[n, 1], xy * residual[n, 0] + yy * residual[n, 1]
+        wpx, wpy, wqx, wqy = xx * px + xy * py, xy * px + yy * py, xx * qx + xy * qy, xy * qx + yy * qy
+        wlx, wly = xx * lx + xy * ly, xy * lx + yy * ly
+        pl, ql, ll, lr = px * wlx + py * wly, qx * wlx + qy * wly, lx * wlx + ly * wly, lx * rx + ly * ry
+        # all links of a pair of frames have the same unknowns: their sums are collected in a small matrix
+        product[0] += px * rx + py * ry
+        product[3] += qx * rx + qy * ry
+        product[4] += rx
+        product[5] += ry
+        square[0, 0] += px * wpx + py * wpy
+        square[3, 0] += qx * wpx + qy * wpy
+        square[4, 0] += wpx
+        square[5, 0] += wpy
+        square[3, 3] += qx * wqx + qy * wqy
+        square[4, 3] += wqx
+        square[5, 3] += wqy
+        square[4, 4] += xx
+        square[5, 4] += xy
+        square[5, 5] += yy
+        at_lift[0, count], at_lift[1, count], at_lift[2, count], at_lift[3, count] = pl, ql, wlx, wly
+        at_lift[4, count], at_lift[5, count] = lr, ll
+        for k in range(f):
+            bases[k, count] = basis[n, k]
+        count += 1
+        c = component[n]
+        if c >= 0:
+            height_normal[c] += ll
+            height_right[c] -= lr
+            _couple(entries, tied_at[c] + 3 * (i - tied_row[c]), pl, -wlx, -wly)
+            _couple(entries, tied_at[c] + 3 * (j - tied_row[c]), ql, wlx, wly)
+            first = tied_at[c] + 3 * (coupling.last[c] - tied_row[c] + 1)
+            for k in range(f):
+                entries[first + k] += ll * basis[n, k]
+            if movable:
+                at_a = first + f + 3 * (pairs.a[group[n]] - coupling.camera[c])
+                at_b = first + f + 3 * (pairs.b[group[n]] - coupling.camera[c])
+                for k in range(3):
+                    entries[at_a + k] += by_a[0, k] * pl - by_a[1, k] * wlx - by_a[2, k] * wly
+                    entries[at_b + k] += by_b[0, k] * ql + by_b[1, k] * wlx + by_b[2, k] * wly
+        if n + 1 == len(p) or group[n + 1] != group[n]:
+            for k in range(3):
+                columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
+                if movable:
+                    columns[6 + f + k] = coupling.camera_column + 3 * pairs.a[group[n]] + k
+                    columns[9 + f + k] = coupling.camera_column + 3 * pairs.b[group[n]] + k
+            _add_surface(at_lift, bases, count, square, product)
+            count = 0
+            _complete(square, product, 6 + f)
+            if movable:
+                _add_cameras(by_a, by_b, 6 + f, square, product)
+            _flush(columns, square, product, normal)
+
+
+@inlined
+def _longest(group: Ints) -> int:
+    """Return the largest number of links that a pair of frames has. Links of one pair are adjacent."""
+    most, begin = 0, 0
+    for n in range(len(group)):
+        if group[n] != group[begin]:
+            begin = n
+        most = max(most, n + 1 - begin)
+    return most
+
+
+@inlined
+def _add_surface(at_lift: Floats, bases: Floats, count: int, square: Floats, product: Floats) -> None:
+    """Add the links of a pair of frames to the surface's entries in the small normal matrix of this pair.
+
+    The inner loops run over links, which are adjacent in memory, so that the compiler keeps the sums in vector
+    registers.
+
+    Args:
+        at_lift: (6, most) products of weight, lean, derivatives and residual of each link, as `add_links` stores them.
+        bases: (f, most) values of the surface's basis functions at each link.
+        count: number of links of the group.
+        square: (6 + f, 6 + f) the small normal matrix, changed in place.
+        product: (6 + f,) its right-hand side with opposite sign, changed in place.
+    """
+    for k in range(len(bases)):
+        p, q, x, y, r = 0.0, 0.0, 0.0, 0.0, 0.0
+        for n in range(count):
+            b = bases[k, n]
+            p, q, r = p + at_lift[0, n] * b, q + at_lift[1, n] * b, r + at_lift[4, n] * b
+            x, y = x + at_lift[2, n] * b, y + at_lift[3, n] * b
+        product[6 + k] = r
+        square[6 + k, 0], square[6 + k, 3], square[6 + k, 4], square[6 + k, 5] = p, q, x, y
+        for m in range(k + 1):
+            total = 0.0
+            for n in range(count):
+                total += at_lift[5, n] * bases[k, n] * bases[m, n]
+            square[6 + k, 6 + m] = total
+
+
+@inlined
+def _couple(entries: Floats, at: int, angle: float, x: float, y: float) -> None:
+    """Add the three entries between a component height and (φ, sx, sy) of a row, from index `at` on."""
+    entries[at] += angle
+    entries[at + 1] += x
+    entries[at + 2] += y
+
+
+@inlined
+def _complete(square: Floats, product: Floats, width: int) -> None:
+    """Complete the small normal matrix of a pair of frames: the shift of row p, then the upper triangle.
+
+    Args:
+        square: the matrix, changed in place; its lines are (φ, sx, sy) of row p, the same of row q, the surface.
+        product: its right-hand side with opposite sign, changed in place.
+        width: number of lines to complete.
+    """
+    # derivatives by the shift of row p (columns 1 and 2) are those by the shift of row q (4 and 5) with opposite sign
+    for x in range(1, 3):
+        product[x] = -product[3 + x]
+        square[x, 0], square[3, x] = -square[3 + x, 0], -square[3 + x, 3]
+        for k in range(6, width):
+            square[k, x] = -square[k, 3 + x]
+    square[1, 1], square[2, 1], square[2, 2] = square[4, 4], square[5, 4], square[5, 5]
+    square[4, 1], square[4, 2], square[5, 1], square[5, 2] = -square[4, 4], -square[5, 4], -square[5, 4], -square[5, 5]
+    for k in range(width):
+        for m in range(k):
+            square[m, k] = square[k, m]
+
+
+@inlined
+def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats, product: Floats) -> None:
+    """Add the lines of the two cameras of a pair of frames to the small normal matrix of this pair.
+
+    A displacement of a camera has the effect of a change of the row in which it saw its end of the links. The lines of
+    the cameras are therefore combinations of the lines of rows p and q.
+
+    Args:
+        by_a: (3, 3) change of (φ, sx, sy) of row p per displacement of the first camera.
+        by_b: (3, 3) the same for row q and the second camera.
+        width: number of lines of rows and surface, which are complete.
+        square: (width + 6, width + 6) the small normal matrix, changed in place.
+        product: (width + 6,) its right-hand side with opposite sign, changed in place.
+    """
+    for k in range(3):
+        for m in range(width):
+            a, b = 0.0, 0.0
+            for x in range(3):
+                a, b = a + by_a[x, k] * square[x, m], b + by_b[x, k] * square[3 + x, m]
+            square[width + k, m], square[width + 3 + k, m] = a, b
+        a, b = 0.0, 0.0
+        for x in range(3):
+            a, b = a + by_a[x, k] * product[x], b + by_b[x, k] * product[3 + x]
+        product[width + k], product[width + 3 + k] = a, b
+    for k in range(6):
+        for m in range(3):
+            a, b = 0.0, 0.0
+            for x in range(3):
+                a, b = a + square[width + k, x] * by_a[x, m], b + square[width + k, 3 + x] * by_b[x, m]
+            square[width + k, width + m], square[width + k, width + 3 + m] = a, b
+
+
+@inlined
+def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquations) -> None:
+    """Add the small matrix of a pair of frames (`square`, `product`) to the normal equations, and set it to 0."""
+    width, at, values, right = len(columns), normal.at, normal.values, normal.right
+    for k in range(width):
+        right[columns[k]] -= product[k]
+        product[k] = 0.0
+        for m in range(k + 1):
+            high, low = max(columns[k], columns[m]), min(columns[k], columns[m])
+            # for a link between two cameras p = q, and for one between two rows both cameras are the same: an entry off
+            # the diagonal of `square` then falls on the diagonal of the normal matrix, together with its mirror image,
+            # and counts twice
+            values[at[high] + low] += square[k, m] * (2 if high == low and k != m else 1)
+    square[:] = 0.0

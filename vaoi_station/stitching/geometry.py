@@ -1,0 +1,767 @@
+"""The components of a board type as arrays, with a grid that finds the component on which a point lies.
+
+Lengths are in CAD units. Angles refer to the CAD axes of the board type, whether its y axis points up or down.
+
+The frames of a run as arrays: find the frame that shows a board point best, and the pixel of the point in it.
+
+Components on the stitched board: the component under a point, and the frames that show a component's centre.
+
+How much of every component the good frames of a run show: the union of the frames over its footprint.
+
+The footprint lies at the height of the board's surface. It is divided into quarters until each part lies inside one
+frame, or outside all frames, or is smaller than 1/128 of the footprint's sides. Most footprints lie wholly in one
+frame; for these, a check of the four corners is enough.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.projection_kernels import distort_point
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.marks.candidate_search import SURROUND
+from vaoi_station.model import BoardType, Surface
+from vaoi_station.stitching.adjustment.motion import Motion, points_in_box
+from vaoi_station.stitching.adjustment.problem import Ints
+from vaoi_station.stitching.matching.evidence import FrameKey
+from vaoi_station.stitching.matching.frames import Scene
+
+_AROUND_MM = 0.3
+"""Margin around a footprint, mm. Points in it count as on the component, because solder and shadow lie there."""
+_MOST_CELLS = 400
+"""Largest number of cells along each axis of the grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentIndex:
+    """The n components of a board type as arrays, in the order of the board type."""
+
+    addresses: tuple[str, ...]
+    center: Floats
+    """(n, 2) centres of the footprints."""
+    size: Floats
+    """(n, 2) width and height of the footprints before rotation."""
+    angle_rad: Floats
+    """(n,) rotation of the footprints."""
+    stands_out: NDArray[np.bool_]
+    """(n,) whether the component stands above the board; true too if its height is unknown."""
+    mm_per_unit: float
+
+    @staticmethod
+    def of(board_type: BoardType) -> ComponentIndex:
+        """Make the index of a board type's components."""
+        parts, sign = board_type.components, 1.0 if board_type.y_axis == "up" else -1.0
+        return ComponentIndex(
+            tuple(p.address for p in parts),
+            np.array([p.center for p in parts], dtype=np.float64).reshape(-1, 2),
+            np.array([(p.width, p.height) for p in parts], dtype=np.float64).reshape(-1, 2),
+            np.radians(np.array([sign * p.rotation for p in parts], dtype=np.float64)),
+            np.array([p.body_height is None or p.body_height > 0 for p in parts], dtype=np.bool_),
+            board_type.mm_per_unit,
+        )
+
+    @property
+    def corners(self) -> Floats:
+        """Corners (n, 4, 2) of the footprints, going round, in CAD coordinates."""
+        (cos, sin), (w, h) = self._turn.T, self.size.T / 2
+        along, across = np.stack([cos * w, sin * w], -1), np.stack([-sin * h, cos * h], -1)
+        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        return np.stack([self.center + a * along + b * across for a, b in signs], 1)
+
+    def widened(self, by_mm: float) -> ComponentIndex:
+        """Return an index of the same components with footprints that are larger by `by_mm` on all sides."""
+        return replace(self, size=self.size + 2 * by_mm / self.mm_per_unit)
+
+    def take(self, at: Ints) -> ComponentIndex:
+        """Return an index of only the components with the numbers `at`."""
+        addresses = tuple(self.addresses[k] for k in at.tolist())
+        values = (self.center[at], self.size[at], self.angle_rad[at], self.stands_out[at])
+        return ComponentIndex(addresses, *values, self.mm_per_unit)
+
+    def moved(self, moves: Mapping[str, Floats]) -> ComponentIndex:
+        """Return an index with some components displaced and turned, by (3, 3) matrices in CAD coordinates."""
+        center, angle = self.center.copy(), self.angle_rad.copy()
+        at = [n for n, address in enumerate(self.addresses) if address in moves]
+        if at:
+            move = np.array([moves[self.addresses[n]] for n in at])
+            center[at] = (move[:, :2, :2] @ center[at, :, None])[:, :, 0] + move[:, :2, 2]
+            angle[at] += np.arctan2(move[:, 1, 0], move[:, 0, 0])
+        return replace(self, center=center, angle_rad=angle)
+
+    def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
+        """Return for each of k board points the number of the component on which it lies, or −1 for none: (k,).
+
+        If components overlap, the smallest one is returned. Components that do not stand above the board are ignored.
+
+        Args:
+            cad_from_board: (3, 3) affine matrix, the inverse of C.
+            board_mm: (k, 2) points on the board, tester coordinates.
+        """
+        out = np.full(len(board_mm), -1)
+        cells = self._cells
+        if len(cells.numbers):
+            boxes = _Boxes(self.center, self._turn, self._half)
+            _find(np.ascontiguousarray(cad_from_board), np.ascontiguousarray(board_mm), cells, boxes, out)
+        return out
+
+    @cached_property
+    def _turn(self) -> Floats:
+        """Cosine and sine (n, 2) of the footprints' rotations."""
+        return np.stack([np.cos(self.angle_rad), np.sin(self.angle_rad)], -1)
+
+    @cached_property
+    def _half(self) -> Floats:
+        """Half of the width and height (n, 2) of each footprint, margin included."""
+        return self.size / 2 + _AROUND_MM / self.mm_per_unit
+
+    @cached_property
+    def _cells(self) -> _Cells:
+        """The search grid over the components that stand above the board."""
+        # Components without height count as bare board, since links on them lie on its surface.
+        use = np.flatnonzero(self.stands_out)
+        # Small components come first, since the smallest one is returned. Of two with equal area, the later one comes
+        # first.
+        use = use[np.argsort(-self.size[use].prod(1), kind="stable")[::-1]]
+        cos, sin = np.abs(self._turn[use]).T
+        w, h = self._half[use].T
+        reach = np.stack([cos * w + sin * h, sin * w + cos * h], -1)
+        return _Cells.of(use, self.center[use] - reach, self.center[use] + reach)
+
+
+class _Cells(NamedTuple):
+    """A search grid of cells, with the list of boxes that reach into each cell."""
+
+    origin: Floats
+    """(2,) lowest corner of the grid."""
+    size: Floats
+    """(2,) width and height of one cell."""
+    first: Ints
+    """(rows, columns + 1): cell (r, c) holds the boxes `numbers[first[r, c] : first[r, c + 1]]`."""
+    numbers: Ints
+    """Numbers of the boxes, cell by cell; within a cell in the order in which the boxes were given."""
+
+    @staticmethod
+    def of(numbers: Ints, low: Floats, high: Floats) -> _Cells:
+        """Build the grid over n boxes with these numbers (n,), lowest corners (n, 2) and highest corners (n, 2)."""
+        if not len(numbers):
+            return _Cells(np.zeros(2), np.ones(2), np.zeros((1, 2), np.int_), np.zeros(0, np.int_))
+        origin, span = low.min(0), high.max(0) - low.min(0)
+        # Cells have the size of an average box: a point is then compared with few boxes, and a box lies in few cells.
+        size = np.maximum((high - low).mean(0), span / _MOST_CELLS)
+        columns, rows = (np.floor(span / size).astype(int) + 1).tolist()
+        (x0, y0), (x1, y1) = (np.floor((corner - origin) / size).astype(int).T for corner in (low, high))
+        wide, tall = x1 - x0 + 1, y1 - y0 + 1
+        box = np.repeat(np.arange(len(numbers)), wide * tall)
+        k = np.arange(len(box)) - np.repeat(np.cumsum(wide * tall) - wide * tall, wide * tall)
+        cell = (y0[box] + k // wide[box]) * columns + x0[box] + k % wide[box]
+        ends = np.append(0, np.cumsum(np.bincount(cell, minlength=rows * columns)))
+        first = ends[np.arange(rows)[:, None] * columns + np.arange(columns + 1)]
+        # The sort is stable: boxes keep their order within a cell. A search returns the first box that contains the
+        # point.
+        return _Cells(origin, size, first, numbers[box[np.argsort(cell, kind="stable")]])
+
+
+class _Boxes(NamedTuple):
+    """n rotated rectangles, in CAD coordinates."""
+
+    center: Floats
+    """(n, 2) centres of the rectangles."""
+    turn: Floats
+    """(n, 2) cosine and sine of the rectangles' rotations."""
+    half: Floats
+    """(n, 2) half the width and half the height of the rectangles."""
+
+
+@compiled
+def _find(cad_from_board: Floats, board_mm: Floats, cells: _Cells, boxes: _Boxes, out: Ints) -> None:
+    """Write to `out` (k,) the number of the first box around each point; where there is none, `out` is unchanged."""
+    origin, size, first, numbers = cells.origin, cells.size, cells.first, cells.numbers
+    center, turn, half = boxes.center, boxes.turn, boxes.half
+    rows, columns = first.shape[0], first.shape[1] - 1
+    m = cad_from_board
+    for n in range(len(board_mm)):
+        x = m[0, 0] * board_mm[n, 0] + m[0, 1] * board_mm[n, 1] + m[0, 2]
+        y = m[1, 0] * board_mm[n, 0] + m[1, 1] * board_mm[n, 1] + m[1, 2]
+        column, row = math.floor((x - origin[0]) / size[0]), math.floor((y - origin[1]) / size[1])
+        if column < 0 or row < 0 or column >= columns or row >= rows:
+            continue
+        for at in range(first[row, column], first[row, column + 1]):
+            k = numbers[at]
+            u, v = x - center[k, 0], y - center[k, 1]
+            cos, sin = turn[k, 0], turn[k, 1]
+            if abs(cos * u + sin * v) <= half[k, 0] and abs(cos * v - sin * u) <= half[k, 1]:
+                out[n] = k
+                break
+
+
+_MARGIN_MM = 1.0
+"""Least distance of a point from the border of its best frame."""
+_FAINT = 1 / 3
+"""A frame whose grey levels scatter less than this share of those of another frame is exposed too short or too long."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameArrays:
+    """The poses of f frames, of c cameras in m rows, as arrays for compiled functions."""
+
+    scene: Scene
+    frame: Ints
+    """(f, 2) camera and row of each frame."""
+    rows: Floats
+    """(m, 3, 3) the matrix D_j of each row."""
+    image_from_row: Floats
+    """(c, 3, 3) the matrix N_i of each camera."""
+    radial: Floats
+    """(c, r) radial coefficients a1, a2, … of each lens."""
+    lens: Floats
+    """(c, 5) other parameters of each lens, in the form of `geometry.projection_kernels`."""
+    view_mm: Floats
+    """(c, 4) lowest x and y, then highest x and y, of each camera's view, mm in row coordinates."""
+    size_px: Floats
+    """(c, 3) width and height of each camera's frame, and the margin at its border."""
+
+    @staticmethod
+    def of(scene: Scene, motion: Motion) -> FrameArrays:
+        """Collect the arrays of a scene, with the motion of its rows."""
+        return FrameArrays.of_rows(scene, motion.rows_from_tester)
+
+    @staticmethod
+    def of_rows(scene: Scene, rows: Floats) -> FrameArrays:
+        """Collect the arrays of a scene whose rows have the matrices D_j (m, 3, 3)."""
+        cameras = scene.cameras
+        # All lenses share one array, so shorter polynomials are filled up with zeros.
+        most = max(len(c.lens.coefficients) for c in cameras)
+        return FrameArrays(
+            scene,
+            np.array(scene.present, dtype=np.int_).reshape(-1, 2),
+            rows,
+            np.array([c.image_from_row.matrix for c in cameras]),
+            np.array([[*c.lens.coefficients, *[0.0] * (most - len(c.lens.coefficients))] for c in cameras]),
+            np.array([c.lens.shape for c in cameras]),
+            np.array([np.concatenate(c.view_mm()) for c in cameras]),
+            np.array([(c.width_px, c.height_px, _MARGIN_MM * c.px_per_mm) for c in cameras]),
+        )
+
+    def nearest(self, board_mm: Floats) -> Ints:
+        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre; −1: none.
+
+        A frame that is almost black or saturated everywhere shows no edges: it is taken for points that no other frame
+        shows. A program may give every row and camera its own exposure.
+        """
+        points, faint, contrast = (
+            np.ascontiguousarray(board_mm),
+            np.zeros(len(self.frame), np.bool_),
+            dict[int, float](),
+        )
+        chosen = first = _nearest(points, self._poses, self.view_mm, self.size_px, faint)
+        # Only the contrast of frames that are chosen is computed: their pixels are read next in any case.
+        while new := set(np.unique(chosen[chosen >= 0]).tolist()) - set(contrast):
+            contrast |= {n: self.scene.prepared(self.scene.present[n]).contrast for n in new}
+            least = _FAINT * max(contrast.values())
+            faint[[n for n, found in contrast.items() if found < least]] = True
+            better = _nearest(points, self._poses, self.view_mm, self.size_px, faint) if faint.any() else first
+            chosen = np.where(better >= 0, better, first)
+        return chosen
+
+    def project(self, number: Ints, board_mm: Floats) -> Floats:
+        """Project board points (k, s, 2) to raw pixels, s points each to one of k frames.
+
+        `number` (k,) holds the frames' numbers; where it is −1 the pixels are NaN.
+        """
+        return _projected(np.ascontiguousarray(board_mm), number, self._poses)
+
+    @property
+    def _poses(self) -> _Poses:
+        return _Poses(self.frame, self.rows, self.image_from_row, self.radial, self.lens)
+
+    def read_samples(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
+        """Read s grey levels along a line at each of k places, from the frame that shows the place: (k, samples).
+
+        Args:
+            number: (k,) number of the frame for each place; −1 gives NaN.
+            samples: number s of samples per place.
+            read: function that takes the pixels of a frame and the indices (j,) of its places, and returns their
+                samples (j, samples).
+        """
+        # The loop goes frame by frame, so that each frame is fetched and prepared only once.
+        out = np.full((len(number), samples), np.nan)
+        for n in np.unique(number[number >= 0]).tolist():
+            mine = np.flatnonzero(number == n)
+            out[mine] = read(self.scene.prepared(self.scene.present[n]).grey, mine)
+        return out
+
+
+class _Poses(NamedTuple):
+    """The arrays of `FrameArrays` that are needed to project board points to raw pixels."""
+
+    frame: Ints
+    rows: Floats
+    image_from_row: Floats
+    radial: Floats
+    lens: Floats
+
+
+@compiled
+def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats, faint: NDArray[np.bool_]) -> Ints:
+    frame, rows, image_from_row, radial, lens = poses
+    chosen = np.full(len(board_mm), -1)
+    for k in range(len(board_mm)):
+        best = np.inf
+        for n in range(len(frame)):
+            if faint[n]:
+                continue
+            i, d = frame[n, 0], rows[frame[n, 1]]
+            x = d[0, 0] * board_mm[k, 0] + d[0, 1] * board_mm[k, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[k, 0] + d[1, 1] * board_mm[k, 1] + d[1, 2]
+            # The comparison in mm is cheap and rules out most frames before projection and lens are computed.
+            if not (view_mm[i, 0] <= x <= view_mm[i, 2] and view_mm[i, 1] <= y <= view_mm[i, 3]):
+                continue
+            m, last_x, last_y, margin = image_from_row[i], size_px[i, 0] - 1, size_px[i, 1] - 1, size_px[i, 2]
+            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
+            shape = (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4])
+            u, v = distort_point(u, v, radial[i], shape)
+            if min(u, v) < margin or u > last_x - margin or v > last_y - margin:
+                continue
+            off = (u - last_x / 2) ** 2 + (v - last_y / 2) ** 2
+            if off < best:
+                best, chosen[k] = off, n
+    return chosen
+
+
+@compiled
+def _projected(board_mm: Floats, number: Ints, poses: _Poses) -> Floats:
+    frame, rows, image_from_row, radial, lens = poses
+    out = np.full(board_mm.shape, np.nan)
+    for k in range(len(board_mm)):
+        if number[k] < 0:
+            continue
+        i, d = frame[number[k], 0], rows[frame[number[k], 1]]
+        m, shape = image_from_row[i], (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4])
+        for s in range(board_mm.shape[1]):
+            x = d[0, 0] * board_mm[k, s, 0] + d[0, 1] * board_mm[k, s, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[k, s, 0] + d[1, 1] * board_mm[k, s, 1] + d[1, 2]
+            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
+            out[k, s, 0], out[k, s, 1] = distort_point(u, v, radial[i], shape)
+    return out
+
+
+_BEYOND_PX = 3.0
+"""A footprint's centre up to this far outside a frame still counts as a view."""
+
+_BORDER_PX = 6.0
+"""Least distance of a fiducial's bare rim from the border of a frame: nearer to the border it may not be detected."""
+
+View = tuple[int, int, float, float]
+"""One view of a point: camera, row, and raw pixels x and y."""
+
+
+@dataclass(frozen=True, eq=False)
+class FootprintViews:
+    """k views of points of the board, ordered by point, then by camera, then by row."""
+
+    point: Ints
+    """(k,) number of the point that each view shows."""
+    camera: Ints
+    row: Ints
+    place_mm: Floats
+    """(k, 2) position of the point in the conveyor's plane, mm in row coordinates, in the row of the view."""
+    px: Floats
+    """(k, 2) raw pixels. Some lie a little outside the frame."""
+
+    @staticmethod
+    def of(
+        cad: Floats, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None
+    ) -> FootprintViews:
+        """Compute the views of CAD points.
+
+        Args:
+            cad: (n, 2) points in CAD coordinates.
+            cad_matrix: C, (3, 3) from CAD to tester coordinates.
+            cameras: the cameras.
+            rows: (m, 3, 3) the matrices D_j of the m rows.
+            surface: surface of the board; None for a board in the calibrated plane.
+        """
+        height = surface.height_mm(cad) if surface else np.zeros(len(cad))
+        # First, one box around all cameras' views is tested: in most rows no camera sees a given point.
+        between = float(height.min()), float(height.max())
+        boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in cameras])
+        row, point, place = points_in_box(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
+        (x, y), found = place.T, []
+        for i, (camera, (low, high)) in enumerate(zip(cameras, boxes, strict=True)):
+            near = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
+            px = camera.project(place[near], height[point[near]])
+            seen = camera.sees(px, -_BEYOND_PX)
+            at = near[seen]
+            found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
+        point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
+        # Views were found camera by camera; the stable sort orders them by point and keeps cameras and rows.
+        order = np.argsort(point, kind="stable")
+        return FootprintViews(point[order], *(values[order] for values in others))
+
+    @property
+    def frames(self) -> list[FrameKey]:
+        """Camera and row of each of the k views."""
+        return list(zip(self.camera.tolist(), self.row.tolist(), strict=True))
+
+    def without_rows(self, rows: Sequence[int]) -> FootprintViews:
+        """Return the views in all rows except the given ones."""
+        return self._where(~np.isin(self.row, rows)) if rows else self
+
+    def without_frames(self, frames: Collection[FrameKey]) -> FootprintViews:
+        """Return the views in all frames except the given ones."""
+        return self._where(np.array([key not in frames for key in self.frames], np.bool_)) if frames else self
+
+    def without_points(self, points: Sequence[int]) -> FootprintViews:
+        """Return the views of all points except the given ones."""
+        return self._where(~np.isin(self.point, points)) if points else self
+
+    def _where(self, keep: NDArray[np.bool_]) -> FootprintViews:
+        return FootprintViews(self.point[keep], self.camera[keep], self.row[keep], self.place_mm[keep], self.px[keep])
+
+
+def views_by_address(addresses: Sequence[str], views: FootprintViews) -> dict[str, tuple[View, ...]]:
+    """Return the views of each footprint's centre: {address: ((camera, row, x, y), …)}, x and y in raw pixels."""
+    x, y = np.round(views.px, 4).T.tolist()
+    every = list(zip(views.camera.tolist(), views.row.tolist(), x, y, strict=True))
+    ends = [0, *np.cumsum(np.bincount(views.point, minlength=len(addresses))).tolist()]
+    return {address: tuple(every[a:b]) for address, (a, b) in zip(addresses, pairwise(ends), strict=True)}
+
+
+def frames_of_marks(
+    board_type: BoardType, views: FootprintViews, cameras: Sequence[Camera], confirmed: Collection[FrameKey]
+) -> dict[int, FrameKey]:
+    """Return one frame for each fiducial that a confirmed frame shows with its bare rim, by number of the fiducial."""
+    found: dict[int, FrameKey] = {}
+    for n, i, j, px in zip(views.point.tolist(), views.camera.tolist(), views.row.tolist(), views.px, strict=True):
+        reach_px = SURROUND / 2 * board_type.fiducials[n].diameter * board_type.mm_per_unit * cameras[i].px_per_mm
+        if (i, j) in confirmed and cameras[i].sees(px[None], reach_px + _BORDER_PX)[0]:
+            found.setdefault(n, (i, j))
+    return found
+
+
+_DEEPEST = 7
+"""Largest number of times that a part of a footprint is divided."""
+_BORDER_POINTS = 9
+"""Points per side of a frame, from which the box that the frame wholly shows is computed."""
+_MARGIN = 0.01
+"""Margin of the box that a frame wholly shows, as a share of its size; a usable lens bends a border by less."""
+_VIEW_SHARE = 0.5
+"""Least share of a footprint that a frame must show, for the frame to count as a view."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """How much of each of n components the frames show."""
+
+    share: Floats
+    """(n,) share of the footprint's area that the frames show together."""
+    views: Ints
+    """(n,) number of frames that show at least half of the footprint."""
+    in_one_frame: NDArray[np.bool_]
+    """(n,) whether one frame shows the whole footprint."""
+
+
+class _Array(NamedTuple):
+    """The poses of c cameras as arrays for compiled functions."""
+
+    image_from_row: Floats
+    radial: Floats
+    lens: Floats
+    viewpoint: Floats
+    """(c, 3) foot x and y, mm, and the inverse working distance; 0 for an unknown distance."""
+    size_px: Floats
+    view_mm: Floats
+    """(c, 4) lowest x and y, then highest x and y, of a box around each camera's view, mm in row coordinates."""
+    inner_mm: Floats
+    """(c, 4) the same numbers for a box that each camera shows wholly; an empty box has lowest values above the
+    highest."""
+
+
+class _Found(NamedTuple):
+    """The arrays of a `Coverage` while they are filled, and whether all views are counted."""
+
+    share: Floats
+    views: Ints
+    in_one_frame: NDArray[np.bool_]
+    count_views: bool
+
+
+def component_coverage(
+    parts: ComponentIndex,
+    cad_matrix: Floats,
+    cameras: Sequence[Camera],
+    rows: Floats,
+    present: Collection[FrameKey],
+    surface: Surface | None,
+    *,
+    count_views: bool = True,
+) -> Coverage:
+    """Compute how much of every component the frames show.
+
+    Args:
+        parts: the n components.
+        cad_matrix: C, (3, 3) from CAD to tester coordinates.
+        cameras: the cameras.
+        rows: (m, 3, 3) the matrices D_j.
+        present: camera and row of the frames to count.
+        surface: surface of the board; None for a board in the calibrated plane.
+        count_views: whether to count all views. If false, a component that one frame shows wholly may get a lower
+            count.
+    """
+    height = surface.height_mm(parts.center) if surface else np.zeros(len(parts.center))
+    there = np.zeros((len(rows), len(cameras)), np.bool_)
+    for camera, row in present:
+        there[row, camera] = True
+    found = _Found(np.zeros(len(height)), np.zeros(len(height), np.int64), np.zeros(len(height), np.bool_), count_views)
+    if len(height) and len(rows):
+        heights = float(height.min()), float(height.max())
+        corners = np.ascontiguousarray(apply(cad_matrix, parts.corners))
+        _cover(corners, height, np.ascontiguousarray(rows), there, _array_of(cameras, heights), found)
+    return Coverage(found.share, found.views, found.in_one_frame)
+
+
+def _array_of(cameras: Sequence[Camera], heights_mm: tuple[float, float]) -> _Array:
+    # All lenses share one array, so shorter polynomials are filled up with zeros.
+    most = max(len(c.lens.coefficients) for c in cameras)
+    return _Array(
+        np.array([c.image_from_row.matrix for c in cameras]),
+        np.array([[*c.lens.coefficients, *[0.0] * (most - len(c.lens.coefficients))] for c in cameras]),
+        np.array([c.lens.shape for c in cameras]),
+        np.array([(*c.foot_mm, 1 / c.working_distance_mm if c.working_distance_mm else 0.0) for c in cameras]),
+        np.array([(c.width_px, c.height_px) for c in cameras], dtype=np.float64),
+        np.array([np.concatenate(c.view_mm(0.0, heights_mm)) for c in cameras]),
+        np.array([_inner_box(c, heights_mm) for c in cameras]),
+    )
+
+
+def _inner_box(camera: Camera, heights_mm: tuple[float, float]) -> Floats:
+    """Return a box that a camera shows wholly: lowest x and y, highest x and y, mm; an empty box if none."""
+    t, (right, bottom) = np.linspace(0, 1, _BORDER_POINTS), (camera.width_px - 1, camera.height_px - 1)
+    sides = [np.stack([t * right, np.full_like(t, y)], -1) for y in (0, bottom)]
+    sides += [np.stack([np.full_like(t, x), t * bottom], -1) for x in (0, right)]
+    middle, box = camera.ground(camera.center_px), np.array([-np.inf, -np.inf, np.inf, np.inf])
+    for side in sides:
+        at = np.concatenate([camera.ground(side, h) for h in heights_mm])
+        # Each side of a frame limits the box at the side where it lies: images may be turned or mirrored.
+        off = at.mean(0) - middle
+        axis = int(np.abs(off).argmax())
+        if off[axis] > 0:
+            box[axis + 2] = min(box[axis + 2], at[:, axis].min())
+        else:
+            box[axis] = max(box[axis], at[:, axis].max())
+    margin = _MARGIN * (box[2:] - box[:2])
+    box += np.concatenate([margin, -margin])
+    corners = np.array([(box[a], box[b]) for a in (0, 2) for b in (1, 3)])
+    if np.isfinite(box).all() and all(camera.sees(camera.project(corners, h)).all() for h in heights_mm):
+        return box
+    return np.array([0.0, 0.0, -1.0, -1.0])
+
+
+@inlined
+def _to_pixel(x: float, y: float, height: float, i: int, d: Floats, array: _Array) -> tuple[float, float]:
+    """Project a board point at a height to raw pixels of camera i, with the matrix D_j of the row."""
+    m, place = array.image_from_row[i], array.viewpoint[i]
+    share = height * place[2]
+    u = (d[0, 0] * x + d[0, 1] * y + d[0, 2] - share * place[0]) / (1 - share)
+    v = (d[1, 0] * x + d[1, 1] * y + d[1, 2] - share * place[1]) / (1 - share)
+    w = m[2, 0] * u + m[2, 1] * v + m[2, 2]
+    s = array.lens[i]
+    a, b = (m[0, 0] * u + m[0, 1] * v + m[0, 2]) / w, (m[1, 0] * u + m[1, 1] * v + m[1, 2]) / w
+    return distort_point(a, b, array.radial[i], (s[0], s[1], s[2], s[3], s[4]))
+
+
+@inlined
+def _on_footprint(corners: Floats, u: float, v: float) -> tuple[float, float]:
+    """Return the point of a footprint (4, 2) at the shares u and v of its sides."""
+    a, b, d = corners[0], corners[1], corners[3]
+    return a[0] + u * (b[0] - a[0]) + v * (d[0] - a[0]), a[1] + u * (b[1] - a[1]) + v * (d[1] - a[1])
+
+
+@compiled
+def _relation(corners: Floats, height: float, box: Floats, i: int, d: Floats, array: _Array) -> int:
+    """Return 1 if a frame shows a part of a footprint wholly, −1 if it shows none of it, 0 if undecided.
+
+    `box` (4,) holds the lowest u and v of the part, then the highest, as shares of the footprint's sides.
+    """
+    right, bottom = array.size_px[i, 0] - 1, array.size_px[i, 1] - 1
+    inside, left_of, right_of, above, below = 0, 0, 0, 0, 0
+    for k in range(4):
+        u = box[0] if k in (0, 3) else box[2]
+        v = box[1] if k < 2 else box[3]
+        x, y = _on_footprint(corners, u, v)
+        px, py = _to_pixel(x, y, height, i, d, array)
+        left_of += px < 0
+        right_of += px > right
+        above += py < 0
+        below += py > bottom
+        inside += px >= 0 and px <= right and py >= 0 and py <= bottom
+    if inside == 4:
+        return 1
+    return -1 if max(left_of, right_of, above, below) == 4 else 0
+
+
+@compiled
+def _share_in_frame(corners: Floats, height: float, i: int, d: Floats, array: _Array) -> float:
+    """Return the share of a footprint that a frame shows; the frame's border is taken as straight there."""
+    polygon, clipped = np.empty((8, 2)), np.empty((8, 2))
+    for k in range(4):
+        polygon[k, 0], polygon[k, 1] = _to_pixel(corners[k, 0], corners[k, 1], height, i, d, array)
+    count, whole = 4, _area(polygon, 4)
+    # The polygon is clipped at one border of the frame after the other (Sutherland and Hodgman).
+    for border in range(4):
+        axis, sign = border % 2, 1.0 if border < 2 else -1.0
+        limit = 0.0 if border < 2 else 1.0 - array.size_px[i, axis]
+        found = 0
+        for k in range(count):
+            a, b = polygon[k], polygon[(k + 1) % count]
+            u, v = sign * a[axis] - limit, sign * b[axis] - limit
+            if u >= 0:
+                clipped[found, 0], clipped[found, 1] = a[0], a[1]
+                found += 1
+            if (u >= 0) != (v >= 0):
+                for c in range(2):
+                    clipped[found, c] = a[c] + (u / (u - v)) * (b[c] - a[c])
+                found += 1
+        count = found
+        for k in range(count):
+            polygon[k, 0], polygon[k, 1] = clipped[k, 0], clipped[k, 1]
+    return _area(polygon, count) / whole
+
+
+@inlined
+def _area(polygon: Floats, count: int) -> float:
+    total = 0.0
+    for k in range(count):
+        a, b = polygon[k], polygon[(k + 1) % count]
+        total += a[0] * b[1] - b[0] * a[1]
+    return abs(total) / 2
+
+
+@compiled
+def _share_of_union(corners: Floats, height: float, near: Ints, rows: Floats, array: _Array) -> float:
+    """Return the share of a footprint that several frames show together; `near` (f, 2) holds camera and row of each."""
+    # Parts that are still to be examined lie on a stack as (lowest u, lowest v, side, depth); a division adds three.
+    stack = np.empty((3 * _DEEPEST + 4, 4))
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0.0, 0.0, 1.0, 0.0
+    waiting, share, box = 1, 0.0, np.empty(4)
+    while waiting:
+        waiting -= 1
+        u, v, side, depth = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2], stack[waiting, 3]
+        box[0], box[1], box[2], box[3] = u, v, u + side, v + side
+        covered, touched = False, False
+        for f in range(len(near)):
+            relation = _relation(corners, height, box, near[f, 0], rows[near[f, 1]], array)
+            covered |= relation > 0
+            touched |= relation == 0
+            if covered:
+                break
+        if covered:
+            share += side * side
+        elif touched and depth < _DEEPEST:
+            half = side / 2
+            for k in range(4):
+                stack[waiting + k, 0], stack[waiting + k, 1] = u + half * (k % 2), v + half * (k // 2)
+                stack[waiting + k, 2], stack[waiting + k, 3] = half, depth + 1
+            waiting += 4
+        elif touched:
+            # At the border of the frames, the middle of a smallest part decides whether the part is seen.
+            box[0] = box[2] = u + side / 2
+            box[1] = box[3] = v + side / 2
+            for f in range(len(near)):
+                if _relation(corners, height, box, near[f, 0], rows[near[f, 1]], array) > 0:
+                    share += side * side
+                    break
+    return share
+
+
+@compiled
+def _cover(
+    corners: Floats, height: Floats, rows: Floats, there: NDArray[np.bool_], array: _Array, found: _Found
+) -> None:
+    """Compute how much of each of n footprints the frames show, and write the values to `found`.
+
+    Args:
+        corners: (n, 4, 2) corners of the footprints, mm, tester coordinates.
+        height: (n,) height of the board's surface at the footprints, mm.
+        rows: (m, 3, 3) the matrices D_j.
+        there: (m, c) which frames count, by row and camera.
+        array: the cameras.
+        found: written.
+    """
+    view = array.view_mm
+    unit = np.array([0.0, 0.0, 1.0, 1.0])
+    outer = np.array([np.inf, np.inf, -np.inf, -np.inf])
+    for i in range(len(view)):
+        for k in range(2):
+            outer[k], outer[2 + k] = min(outer[k], view[i, k]), max(outer[2 + k], view[i, 2 + k])
+    near = np.empty((there.size, 2), np.int64)
+    for n in range(len(corners)):
+        part, whole, views = corners[n], 0, 0
+        border = 0
+        for k in range(_frames_near(part, rows, there, array, outer, near)):
+            i, j = near[k, 0], near[k, 1]
+            if i >= 0:
+                near[border, 0], near[border, 1] = i, j
+                border += 1
+                continue
+            whole += 1
+        if found.count_views or not whole:
+            partly = 0
+            for k in range(border):
+                i, j = near[k, 0], near[k, 1]
+                relation = _relation(part, height[n], unit, i, rows[j], array)
+                whole += relation > 0
+                if relation == 0:
+                    near[partly, 0], near[partly, 1] = i, j
+                    partly += 1
+                    views += _share_in_frame(part, height[n], i, rows[j], array) >= _VIEW_SHARE
+            if not whole and partly:
+                found.share[n] = _share_of_union(part, height[n], near[:partly], rows, array)
+        found.views[n] = views + whole
+        if whole:
+            found.share[n], found.in_one_frame[n] = 1.0, True
+
+
+@compiled
+def _frames_near(part: Floats, rows: Floats, there: NDArray[np.bool_], array: _Array, outer: Floats, near: Ints) -> int:
+    """Write to `near` the frames that may show a footprint, and return their number.
+
+    A frame is written as camera and row, or as −1 and −1 if it surely shows the whole footprint.
+    """
+    view, inner = array.view_mm, array.inner_mm
+    x, y = (part[0, 0] + part[2, 0]) / 2, (part[0, 1] + part[2, 1]) / 2
+    ax, ay = part[0, 0] - part[1, 0], part[0, 1] - part[1, 1]
+    bx, by = part[0, 0] - part[3, 0], part[0, 1] - part[3, 1]
+    reach = (np.hypot(ax, ay) + np.hypot(bx, by)) / 2
+    count = 0
+    for j in range(len(rows)):
+        d = rows[j]
+        a, b = d[0, 0] * x + d[0, 1] * y + d[0, 2], d[1, 0] * x + d[1, 1] * y + d[1, 2]
+        # In most rows no camera sees a given component: one comparison rules these rows out.
+        if a + reach < outer[0] or a - reach > outer[2] or b + reach < outer[1] or b - reach > outer[3]:
+            continue
+        # half the extent of the footprint along the axes of row coordinates
+        w = (abs(d[0, 0] * ax + d[0, 1] * ay) + abs(d[0, 0] * bx + d[0, 1] * by)) / 2
+        v = (abs(d[1, 0] * ax + d[1, 1] * ay) + abs(d[1, 0] * bx + d[1, 1] * by)) / 2
+        for i in range(there.shape[1]):
+            if not there[j, i] or a + w < view[i, 0] or a - w > view[i, 2]:
+                continue
+            if b + v < view[i, 1] or b - v > view[i, 3]:
+                continue
+            near[count, 0], near[count, 1] = i, j
+            if a - w >= inner[i, 0] and a + w <= inner[i, 2] and b - v >= inner[i, 1] and b + v <= inner[i, 3]:
+                near[count, 0] = near[count, 1] = -1
+            count += 1
+    return count

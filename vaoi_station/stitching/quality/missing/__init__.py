@@ -1,1 +1,0 @@
-"""What the frames of a run do not show, and why: absent cameras, dark lights, unseen components."""

@@ -1,1 +1,0 @@
-"""What the pictures of a camera are worth: errors of its lens, and blur."""
