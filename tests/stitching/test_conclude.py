@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -11,10 +12,58 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.geometry.robust import Failure
-from vaoi_station.model import Status
-from vaoi_station.stitching.conclude import NO_BOARD_TYPE, sort_evidence
+from vaoi_station.model import Status, Stitch
+from vaoi_station.stitching.conclude import NO_BOARD_TYPE, StageTimes, sort_evidence
 from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links, Task
 from vaoi_station.stitching.work import TaskRunner, all_tasks
+
+
+def test_times_of_stages_add_up_to_the_whole() -> None:
+    before = time.perf_counter()
+    stages = StageTimes()
+    for name in ("first", "second", "third"):
+        sum(range(20_000))
+        stages.finish(name)
+    whole_ms = (time.perf_counter() - before) * 1e3
+    assert list(stages.ms) == ["first", "second", "third"]
+    assert all(ms > 0 for ms in stages.ms.values())
+    assert sum(stages.ms.values()) == pytest.approx(whole_ms, rel=0.5, abs=5)
+    assert sum(stages.ms.values()) <= whole_ms + 0.01
+
+
+def test_image_matrices_are_camera_matrix_times_row_motion(filmed: Any) -> None:
+    stitch = filmed.stitch
+    for camera, matrices in zip(stitch.cameras(filmed.setup.cameras), stitch.image_matrices, strict=True):
+        for motion, matrix in zip(stitch.row_motion, matrices, strict=True):
+            np.testing.assert_allclose(matrix, camera.image_from_row.matrix @ motion, rtol=1e-12)
+
+
+def test_matrices_are_read_only(filmed: Any) -> None:
+    stitch = filmed.stitch
+    for matrix in (stitch.cad_matrix, stitch.row_motion[1], stitch.image_matrices[0][1]):
+        with pytest.raises(ValueError, match="read-only"):
+            matrix[0, 0] = 1.0
+
+
+def test_the_document_that_skipped_validation_is_valid(filmed: Any) -> None:
+    document = filmed.stitch.model_dump(mode="json")
+    assert Stitch.model_validate(document).model_dump(mode="json") == document
+
+
+def test_every_component_has_the_views_of_the_truth(filmed: Any) -> None:
+    stitch = filmed.stitch
+    assert set(stitch.components) == set(filmed.truth["views"])
+    assert filmed.error_px(stitch) < 0.5
+
+
+def test_a_row_that_nothing_places_has_no_matrices(filmed: Any) -> None:
+    """Without the frames around it the last row is linked to no other."""
+    last = max(j for _, j in filmed.present)
+    frames = {key: pixels for key, pixels in filmed.frames.items() if not last - 4 < key[1] < last}
+    stitch = filmed.stitched(frames=frames)
+    assert {len(row) for row in stitch.image_matrices} == {last + 1}
+    there = [m is not None for m in stitch.image_matrices[0]]
+    assert there[: last - 4] == [True] * (last - 4)
 
 
 def evidence_of(task: Task) -> Evidence:

@@ -31,7 +31,7 @@ from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
 from vaoi_station.pixel_formats import eight_bit_grey
 from vaoi_station.rendering import View, ViewCalculator, render, render_all
 from vaoi_station.steps import completed
-from vaoi_station.stitching.baseline import paper_features as paper
+from vaoi_station.stitching import paper_method as paper
 from vaoi_station.stitching.matching.evidence import Evidence
 from vaoi_station.stitching.work import TaskRunner, all_tasks
 

@@ -1,10 +1,173 @@
-"""Points of several sources are joined in order; displacements are compared by how well they fit."""
+"""The basis of the surface, and its conversion to a result."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from vaoi_station.stitching.adjustment.problem import REFERENCE, CameraEstimate, FiducialPoints
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vaoi_station.geometry import Lens, apply
+from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment.problem import (
+    REFERENCE,
+    SIGMA_MM,
+    CameraEstimate,
+    FiducialPoints,
+    LinkStore,
+    basis,
+    basis_at_board,
+    group_begins,
+    index_in_group,
+    linked_steps,
+    median_noise_px,
+    patch_overlap,
+    prior_sigma_mm,
+    to_observations,
+    to_surface,
+)
+from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.stitching.matching.patches import match_patches, patch_centres
+from vaoi_station.stitching.matching.refinement import WINDOW_PX
+
+
+def links(task: Task, a: Any, b: Any, information: Any = None) -> Links:
+    k = len(a)
+    return Links(
+        task,
+        np.array(a),
+        np.array(b),
+        np.tile(np.eye(2), (k, 1, 1)) if information is None else information,
+        np.ones(k),
+    )
+
+
+def test_links_are_projected_to_the_ground_with_their_rows(workshop: Any) -> None:
+    cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
+    first = links(Task("rows", (0, 1), (0, 2), 0.1), [[20.0, 30.0], [40.0, 50.0]], [[20.0, 90.0], [40.0, 110.0]])
+    second = links(Task("neighbours", (0, 2), (1, 2)), [[180.0, 30.0]], [[30.0, 31.0]])
+    nothing = Links.empty(Task("rows", (0, 0), (0, 1), 0.1), "empty")
+    o = to_observations([first, nothing, second], cameras)
+    assert (o.p.tolist(), o.q.tolist(), o.group.tolist()) == ([1, 1, 2], [2, 2, 2], [0, 0, 1])
+    assert o.groups == (first, second)
+    np.testing.assert_allclose(o.a_mm[0], cameras[0].ground([20.0, 30.0]))
+    np.testing.assert_allclose(o.b_mm[2], cameras[1].ground([30.0, 31.0]))
+    assert o.px_per_mm == pytest.approx(10.0)
+    assert not o.a_lean.any(), "without a working distance there is no parallax"
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.003])
+def test_noise_is_propagated_to_the_ground(workshop: Any, bend: float) -> None:
+    """Compare with the scatter of many noisy pixels, for a tilted, rotated camera."""
+    lens = Lens((99.5, 79.5), 128.0, (bend,))
+    camera = workshop.camera((3, 1), angle_rad=0.3, tilt=(2e-3, -1e-3), distance_mm=100.0, lens=lens)
+    covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
+    px = np.array([150.0, 120.0])
+    o = to_observations([links(Task("rows", (0, 0), (0, 1)), [px], [px], np.linalg.inv(covariance)[None])], (camera,))
+    noisy = camera.ground(px + np.random.default_rng(0).multivariate_normal([0, 0], covariance, 20000))
+    np.testing.assert_allclose(o.noise_mm2[0], np.cov(noisy.T), rtol=0.06, atol=1e-5)
+    np.testing.assert_allclose(o.b_lean[0], camera.parallax(camera.ground(px)))
+
+
+def test_no_links_give_no_observations(workshop: Any) -> None:
+    o = to_observations([], (workshop.camera(),))
+    assert len(o) == 0
+    assert o.noise_mm2.shape == (0, 2, 2)
+
+
+def test_links_added_one_by_one_are_the_same_in_any_requested_order(workshop: Any) -> None:
+    cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
+    chance = np.random.default_rng(2)
+    found = [
+        links(
+            Task("rows", (k % 2, k), (k % 2, k + 1)), chance.uniform(20, 150, (n, 2)), chance.uniform(20, 150, (n, 2))
+        )
+        for k, n in enumerate((3, 3000, 0, 1, 2500, 80))
+    ]
+    link_store = LinkStore(cameras)
+    for k in (4, 1, 5):
+        link_store.add(found[k])
+    for asked in (found, found[::-1], found[2:], []):
+        once = to_observations(asked, cameras)
+        again = link_store.observations(asked)
+        for name in ("p", "q", "a_mm", "b_mm", "a_lean", "b_lean", "noise_mm2", "px_per_mm", "overlap", "group"):
+            assert np.array_equal(getattr(once, name), getattr(again, name)), name
+        assert again.groups == once.groups
+    other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
+    both = link_store.observations([found[0], other])
+    np.testing.assert_allclose(both.a_mm, cameras[0].ground(np.concatenate([found[0].a_px, other.a_px])))
+
+
+def test_only_patches_of_the_same_frames_overlap(workshop: Any) -> None:
+    """Of four patches two cover half of each other; the same places in the next pair of frames are other pixels."""
+    px = np.array([[40.0, 40.0], [40.0 + WINDOW_PX / 2, 40.0], [120.0, 40.0], [40.0, 40.0 + WINDOW_PX]])
+    found = [links(Task("rows", (0, k), (0, k + 1)), px, px) for k in range(2)]
+    assert to_observations(found, (workshop.camera(),)).overlap == pytest.approx([1.5, 1.5, 1.0, 1.0] * 2)
+
+
+def test_the_mean_of_patches_that_overlap_is_as_sure_as_their_overlap_says(workshop: Any) -> None:
+    """Two pictures of one texture, with fresh noise in each of 60 repetitions; one patch begins every 8 px."""
+    y, x = np.mgrid[30:90:8, 30:90:8]
+    corners = np.stack([x.ravel(), y.ravel()], -1)
+    at, chance, true = (
+        patch_centres(corners),
+        np.random.default_rng(4),
+        workshop.waves(2).picture(120, 120).astype(float),
+    )
+    squares, stated = [], []
+    for _ in range(60):
+        a, b = (np.clip(np.round(true + chance.normal(0, 4, true.shape)), 0, 255).astype(np.uint8) for _ in range(2))
+        found = match_patches(a, b, corners, at)
+        overlap = patch_overlap(at, WINDOW_PX)
+        weight = np.trace(found.information, axis1=1, axis2=2) / 2 / overlap
+        squares.append((((found.b_px - at) * weight[:, None]).sum(0) / weight.sum()) ** 2)
+        stated.append(1 / weight.sum())
+    ratio = np.mean(squares) / np.mean(stated)
+    print("variance of the mean over the stated one:", ratio, "and if links were independent:", ratio * overlap.mean())
+    assert 0.6 < ratio < 1.4
+    assert ratio * overlap.mean() > 4.0
+
+
+def test_a_selection_keeps_the_groups_of_its_links(workshop: Any) -> None:
+    found = [
+        links(Task("rows", (0, k), (0, k + 1)), np.full((3, 2), 40.0 + k), np.full((3, 2), 50.0)) for k in range(3)
+    ]
+    o = to_observations(found, (workshop.camera(),))
+    chosen = o.select(np.array([1, 4, 7, 8]))
+    assert len(chosen) == 4
+    assert chosen.group.tolist() == [0, 1, 2, 2]
+    assert chosen.groups == o.groups
+    assert [a.shape for a in chosen.arrays] == [(4, *a.shape[1:]) for a in o.arrays]
+    np.testing.assert_array_equal(chosen.a_mm, o.a_mm[[1, 4, 7, 8]])
+
+
+def test_a_step_is_linked_if_any_link_spans_it(workshop: Any) -> None:
+    """Of six rows, 0 and 1 are linked, 2 and 4 are, and 3 only lies between them; a seam of row 5 links no step."""
+    px = np.full((2, 2), 50.0)
+    tasks = [((0, 0), (0, 1)), ((0, 2), (0, 4)), ((0, 5), (1, 5))]
+    found = [links(Task("rows" if a[0] == b[0] else "neighbours", a, b), px, px) for a, b in tasks]
+    o = to_observations(found, (workshop.camera(), workshop.camera((8.0, 0.0))))
+    assert linked_steps(o, 6).tolist() == [True, False, True, True, False]
+    assert linked_steps(o.select(np.zeros(0, np.int_)), 2).tolist() == [False]
+
+
+def test_links_are_counted_within_their_pair() -> None:
+    group = np.array([0, 0, 0, 1, 2, 2])
+    assert group_begins(group).tolist() == [0, 3, 4]
+    assert index_in_group(group).tolist() == [0, 1, 2, 0, 0, 1]
+
+
+def test_the_median_noise_is_that_of_the_chosen_links_in_px(workshop: Any) -> None:
+    px, information = (
+        [[20.0, 30.0], [40.0, 50.0], [60.0, 70.0]],
+        np.eye(2) / np.array([0.02, 0.03, 0.5])[:, None, None] ** 2,
+    )
+    o = to_observations([links(Task("rows", (0, 0), (0, 1)), px, px, information)], (workshop.camera(),))
+    assert median_noise_px(o, np.arange(3)) == pytest.approx(0.03)
+    assert median_noise_px(o, np.array([0])) == pytest.approx(0.02)
+    assert median_noise_px(o, np.zeros(0, dtype=np.int_)) == 0.0
 
 
 def points(count: int, which: int) -> FiducialPoints:
@@ -43,3 +206,52 @@ def test_the_displacement_of_one_camera_alone_is_the_best_of_its_own() -> None:
     others = [estimate.alone(camera) for camera in (0, 2)]
     assert all(not np.delete(d, camera, axis=0).any() for camera, d in zip((0, 2), others, strict=True))
     assert estimate.fit(true_px) > max(*(estimate.fit(d) for d in others), estimate.fit(1.1 * true_px)) > 0
+
+
+BOARD = BoardType(name="b", unit="inch", outline=((0.0, 3.0), (2.0, 0.5)))
+
+
+@given(
+    st.lists(st.floats(-1, 1), min_size=6, max_size=6),
+    st.lists(st.tuples(st.floats(-1, 4), st.floats(-1, 5)), min_size=1, max_size=5),
+)
+def test_results_have_the_estimated_surface(c: list[float], points: list[tuple[float, float]]) -> None:
+    at = np.array(points)
+    surface = to_surface(BOARD, np.array(c))
+    np.testing.assert_allclose(surface.height_mm(at), basis(BOARD, at) @ c, atol=5e-5)
+
+
+def test_the_centre_has_the_lift_and_the_corners_have_all_coefficients() -> None:
+    values = basis(BOARD, np.array([[1.0, 1.75], [2.0, 3.0], [0.0, 3.0]]))
+    assert values.tolist() == [[1, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1], [1, -1, 1, 1, -1, 1]]
+    assert len(SIGMA_MM) == 6
+
+
+def test_points_of_the_board_have_the_values_of_their_cad_points() -> None:
+    c = np.array([[25.4, 0, 7], [0, -25.4, 9], [0, 0, 1.0]])
+    at = np.array([[0.3, 0.7], [1.9, 2.2]])
+    np.testing.assert_allclose(basis_at_board(BOARD, c, apply(c, at)), basis(BOARD, at), atol=1e-12)
+
+
+def test_the_prior_of_the_surface_has_heavy_tails() -> None:
+    assert prior_sigma_mm(np.zeros(6), SIGMA_MM).tolist() == SIGMA_MM.tolist()
+    likely = prior_sigma_mm(SIGMA_MM / 2, SIGMA_MM)
+    assert (likely < 1.1 * SIGMA_MM).all()
+    tilted = prior_sigma_mm(np.array([0.2, 0.4, -0.6, 0, 0, 0]), SIGMA_MM)
+    # A tilt along one axis widens the prior along the other one, and leaves lift and bow.
+    assert (tilted[1:3] > 3 * SIGMA_MM[1:3]).all()
+    assert tilted[[0, 3, 4, 5]].tolist() == pytest.approx(SIGMA_MM[[0, 3, 4, 5]], rel=0.01)
+
+
+def test_a_lift_of_many_millimetres_stays_unlikely() -> None:
+    """Otherwise it would explain a turned camera with a single seam (`tests/cases/test_watching.py`)."""
+    lifted = prior_sigma_mm(np.array([11.0, 0, 0, 0, 0, 0]), SIGMA_MM)
+    assert lifted.tolist() == SIGMA_MM.tolist()
+
+
+@given(st.floats(0, 50))
+def test_a_larger_tilt_is_less_likely(tilt_mm: float) -> None:
+    """The gradient of the prior points to 0 everywhere, however weak it is."""
+    at = np.array([0, tilt_mm, 0, 0, 0, 0])
+    assert (at / prior_sigma_mm(at, SIGMA_MM) ** 2)[1] >= 0
+    assert tilt_mm / prior_sigma_mm(at, SIGMA_MM)[1] < 3

@@ -1,4 +1,4 @@
-"""Links between rows and between cameras of a simulated texture are corresponding points."""
+"""Texture that stands still, or has moved by a known distance, from textures that are formulas."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from functools import cache
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
@@ -13,12 +14,174 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
+from vaoi_station.geometry.robust import Failure
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
-from vaoi_station.stitching.matching.frames import PreparedFrame
-from vaoi_station.stitching.matching.link import are_copies, choose_corners, link_neighbours, link_reference, link_rows
+from vaoi_station.stitching.matching.frames import PreparedFrame, read_only
+from vaoi_station.stitching.matching.link import (
+    STATIC_PX,
+    CoarseShift,
+    are_copies,
+    best_corners,
+    best_peaks,
+    choose_corners,
+    correlations,
+    find_shift,
+    link_neighbours,
+    link_reference,
+    link_rows,
+    shows_patches,
+    static_corners,
+)
 
-SIZE = (480, 360)
+
+def image(seed: int) -> NDArray[np.uint8]:
+    g = np.random.default_rng(seed)
+    soft = cv2.GaussianBlur(g.normal(128, 120, (60, 90)), (0, 0), 1.5)
+    return np.asarray(np.clip(soft, 0, 255), dtype=np.uint8)
+
+
+@settings(deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    corner=st.tuples(st.integers(0, 30), st.integers(0, 20)),
+    across=st.tuples(st.integers(1, 6), st.integers(1, 10)),
+    down=st.tuples(st.integers(1, 4), st.integers(1, 10)),
+)
+def test_the_best_pixel_of_every_cell_is_that_of_opencv(
+    seed: int, corner: tuple[int, int], across: tuple[int, int], down: tuple[int, int]
+) -> None:
+    grey, (x0, y0) = image(seed), corner
+    score = cv2.cornerMinEigenVal(grey, 3, ksize=3)
+    score[:2] = score[-2:] = score[:, :2] = score[:, -2:] = 0  # OpenCV mirrors what lies beyond the border
+    (nx, width), (ny, height) = across, down
+    cells = score[y0 : y0 + ny * height, x0 : x0 + nx * width].reshape(ny, height, nx, width)
+    best = cells.max((1, 3)).ravel()
+    found = best_corners(read_only(grey), x0, y0, across, down)
+    least = max(0.003 * np.sort(best)[int(len(best) * 0.9)], 1e-5)
+    assert abs(len(found) - (best > least).sum()) <= (np.abs(best - least) < 1e-7).sum()
+    cell = (found[:, 1] - y0) // height * nx + (found[:, 0] - x0) // width
+    assert len(set(cell.tolist())) == len(cell)
+    np.testing.assert_allclose(score[found[:, 1], found[:, 0]], best[cell], rtol=1e-3, atol=1e-7)
+
+
+def test_flat_grey_has_no_corners() -> None:
+    assert not len(best_corners(read_only(np.full((60, 90), 77, np.uint8)), 10, 10, (4, 8), (4, 8)))
+
+
+SIZE = (640, 480)
+REACH = np.array([40.0, 40.0])
+
+
+def box(shift: tuple[float, float]) -> tuple[int, int, int, int]:
+    """The part of frame a that is still in frame b after a shift of the content."""
+    x, y = (round(v) for v in shift)
+    return max(0, -x), max(0, -y), min(SIZE[0], SIZE[0] - x), min(SIZE[1], SIZE[1] - y)
+
+
+@pytest.fixture(scope="module")
+def frame(workshop: Any) -> PreparedFrame:
+    return PreparedFrame(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE))
+
+
+@settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@given(
+    nominal=st.tuples(st.integers(-200, 200), st.integers(-200, 200)),
+    slip=st.tuples(st.integers(-36, 36), st.integers(-36, 36)),
+)
+def test_the_deviation_from_the_nominal_motion_is_found(
+    workshop: Any, frame: PreparedFrame, nominal: tuple[int, int], slip: tuple[int, int]
+) -> None:
+    shift = (nominal[0] + slip[0], nominal[1] + slip[1])
+    b = PreparedFrame(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE, shift))
+    found = find_shift(frame, b, box(nominal), np.array(nominal, dtype=float), REACH)
+    assert isinstance(found, CoarseShift), found
+    assert np.abs(found.px - slip).max() <= 2.0
+    assert found.score > 0.5
+
+
+def test_a_narrow_overlap_is_enough(workshop: Any, frame: PreparedFrame) -> None:
+    b = PreparedFrame(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE, (0, 400)))
+    found = find_shift(frame, b, box((0, 390)), np.array([0.0, 390.0]), REACH)
+    assert isinstance(found, CoarseShift), found
+    assert found.px == pytest.approx([0, 10], abs=2)
+
+
+def test_too_narrow_an_overlap_is_refused(frame: PreparedFrame) -> None:
+    found = find_shift(frame, frame, (0, 470, 640, 480), np.array([0.0, -470.0]), REACH)
+    assert isinstance(found, Failure)
+    assert "640×10 px is too narrow" in found.reason
+
+
+def test_an_empty_overlap_is_refused(workshop: Any, frame: PreparedFrame) -> None:
+    g = np.random.default_rng(2)
+    belt = PreparedFrame(workshop.digitised(20 + g.normal(0, 2, SIZE[::-1])))
+    found = find_shift(belt, frame, (0, 0, 640, 300), np.array([0.0, 100.0]), REACH)
+    assert isinstance(found, Failure)
+    assert "the overlap is empty" in found.reason
+
+
+def test_different_texture_does_not_fit(workshop: Any, frame: PreparedFrame) -> None:
+    other = PreparedFrame(workshop.waves(8, finest=12.0, coarsest=40.0).picture(*SIZE))
+    found = find_shift(frame, other, (0, 0, 640, 380), np.array([0.0, 100.0]), REACH)
+    assert isinstance(found, Failure)
+    assert "no place within ±40, ±40 px fits" in found.reason
+
+
+@pytest.mark.parametrize("slip", [(-14, 9), (15, -15), (0, 0)])
+def test_the_repetition_within_the_prior_is_taken(workshop: Any, slip: tuple[int, int]) -> None:
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
+
+    def pins(dx: float, dy: float) -> PreparedFrame:
+        grey = 120 + 50 * np.cos(2 * np.pi * (x - dx) / 48) + 50 * np.cos(2 * np.pi * (y - dy) / 48)
+        return PreparedFrame(workshop.digitised(grey))
+
+    nominal = np.array([0.0, 144.0])
+    found = find_shift(pins(0, 0), pins(slip[0], 144 + slip[1]), box((0, 144)), nominal, np.array([20.0, 20.0]))
+    assert isinstance(found, CoarseShift)
+    assert np.abs(found.px - slip).max() <= 2.0
+
+
+@pytest.mark.parametrize(("template", "window"), [((5, 9), (11, 30)), ((24, 87), (40, 95)), ((7, 6), (7, 6))])
+def test_correlations_are_those_of_opencv(template: tuple[int, int], window: tuple[int, int]) -> None:
+    g = np.random.default_rng(3)
+    t, w = (g.normal(0, 20, shape).astype(np.float32) for shape in (template, window))
+    w[:, : window[1] // 3] = 0
+    expected = np.nan_to_num(cv2.matchTemplate(w, t, cv2.TM_CCORR_NORMED), posinf=0.0, neginf=0.0)
+    empty = np.array(
+        [
+            [not w[y : y + template[0], x : x + template[1]].any() for x in range(expected.shape[1])]
+            for y in range(expected.shape[0])
+        ]
+    )
+    found = correlations(t, w)
+    assert not found[empty].any()
+    assert found[~empty] == pytest.approx(expected[~empty], abs=2e-6)
+
+
+def test_the_highest_maxima_are_listed_once_with_subsample_positions() -> None:
+    y, x = np.mgrid[:30, :40].astype(float)
+    hills = [(1.0, 11.3, 8.6), (0.9, 30.0, 20.25), (0.5, 4.5, 25.0)]
+    surface = sum(h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 18) for h, u, v in hills).astype(np.float32)
+    for most in (1, 2, 3, 5):
+        found = best_peaks(surface, most)
+        assert found == pytest.approx(np.array(hills[:most]), abs=0.05)
+    assert best_peaks(np.zeros((3, 4), np.float32), 2) == pytest.approx(np.zeros((1, 3)))
+
+
+def test_full_size_decides_between_several_peaks_of_half_size(workshop: Any) -> None:
+    """A weave whose pattern repeats but for its finest strokes."""
+    x = np.arange(float(SIZE[0]))
+    fine = workshop.waves(9, finest=9.0, coarsest=16.0).levels(*SIZE) - 128
+    weave = 60 * np.cos(2 * np.pi * x / 60)
+    a = PreparedFrame(workshop.digitised(128 + weave + 0.8 * fine))
+    b = PreparedFrame(workshop.digitised(np.roll(128 + weave + 0.8 * fine, (340, 60), (0, 1))))
+    found = find_shift(a, b, (0, 0, 640, 140), np.array([0.0, 340.0]), np.array([70.0, 30.0]))
+    assert isinstance(found, CoarseShift)
+    assert found.px == pytest.approx([60, 0], abs=2)
+
+
+FRAME_PX = (480, 360)
 SCALE = 10.0
 ROWS = Task("rows", (0, 0), (0, 1), 0.1)
 NEIGHBOURS = Task("neighbours", (0, 0), (1, 0))
@@ -43,7 +206,7 @@ def filmed(workshop: Any, camera: Any, row_from_board: NDArray[np.float64]) -> P
 def test_links_between_rows_are_the_same_points_of_the_board(
     workshop: Any, angle: float, yaw: float, slip: tuple[float, float]
 ) -> None:
-    camera = workshop.camera((0, 0), size_px=SIZE, angle_rad=angle, tilt=(1e-5, -2e-5))
+    camera = workshop.camera((0, 0), size_px=FRAME_PX, angle_rad=angle, tilt=(1e-5, -2e-5))
     nominal = np.array([0.0, 12.0])
     d = motion(yaw, slip[0], nominal[1] + slip[1])
     a, b = filmed(workshop, camera, np.eye(3)), filmed(workshop, camera, d)
@@ -57,7 +220,7 @@ def test_links_between_rows_are_the_same_points_of_the_board(
 
 
 def test_a_frame_that_was_sent_twice_has_no_links(workshop: Any) -> None:
-    camera, nominal = workshop.camera((0, 0), size_px=SIZE), np.array([0.0, 12.0])
+    camera, nominal = workshop.camera((0, 0), size_px=FRAME_PX), np.array([0.0, 12.0])
     a = filmed(workshop, camera, np.eye(3))
     again = PreparedFrame(a.grey.copy())
     links = link_rows(ROWS, FramePair(a, again, camera, camera, nominal))
@@ -67,7 +230,7 @@ def test_a_frame_that_was_sent_twice_has_no_links(workshop: Any) -> None:
 
 
 def test_one_other_pixel_or_a_single_grey_level_makes_no_copy(workshop: Any) -> None:
-    frame = filmed(workshop, workshop.camera((0, 0), size_px=SIZE), np.eye(3)).grey
+    frame = filmed(workshop, workshop.camera((0, 0), size_px=FRAME_PX), np.eye(3)).grey
     other = frame.copy()
     other[101, 7] ^= 1
     assert are_copies(frame, frame.copy())
@@ -78,7 +241,7 @@ def test_one_other_pixel_or_a_single_grey_level_makes_no_copy(workshop: Any) -> 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0), (0.004, -0.003), (-0.008, 0.008)])
 def test_neighbours_are_linked_by_their_calibration_even_if_rotated(workshop: Any, angles: tuple[float, float]) -> None:
-    left, right = (workshop.camera((x, 0), size_px=SIZE, angle_rad=t) for x, t in zip((0, 38), angles, strict=True))
+    left, right = (workshop.camera((x, 0), size_px=FRAME_PX, angle_rad=t) for x, t in zip((0, 38), angles, strict=True))
     task = Task("neighbours", (0, 3), (1, 3))
     a, b = filmed(workshop, left, np.eye(3)), filmed(workshop, right, np.eye(3))
     links = link_neighbours(task, FramePair(a, b, left, right, np.zeros(2)))
@@ -91,7 +254,7 @@ def test_neighbours_are_linked_by_their_calibration_even_if_rotated(workshop: An
 
 def neighbours(workshop: Any, overlap_px: int, elsewhere_mm: float = 0.0) -> FramePair:
     """Two cameras side by side; the right one sees another part of the texture if `elsewhere_mm` is not 0."""
-    left, right = (workshop.camera((x, 0), size_px=SIZE) for x in (0.0, (SIZE[0] - overlap_px) / SCALE))
+    left, right = (workshop.camera((x, 0), size_px=FRAME_PX) for x in (0.0, (FRAME_PX[0] - overlap_px) / SCALE))
     a, b = filmed(workshop, left, np.eye(3)), filmed(workshop, right, motion(0.0, 0.0, elsewhere_mm))
     return FramePair(a, b, left, right, np.zeros(2))
 
@@ -112,7 +275,7 @@ def test_neighbours_that_show_different_things_are_marked_where_there_is_room(
 
 
 def test_a_displaced_neighbour_is_linked_by_the_wider_search(workshop: Any) -> None:
-    left, right = workshop.camera((0, 0), size_px=SIZE), workshop.camera((38, 0), size_px=SIZE)
+    left, right = workshop.camera((0, 0), size_px=FRAME_PX), workshop.camera((38, 0), size_px=FRAME_PX)
     a, b = filmed(workshop, left, np.eye(3)), filmed(workshop, right, motion(0.0, 0.0, 2.5))
     links = link_neighbours(NEIGHBOURS, FramePair(a, b, left, right, np.zeros(2)))
     assert len(links.a_px) >= 8
@@ -126,7 +289,7 @@ def test_a_displaced_neighbour_is_linked_by_the_wider_search(workshop: Any) -> N
 def test_a_run_is_linked_to_its_reference_wherever_the_board_lies(
     workshop: Any, placed_mm: tuple[float, float]
 ) -> None:
-    camera = workshop.camera(size_px=SIZE)
+    camera = workshop.camera(size_px=FRAME_PX)
     a, b = filmed(workshop, camera, motion(0.0, *placed_mm)), filmed(workshop, camera, np.eye(3))
     links = link_reference(Task("reference", (0, 4), (0, 4)), FramePair(a, b, camera, camera, np.zeros(2)))
     assert len(links.a_px) >= 30
@@ -135,10 +298,10 @@ def test_a_run_is_linked_to_its_reference_wherever_the_board_lies(
 
 
 def test_the_reason_for_missing_links_is_noted(workshop: Any) -> None:
-    camera, far = workshop.camera(size_px=SIZE), workshop.camera((100, 0), size_px=SIZE)
+    camera, far = workshop.camera(size_px=FRAME_PX), workshop.camera((100, 0), size_px=FRAME_PX)
     board = filmed(workshop, camera, np.eye(3))
-    belt = PreparedFrame(workshop.digitised(20 + np.random.default_rng(0).normal(0, 1.0, SIZE[::-1])))
-    black = PreparedFrame(np.zeros(SIZE[::-1], dtype=np.uint8))
+    belt = PreparedFrame(workshop.digitised(20 + np.random.default_rng(0).normal(0, 1.0, FRAME_PX[::-1])))
+    black = PreparedFrame(np.zeros(FRAME_PX[::-1], dtype=np.uint8))
 
     def row_note(a: PreparedFrame, b: PreparedFrame, y_mm: float) -> str:
         return link_rows(ROWS, FramePair(a, b, camera, camera, np.array([0, y_mm]))).note
@@ -161,20 +324,51 @@ def test_the_reason_for_missing_links_is_noted(workshop: Any) -> None:
 def test_corners_lie_inside_their_box(corner: tuple[int, int], width: int, height: int) -> None:
     frame = noise()
     x0, y0 = max(corner[0], 0), max(corner[1], 0)
-    box = x0, y0, min(x0 + width, SIZE[0]), min(y0 + height, SIZE[1])
+    box = x0, y0, min(x0 + width, FRAME_PX[0]), min(y0 + height, FRAME_PX[1])
     at = choose_corners(frame, box)
     assert len(at) <= 2 * 80
     assert ((at >= box[:2]) & (at < box[2:])).all()
 
 
 def test_bare_belt_beside_a_board_has_no_corners(workshop: Any) -> None:
-    grey = np.full(SIZE[::-1], 20, dtype=np.uint8)
-    grey[:, :240] = workshop.waves(1).picture(240, SIZE[1])
-    at = choose_corners(PreparedFrame(grey), (0, 0, *SIZE))
+    grey = np.full(FRAME_PX[::-1], 20, dtype=np.uint8)
+    grey[:, :240] = workshop.waves(1).picture(240, FRAME_PX[1])
+    at = choose_corners(PreparedFrame(grey), (0, 0, *FRAME_PX))
     assert len(at) > 20
     assert at[:, 0].max() < 250
 
 
 @cache
 def noise() -> PreparedFrame:
-    return PreparedFrame(np.random.default_rng(0).integers(0, 256, SIZE[::-1], dtype=np.uint8))
+    return PreparedFrame(np.random.default_rng(0).integers(0, 256, FRAME_PX[::-1], dtype=np.uint8))
+
+
+PLACES = np.array([[60.5, 50.5], [160.5, 120.5], [20.5, 120.5], [300.5, 200.5]])
+
+
+def test_a_patch_is_shown_only_where_its_texture_is(workshop: Any) -> None:
+    texture = workshop.waves(seed=3, finest=6.0)
+    a, moved = (PreparedFrame(texture.picture(320, 240, shift)).grey for shift in ((0.0, 0.0), (30.0, 0.0)))
+    shown, tested = shows_patches(a, moved, PLACES, PLACES + (30.0, 0.0), STATIC_PX)
+    assert tested.tolist() == [True, True, True, False]
+    assert shown.tolist() == [True, True, True, False]
+    in_place, _ = shows_patches(a, moved, PLACES, PLACES, STATIC_PX)
+    assert not in_place.any()
+    beyond, _ = shows_patches(a, moved, PLACES, PLACES + (33.0, 0.0), STATIC_PX)
+    assert not beyond.any()
+    none, _ = shows_patches(a, moved, np.zeros((0, 2)), np.zeros((0, 2)), STATIC_PX)
+    assert none.shape == (0,)
+
+
+def test_static_corners_are_those_that_stand_still(workshop: Any) -> None:
+    camera = workshop.camera(size_px=(320, 240), px_per_mm=10.0)
+    bed, board = (workshop.waves(seed=seed, finest=6.0) for seed in (3, 4))
+    still = bed.picture(320, 240)
+    half = still.copy()
+    half[:, 160:] = board.picture(320, 240)[:, 160:]
+    frames = [PreparedFrame(picture) for picture in (still, half, board.picture(320, 240))]
+    counts = [static_corners(FramePair(frames[0], b, camera, camera, np.zeros(2))) for b in frames]
+    assert counts[0] > 1.5 * counts[1] > 0
+    assert counts[2] == 0
+    away = FramePair(frames[0], frames[0], camera, camera, np.array([0.0, 100.0]))
+    assert static_corners(away) == 0

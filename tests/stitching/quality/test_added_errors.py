@@ -2,14 +2,106 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
-from vaoi_station.stitching.quality.uncertainty import reference_share, with_common_error
+from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Observations, Problem
+from vaoi_station.stitching.quality.uncertainty import (
+    largest_sigma,
+    matrix_sigmas,
+    reference_share,
+    row_covariances,
+    with_common_error,
+)
 from vaoi_station.stitching.work import TaskRunner
+
+PIVOT = np.array([3.0, -2.0])
+NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), Observations.empty(), np.zeros(0, dtype=np.int_))
+MOTION = Motion(np.array([0.0, 0.3, -0.8]), np.array([[0.0, 0.0], [1.0, -8.0], [-2.0, -17.0]]), PIVOT)
+
+
+@pytest.fixture
+def adjusted() -> AdjustmentResult:
+    g = np.random.default_rng(4)
+    blocks = np.zeros((3, 3, 3))
+    for j in (1, 2):
+        spread = g.normal(0, 1, (3, 3)) * ([1e-4], [2e-3], [3e-3])
+        blocks[j] = spread @ spread.T
+    none, pairs = np.zeros(0), np.zeros((0, 2))
+    rest = none, pairs, none, pairs, 0.01, 1.0, NO_PROBLEM
+    return AdjustmentResult(MOTION, None, none, np.zeros((2, 0)), blocks, *rest)
+
+
+def drawn(adjusted: AdjustmentResult, count: int) -> list[Motion]:
+    """Random motions with the covariance of the adjustment."""
+    g = np.random.default_rng(5)
+    rows = np.stack([g.multivariate_normal(np.zeros(3), c, count) for c in adjusted.covariance], 1)
+    return [replace(MOTION, angle=MOTION.angle + r[:, 0], shift=MOTION.shift + r[:, 1:]) for r in rows]
+
+
+def test_row_covariances_match_drawn_motions(adjusted: AdjustmentResult) -> None:
+    predicted = row_covariances(adjusted)
+    assert not predicted[0].any(), "D_0 is the identity"
+    for j in (1, 2):
+        under_pivot = MOTION.board(np.array([j]), PIVOT[None])
+        seen = []
+        for motion in drawn(adjusted, 4000):
+            d = motion.row_from_tester(j)
+            seen.append([np.arctan2(d.matrix[1, 0], d.matrix[0, 0]), *d(under_pivot)[0]])
+        found = np.cov(np.array(seen).T)
+        scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
+        assert predicted[j] / scale == pytest.approx(found / scale, abs=0.06)
+
+
+def test_matrix_sigmas_match_drawn_motions(adjusted: AdjustmentResult, workshop: Any) -> None:
+    cameras = [workshop.camera((2.0, 1.0), tilt=(1e-3, -2e-3)), workshop.camera((16.0, 1.0), angle_rad=0.02)]
+    sigmas = matrix_sigmas(cameras, PIVOT, row_covariances(adjusted))
+    assert sigmas.shape == (2, 3, 2)
+    motions = drawn(adjusted, 2000)
+    for i, camera in enumerate(cameras):
+        frame = np.array([camera.center_px, (0, 0), (199, 0), (199, 159), (0, 159)])
+        for j in (1, 2):
+            board = MOTION.board(np.full(5, j), camera.ground(frame))
+            px = np.array([camera.project(m.row_from_tester(j)(board)) for m in motions])
+            spread = largest_sigma(np.array([np.cov(px[:, k].T) for k in range(5)]))
+            assert sigmas[i, j] == pytest.approx([spread[0], spread[1:].max()], rel=0.07)
+
+
+def test_largest_sigma_is_the_major_axis() -> None:
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    assert largest_sigma(turn @ np.diag([9.0, 4.0]) @ turn.T) == pytest.approx(3.0)
+    assert largest_sigma(np.zeros((2, 2, 2))) == pytest.approx([0, 0])
+
+
+@given(st.floats(0, 5), st.floats(0, 5), st.floats(-3.2, 3.2))
+def test_largest_sigma_does_not_depend_on_the_axes(one: float, other: float, angle: float) -> None:
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    found = largest_sigma(turn @ np.diag([one**2, other**2]) @ turn.T)
+    assert found == pytest.approx(max(one, other), abs=1e-6)
+
+
+def test_a_pure_shift_moves_all_pixels_alike(workshop: Any) -> None:
+    """Without perspective and angle, the sigma in px is that in mm times the resolution, everywhere."""
+    rows = np.zeros((2, 3, 3))
+    rows[1, 1, 1] = rows[1, 2, 2] = 0.02**2
+    sigmas = matrix_sigmas([workshop.camera(), workshop.camera((50, 9), px_per_mm=20.0)], PIVOT, rows)
+    np.testing.assert_allclose(sigmas[:, 0], 0)
+    np.testing.assert_allclose(sigmas[:, 1], [[0.2, 0.2], [0.4, 0.4]], rtol=1e-9)
+
+
+def test_a_pure_angle_counts_by_the_distance_from_the_pivot(workshop: Any) -> None:
+    rows = np.zeros((1, 3, 3))
+    rows[0, 0, 0] = 1e-3**2
+    near, far = matrix_sigmas([workshop.camera(tuple(PIVOT)), workshop.camera((103.0, -2.0))], PIVOT, rows)
+    assert near[0, 0] == pytest.approx(0, abs=1e-9)
+    assert far[0, 0] == pytest.approx(1e-3 * 100 * 10)
+    assert far[0, 1] > far[0, 0]
 
 
 def points(which: list[int], sigma_px: list[float]) -> FiducialPoints:

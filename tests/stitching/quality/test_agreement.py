@@ -1,4 +1,4 @@
-"""Agreement of fiducials, CAD data and outline, on results that are made up exactly."""
+"""A wrong diameter of the fiducials in the board type is named, instead of their places."""
 
 from __future__ import annotations
 
@@ -8,20 +8,85 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.geometry import apply
-from vaoi_station.model import BoardType, ReasonCode
+from vaoi_station.model import BoardType, ReasonCode, Status
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Observations, Problem
+from vaoi_station.stitching.adjustment.problem import (
+    FIXTURE,
+    REFERENCE,
+    AdjustmentResult,
+    FiducialPoints,
+    Observations,
+    Problem,
+)
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.quality.agreement import (
     common_local_reasons,
+    contradiction_reasons,
     fiducial_reasons,
     outline_reasons,
     reference_reasons,
     uncertain_detections,
+    wrong_size,
 )
 from vaoi_station.stitching.quality.seams import seam_offset_px, seam_px
+from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.work import TaskRunner
+
+
+def moved(filmed: Any, which: int, off_mm: tuple[float, float]) -> BoardType:
+    """The board type with a fiducial beside its place."""
+    data = filmed.board_type.model_dump(mode="json", exclude_none=True)
+    data["fiducials"][which]["x"] += off_mm[0]
+    data["fiducials"][which]["y"] += off_mm[1]
+    return BoardType.model_validate(data)
+
+
+@pytest.mark.parametrize(
+    ("which", "off_mm"), [(0, (0.0, 0.05)), (0, (0.0, -0.05)), (1, (0.035, 0.035)), (1, (-0.035, -0.035))]
+)
+def test_an_error_of_which_little_is_left_in_the_residuals_is_a_reason(
+    filmed: Any, which: int, off_mm: tuple[float, float]
+) -> None:
+    """No fiducial lies 0.3 px from its place, and scale and surface are likely: positions were wrong, and `ok`."""
+    result = filmed.stitched(board_type=moved(filmed, which, off_mm))
+    assert result.status is Status.DEGRADED
+    text, uncertain = result.reasons
+    assert "without one of the marks that place the board" in uncertain, "whichever of them it is"
+    assert text.startswith("the fiducials do not fit together: FID")
+    assert f"FID{which + 1} by 0.05 mm" in text
+    assert filmed.error_px(result) > 0.5
+
+
+def test_fiducials_within_the_tolerance_of_artwork_are_no_reason(filmed: Any) -> None:
+    for which in range(3):
+        result = filmed.stitched(board_type=moved(filmed, which, (0.006, -0.006)))
+        assert result.status is Status.OK, result.reasons
+        assert filmed.error_px(result) < 0.3
+
+
+def test_two_fiducials_and_other_points_are_left_to_other_checks(filmed: Any) -> None:
+    runner = TaskRunner(filmed.setup, filmed.frame)
+    evidence = [runner.perform(task) for task in filmed.tasks]
+    findings = runner.conclude_with_findings(filmed.times_s, filmed.present, evidence)[1]
+    plane, adjusted = findings.plane, findings.adjusted
+    points = adjusted.problem.fiducials
+    assert plane is not None
+    assert points is not None
+    far = replace(adjusted, fiducial_px=np.full((len(points.which), 2), 0.2))
+    two = np.flatnonzero(points.which < 2)
+    assert contradiction_reasons(plane, adjusted, points, 10.0) == []
+    assert contradiction_reasons(plane, adjusted, None, 10.0) == []
+    assert contradiction_reasons(plane, replace(adjusted, similarity=None), points, 10.0) == []
+    few = replace(far, fiducial_px=far.fiducial_px[two])
+    assert contradiction_reasons(plane, few, points.select(two), 10.0) == []
+    fixed = replace(points, which=np.where(points.which == 2, FIXTURE, points.which))
+    assert contradiction_reasons(plane, far, fixed, 10.0) == []
+    # Residuals that leave no fiducial far from where the others put it are no reason either.
+    assert contradiction_reasons(plane, far, points, 10.0) == []
+
 
 MARKS = [(2.0, 2.0), (38.0, 3.0), (20.0, 18.0), (3.0, 17.0)]
 BOARD = BoardType.model_validate(
@@ -232,3 +297,31 @@ def test_a_seam_of_components_whose_links_were_rejected_shows_the_offset_across_
     assert seam_px(problem, heights, at, 12) is None, "tall components"
     bare = replace(problem, component=np.full(13, -1))
     assert seam_px(bare, apart, at, 12) == pytest.approx(np.hypot(1.1, 1.7))
+
+
+def resized(board_type: BoardType, diameter: float) -> BoardType:
+    marks = [mark.model_dump() | {"diameter": diameter} for mark in board_type.fiducials]
+    return BoardType.model_validate(board_type.model_dump(mode="json", exclude_none=True) | {"fiducials": marks})
+
+
+@pytest.mark.parametrize("stated", [0.7, 1.4, 2.0])
+def test_marks_of_another_size_at_the_right_places_are_named(filmed: Any, stated: float) -> None:
+    board_type = resized(filmed.board_type, stated)
+    status, reasons = decide_verdict(findings_of(filmed, board_type=board_type))
+    assert status is Status.FAILED
+    assert reasons[0].code == "fiducial-size"
+    assert f"are where fiducials of {stated:.2g} mm are expected: correct the diameter" in reasons[0].text
+    found = float(reasons[0].text.split("marks of about ")[1].split(" mm")[0])
+    assert found == pytest.approx(1.0, rel=0.1)
+    assert "fiducials-not-found" in [code for code, _ in reasons]
+
+
+def test_wrong_places_are_not_blamed_on_the_size(filmed: Any) -> None:
+    marks = [mark.model_dump() for mark in filmed.board_type.fiducials]
+    for n, mark in enumerate(marks):
+        mark["x"] += 3.0 * n
+    data = filmed.board_type.model_dump(mode="json", exclude_none=True) | {"fiducials": marks, "outline": None}
+    found = findings_of(filmed, board_type=BoardType.model_validate(data))
+    assert found.plane is not None
+    texture = np.zeros((0, 2))
+    assert wrong_size(found.plane.board_type, found.scene, found.expectation, found.moved.motion, texture) is None

@@ -1,4 +1,4 @@
-"""Heights of components: those of the twin's bodies, never those of the board or the leads beside them."""
+"""Heights of components from the links on their bodies, against known heights."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.scenario import AbsentPart
+from vaoi_station.stitching.quality.body_heights import BodyLinks, body_heights
 from vaoi_station.stitching.quality.heights import FootprintArrays, LinkArrays, per_link_heights
 from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
@@ -93,3 +96,96 @@ def test_link_height_explains_the_residual() -> None:
 def test_without_a_working_distance_there_are_no_heights(filmed: Any) -> None:
     flat = filmed.calibration.model_copy(update={"working_distance_mm": None})
     assert filmed.stitched(calibration=flat).quality["heights_mm"] == {}
+
+
+Link = tuple[float, float, float]
+"""Height and place (x, y) of a link, mm."""
+
+_HALF_MM = (3.3, 3.25)
+"""Half the footprint of a TSSOP-20, whose body reaches to 2.2 mm on both sides."""
+LEADS: list[Link] = [(0.0, x, y) for x in (-3.0, 2.9) for y in (-2.0, -0.6, 0.6, 2.0)]
+
+
+def heights_of(*parts: list[Link], sigma_mm: float = 0.02, reach_mm: float = 0.3) -> list[tuple[float, float, int]]:
+    """Height, sigma and number of links of components with these links, three to a pair of frames."""
+    ends = np.cumsum([len(part) for part in parts])
+    rows = np.array([link for part in parts for link in part]).reshape(-1, 3)
+    n = len(rows)
+    pair = np.concatenate([np.arange(len(part)) // 3 for part in parts])
+    links = BodyLinks(
+        rows[:, 0].copy(),
+        np.full(n, sigma_mm),
+        np.full(n, 0.005),
+        pair,
+        np.ascontiguousarray(rows[:, 1:]),
+        np.full(n, reach_mm),
+    )
+    found = body_heights(ends, links, np.tile(_HALF_MM, (len(parts), 1)))
+    return list(zip(*(values.tolist() for values in found), strict=True))
+
+
+def test_few_links_on_the_body_win_over_many_on_the_leads() -> None:
+    body = [(1.11, -1.1, -1.3), (1.09, 0.1, 1.0), (1.10, 0.9, 0.2)]
+    [(mm, sigma_mm, links)] = heights_of(LEADS * 2 + body)
+    assert links == 3
+    assert mm == pytest.approx(1.1, abs=0.01)
+    assert 0.005 < sigma_mm < 0.04
+
+
+def test_without_links_on_the_body_its_height_is_unknown() -> None:
+    """A fitted part of 1.1 mm of which only leads and silk are linked is not missing."""
+    assert heights_of(LEADS * 3)[0] == (0, 0, 0)
+
+
+def test_agreeing_links_across_one_edge_are_no_body() -> None:
+    """Patches across the edge of a body measure a mixture, the same along the whole edge."""
+    edge = [(0.25, x, 2.9) for x in (-1.8, -1.2, -0.5, 0.2, 0.9, 1.5, 2.0)]
+    assert heights_of(LEADS + edge)[0][2] == 0
+
+
+def test_board_under_the_whole_body_is_a_missing_part() -> None:
+    bare = [(0.01, x, y) for x in (-0.9, 0.0, 0.9) for y in (-0.9, 0.0, 0.9)]
+    [(mm, sigma_mm, links)] = heights_of(LEADS + bare)
+    assert links >= 9
+    assert abs(mm - 0.01) < 0.01
+    assert sigma_mm < 0.03
+
+
+def test_body_may_fill_its_footprint_or_lie_off_its_centre() -> None:
+    """A block has links at its rim. A connector ends before one edge of its footprint."""
+    rim = [(1.5, x, y) for x in (-2.9, 0.0, 2.9) for y in (-2.9, 0.0, 2.9)]
+    shifted = [(1.5, x, y) for x in (-2.9, 0.0, 2.9) for y in (-2.0, 0.0, 2.9)] + [(0.0, x, -3.2) for x in (-1, 0, 1)]
+    for mm, sigma_mm, links in heights_of(rim, shifted):
+        assert links >= 9
+        assert mm == pytest.approx(1.5, abs=0.005)
+        assert sigma_mm < 0.02
+
+
+def test_two_levels_on_the_body_widen_sigma_or_give_no_height() -> None:
+    low, high = [(1.0, -0.5, y) for y in (-0.5, 0.5)], [(1.4, 0.5, y) for y in (-0.5, 0.5)]
+    [(mm, sigma_mm, links)] = heights_of(low + high)
+    assert links == 0 or sigma_mm > abs(mm - 1.0) / 3
+
+
+def test_overlapping_patches_of_a_pair_do_not_average_their_noise() -> None:
+    apart = heights_of([(1.1, x, y) for x in (-0.8, 0.0, 0.8) for y in (-0.8, 0.8)], sigma_mm=0.1)
+    same = heights_of([(1.1, 0.01 * k, 0.0) for k in range(6)], sigma_mm=0.1)
+    assert same[0][1] > 1.5 * apart[0][1]
+
+
+def test_wider_noise_widens_sigma() -> None:
+    body = [(1.1, x, y) for x in (-0.8, 0.0, 0.8) for y in (-0.8, 0.8)]
+    narrow, wide = (heights_of(body, sigma_mm=s)[0] for s in (0.01, 0.05))
+    assert narrow[1] < wide[1]
+
+
+@given(st.lists(st.sampled_from([0.0, 0.04, 0.3, 0.9, 0.93, 1.6, -0.5]), max_size=9), st.integers(0, 99))
+def test_every_height_has_two_links_and_lies_among_them(values: list[float], seed: int) -> None:
+    places = np.random.default_rng(seed).uniform(-3.5, 3.5, (len(values), 2))
+    part = [(mm, float(x), float(y)) for mm, (x, y) in zip(values, places, strict=True)]
+    (mm, sigma_mm, links), empty = heights_of(part, [])
+    assert empty == (0.0, 0.0, 0)
+    assert (links >= 2) == (sigma_mm > 0)
+    if links:
+        assert min(values) - 1e-9 <= mm <= max(values) + 1e-9
+        assert links <= len(values)

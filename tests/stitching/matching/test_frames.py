@@ -1,4 +1,4 @@
-"""Copies of a frame keep positions, and grey levels do not depend on the source."""
+"""Tests of the frames of a run: what was doubtful when they were taken reaches the verdict."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.model import Status
 from vaoi_station.stitching.matching.frames import MaskedFrame, PreparedFrame, downsampled, half_size, resample
+from vaoi_station.stitching.work import stitch_frames
 
 
 def test_copies_keep_positions(workshop: Any) -> None:
@@ -82,3 +84,23 @@ def test_outside_its_part_a_masked_frame_is_without_texture(workshop: Any) -> No
     np.testing.assert_array_equal(left.coarse[:, : middle - 1], whole.coarse[:, : middle - 1])
     assert not left.coarse[:, middle + 1 :].any()
     assert downsampled(left, 8) is downsampled(whole, 8)
+
+
+DOUBT = "trigger of camera 1: it runs freely; these frames are not used"
+
+
+def test_a_doubt_of_the_recording_is_the_first_reason_of_its_result(filmed: Any) -> None:
+    """The same run without the doubt is ok."""
+    assert filmed.stitch.status is Status.OK
+    doubted = filmed.head.model_copy(update={"doubts": (DOUBT,)})
+    stitch = stitch_frames(filmed.setup, doubted, filmed.frame)
+    assert stitch.status is Status.DEGRADED
+    assert stitch.reasons == (DOUBT,)
+
+
+def test_without_any_usable_frame_the_doubts_explain_the_failure(filmed: Any) -> None:
+    everything = tuple((i, j) for i in range(len(filmed.head.cameras)) for j in range(filmed.head.rows))
+    head = filmed.head.model_copy(update={"doubts": (DOUBT,), "missing": everything})
+    stitch = stitch_frames(filmed.setup, head, lambda *_: None)
+    assert stitch.status is Status.FAILED
+    assert DOUBT in stitch.reasons

@@ -1,4 +1,4 @@
-"""The expectation that follows from the mechanics of the line."""
+"""The terms of a station give the expectation that the station had, also after their way through a file."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
+from vaoi_station.errors import InputError
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.expectation import Expectation, expectation_of
+from vaoi_station.model.board_type import Visibility
+from vaoi_station.stitching.expectation import Expectation, StitchTerms, expectation_of, refuse_unplaceable
 
 BOARD = BoardType(name="b", unit="inch", outline=((0.0, 0.0), (4.0, 2.0)))
 W, L = 101.6, 50.8
@@ -76,3 +78,41 @@ def test_by_default_only_the_direction_is_expected() -> None:
     assert nothing.corner_mm == (None, None)
     assert nothing.angle_rad == 0.0
     assert 0 < nothing.angle_tolerance_rad < math.pi / 4
+
+
+MARKS: list[dict[str, Any]] = [{"name": f"F{n}", "x": 5.0 * n, "y": 1.0, "diameter": 1.0} for n in range(3)]
+
+
+@pytest.mark.parametrize(("count", "words"), [(0, "0 fiducials"), (1, "1 fiducial,")])
+def test_fewer_than_two_fiducials_are_refused(count: int, words: str) -> None:
+    with pytest.raises(InputError, match=f"board.json: board type 'b' has {words}.* at least 2") as refusal:
+        refuse_unplaceable(BoardType.model_validate({"name": "b", "fiducials": MARKS[:count]}), "board.json")
+    assert refusal.value.code == "too-few-fiducials"
+    assert "as fiducials" in refusal.value.action
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_two_fiducials_are_enough(count: int) -> None:
+    refuse_unplaceable(BoardType.model_validate({"name": "b", "fiducials": MARKS[:count]}), "board.json")
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 100.3), (0.0, -100.3), (77.7, 1.0)])
+def test_the_expectation_is_that_of_the_station(velocity: tuple[float, float]) -> None:
+    line = Line.model_validate(
+        {
+            "conveyor_mm_s": velocity,
+            "barrier_mm": -40.1,
+            "start_delay_s": 0.1,
+            "trigger_period_s": 0.1,
+            "tail_s": 0.2,
+            "longest_board_mm": 200.0,
+            "expected_board": {"center_mm": 31.3, "rotation_deg": 90, "tolerance_mm": 2.5},
+        }
+    )
+    board_type = BoardType(name="b", unit="inch", outline=((0.0, 0.0), (4.0, 2.0)))
+    terms = StitchTerms.of(line, Visibility(coverage=0.5), {"ring": (0, 1)})
+    read = StitchTerms.model_validate_json(terms.model_dump_json())
+    assert read == terms
+    assert read.expectation(board_type) == expectation_of(line, board_type), "to the last digit"
+    longer = board_type.model_copy(update={"outline": ((0.0, 0.0), (5.0, 2.0))})
+    assert read.expectation(longer) == expectation_of(line, longer)

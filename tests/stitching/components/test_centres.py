@@ -1,0 +1,366 @@
+"""A board whose components contradict its fiducials has a reason that names them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.hostile.drawing import draw
+from tests.hostile.filming import film
+from tests.hostile.judging import stitched
+from tests.stitching.quality.test_agreement import PLANE, adjusted, points
+from vaoi_station.geometry import apply
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, ReasonCode, Status
+from vaoi_station.stitching.adjustment.motion import nominal_motion
+from vaoi_station.stitching.adjustment.problem import REFERENCE
+from vaoi_station.stitching.board.board_plane import BoardPlane
+from vaoi_station.stitching.components.centres import (
+    ComponentShift,
+    central_views,
+    centre_of_symmetry,
+    component_reasons,
+    likely_errors,
+    measure_component_shift,
+    reduced_patch,
+    reduction,
+    two_that_place,
+    unnoticed_mm,
+)
+from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
+
+
+def test_each_component_is_taken_from_the_good_frame_that_shows_it_most_central(workshop: Any) -> None:
+    """The board moves by 4 mm from row to row; row 1 did not arrive."""
+    parts = [{"ref": f"R{n}", "center": [2.0 + 4 * n, 3.0], "width": 2.0, "height": 1.0} for n in range(4)]
+    plane = BoardPlane(BoardType.model_validate({"name": "b", "y_axis": "down", "components": parts}), mirrored=False)
+    camera = workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
+    rows = np.arange(4.0)
+    motion = nominal_motion(rows, np.array([-4.0, 0.0]), np.zeros(2))
+    views = FootprintViews.of(plane.components.center, np.eye(3), (camera,), motion.rows_from_tester, None)
+    scene = Scene((camera,), ((0, 0), (0, 2), (0, 3)), workshop)
+    found = {view.part: view for view in central_views(plane, np.eye(3), scene, motion, views)}
+    assert set(found) == set(range(4))
+    for part, view in found.items():
+        place = plane.components.center[[part]]
+        off = {
+            row: camera.project(apply(motion.rows_from_tester[row], place))[0] - camera.center_px
+            for _, row in scene.present
+        }
+        assert view.frame == (0, min(off, key=lambda row: float(np.hypot(*off[row]))))
+        assert view.half_px == pytest.approx([15.0, 7.5])
+
+
+def test_a_board_type_without_components_has_no_views_of_them(workshop: Any) -> None:
+    kind = BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0, 0], [9, 9]], "components": []})
+    plane, camera = BoardPlane(kind, mirrored=False), workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
+    motion = nominal_motion(np.zeros(1), np.zeros(2), np.zeros(2))
+    views = FootprintViews.of(np.array([[0.0, 0.0], [9.0, 9.0]]), np.eye(3), (camera,), motion.rows_from_tester, None)
+    assert central_views(plane, np.eye(3), Scene((camera,), ((0, 0),), workshop), motion, views) == []
+
+
+def test_a_patch_is_reduced_by_an_odd_factor() -> None:
+    assert [reduction(np.array([half, 3.0]), 20) for half in (5.0, 20.0, 21.0, 60.0, 61.0)] == [1, 1, 3, 3, 5]
+
+
+def test_a_reduced_patch_is_that_about_the_nearest_pixel() -> None:
+    grey = np.add.outer(np.arange(40), 2 * np.arange(50)).astype(np.uint8)
+    patch = reduced_patch(grey, np.array([20.4, 14.6]), np.array([3, 2]), 3)
+    assert patch is not None
+    assert patch.shape == (5, 7)
+    assert patch[2, 3] == pytest.approx(grey[15, 20])
+    assert patch[2, 4] - patch[2, 3] == pytest.approx(6.0)
+    assert reduced_patch(grey, np.array([2.0, 20.0]), np.array([3, 2]), 1) is None
+
+
+PX_PER_MM = 16.0
+HALF = np.array([20.0, 9.0])
+"""Half the extent of a chip's footprint, px."""
+
+
+def picture(x: float, y: float, scale: float = 1.0, noise: float = 2.0) -> NDArray[np.uint8]:
+    """Draw a chip with two pads about (x, y), beside a trace and a dot that are not symmetric to it."""
+    fine, shape = 8, (160, 200)
+    v, u = (np.mgrid[: shape[0] * fine, : shape[1] * fine] + 0.5) / fine - 0.5
+    levels = np.full(u.shape, 70.0)
+    levels[(np.abs(u - x + v - y - 34) < 2) | (np.hypot(u - x + 12, v - y + 14) < 3)] = 120.0
+    levels[(np.abs(u - x) < 20 * scale) & (np.abs(v - y) < 9 * scale)] = 200.0
+    levels[(np.abs(u - x) < 12 * scale) & (np.abs(v - y) < 8 * scale)] = 30.0
+    small = cv2.GaussianBlur(cv2.resize(levels, shape[::-1], interpolation=cv2.INTER_AREA), (0, 0), 0.8)
+    noisy = small + np.random.default_rng(3).normal(0, noise, shape)
+    return np.asarray(np.clip(np.rint(noisy), 0, 255), np.uint8)
+
+
+@pytest.mark.parametrize(("x", "y"), [(100.0, 80.0), (101.3, 79.2), (97.6, 82.1)])
+def test_a_chip_is_found_to_a_tenth_of_a_pixel(x: float, y: float) -> None:
+    place = np.array([99.7, 80.4])
+    off = centre_of_symmetry(picture(x, y), place, HALF, PX_PER_MM)
+    assert off is not None
+    assert np.array(off) + place == pytest.approx((x, y), abs=0.15)
+
+
+def row_of_chips(count: int) -> NDArray[np.uint8]:
+    """Draw chips 0805 with a frame of silkscreen each, 1.875 mm apart; the first is about (100.2, 60.4)."""
+    fine, shape = 8, (220, 200)
+    v, u = (np.mgrid[: shape[0] * fine, : shape[1] * fine] + 0.5) / fine - 0.5
+    levels = np.full(u.shape, 55.0)
+    for n in range(count):
+        x, y = np.abs(u - 100.2) / PX_PER_MM, np.abs(v - 60.4 - n * 1.875 * PX_PER_MM) / PX_PER_MM
+        levels[(np.abs(x - 1.18) < 0.065) & (y < 0.87) | (np.abs(y - 0.805) < 0.065) & (x < 1.24)] = 205.0
+        levels[(x < 1.35) & (x > 0.75) & (y < 0.65)] = 172.0
+        levels[(x < 1.0) & (y < 0.625)] = 120.0
+        levels[(x < 1.0) & (x > 0.7) & (y < 0.625)] = 190.0
+    small = cv2.GaussianBlur(cv2.resize(levels, shape[::-1], interpolation=cv2.INTER_AREA), (0, 0), 0.8)
+    noisy = small + np.random.default_rng(4).normal(0, 2, shape)
+    return np.asarray(np.clip(np.rint(noisy), 0, 255), np.uint8)
+
+
+@pytest.mark.parametrize("off_px", [(0.0, 0.0), (1.3, -0.8), (-0.6, 1.7)])
+@pytest.mark.parametrize("at", [0, 1, 3])
+def test_neighbours_do_not_draw_a_chip_to_themselves(at: int, off_px: tuple[float, float]) -> None:
+    """The chips at both ends of a row have a neighbour on one side only."""
+    true = np.array([100.2, 60.4 + at * 1.875 * PX_PER_MM])
+    place = true - off_px
+    found = centre_of_symmetry(row_of_chips(4), place, np.array([1.35, 0.6875]) * PX_PER_MM, PX_PER_MM)
+    assert found is not None
+    assert np.array(found) == pytest.approx(off_px, abs=0.5)
+
+
+def test_a_large_component_is_found_in_a_reduced_picture() -> None:
+    place = np.array([100.0, 80.0])
+    off = centre_of_symmetry(picture(101.5, 81.2, 2.2), place, 2.2 * HALF, PX_PER_MM)
+    assert off is not None
+    assert np.array(off) + place == pytest.approx((101.5, 81.2), abs=0.3)
+
+
+def test_no_centre_where_nothing_is_symmetric() -> None:
+    flat = np.full((160, 200), 90, np.uint8)
+    assert centre_of_symmetry(flat, np.array([100.0, 80.0]), HALF, PX_PER_MM) is None
+    g = np.random.default_rng(1)
+    blotches = np.clip(cv2.GaussianBlur(g.normal(0, 1, (160, 200)), (0, 0), 3) * 300 + 100, 0, 255).astype(np.uint8)
+    assert centre_of_symmetry(blotches, np.array([100.0, 80.0]), HALF, PX_PER_MM) is None
+
+
+def test_no_centre_at_the_border_or_beyond_the_reach_or_for_a_huge_footprint() -> None:
+    chip = picture(100.0, 80.0)
+    assert centre_of_symmetry(picture(15.0, 80.0), np.array([15.0, 80.0]), HALF, PX_PER_MM) is None
+    assert centre_of_symmetry(chip, np.array([100.0 - 0.5 * PX_PER_MM, 80.0]), HALF, PX_PER_MM) is None
+    assert centre_of_symmetry(chip, np.array([100.0, 80.0]), 10 * HALF, PX_PER_MM) is None
+
+
+C = np.array([[1.0, 0, -15.0], [0, 1, -10.0], [0, 0, 1]])
+WRONG = np.array([[1 - 0.15 / 25, 0, -0.08], [0, 1 - 0.15 / 25, -0.05], [0, 0, 1]])
+"""As with two fiducials, 25 mm apart, one of which is off by 0.15 mm along their line."""
+STILL = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))
+
+
+def board(count: int, body_height: float | None = None, *, apart: bool = False) -> BoardType:
+    """Return a board whose components are turned by 0° and 90° in turns; `apart`, the turned ones on one half."""
+    places = [(3 + 4.9 * (n % 6), 3 + 4.6 * (n // 6)) for n in range(count)]
+    parts = [
+        {
+            "ref": f"R{n}",
+            "center": [x, y],
+            "width": 2.0,
+            "height": 1.2,
+            "rotation": 90.0 * (n % 6 // 3 if apart else n % 2),
+            "body_height": body_height,
+        }
+        for n, (x, y) in enumerate(places)
+    ]
+    return BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0, 0], [30, 20]], "components": parts})
+
+
+def measured(
+    workshop: Any,
+    count: int = 18,
+    wrong: Any = None,
+    *,
+    distance_mm: float | None = None,
+    leaning_mm: float = 0.0,
+    body_height: float | None = None,
+    turned_off_mm: float = 0.0,
+) -> ComponentShift | None:
+    """Draw the board where C puts it, and measure its components at the places of a wrong C.
+
+    Args:
+        workshop: builders of scenes.
+        count: number of components.
+        wrong: (3, 3) what is wrong in C; None for nothing.
+        distance_mm: working distance of the camera.
+        leaning_mm: height at which the components are seen.
+        body_height: height of the components that the board type states.
+        turned_off_mm: how far the components that are turned by 90°, all on one half of the board, look off along y.
+    """
+    board_type = board(count, body_height, apart=turned_off_mm != 0)
+    camera = workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0, distance_mm=distance_mm)
+    y, x = np.mgrid[:320, :480].astype(float)
+    cad = apply(np.linalg.inv(C), camera.ground(np.stack([x, y], -1).reshape(-1, 2))).reshape(320, 480, 2)
+    levels = 70 + 10 * np.sin(3 * cad[..., 0] + cad[..., 1])
+    for part in board_type.components:
+        place = apply(C, np.array([part.center]))
+        seen = camera.ground(camera.project(place, np.full(1, leaning_mm)))
+        off = (0.0, turned_off_mm if part.rotation == 90 else 0.0)
+        local = np.abs(cad - part.center - off - (seen - place)[0])
+        local = local[..., ::-1] if part.rotation == 90 else local
+        levels[(local <= (1.0, 0.6)).all(-1)] = 190.0
+        levels[(local <= (0.6, 0.5)).all(-1)] = 35.0
+    picture = cv2.GaussianBlur(levels, (0, 0), 0.8) + np.random.default_rng(0).normal(0, 2, levels.shape)
+    frame = PreparedFrame(workshop.digitised(picture))
+    matrix = C if wrong is None else wrong @ C
+    plane = BoardPlane(board_type, mirrored=False)
+    views = FootprintViews.of(plane.components.center, matrix, (camera,), np.eye(3)[None], None)
+    scene = Scene((camera,), ((0, 0),), lambda key: frame)
+    parts = central_views(plane, matrix, scene, STILL, views)
+    return measure_component_shift(plane, matrix, scene, STILL, parts)
+
+
+def test_components_in_their_places_show_no_shift(workshop: Any) -> None:
+    found = measured(workshop)
+    assert found is not None
+    assert found.components >= 12
+    assert found.measured == pytest.approx(np.zeros(4), abs=0.01)
+    assert not found.contradicts
+
+
+def test_a_wrong_cad_matrix_is_measured(workshop: Any) -> None:
+    found = measured(workshop, wrong=WRONG)
+    assert found is not None
+    assert found.contradicts
+    ends = apply(C, np.array([[3.0, 3.0], [27.0, 17.0]]))
+    assert found.at(apply(WRONG, ends)) == pytest.approx(ends - apply(WRONG, ends), abs=0.02)
+
+
+@pytest.mark.parametrize("body_height", [None, 1.5])
+@pytest.mark.parametrize("leaning_mm", [0.75, 1.5])
+def test_components_that_lean_under_one_camera_are_no_contradiction(
+    workshop: Any, leaning_mm: float, body_height: float | None
+) -> None:
+    """Components of 1.5 mm lean by up to 0.13 mm, as far as a stretch of 1 %."""
+    found = measured(workshop, distance_mm=150.0, leaning_mm=leaning_mm, body_height=body_height)
+    assert found is not None
+    assert found.components >= 12
+    assert not found.contradicts
+    assert found.measured[:3] == pytest.approx(np.zeros(3), abs=0.03)
+
+
+def test_a_wrong_cad_matrix_is_measured_if_stated_heights_do_not_explain_it(workshop: Any) -> None:
+    found = measured(workshop, wrong=WRONG, distance_mm=300.0, leaning_mm=0.2, body_height=0.35)
+    assert found is not None
+    assert found.contradicts
+    unknown = measured(workshop, wrong=WRONG, distance_mm=300.0, leaning_mm=0.2)
+    assert unknown is not None
+    assert unknown.covariance[3, 3] > 4 * found.covariance[3, 3]
+
+
+@pytest.mark.parametrize("turned_off_mm", [-0.06, 0.04, 0.06])
+def test_an_offset_of_one_kind_of_components_is_no_contradiction(workshop: Any, turned_off_mm: float) -> None:
+    """Nine of 18 components look off alike; taken as independent, they would show a board that is turned."""
+    found = measured(workshop, turned_off_mm=turned_off_mm)
+    assert found is not None
+    assert found.components >= 12
+    assert not found.contradicts
+
+
+def test_single_kinds_that_look_far_off_are_no_contradiction() -> None:
+    """Two of 28 components, at one end of the board, are seen 0.1 mm off, and looked like a turn and a stretch."""
+    stitch, findings = stitched(film(draw(93216)))
+    assert findings.component_shift is not None
+    assert not findings.component_shift.contradicts
+    assert stitch.status is Status.OK
+
+
+def test_few_components_show_a_large_error_only(workshop: Any) -> None:
+    assert measured(workshop, count=5) is None
+    few, many = measured(workshop, count=7), measured(workshop)
+    assert few is not None
+    assert many is not None
+    assert not few.contradicts
+    assert (few.by_centres.diagonal() > 1.5 * many.by_centres.diagonal()).all()
+
+
+FIDUCIALS = np.array([[-12.0, -7.0], [13.0, 6.0]])
+NONE = ComponentShift(np.zeros(4), np.diag([0.006, 0.005, 0.005, 0.006]) ** 2, np.array([4.0, -1.0]), 9.0, 20)
+
+
+def shown(which: int, error_mm: Floats) -> ComponentShift:
+    """Return what components show if this fiducial is off by an error, and the other is right."""
+    wrong, right = FIDUCIALS[which], FIDUCIALS[1 - which]
+    places = np.random.default_rng(2).normal(0, 9, (40, 2))
+    # the similarity that leaves `right` in place and moves `wrong` by the error
+    slope = complex(*error_mm) / complex(*(wrong - right))
+    moved = slope * ((places - right) @ (1, 1j))
+    each = [replace(NONE, measured=unit).at(places).ravel() for unit in np.eye(4)]
+    unknowns = np.linalg.lstsq(np.array(each).T, np.column_stack([moved.real, moved.imag]).ravel(), rcond=None)[0]
+    return replace(NONE, measured=unknowns)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("angle", [0.0, 1.1, 2.0, 3.0])
+def test_an_error_that_is_no_contradiction_by_itself_is_found(which: int, angle: float) -> None:
+    shift = shown(which, 0.07 * np.array([np.cos(angle), np.sin(angle)]))
+    assert not shift.contradicts
+    first, *others = likely_errors(shift, FIDUCIALS)
+    assert first.which == which
+    assert first.mm == pytest.approx(0.07, rel=1e-3)
+    assert all(other.chi2 < first.chi2 for other in others)
+
+
+def test_without_an_error_none_is_found() -> None:
+    assert likely_errors(NONE, FIDUCIALS) == []
+    assert likely_errors(shown(0, np.array([0.02, 0.01])), FIDUCIALS) == []
+
+
+def test_what_no_error_of_one_fiducial_explains_is_none() -> None:
+    """A light from one side shifts all components alike: that would need the same error of both fiducials."""
+    assert likely_errors(replace(NONE, measured=np.array([0.035, 0.02, 0.0, 0.0])), FIDUCIALS) == []
+
+
+def test_a_smaller_error_of_one_of_two_fiducials_may_go_unnoticed() -> None:
+    """Errors of the stated size, in every direction, are two standard deviations beyond the limit, or further."""
+    limit, beyond = unnoticed_mm(NONE, FIDUCIALS), []
+    for angle in np.linspace(0, np.pi, 60):
+        error = limit * np.array([np.cos(angle), np.sin(angle)])
+        beyond += [likely_errors(shown(which, error), FIDUCIALS)[0].chi2 for which in (0, 1)]
+    assert min(beyond) == pytest.approx((np.sqrt(10) + 2) ** 2, rel=1e-2)
+    assert unnoticed_mm(NONE, 5 * FIDUCIALS) > limit, "fiducials further out are shown less well by the same components"
+
+
+def test_only_two_fiducials_that_alone_determine_c_are_returned() -> None:
+    two = two_that_place(PLANE, points(2))
+    assert two is not None
+    assert two.tolist() == [0, 1]
+    assert two_that_place(PLANE, None) is two_that_place(PLANE, points(3)) is two_that_place(PLANE, points(1)) is None
+    referred = replace(points(3), which=np.array([0, 1, REFERENCE]))
+    assert two_that_place(PLANE, referred) is None
+
+
+SMALL = np.diag([0.003, 0.003, 0.003, 0.003]) ** 2
+SOUND = ComponentShift(np.array([0.01, -0.01, 0.0, 0.004]), SMALL, np.zeros(2), 12.0, 20)
+
+
+def test_components_that_lie_elsewhere_than_the_fiducials_put_them_are_a_reason() -> None:
+    assert component_reasons(None, PLANE, adjusted(2), points(2), 10.0) == []
+    assert component_reasons(SOUND, PLANE, adjusted(2), points(2), 10.0) == []
+    wrong = replace(SOUND, measured=np.array([0.06, -0.02, 0.0, 0.03]))
+    ((code, text),) = component_reasons(wrong, PLANE, adjusted(2), points(2), 10.0)
+    assert code is ReasonCode.COMPONENTS_SHIFTED
+    assert "20 components are centred (+0.060, -0.020) mm ± (0.012, 0.012)" in text
+    assert "px) at fiducial F" in text
+
+
+def test_of_two_fiducials_the_one_whose_error_explains_the_components_is_named() -> None:
+    """F1, 36 mm from F0, is off by 0.07 mm across their line: no check but this one sees it."""
+    turned = replace(SOUND, measured=np.array([-0.001, 0.035, 0.024, 0.0]))
+    assert not turned.contradicts
+    ((code, text),) = component_reasons(turned, PLANE, adjusted(2), points(2), 10.0)
+    assert code is ReasonCode.COMPONENTS_SHIFTED
+    assert "as if one of the two fiducials were not at its CAD position: F1 by 0.07 mm (0.7 px)" in text
+    assert component_reasons(turned, PLANE, adjusted(3), points(3), 10.0) == [], "a third fiducial is redundant"
+    assert component_reasons(turned, PLANE, adjusted(2), points(2), 4.0) == [], "0.28 px, which other checks accept"
