@@ -7,7 +7,7 @@ import select
 import subprocess
 from pathlib import Path
 
-from vaoi_station.rig.devices.network import NAMESPACE_VARIABLE, isolation_command
+from vaoi_station.rig.network import NAMESPACE_VARIABLE, isolation_command
 
 ROOT = Path(__file__).resolve().parents[1]
 

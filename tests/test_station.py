@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.files import write_calibration

@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from vaoi_station.acquisition.process.backends import row_lights
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, StateError, VaoiError
 from vaoi_station.files import read_calibration

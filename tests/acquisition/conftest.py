@@ -26,7 +26,7 @@ from vaoi_station.acquisition.process.messages import (
     Report,
     Shutdown,
 )
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.files import write_calibration
 from vaoi_station.simulation import Twin, read_scenario

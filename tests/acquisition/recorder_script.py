@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from itertools import count
 
 from vaoi_station.acquisition.cameras.interface import Arrival
-from vaoi_station.acquisition.causes import MAX_FRAME_ID
-from vaoi_station.acquisition.clocks import ClockModel, ClockReading
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading, DeviceClock
 from vaoi_station.acquisition.controller.interface import PulseFired
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.pairing.evidence import MAX_FRAME_ID
 from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.recorder import Finished, Limits, Outcome, Recorder, Settled, Unassigned

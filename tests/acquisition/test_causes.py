@@ -6,7 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.causes import MAX_FRAME_ID, explain_missing, find_gaps, id_step, in_counting_order
+from vaoi_station.acquisition.pairing.evidence import (
+    MAX_FRAME_ID,
+    explain_missing,
+    find_gaps,
+    id_step,
+    in_counting_order,
+)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.clocks import ClockModel, ClockReading
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading, DeviceClock
 from vaoi_station.errors import DeviceError
 
 readings = st.lists(st.tuples(st.floats(0, 100), st.floats(1e-6, 0.05), st.floats(-1, 1)), min_size=1, max_size=40).map(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.device_clock import DeviceClock, simulated_clock
+from vaoi_station.acquisition.clocks import DeviceClock, simulated_clock
 
 
 @given(st.floats(-1e5, 1e5), st.floats(-200, 200), st.floats(0, 1e5))

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition import inbox as inbox_module
-from vaoi_station.acquisition.inbox import HELD_UP_S, LONGEST_LAG_S, Inbox
 from vaoi_station.acquisition.process import main_loop
+from vaoi_station.acquisition.process import main_loop as inbox_module
+from vaoi_station.acquisition.process.main_loop import HELD_UP_S, LONGEST_LAG_S, Inbox
 from vaoi_station.acquisition.process.messages import FireOne, RunFinished
 
 

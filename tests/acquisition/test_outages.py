@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vaoi_station.acquisition.clocks import ClockJump
-from vaoi_station.acquisition.outages import Outages
+from vaoi_station.acquisition.pairing.conclusion import Outages
 
 
 def test_an_outage_is_the_cause_from_its_begin_to_its_end() -> None:

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, Slot
+from vaoi_station.acquisition.clocks import DeviceClock
 from vaoi_station.acquisition.controller.interface import EventQueue, PulseFired, RunEnded, TriggerPlan
-from vaoi_station.acquisition.device_clock import DeviceClock
-from vaoi_station.acquisition.ring.ring import Ring
-from vaoi_station.acquisition.ring.ring_layout import FrameShape, RingLayout
+from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
 from vaoi_station.benchmarks.station_pace import (
     BoardFigures,
     FillRequest,

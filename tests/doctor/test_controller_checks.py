@@ -13,7 +13,7 @@ import pytest
 from tests.acquisition.controller.serial.fake_firmware import fake_firmware
 from tests.doctor.conftest import assert_problem, changed, only, with_config
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.protocol.messages import Fault, Ident, State, Status
+from vaoi_station.acquisition.controller.protocol import Fault, Ident, State, Status
 from vaoi_station.config import ControllerConfig, LightConfig, StationConfig
 from vaoi_station.doctor import controller_checks
 from vaoi_station.doctor.controller_checks import toggle_line_output

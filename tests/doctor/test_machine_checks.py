@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.doctor.conftest import assert_problem, changed, only, with_aravis, with_config, without_privileges
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.doctor import file_checks, machine_checks, running_station
 from vaoi_station.doctor.finding import Level

@@ -16,8 +16,7 @@ from tests.api.held_station import HeldStation
 from tests.doctor.conftest import assert_problem, at_port, only, with_aravis, with_config, without_privileges
 from tests.peers.certificates import make_authority, make_certificate
 from tests.peers.web_server import ScriptedHandler, serving
-from vaoi_station.acquisition.ring.ring import Ring, ring_path
-from vaoi_station.acquisition.ring.ring_layout import RingLayout
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.config import ApiConfig, StationConfig

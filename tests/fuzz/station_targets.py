@@ -15,10 +15,8 @@ import numpy as np
 
 from tests.fuzz.corpus import inputs
 from tests.runs.conftest import a_board_type, a_calibration, a_config
-from vaoi_station.acquisition.cameras.aravis import gvcp
-from vaoi_station.acquisition.ring.ring import Ring, remove_leftovers
-from vaoi_station.acquisition.ring.ring_file import read_owner
-from vaoi_station.acquisition.ring.ring_layout import HEADER, PAGE_BYTES
+from vaoi_station.acquisition.cameras.aravis import network
+from vaoi_station.acquisition.ring import HEADER, PAGE_BYTES, Ring, read_owner, remove_leftovers
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.errors import VaoiError
@@ -49,9 +47,9 @@ LARGEST_RING = 1 << 24
 
 def gvcp_reply(data: bytes, folder: Path) -> None:
     """Read a datagram as replies of a camera: as it is, and with the header of a reply that is expected."""
-    for datagram in (data, b"\0\0" + gvcp.command(2, 1, data)[2:]):
-        gvcp.is_reply(datagram, 2, 1)
-        gvcp.discovered(datagram, 1)
+    for datagram in (data, b"\0\0" + network.command(2, 1, data)[2:]):
+        network.is_reply(datagram, 2, 1)
+        network.discovered(datagram, 1)
 
 
 def push_state(data: bytes, folder: Path) -> None:

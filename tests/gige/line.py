@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from itertools import count
 
-from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.acquisition.clocks import ClockReading, DeviceClock
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierClear,
@@ -18,7 +18,6 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.device_clock import DeviceClock
 from vaoi_station.errors import StateError
 from vaoi_station.supervised_thread import SupervisedThread
 

@@ -20,11 +20,17 @@ from tests.doctor.conftest import assert_problem, only, without_privileges
 from tests.hw.emulated.paced import PacedChip
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
-from vaoi_station.acquisition.controller.protocol.link import Link
-from vaoi_station.acquisition.controller.protocol.messages import REPLY, Request, Status, Type
-from vaoi_station.acquisition.controller.serial.exchange import Exchange
-from vaoi_station.acquisition.controller.serial.port import Port, Waker
+from vaoi_station.acquisition.controller.protocol import (
+    REPLY,
+    FrameReader,
+    Link,
+    Message,
+    Request,
+    Status,
+    Type,
+    encode,
+)
+from vaoi_station.acquisition.controller.serial.exchange import Exchange, Port, Waker
 from vaoi_station.config import StationConfig
 from vaoi_station.doctor.controller_checks import (
     LATENCY,

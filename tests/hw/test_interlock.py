@@ -21,7 +21,7 @@ from tests.hw.emulated.chip import Chip
 from tests.hw.emulated.line import HZ, Line, ms, us
 from tests.hw.test_logic import LIGHT, RULE, talk
 from vaoi_station.acquisition.controller.interface import Permit
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
     PERMIT_TEST,
     Event,
     Hold,

@@ -10,24 +10,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.hw.emulated.line import us
-from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
-from vaoi_station.acquisition.controller.protocol.link import (
+from vaoi_station.acquisition.controller.protocol import (
+    Event,
     EventReceived,
     EventsLost,
+    FrameReader,
+    Kind,
     Link,
+    Message,
     Notification,
     Refused,
     Replied,
-    Restarted,
-    Unanswered,
-)
-from vaoi_station.acquisition.controller.protocol.messages import (
-    Event,
-    Kind,
     Request,
+    Restarted,
     State,
     Step,
     Type,
+    Unanswered,
+    encode,
     fire_one,
     number_request,
 )

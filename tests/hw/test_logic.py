@@ -27,11 +27,12 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
     TICK_S,
     Event,
+    FrameReader,
     Kind,
+    Message,
     Nak,
     Pacing,
     Reason,
@@ -43,6 +44,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     arm,
     config_crc,
     configuration,
+    encode,
     set_width,
 )
 from vaoi_station.acquisition.controller.trigger_rule import TriggerRule

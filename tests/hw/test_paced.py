@@ -7,8 +7,7 @@ import time
 import serial
 
 from tests.hw.emulated.paced import HZ, PATIENCE_S, PacedChip
-from vaoi_station.acquisition.controller.protocol.link import Link, Replied
-from vaoi_station.acquisition.controller.protocol.messages import Ident, Request, Type
+from vaoi_station.acquisition.controller.protocol import Ident, Link, Replied, Request, Type
 
 
 def identify(port: serial.Serial) -> Ident:

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from tests.hw.emulated.chip import CYCLES_PER_US, Chip
 from tests.hw.emulated.line import STEPS, TIMING, Line, ms, us
-from vaoi_station.acquisition.controller.protocol.framing import Message, encode
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
     Fault,
     Kind,
+    Message,
     Nak,
     Pacing,
     Reason,
@@ -23,6 +23,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     arm,
     config_crc,
     configuration,
+    encode,
     fire_one,
     set_step,
 )

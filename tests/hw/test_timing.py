@@ -14,7 +14,7 @@ from tests.hw.emulated.load import full_line
 from tests.hw.emulated.timing import film
 from tests.hw.emulated.timing_picture import draw
 from vaoi_station.acquisition.controller.interface import BeltPacing
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
     Fault,
     Kind,
     Pacing,

@@ -8,9 +8,18 @@ from typing import Any
 import pytest
 
 from tests.hw.emulated.vectors import VECTORS
-from vaoi_station.acquisition.controller.protocol import messages
-from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, crc16, encode
-from vaoi_station.acquisition.controller.protocol.messages import VERSION, Step, Timing, config_crc, configuration
+from vaoi_station.acquisition.controller import protocol
+from vaoi_station.acquisition.controller.protocol import (
+    VERSION,
+    FrameReader,
+    Message,
+    Step,
+    Timing,
+    config_crc,
+    configuration,
+    crc16,
+    encode,
+)
 
 FRAMES = pytest.mark.parametrize("vector", VECTORS["frames"], ids=lambda v: str(v["name"]))
 NO_FRAMES = pytest.mark.parametrize("vector", VECTORS["no_frames"], ids=lambda v: str(v["name"]))
@@ -40,7 +49,7 @@ def test_python_frames(vector: dict[str, Any]) -> None:
     assert encode(message) == frame
     assert FrameReader().feed(frame) == [message]
     if "struct" in vector:
-        wire = getattr(messages, vector["struct"])
+        wire = getattr(protocol, vector["struct"])
         assert wire.unpack(message.payload) == wire(**values(vector["fields"]))
         assert wire(**values(vector["fields"])).pack() == message.payload
 

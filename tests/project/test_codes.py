@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
-from vaoi_station.acquisition.pairing.doubts import ACTIONS
-from vaoi_station.acquisition.pairing.proof import Kind
+from vaoi_station.acquisition.pairing.proof import ACTIONS, Kind
 from vaoi_station.api.problems import KINDS
 from vaoi_station.model import Status
 from vaoi_station.model.frame_record import Verdict

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.needs import lacking, need
-from vaoi_station.acquisition.cameras.aravis.opening import socket_bytes
+from vaoi_station.acquisition.cameras.aravis.camera import socket_bytes
 from vaoi_station.config import read_config
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine_checks import USB_PARAMETER, judge_buffers, judge_usb_memory

@@ -8,7 +8,7 @@ import pytest
 from pydantic import BaseModel
 
 from vaoi_station.acquisition.process.backends import check_backends
-from vaoi_station.acquisition.ring.ring_layout import RingLayout
+from vaoi_station.acquisition.ring import RingLayout
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.optics import make_plan
 from vaoi_station.optics.paper_example import PAPER

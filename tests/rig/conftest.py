@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.needs import need_emulator
-from vaoi_station.rig.devices.firmware import build
-from vaoi_station.rig.line.rendered_boards import RenderedBoard, render_boards
+from vaoi_station.rig.chip import build
+from vaoi_station.rig.rendering import RenderedBoard, render_boards
 from vaoi_station.simulation import Scenario, read_scenario, scenario_path
 
 

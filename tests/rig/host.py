@@ -8,9 +8,11 @@ from types import TracebackType
 
 import serial
 
-from vaoi_station.acquisition.controller.protocol.link import Link, Refused, Replied
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
+    Link,
     Pacing,
+    Refused,
+    Replied,
     Request,
     Step,
     Timing,

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.rig.devices.pulses import Pulse
-from vaoi_station.rig.line.rendered_boards import BoardMetadata, RenderedBoard
-from vaoi_station.rig.line.virtual_line import BoardPassage, FiredPulse, FrameOutcome
-from vaoi_station.rig.scoring.rig_report import BoardScore, RigReport
-from vaoi_station.rig.scoring.ring_check import RingCheck
-from vaoi_station.rig.scoring.score import BoardEvidence, Outage, score
+from vaoi_station.rig.chip import Pulse
+from vaoi_station.rig.devices import Outage
+from vaoi_station.rig.line import BoardPassage, FiredPulse, FrameOutcome
+from vaoi_station.rig.rendering import BoardMetadata, RenderedBoard
+from vaoi_station.rig.report import BoardScore, RigReport
+from vaoi_station.rig.score import BoardEvidence, RingCheck, score
 
 Cell = tuple[int, int]
 CAMERAS, ROWS = 2, 6
@@ -108,6 +108,6 @@ def report_of(*boards: BoardScore, **more: Any) -> RigReport:
             "ok": True, "scenario": "small", "cameras": 2, "width_px": 640, "height_px": 480, "frames_per_s": 9.09,
             "faults": (), "boards": boards, "boards_missed": 0, "stray_pulses": 0, "rms_px": 0.01,
             "max_px": 0.02, "runs": len(boards),
-            "recoveries": (), "load": None, "machine_load": 0.1, "took_s": 9.0, "failings": (), **more,
+            "recoveries": (), "took_s": 9.0, "failings": (), **more,
         }
     )  # fmt: skip

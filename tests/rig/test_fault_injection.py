@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from vaoi_station.rig.fault_injection import DeviceRecovery, FaultInjector, frame_faults_of
-from vaoi_station.rig.line.faults import parse_fault
+from vaoi_station.rig.devices import DeviceRecovery, FaultInjector, frame_faults_of
+from vaoi_station.rig.faults import parse_fault
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import pytest
 
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.files import read_board_type, read_calibration
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.site import build_site
+from vaoi_station.rig.devices import build_site
+from vaoi_station.rig.rendering import RenderedBoard
 from vaoi_station.simulation import Scenario, Twin
 from vaoi_station.simulation.scenario import LightSection
 

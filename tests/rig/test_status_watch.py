@@ -11,8 +11,8 @@ import pytest
 
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig import status_watch
-from vaoi_station.rig.status_watch import StatusWatch, all_connected
+from vaoi_station.rig import run as status_watch
+from vaoi_station.rig.run import StatusWatch, all_connected
 
 TIMEOUT_S = 20.0
 

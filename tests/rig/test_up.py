@@ -11,11 +11,11 @@ import pytest
 
 from vaoi_station.config import read_config
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig import up
-from vaoi_station.rig.devices.network import NAMESPACE_VARIABLE
-from vaoi_station.rig.line.faults import Fault, parse_fault
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.up import run_until_interrupted
+from vaoi_station.rig import run as up
+from vaoi_station.rig.faults import Fault, parse_fault
+from vaoi_station.rig.network import NAMESPACE_VARIABLE
+from vaoi_station.rig.rendering import RenderedBoard
+from vaoi_station.rig.run import run_until_interrupted
 from vaoi_station.simulation import Scenario
 
 COMMANDS: list[str] = []
@@ -59,7 +59,7 @@ def start(
     monkeypatch.setattr(up, "Devices", ScriptedDevices)
     monkeypatch.setattr(up, "prepare_boards", lambda *_: short)
     monkeypatch.setattr(up, "min_interval_s", lambda *_: 0.0)
-    monkeypatch.setattr("vaoi_station.rig.line.feeder.END_MARGIN_S", 0.0)
+    monkeypatch.setattr("vaoi_station.rig.line.FEED_MARGIN_S", 0.0)
 
     def run(*faults: Fault, still: bool = False) -> list[str]:
         lines: list[str] = []

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from tests.runs.peer import PATIENCE_S, Peer, end_link
-from vaoi_station.acquisition.pairing.doubts import doubts_of
-from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.pairing.proof import TriggerProof, doubts_of
 from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.acquisition.process import messages
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, KeepConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.errors import NotFoundError

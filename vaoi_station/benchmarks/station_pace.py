@@ -26,12 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraExposure, CameraHealth, Slot
-from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.replay import RecordedRow, ReplayController
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.clocks import ClockReading, DeviceClock
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process.main_loop import run_acquisition
-from vaoi_station.acquisition.ring.ring import Ring, ring_path
+from vaoi_station.acquisition.replay import RecordedRow, ReplayController
+from vaoi_station.acquisition.ring import Ring, ring_path
 from vaoi_station.benchmarks.process_usage import CpuMeter, private_memory_bytes
 from vaoi_station.benchmarks.tables import json_document, number, table
 from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig

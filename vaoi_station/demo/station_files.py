@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.acquisition.ring.ring import RingLayout
+from vaoi_station.acquisition.ring import RingLayout
 from vaoi_station.config import CameraConfig, RingConfig, SimulationConfig, StationConfig
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.files.documents import write_bytes

@@ -16,18 +16,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis import library, network
-from vaoi_station.acquisition.cameras.aravis.connection import USB3_MIN_VERSION
-from vaoi_station.acquisition.cameras.aravis.discovery import (
+from vaoi_station.acquisition.cameras.aravis.connection import (
     OPENING_LOCK,
+    USB3_MIN_VERSION,
     find_by_serial,
     open_device,
     require_reply,
     search,
 )
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
-from vaoi_station.acquisition.cameras.aravis.sequencing.sequencer import missing_features
-from vaoi_station.acquisition.cameras.aravis.settings import TRIGGER_WIDTH
-from vaoi_station.acquisition.cameras.aravis.trigger import FRAME_TRIGGERS, recipe_for
+from vaoi_station.acquisition.cameras.aravis.settings import FRAME_TRIGGERS, TRIGGER_WIDTH, make_of, missing_features
 from vaoi_station.config import CameraConfig
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.running_station import CheckContext
@@ -218,7 +216,7 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
 def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     """Yield a finding for every requirement that the camera does not meet."""
     name = camera.name
-    line = camera.trigger_line or recipe_for(offered.vendor).line
+    line = camera.trigger_line or make_of(offered.vendor).line
     one_of_these = "in station.toml to one of these."
     if not set(FRAME_TRIGGERS) & set(offered.triggers):
         shown = ", ".join(offered.triggers) or "nothing"

@@ -18,27 +18,27 @@ from pathlib import Path
 
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.filming_plan import filming_plan
-from vaoi_station.acquisition.controller.protocol.link import HEARTBEAT_S, Link
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
+    HEARTBEAT_S,
     PERMIT_TEST,
     TICK_S,
     ClockReply,
     Fault,
     Hold,
     Ident,
+    Link,
     Request,
     State,
     Status,
     Type,
+    check_ident,
+    check_interlock,
     number_request,
     ready,
 )
-from vaoi_station.acquisition.controller.protocol.refusals import check_ident, check_interlock
+from vaoi_station.acquisition.controller.serial.controller import BACKWARDS_COUNTS
 from vaoi_station.acquisition.controller.serial.device_program import make_program
-from vaoi_station.acquisition.controller.serial.encoder_watch import BACKWARDS_COUNTS
-from vaoi_station.acquisition.controller.serial.exchange import Exchange
-from vaoi_station.acquisition.controller.serial.port import Port, Waker
-from vaoi_station.acquisition.controller.serial.timebase import Timebase
+from vaoi_station.acquisition.controller.serial.exchange import Exchange, Port, Timebase, Waker
 from vaoi_station.acquisition.process.session import CLOCK_LIMIT_S, CLOCK_SHARE
 from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.doctor.finding import Figures, Finding, Level, fault, not_applicable, ok, warning

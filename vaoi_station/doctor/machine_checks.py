@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vaoi_station import version
-from vaoi_station.acquisition.cameras.aravis.opening import socket_bytes
+from vaoi_station.acquisition.cameras.aravis.camera import socket_bytes
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import Machine, format_bytes, is_directory, writable
 from vaoi_station.doctor.running_station import CheckContext

@@ -13,9 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from vaoi_station.acquisition.ring.ring import ring_path
-from vaoi_station.acquisition.ring.ring_file import read_owner
-from vaoi_station.acquisition.ring.ring_layout import RingLayout
+from vaoi_station.acquisition.ring import RingLayout, read_owner, ring_path
 from vaoi_station.config import ApiConfig, CameraConfig, StationConfig
 from vaoi_station.doctor.finding import Finding, fault, ok, warning
 from vaoi_station.doctor.machine import Machine, nearest

@@ -1,36 +1,108 @@
-"""`vaoi rig run`: start the rig and the service, let boards pass, score each board, stop everything."""
+"""`vaoi rig run` and `vaoi rig up`: run a station on the devices of a rig."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import os
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.temporary_folder import temporary_folder
 from vaoi_station.demo.waiting import wait_until_idle
-from vaoi_station.errors import GoneError, NotFoundError, VaoiError
-from vaoi_station.rig.fault_injection import FaultInjector, frame_faults_of
-from vaoi_station.rig.line.assembly import Devices, prepare_boards
-from vaoi_station.rig.line.faults import Fault, followers, with_belt_faults
-from vaoi_station.rig.line.feeder import BoardFeeder
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.scenarios import lighting_of, min_interval_s
-from vaoi_station.rig.scoring.cpu_load import CpuLoadMeter
-from vaoi_station.rig.scoring.rig_report import BoardScore, Load, Recovery, RigReport
-from vaoi_station.rig.scoring.ring_check import RingCheck, attach, bays_to_check, check_bay
-from vaoi_station.rig.scoring.score import BoardEvidence, run_of, score
-from vaoi_station.rig.scoring.verdict import failings
-from vaoi_station.rig.site import build_site
-from vaoi_station.rig.status_watch import StatusWatch
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError, VaoiError
+from vaoi_station.rig.devices import Devices, FaultInjector, build_site, frame_faults_of, prepare_boards
+from vaoi_station.rig.faults import Fault, followers, with_belt_faults
+from vaoi_station.rig.line import BoardFeeder, lighting_of, min_interval_s
+from vaoi_station.rig.network import entry_command
+from vaoi_station.rig.rendering import RenderedBoard
+from vaoi_station.rig.report import BoardScore, Recovery, RigReport, failings
+from vaoi_station.rig.score import (
+    BoardEvidence,
+    RingCheck,
+    attach,
+    bays_to_check,
+    check_bay,
+    run_of,
+    score,
+)
 from vaoi_station.simulation import Scenario, Twin
+
+INTERVAL_S = 0.25
+_READY = ("armed", "filming")
+
+
+class StatusWatch:
+    """Watch of the station's status, as a context manager. A thread requests the status and keeps the replies."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._closing = threading.Event()
+        self._change = threading.Condition()
+        self._states: list[tuple[int, bool]] = []
+        """(time, ready) of each reply: ns of CLOCK_MONOTONIC, and whether the station was ready with all cameras."""
+        self._requested_ns = 0
+        self.last: dict[str, Any] = {}
+        """JSON of the last reply to `GET station`."""
+        self._thread = threading.Thread(target=self._poll, name="status watch")
+
+    def __enter__(self) -> StatusWatch:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closing.set()
+        self._thread.join()
+
+    def wait(self, condition: Callable[[dict[str, Any]], bool], timeout_s: float) -> bool:
+        """Wait until a status requested after this call meets a condition. Return False after the timeout."""
+        now_ns = time.monotonic_ns()
+        with self._change:
+            # Older replies do not count, because they may describe the state before the fault whose end is awaited.
+            return self._change.wait_for(lambda: self._requested_ns >= now_ns and condition(self.last), timeout_s)
+
+    def wait_ready(self, timeout_s: float) -> bool:
+        """Wait until the station is armed and all its cameras are connected. Return False after the timeout."""
+        return self.wait(lambda station: station["state"] == "armed" and all_connected(station), timeout_s)
+
+    def ready_since(self, after_ns: int) -> int | None:
+        """Return the time since which the station has been ready without a break; None if it is not ready now."""
+        with self._change:
+            states = [(when, ready) for when, ready in self._states if when >= after_ns]
+        if not states or not states[-1][1]:
+            return None
+        first = len(states) - 1
+        while first and states[first - 1][1]:
+            first -= 1
+        return states[first][0]
+
+    def _poll(self) -> None:
+        while not self._closing.wait(INTERVAL_S):
+            requested_ns = time.monotonic_ns()
+            try:
+                station = self._client.get("/station")
+            # A stopped or ending service does not reply. A missing reply gives no state.
+            except DeviceError:  # the service is stopped or ending
+                continue
+            ready = station["state"] in _READY and all_connected(station)
+            with self._change:
+                self._requested_ns = requested_ns
+                self._states.append((time.monotonic_ns(), ready))
+                self.last = station
+                self._change.notify_all()
+
+
+def all_connected(station: dict[str, Any]) -> bool:
+    """Whether all cameras are connected; `station` is the JSON of `GET station`."""
+    return all(camera["connected"] for camera in station["cameras"])
+
 
 POLL_S = 0.5
 NEXT_RUN_TIMEOUT_S = 30.0
@@ -72,7 +144,6 @@ class _Record:
     missed: int = 0
     board_ids: list[str | None] = field(default_factory=list)
     """For each board the id with which the station was armed for it; None: that was not possible."""
-    load: Load | None = None
 
 
 class _BoardIds:
@@ -95,11 +166,7 @@ class _BoardIds:
 
 
 def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
-    """Perform a rig run, and return the report: how each board was recorded and stitched, and what failed.
-
-    Raises:
-        DeviceError: the rig or the service does not start.
-    """
+    """Perform a rig run, and return the report: how each board was recorded and stitched, and what failed."""
     scenario = with_belt_faults(plan.scenario, plan.faults)
     began_s = time.monotonic()
     with temporary_folder("rig") as folder:
@@ -157,11 +224,9 @@ def _run_boards(
         ids = _BoardIds(client, watch, rendered[0].board_type.name)
         client.post("/station/arm", board_type=ids.board_type, job_id="rig")
         watch.wait_ready(READY_TIMEOUT_S)
-        meter = CpuLoadMeter(_measured_processes(service, watch.last, devices))
         interval_s = min_interval_s(plan.scenario, rendered)
         with BoardFeeder(devices.line, rendered, interval_s, ids.arm_next, devices.line.wait_permitted) as feeder:
             _collect_runs(plan, client, feeder, record, progress)
-        record.load = meter.read(sum(run["counts"]["ok"] for run in record.runs))
         injector.finish()
         recoveries = _recoveries(injector, watch, record.began_ns)
     record.missed, record.board_ids = client.get("/station")["boards_missed"], ids.armed
@@ -199,11 +264,7 @@ def _collect_runs(
 
 
 def _check_ring(client: Client, feeder: BoardFeeder, record: _Record) -> bool:
-    """Compare the pixels of every run whose frames are all in the ring, before its bay is given to another board.
-
-    Returns:
-        True if a run is still being filmed or stitched.
-    """
+    """Compare the pixels of every run whose frames are all in the ring, before its bay is given to another board."""
     station = client.get("/station")
     record.missed = station["boards_missed"]
     for run, bay in bays_to_check(station).items():
@@ -281,8 +342,6 @@ def _report(
         rms_px=round(math.sqrt(sum(d.views * d.rms_px**2 for d in placed) / views), 4) if views else 0.0,
         max_px=max((d.max_px for d in placed), default=0.0),
         recoveries=recoveries,
-        load=record.load,
-        machine_load=round(os.getloadavg()[0], 2),
         took_s=round(took_s, 1),
         failings=(),
     )
@@ -294,17 +353,6 @@ def _processes(service: Service, station: dict[str, Any]) -> dict[str, int]:
     """Return process name → pid, for the station and its child processes."""
     children = {p["name"]: p["pid"] for p in station.get("processes", ()) if p["pid"] is not None}
     return {"station": service.pid, **children}
-
-
-def _measured_processes(service: Service, station: dict[str, Any], devices: Devices) -> dict[str, int | None]:
-    """Return name → pid of all processes whose CPU time is measured, with the names that `CpuLoadMeter` expects."""
-    # The fork server's time counts as that of the workers, whose memory and code it has prepared.
-    renamed = {
-        name if name in ("station", "acquisition") else f"workers {name}": pid
-        for name, pid in _processes(service, station).items()
-    }
-    cameras = {f"cameras {n}": camera.pid for n, camera in enumerate(devices.cameras)}
-    return {**renamed, **cameras, "chip": devices.chip.pid, "rig": os.getpid()}
 
 
 def _latest_run(client: Client) -> Any:
@@ -326,3 +374,49 @@ def _matrices(client: Client, run: str) -> dict[str, Any]:
 def _to_monotonic_s(utc: str) -> float:
     """Convert a recent UTC time (ISO 8601) to seconds of CLOCK_MONOTONIC."""
     return datetime.fromisoformat(utc).timestamp() - time.time() + time.monotonic()
+
+
+def run_until_interrupted(
+    scenario: Scenario,
+    faults: tuple[Fault, ...],
+    folder: Path,
+    cache: Path,
+    different: int,
+    progress: Callable[[str], None],
+    *,
+    still: bool = False,
+) -> NoReturn:
+    """Run the devices until Ctrl-C. At the end all processes are stopped, and only the files in `folder` are left."""
+    faulty = with_belt_faults(scenario, faults)
+    boards = prepare_boards(faulty, faults, different, different, cache, progress)
+    injector = FaultInjector(faults)
+    with Devices(faulty, folder, frame_faults_of(faults), injector.on_row) as devices, injector:
+        injector.attach(devices)
+        progress("Rendering the calibration board.")
+        # The frames of the calibration board are rendered now, so that a station that starts at once need not wait.
+        devices.lay_calibration_board()
+        config = build_site(
+            faulty, boards[0], folder, name="rig", addresses=devices.addresses, port=devices.terminal, workers=2
+        )
+        progress(f"{len(devices.cameras)} cameras at {devices.addresses[0]} …, the controller at {devices.terminal}.")
+        progress(f"Start the station: {' '.join([*entry_command(), 'vaoi', 'serve', '--config', str(config)])}")
+        if still:
+            progress("No board passes: the calibration board lies under the cameras. Press Ctrl-C to stop.")
+            _wait_without_boards(devices)
+        progress("Boards pass, whether the station is armed or not. Press Ctrl-C to stop.")
+        _feed_forever(devices, boards, min_interval_s(scenario, boards))
+
+
+def _wait_without_boards(devices: Devices) -> NoReturn:
+    while devices.chip.alive:
+        threading.Event().wait(1.0)
+    raise DeviceError("the emulated chip has ended.")
+
+
+def _feed_forever(devices: Devices, boards: Sequence[RenderedBoard], interval_s: float) -> NoReturn:
+    while True:
+        # The line counts boards over all rounds of this loop, so a fault of one row happens only once.
+        with BoardFeeder(devices.line, boards, interval_s) as feeder:
+            while not feeder.finished.wait(1.0):
+                pass
+        threading.Event().wait(max(interval_s - math.fsum((boards[-1].duration_s, 1.0)), 0.0))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, CameraHealth, Slot, is_silent
-from vaoi_station.acquisition.cameras.replay import ReplayCamera
-from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.clocks import DeviceClock
+from vaoi_station.acquisition.replay import ReplayCamera
+from vaoi_station.acquisition.simulated import SimulatedCamera
 
 METHODS = [name for name, _ in inspect.getmembers(CameraDevice, inspect.isfunction) if not name.startswith("_")]
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import Slot
-from vaoi_station.acquisition.cameras.replay import ReplayCamera
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.clocks import DeviceClock
+from vaoi_station.acquisition.replay import ReplayCamera
 
 TIMEOUT_S = 10.0
 

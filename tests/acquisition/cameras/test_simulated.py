@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import Slot
-from vaoi_station.acquisition.cameras.simulated import FIRST_ID, JITTER_S, READOUT_S, TRANSFER_S, SimulatedCamera
-from vaoi_station.acquisition.causes import MAX_FRAME_ID
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.clocks import DeviceClock
+from vaoi_station.acquisition.pairing.evidence import MAX_FRAME_ID
+from vaoi_station.acquisition.simulated import FIRST_ID, JITTER_S, READOUT_S, TRANSFER_S, SimulatedCamera
 
 PIXELS = np.full(64, 200, np.uint8)
 CLOCK = DeviceClock(offset_s=3600.0, drift_ppm=40.0)

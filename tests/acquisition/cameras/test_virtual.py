@@ -12,7 +12,7 @@ import pytest
 
 from vaoi_station.acquisition.cameras.interface import Arrival, Slot
 from vaoi_station.acquisition.cameras.virtual import Exposure, VirtualCamera
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.clocks import DeviceClock
 
 PIXELS = np.arange(1, 101, dtype=np.uint8)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraExposure, CameraLimits
-from vaoi_station.acquisition.controller.program_faults import (
+from vaoi_station.acquisition.controller.filming_plan import (
     MOST_SHOWN,
     ProgramFault,
     beyond_camera,

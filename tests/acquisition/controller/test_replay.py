@@ -10,6 +10,7 @@ from queue import SimpleQueue
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.clocks import DeviceClock
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierClear,
@@ -18,18 +19,19 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.controller.replay import GAP_S, LEAD_S, RecordedRow, ReplayController
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.devices import Feedback
+from vaoi_station.acquisition.replay import GAP_S, LEAD_S, FastPace, RecordedRow, ReplayController
 from vaoi_station.errors import InputError, StateError
 
 PLAN = TriggerPlan(start_delay_s=0.1, period_s=0.02, tail_s=0.1, max_rows=5, debounce_s=0.005)
 TIMES_S = (0.0, 0.020000001, 0.04)
 
 
-class CountingPace:
+class CountingPace(FastPace):
     """Lets everything pass, and counts frames."""
 
     def __init__(self) -> None:
+        super().__init__(Feedback())
         self.frames = 0
         self.woken = threading.Event()
 

@@ -6,9 +6,11 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from queue import SimpleQueue
+from typing import Any, cast
 
 import pytest
 
+from vaoi_station.acquisition.clocks import DeviceClock
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     EventQueue,
@@ -18,8 +20,7 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.controller.simulated import SimulatedController
-from vaoi_station.acquisition.device_clock import DeviceClock
+from vaoi_station.acquisition.simulated import SimulatedController
 from vaoi_station.errors import InputError, InternalError, StateError
 
 PLAN = TriggerPlan(start_delay_s=0.01, period_s=0.005, tail_s=0.01, max_rows=50, debounce_s=0.001, lights=("a", "b"))
@@ -36,8 +37,17 @@ class Bench:
         self.ended = 0
         self.permits: list[Permit | None] = []
         self.events: EventQueue = SimpleQueue()
-        self.controller = SimulatedController(self.clock, self)
+        self.controller = SimulatedController(self.clock, cast("Any", self))
         self.controller.start(self.events)
+
+    def start(self, _controller: object, _faults: object) -> None:
+        pass
+
+    def threads(self) -> tuple[()]:
+        return ()
+
+    def close(self) -> None:
+        pass
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
         return plan

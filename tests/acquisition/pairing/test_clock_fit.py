@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.pairing.clock_fit import MAX_DRIFT, free_running_interval_s, median, residuals_s
+from vaoi_station.acquisition.pairing.evidence import MAX_DRIFT, free_running_interval_s, median, residuals_s
 
 finite = st.floats(-1e6, 1e6)
 

@@ -6,8 +6,15 @@ from typing import get_args
 
 import pytest
 
-from vaoi_station.acquisition.pairing.doubts import ACTIONS, doubtful, doubts_of
-from vaoi_station.acquisition.pairing.proof import QUESTIONING_KINDS, Kind, TriggerFinding, TriggerProof
+from vaoi_station.acquisition.pairing.proof import (
+    ACTIONS,
+    QUESTIONING_KINDS,
+    Kind,
+    TriggerFinding,
+    TriggerProof,
+    doubtful,
+    doubts_of,
+)
 
 
 def proof_of(*findings: tuple[int, int | None, Kind]) -> TriggerProof:

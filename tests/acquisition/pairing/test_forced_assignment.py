@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.pairing.forced_assignment import assign_forced
+from vaoi_station.acquisition.pairing.recorder import assign_forced
 
 
 def test_a_single_candidate_is_assigned() -> None:

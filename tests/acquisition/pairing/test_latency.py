@@ -8,14 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.pairing.latency import (
-    GATE_S,
-    Beginning,
-    CameraLatency,
-    LatencySettings,
-    in_order_s,
-    learn,
-)
+from vaoi_station.acquisition.pairing.evidence import GATE_S
+from vaoi_station.acquisition.pairing.latency import Beginning, CameraLatency, LatencySettings, in_order_s, learn
 
 T = 0.03
 PULSES_S = [10.0 + k * T for k in range(5)]

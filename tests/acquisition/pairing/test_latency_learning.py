@@ -7,9 +7,8 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from tests.acquisition.recorder_script import PERIOD_S, RecorderScript
-from vaoi_station.acquisition.pairing.doubts import doubts_of
-from vaoi_station.acquisition.pairing.latency import LatencySettings
-from vaoi_station.acquisition.pairing.latency_learning import Latencies, WaitingFrame
+from vaoi_station.acquisition.pairing.latency import Latencies, LatencySettings, WaitingFrame
+from vaoi_station.acquisition.pairing.proof import doubts_of
 from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
 from vaoi_station.model import Pulse, Verdict
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import StatedExposure
-from vaoi_station.acquisition.pairing.light_check import contradicted_frames, contradicted_rows, contradiction
+from vaoi_station.acquisition.pairing.conclusion import contradicted_frames, contradicted_rows, contradiction
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse
 from vaoi_station.model import ProgramRow, Pulse
 

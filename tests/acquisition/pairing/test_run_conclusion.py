@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from vaoi_station.acquisition.causes import NO_PACKET
 from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.controller.interface import PulseSkipped
-from vaoi_station.acquisition.outages import Outages
+from vaoi_station.acquisition.pairing.conclusion import Outages, conclude_run, judge_run
+from vaoi_station.acquisition.pairing.evidence import NO_PACKET
 from vaoi_station.acquisition.pairing.proof import TriggerProof
-from vaoi_station.acquisition.pairing.run_conclusion import conclude_run, judge_run
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
 from vaoi_station.model import FrameRecord, ProgramRow, Pulse, Verdict
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.cameras.replay import ReplayCamera
-from vaoi_station.acquisition.cameras.simulated import SimulatedCamera
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.process.backends import check_backends, open_devices, row_lights
+from vaoi_station.acquisition.replay import ReplayCamera
+from vaoi_station.acquisition.simulated import SimulatedCamera
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files import write_recording

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vaoi_station.acquisition.process.barrier_log import BarrierLog, since_first
+from vaoi_station.acquisition.process.passages import BarrierLog, since_first
 
 
 def test_interruptions_are_collected_in_order() -> None:

@@ -11,10 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.process.filming import FilmingHandlers, FilmingProcess, film, film_pulses, fire_steadily
+from vaoi_station.acquisition.process.filming import (
+    FilmingHandlers,
+    FilmingProcess,
+    export_run,
+    film,
+    film_pulses,
+    fire_steadily,
+)
 from vaoi_station.acquisition.process.messages import Command, FireOne, Grant, Ready, RunFinished, Trouble
-from vaoi_station.acquisition.process.recording_export import export_run
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, GoneError, InputError
 from vaoi_station.files import open_recording, read_calibration

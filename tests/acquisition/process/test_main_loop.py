@@ -18,6 +18,7 @@ from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process import main_loop
 from vaoi_station.acquisition.process.backends import open_devices
+from vaoi_station.acquisition.process.between_boards import SequenceStart
 from vaoi_station.acquisition.process.messages import (
     Arm,
     Armed,
@@ -31,8 +32,7 @@ from vaoi_station.acquisition.process.messages import (
     TrialFailed,
     Trouble,
 )
-from vaoi_station.acquisition.process.sequence_start import SequenceStart
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.supervised_thread import SupervisedThread

@@ -6,7 +6,7 @@ import pytest
 
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import BarrierBlocked, ControllerEvent, PulseFired, RunEnded
-from vaoi_station.acquisition.process.outdated_events import OutdatedEvents
+from vaoi_station.acquisition.process.passages import OutdatedEvents
 
 
 def given_up() -> OutdatedEvents:

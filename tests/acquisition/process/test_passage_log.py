@@ -13,7 +13,7 @@ from vaoi_station.acquisition.controller.interface import (
     BoardTooSoon,
 )
 from vaoi_station.acquisition.process.messages import BoardMissed
-from vaoi_station.acquisition.process.passage_log import PassageLog
+from vaoi_station.acquisition.process.passages import PassageLog
 
 AHEAD_S = 1000.0
 """The host's time minus the controller's."""

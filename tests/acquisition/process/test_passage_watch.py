@@ -16,7 +16,7 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.process.passage_watch import STILL_S, UNREPORTED_S, PassageWatch
+from vaoi_station.acquisition.process.passages import STILL_S, UNREPORTED_S, PassageWatch
 
 BY_TIME = TriggerPlan(start_delay_s=0.2, period_s=0.1, tail_s=0.2, max_rows=9, debounce_s=0.005)
 BY_BELT = replace(BY_TIME, belt=BeltPacing(20.0, 400, 200, 400, 0.08))

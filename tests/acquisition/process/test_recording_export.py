@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.process.filming import export_run, recording_head
 from vaoi_station.acquisition.process.messages import RunFinished
-from vaoi_station.acquisition.process.recording_export import export_run, recording_head
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout
-from vaoi_station.acquisition.ring.ring_layout import FrameShape
+from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
 from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
 

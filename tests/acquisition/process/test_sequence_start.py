@@ -15,8 +15,8 @@ from tests.gige.description import ADDRESSES
 from tests.gige.sequencer import FRAME_START, Sequencer, SequencerSet
 from vaoi_station.acquisition.cameras.interface import Arrival, StatedExposure
 from vaoi_station.acquisition.controller.interface import BarrierBlocked, BeltPacing, PulseFired, RunEnded
+from vaoi_station.acquisition.process.between_boards import SequenceStart
 from vaoi_station.acquisition.process.messages import Grant, RunFinished
-from vaoi_station.acquisition.process.sequence_start import SequenceStart
 from vaoi_station.config import StationConfig
 from vaoi_station.model import ProgramRow
 
@@ -174,7 +174,7 @@ def test_a_rewind_that_would_not_end_before_the_first_pulse_is_left_out_and_logg
     line: Line, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     clock = [0.0]
-    monkeypatch.setattr("vaoi_station.acquisition.process.sequence_start.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("vaoi_station.acquisition.process.between_boards.time.monotonic", lambda: clock[0])
     cameras = [Slow(clock), Slow(clock)]
     sent: list[Any] = []
     start = SequenceStart(cameras, lambda s: s, sent.append)  # type: ignore[arg-type]  # it uses no more of a camera
@@ -200,7 +200,7 @@ class Boards:
 
     def __init__(self, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
         clock = [0.0]
-        monkeypatch.setattr("vaoi_station.acquisition.process.sequence_start.time.monotonic", lambda: clock[0])
+        monkeypatch.setattr("vaoi_station.acquisition.process.between_boards.time.monotonic", lambda: clock[0])
         self.camera, self.sent = Slow(clock), list[Any]()
         self._plan = replace(line.bench.plan, start_delay_s=START_S, period_s=PERIOD_S)
         self.start = SequenceStart([self.camera], lambda s: s, self.sent.append)  # type: ignore[list-item]

@@ -29,7 +29,7 @@ from vaoi_station.acquisition.process.messages import (
     Trouble,
 )
 from vaoi_station.acquisition.process.session import Session
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import ProgramRow, Verdict

@@ -10,8 +10,7 @@ import pytest
 
 from vaoi_station.acquisition.cameras.interface import Slot
 from vaoi_station.acquisition.process.slot_queue import SlotQueue
-from vaoi_station.acquisition.ring.ring import Ring
-from vaoi_station.acquisition.ring.ring_layout import FrameShape, RingLayout
+from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
 
 
 class SlotHolder:

@@ -10,6 +10,7 @@ import pytest
 from tests.acquisition.process.test_session import SessionBench, session_bench
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraExposure
 from vaoi_station.acquisition.controller.interface import BarrierBlocked, RunEnded
+from vaoi_station.acquisition.process.between_boards import UNREPORTED_S
 from vaoi_station.acquisition.process.messages import (
     BoardMissed,
     FireTrial,
@@ -18,7 +19,6 @@ from vaoi_station.acquisition.process.messages import (
     RunStarted,
     TrialFailed,
 )
-from vaoi_station.acquisition.process.trial_pulse import UNREPORTED_S
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, StateError
 from vaoi_station.model import Verdict

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.ring.ring import Ring, ring_path
-from vaoi_station.acquisition.ring.ring_layout import EMPTY, NO_ROW, OK, FrameShape, RingLayout
+from vaoi_station.acquisition.ring import EMPTY, NO_ROW, OK, FrameShape, Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import GoneError, StateError
 

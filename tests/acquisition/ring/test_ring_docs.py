@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.needs import need
-from vaoi_station.acquisition.ring.ring import Ring
-from vaoi_station.acquisition.ring.ring_layout import HEADER, INCOMPLETE, OK, FrameShape, RingLayout
+from vaoi_station.acquisition.ring import HEADER, INCOMPLETE, OK, FrameShape, Ring, RingLayout
 
 DOCUMENT = (Path(__file__).parents[3] / "docs" / "internals" / "ring.md").read_text()
 SIZES = {"char[8]": 8, "u32": 4, "u64": 8}

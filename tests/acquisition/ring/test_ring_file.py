@@ -12,15 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout
-from vaoi_station.acquisition.ring.ring_file import (
+from vaoi_station.acquisition.ring import (
+    HEADER,
+    PAGE_BYTES,
+    FrameShape,
+    Ring,
+    RingLayout,
     create_file,
     open_existing,
     read_owner,
     remove_leftovers,
     start_ticks,
 )
-from vaoi_station.acquisition.ring.ring_layout import HEADER, PAGE_BYTES, FrameShape
 from vaoi_station.errors import BusyError, InputError, NotFoundError, StateError
 
 LAYOUT = RingLayout(3, 2, (FrameShape(40, 30, "Mono8"), FrameShape(64, 20, "Mono16")))
@@ -102,8 +105,8 @@ def test_memory_that_runs_out_while_allocating_is_an_error_and_leaves_nothing(pa
     """A limit of the process on file sizes stands in for a full tmpfs."""
     script = """
 import pathlib, resource, sys
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout
-from vaoi_station.acquisition.ring.ring_layout import FrameShape
+from vaoi_station.acquisition.ring import Ring, RingLayout
+from vaoi_station.acquisition.ring import FrameShape
 from vaoi_station.errors import BusyError
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, resource.RLIM_INFINITY))
 try:

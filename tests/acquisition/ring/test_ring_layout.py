@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.ring.ring_layout import (
+from vaoi_station.acquisition.ring import (
     BAY_RECORD,
     CAMERA_RECORD,
     HEADER,

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.simulated.board import SimulatedBoard, barrier_edges, predict_pulses, to_bytes
+from vaoi_station.acquisition.simulated import SimulatedBoard, barrier_edges, predict_pulses, to_bytes
 from vaoi_station.simulation import Twin, read_scenario
 from vaoi_station.simulation.scenario import SpeedChange
 

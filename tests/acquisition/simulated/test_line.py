@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
+from vaoi_station.acquisition.clocks import DeviceClock
 from vaoi_station.acquisition.controller.interface import Permit, PulseFired, TriggerPlan
-from vaoi_station.acquisition.device_clock import DeviceClock
-from vaoi_station.acquisition.simulated.board import barrier_edges, predict_pulses, to_bytes
-from vaoi_station.acquisition.simulated.line import SimulatedLine, accept_plan
+from vaoi_station.acquisition.simulated import SimulatedLine, accept_plan, barrier_edges, predict_pulses, to_bytes
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.model import ProgramRow

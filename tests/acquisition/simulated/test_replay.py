@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.process.messages import BoardMissed, FireOne, PulseReported, RunFinished, Trouble
-from vaoi_station.acquisition.simulated.replay import open_replay
+from vaoi_station.acquisition.replay import open_replay
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, write_recording

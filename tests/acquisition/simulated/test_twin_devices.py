@@ -21,7 +21,7 @@ from vaoi_station.acquisition.process.messages import (
     RunStarted,
     Trouble,
 )
-from vaoi_station.acquisition.ring.ring_layout import OK
+from vaoi_station.acquisition.ring import OK
 from vaoi_station.config import StationConfig
 from vaoi_station.model import Verdict
 from vaoi_station.simulation import Passage, Twin, calibration_board, read_scenario

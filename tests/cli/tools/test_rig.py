@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from vaoi_station.cli import app
 from vaoi_station.errors import InputError, NotFoundError
-from vaoi_station.rig.devices import firmware
-from vaoi_station.rig.line.faults import KINDS
+from vaoi_station.rig import chip as firmware
+from vaoi_station.rig.faults import KINDS
 from vaoi_station.version import __version__
 
 

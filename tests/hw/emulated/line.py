@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tests.hw.emulated.chip import Chip
-from vaoi_station.acquisition.controller.protocol.link import (
+from vaoi_station.acquisition.controller.protocol import (
+    Event,
     EventReceived,
+    Kind,
     Link,
+    Nak,
     Notification,
+    Pacing,
     Refused,
     Replied,
-    Restarted,
-)
-from vaoi_station.acquisition.controller.protocol.messages import (
-    Event,
-    Kind,
-    Nak,
-    Pacing,
     Request,
+    Restarted,
     Status,
     Step,
     Timing,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from vaoi_station.acquisition.controller.protocol.framing import Message, encode
-from vaoi_station.acquisition.controller.protocol.messages import Type
+from vaoi_station.acquisition.controller.protocol import Message, Type, encode
 
 
 def full_line(milliseconds: int) -> bytes:

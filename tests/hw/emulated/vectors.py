@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.acquisition.controller.protocol.messages import Ident
+from vaoi_station.acquisition.controller.protocol import Ident
 
 VECTORS: dict[str, Any] = json.loads(
     (Path(__file__).resolve().parents[3] / "hw" / "protocol_vectors.json").read_text(encoding="utf-8")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.rig.devices.camera_commands import DARK, TriggerCommand
+from vaoi_station.rig.camera_process import DARK, TriggerCommand
 
 COMMANDS = st.builds(
     TriggerCommand,

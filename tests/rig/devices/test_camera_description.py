@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.errors import InternalError
-from vaoi_station.rig.devices.camera_description import EXPOSURE_MODE_ADDRESS, TIMED, TRIGGER_WIDTH, with_line0_trigger
+from vaoi_station.rig.virtual_camera import EXPOSURE_MODE_ADDRESS, TIMED, TRIGGER_WIDTH, with_line0_trigger
 
 DESCRIPTION = """<RegisterDescription>
 <Enumeration Name="Other"><EnumEntry Name="Line0"><Value>0</Value></EnumEntry></Enumeration>

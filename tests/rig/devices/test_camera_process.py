@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.devices import camera_process
-from vaoi_station.rig.devices.camera_commands import DARK, TriggerCommand
-from vaoi_station.rig.devices.camera_process import CameraProcess
+from vaoi_station.rig import camera_process
+from vaoi_station.rig.camera_process import DARK, CameraProcess, TriggerCommand
 
 TIMEOUT_S = 20.0
 Install = Callable[[str], None]
@@ -71,7 +70,7 @@ def test_the_program_is_started_with_address_and_serial(install: Install, log: P
     install("print('ready', flush=True); log.write(' '.join(sys.argv[1:])); log.close(); sys.stdin.read()")
     with CameraProcess("127.0.0.7", "VAOI-05"):
         pass
-    assert log.read_text() == "-m vaoi_station.rig.devices.virtual_camera 127.0.0.7 VAOI-05"
+    assert log.read_text() == "-m vaoi_station.rig.virtual_camera 127.0.0.7 VAOI-05"
 
 
 def test_one_picture_of_another_file_returns_to_the_selected_one(install: Install, log: Path) -> None:

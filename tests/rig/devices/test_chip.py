@@ -15,11 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.rig.host import Host
-from vaoi_station.acquisition.controller.protocol.messages import Step
+from vaoi_station.acquisition.controller.protocol import Step
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.devices import chip as chip_module
-from vaoi_station.rig.devices.chip import HZ, NS_PER_CYCLE, Chip, Edge
-from vaoi_station.rig.devices.pulses import TRIGGER
+from vaoi_station.rig import chip as chip_module
+from vaoi_station.rig.chip import HZ, NS_PER_CYCLE, TRIGGER, Chip, Edge
 from vaoi_station.simulation import Scenario
 
 TIMEOUT_S = 20.0

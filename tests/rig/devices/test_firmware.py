@@ -13,14 +13,14 @@ import pytest
 
 from tests.needs import need_emulator
 from vaoi_station.errors import DeviceError, NotFoundError
-from vaoi_station.rig.devices import firmware
+from vaoi_station.rig import chip as firmware
 
 ROOT = Path(__file__).resolve().parents[3]
 BUILD_WHEEL = "import sys; from hatchling.build import build_wheel; build_wheel(sys.argv[1])"
 BUILD_FIRMWARE = """
 import sys
 from pathlib import Path
-from vaoi_station.rig.devices import firmware
+from vaoi_station.rig import chip as firmware
 assert firmware.find_sources() == firmware.PACKAGED, firmware.find_sources()
 firmware.check_sources()
 print(firmware.build(Path(sys.argv[1])))

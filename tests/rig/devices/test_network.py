@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.rig.devices import network
-from vaoi_station.rig.devices.network import (
+from vaoi_station.rig import network
+from vaoi_station.rig.network import (
     MAX_CAMERAS,
     NAMESPACE_VARIABLE,
     LoopbackAddresses,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from vaoi_station.rig.devices.processes import DEVICE_NICENESS, raise_priority, stop_process
+from vaoi_station.rig.chip import DEVICE_NICENESS, raise_priority, stop_process
 
 Start = Callable[[str], "subprocess.Popen[str]"]
 READ_TO_THE_END = "import sys; print('up', flush=True); sys.stdin.read()"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from vaoi_station.rig.devices.chip import Edge
-from vaoi_station.rig.devices.pulses import Pulse, PulseDecoder
+from vaoi_station.rig.chip import Edge, Pulse, PulseDecoder
 
 
 def play(*edges: tuple[float, str, int]) -> list[Pulse]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vaoi_station.rig.devices.virtual_camera import BLACK_LEVEL, apply_brightness
+from vaoi_station.rig.virtual_camera import BLACK_LEVEL, apply_brightness
 
 MONO_8, MONO_16 = 0x01080001, 0x01100007
 

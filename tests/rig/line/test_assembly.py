@@ -10,11 +10,10 @@ import pytest
 
 from tests.rig.known_boards import known_board
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.line import assembly
-from vaoi_station.rig.line.assembly import TERMINAL, Devices, prepare_boards
-from vaoi_station.rig.line.extra_frames import FrameRequest
-from vaoi_station.rig.line.faults import parse_fault
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig import devices as assembly
+from vaoi_station.rig.devices import TERMINAL, Devices, prepare_boards
+from vaoi_station.rig.faults import parse_fault
+from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
 from vaoi_station.simulation import Scenario
 
 

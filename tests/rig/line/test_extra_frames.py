@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.simulated.board import to_bytes
+from vaoi_station.acquisition.simulated import to_bytes
 from vaoi_station.errors import InternalError
-from vaoi_station.rig.line.extra_frames import FrameRenderer, FrameRequest
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.rendering import FrameRenderer, FrameRequest, RenderedBoard
 from vaoi_station.simulation import Scenario, Twin, calibration_board
 
 

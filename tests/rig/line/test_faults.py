@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.rig.line.faults import KINDS, check_faults, followers, parse_fault, with_belt_faults
+from vaoi_station.rig.faults import KINDS, check_faults, followers, parse_fault, with_belt_faults
 from vaoi_station.simulation import Scenario
 
 

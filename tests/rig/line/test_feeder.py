@@ -11,10 +11,9 @@ import pytest
 
 from tests.rig.known_boards import known_board, passage_of
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.line import feeder as feeder_module
-from vaoi_station.rig.line.feeder import READY_TIMEOUT_S, BoardFeeder
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.virtual_line import BoardPassage, VirtualLine
+from vaoi_station.rig import line as feeder_module
+from vaoi_station.rig.line import READY_TIMEOUT_S, BoardFeeder, BoardPassage, VirtualLine
+from vaoi_station.rig.rendering import RenderedBoard
 
 TIMEOUT_S = 20.0
 
@@ -38,7 +37,7 @@ class ScriptedLine:
 @pytest.fixture
 def short_boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[RenderedBoard]:
     """Three boards of a few milliseconds."""
-    monkeypatch.setattr(feeder_module, "END_MARGIN_S", 0.0)
+    monkeypatch.setattr(feeder_module, "FEED_MARGIN_S", 0.0)
     times = {"edges": ((0.0, True), (0.001, False)), "pulses_s": (0.001,), "lights": ("ring",)}
     return [known_board(tmp_path / str(k), k, **times) for k in range(3)]
 

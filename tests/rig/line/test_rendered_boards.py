@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.simulated.board import SimulatedBoard
+from vaoi_station.acquisition.simulated import SimulatedBoard
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.line.faults import parse_fault, with_belt_faults
-from vaoi_station.rig.line.rendered_boards import RenderedBoard, render_boards
+from vaoi_station.rig.faults import parse_fault, with_belt_faults
+from vaoi_station.rig.rendering import RenderedBoard, render_boards
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.rig.devices.pulses import Pulse
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.scenarios import check_supported, lighting_of, min_interval_s, with_cameras
+from vaoi_station.rig.chip import Pulse
+from vaoi_station.rig.line import check_supported, lighting_of, min_interval_s, with_cameras
+from vaoi_station.rig.rendering import RenderedBoard
 from vaoi_station.simulation import Scenario
 from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.scenario import (

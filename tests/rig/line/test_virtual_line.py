@@ -13,15 +13,20 @@ from typing import cast
 import pytest
 
 from tests.rig.host import Host
-from vaoi_station.acquisition.controller.protocol.messages import Step
+from vaoi_station.acquisition.controller.protocol import Step
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig.devices.camera_process import CameraProcess
-from vaoi_station.rig.devices.chip import HZ, Chip, Edge
-from vaoi_station.rig.line.extra_frames import FrameRequest
-from vaoi_station.rig.line.feeder import BoardFeeder
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.scenarios import lighting_of
-from vaoi_station.rig.line.virtual_line import LINE_READY, BoardPassage, FrameFaults, VirtualLine, wall_clock_ns
+from vaoi_station.rig.camera_process import CameraProcess
+from vaoi_station.rig.chip import HZ, Chip, Edge
+from vaoi_station.rig.line import (
+    LINE_READY,
+    BoardFeeder,
+    BoardPassage,
+    FrameFaults,
+    VirtualLine,
+    lighting_of,
+    wall_clock_ns,
+)
+from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
 from vaoi_station.simulation import Scenario
 
 RING_LIGHT = Step(0b0001, 500)

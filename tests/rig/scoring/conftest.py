@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.rig.known_boards import known_board
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
+from vaoi_station.rig.rendering import RenderedBoard
 
 
 @pytest.fixture

@@ -8,24 +8,20 @@ import pytest
 from pydantic import ValidationError
 
 from tests.rig.known_boards import report_of, scored
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.scoring.rig_report import AffectedFrame, BoardScore, Load, Recovery, RigReport
+from vaoi_station.rig.rendering import RenderedBoard
+from vaoi_station.rig.report import AffectedFrame, BoardScore, Recovery, RigReport
 
 
 def test_the_document_survives_json(known: RenderedBoard) -> None:
     board = scored(known, {(1, 2): "hit"}, {(1, 2): ("incomplete", "80% arrived")})
-    load = Load(
-        over_s=1.0, station=0.1, acquisition=0.1, workers=0.1, cameras=0.1, chip=0.1, rig=0.1,
-        acquisition_ms_per_frame=2.0,
-    )  # fmt: skip
     recovery = Recovery(fault="kill", back_s=1.0, ready_after_s=None)
-    report = report_of(board, load=load, recoveries=(recovery,))
+    report = report_of(board, recoveries=(recovery,))
     assert RigReport.model_validate_json(report.model_dump_json()) == report
 
 
 def test_the_names_of_the_document_are_stable() -> None:
     """Programs read them: a new name is a new version of the format."""
-    assert (RigReport.model_fields["format"].default, RigReport.model_fields["version"].default) == ("vaoi-rig", 3)
+    assert (RigReport.model_fields["format"].default, RigReport.model_fields["version"].default) == ("vaoi-rig", 4)
     assert set(AffectedFrame.model_fields) == {"camera", "row", "verdict", "cause", "done"}
     assert set(Recovery.model_fields) == {"fault", "back_s", "ready_after_s"}
     assert set(BoardScore.model_fields) == {

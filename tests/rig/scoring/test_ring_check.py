@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout
-from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK, FrameShape
-from vaoi_station.rig.devices.pulses import Pulse
-from vaoi_station.rig.devices.virtual_camera import apply_brightness
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.virtual_line import BoardPassage, FiredPulse
-from vaoi_station.rig.scoring.ring_check import MONO_8, RingCheck, bays_to_check, check_bay
+from vaoi_station.acquisition.ring import INCOMPLETE, OK, FrameShape, Ring, RingLayout
+from vaoi_station.rig.chip import Pulse
+from vaoi_station.rig.line import BoardPassage, FiredPulse
+from vaoi_station.rig.rendering import RenderedBoard
+from vaoi_station.rig.score import MONO_8, RingCheck, bays_to_check, check_bay
+from vaoi_station.rig.virtual_camera import apply_brightness
 
 BAY = 1
 

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.rig.known_boards import CAMERAS, PERIOD_NS, ROWS, evidence_of, passage_of, run_json, scored
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.virtual_line import FrameOutcome, Lighting
-from vaoi_station.rig.scoring.score import IN_FLIGHT_S, RUN_MATCH_S, BoardEvidence, Outage, run_of, score
+from vaoi_station.rig.devices import IN_FLIGHT_S, Outage
+from vaoi_station.rig.line import FrameOutcome, Lighting
+from vaoi_station.rig.rendering import RenderedBoard
+from vaoi_station.rig.score import RUN_MATCH_S, BoardEvidence, run_of, score
 
 
 def test_a_board_without_faults(known: RenderedBoard) -> None:

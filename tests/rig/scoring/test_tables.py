@@ -9,16 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.rig.known_boards import evidence_of, report_of, scored
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.line.virtual_line import FrameOutcome
-from vaoi_station.rig.scoring.rig_report import AffectedFrame, Load, Recovery
-from vaoi_station.rig.scoring.score import BoardEvidence, score
-from vaoi_station.rig.scoring.tables import MOST, as_text
-
-LOAD = Load(
-    over_s=10.0, station=0.1, acquisition=0.08, workers=0.2, cameras=0.18, chip=0.15, rig=0.05,
-    acquisition_ms_per_frame=1.55,
-)  # fmt: skip
+from vaoi_station.rig.line import FrameOutcome
+from vaoi_station.rig.rendering import RenderedBoard
+from vaoi_station.rig.report import MOST, AffectedFrame, Recovery, as_text
+from vaoi_station.rig.score import BoardEvidence, score
 
 
 def affected(known: RenderedBoard, rows: list[int]) -> str:
@@ -97,12 +91,11 @@ def test_reasons_are_listed_unless_they_only_list_frames(known: RenderedBoard) -
     assert "(0, 4)" not in text
 
 
-def test_recoveries_and_load_have_a_line_each(known: RenderedBoard) -> None:
+def test_recoveries_have_a_line_each(known: RenderedBoard) -> None:
     recoveries = (
         Recovery(fault="kill", back_s=5.0, ready_after_s=0.42),
         Recovery(fault="reset", back_s=7.5, ready_after_s=None),
     )
-    text = as_text(report_of(scored(known), recoveries=recoveries, load=LOAD))
+    text = as_text(report_of(scored(known), recoveries=recoveries))
     assert "kill: over at 5.0 s, the station was ready 0.4 s later" in text
     assert "reset: over at 7.5 s, the station was ready never" in text
-    assert "acquisition 0.08 (1.55 ms per frame), workers 0.20; senders 0.18, chip 0.15" in text

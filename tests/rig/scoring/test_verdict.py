@@ -7,11 +7,10 @@ from typing import Any
 import pytest
 
 from tests.rig.known_boards import evidence_of, passage_of, report_of, scored
-from vaoi_station.rig.line.faults import parse_fault
-from vaoi_station.rig.line.rendered_boards import RenderedBoard
-from vaoi_station.rig.scoring.rig_report import LIMIT_PX, READY_LIMIT_S, Recovery
-from vaoi_station.rig.scoring.score import BoardEvidence, score
-from vaoi_station.rig.scoring.verdict import failings
+from vaoi_station.rig.faults import parse_fault
+from vaoi_station.rig.rendering import RenderedBoard
+from vaoi_station.rig.report import LIMIT_PX, READY_LIMIT_S, Recovery, failings
+from vaoi_station.rig.score import BoardEvidence, score
 
 
 def test_a_run_without_faults_does_not_fail(known: RenderedBoard) -> None:

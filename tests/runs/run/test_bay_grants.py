@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.acquisition.process.messages import Command, Disarm, Grant, Shutdown
-from vaoi_station.acquisition.ring.ring import Ring
-from vaoi_station.acquisition.ring.ring_layout import FrameShape, RingLayout
+from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
 from vaoi_station.errors import GoneError
 from vaoi_station.runs.run.bay_grants import BayGrants
 from vaoi_station.runs.run.leases import Leases

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.pairing.doubts import doubts_of
-from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof
+from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, doubts_of
 from vaoi_station.acquisition.process.messages import RunFinished
 from vaoi_station.model import RecordingHead, Status, Stitch
 from vaoi_station.runs.run.progress import Progress

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.runs.workers.plant import BoardPlant, Plant
-from vaoi_station.acquisition.ring.ring import Ring
-from vaoi_station.acquisition.ring.ring_layout import FrameShape, RingLayout
+from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
 from vaoi_station.model import RecordingHead
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Linked, LinkJob, OpenRun, RunContext
 from vaoi_station.simulation import Twin, read_scenario

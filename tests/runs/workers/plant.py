@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tests.runs.conftest import a_board_type, a_calibration, a_config
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.rendering import compute_views
 from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.workers.jobs import ConcludeJob, Job, Linked, LinkJob, OpenRun, RenderJob, Reply, RunContext

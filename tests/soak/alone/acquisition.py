@@ -17,7 +17,7 @@ from tests.soak.line_files import Pace, write_line_files
 from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.main_loop import run_acquisition
 from vaoi_station.acquisition.process.messages import Arm, Grant, Ready, RunFinished, Shutdown
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import read_config
 
 

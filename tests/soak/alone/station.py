@@ -27,7 +27,7 @@ from tests.runs.peer import PATIENCE_S, Peer
 from tests.soak.alone.memory import database_mb, heaps_mb, objects, trimmed_mb
 from vaoi_station import station as station_module
 from vaoi_station.acquisition.process import messages
-from vaoi_station.acquisition.ring.ring import Ring, ring_path
+from vaoi_station.acquisition.ring import Ring, ring_path
 from vaoi_station.api import create_app
 from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.config import StationConfig

@@ -167,19 +167,21 @@ class CameraDevice(Protocol):
     def start(self, events: SimpleQueue[CameraEvent]) -> None:
         """Begin to deliver frames; put every delivered slot and every change of state into the queue `events`."""
 
-    def set_exposure(self, wanted: CameraExposure) -> None:
+    def set_exposure(self, wanted: CameraExposure) -> None:  # noqa: ARG002
         """Expose with these values from now on. Called while no pulse is fired.
 
         Raises:
             DeviceError: the camera refuses or ignores a value, cannot expose for the width of the trigger, or has no
                 sequencer for these values. A camera that is lost takes the values when it is back.
         """
+        return
 
     def rewind(self) -> None:
         """Let the next frame be exposed with the first set of the sequencer. Called between two runs.
 
         It does nothing without a sequencer. A camera that does not answer counts as lost; that is reported as usual.
         """
+        return
 
     def queue(self, slot: Slot) -> None:
         """Queue memory for a coming frame; slots are filled in the order in which they were queued."""

@@ -19,7 +19,7 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraExposure, CameraHealth, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraDevice, CameraEvent, CameraHealth, Slot
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 
@@ -41,12 +41,11 @@ class Exposure:
     """Share of the bytes that arrives, 0 … 1."""
 
 
-class VirtualCamera:
+class VirtualCamera(CameraDevice):
     """A `CameraDevice` without hardware: it delivers the frames that callers pass to `expose`."""
 
     def __init__(self, number: int, read_clock: Callable[[], ClockReading]) -> None:
-        self.number = number
-        self.read_clock = read_clock
+        self.number, self._read_clock = number, read_clock
         self._coming: list[tuple[float, int, Exposure]] = []
         self._order = count()
         self._slots: deque[Slot] = deque()
@@ -67,12 +66,6 @@ class VirtualCamera:
             heapq.heappush(self._coming, (exposure.begin_s, next(self._order), exposure))
             self._change.notify()
 
-    def set_exposure(self, wanted: CameraExposure) -> None:
-        """Do nothing: the frames that callers pass to `expose` have their exposure already."""
-
-    def rewind(self) -> None:
-        """Do nothing: there is no sequencer."""
-
     def queue(self, slot: Slot) -> None:
         """Queue memory for a frame that is to come."""
         with self._change:
@@ -84,6 +77,10 @@ class VirtualCamera:
             numbers = [s.number for s in self._slots]
             self._slots.clear()
             return numbers
+
+    def read_clock(self) -> ClockReading:
+        """Compare the camera's clock with the host's clock."""
+        return self._read_clock()
 
     def health(self) -> CameraHealth:
         """Return the camera's state with its counts of delivered, incomplete and dropped frames."""

@@ -293,24 +293,29 @@ class Controller(Protocol):
     def read_clock(self) -> ClockReading:
         """Compare the controller's clock with the host's; called from a separate thread because it may take time."""
 
-    def permit_board(self, permit: Permit | None) -> None:
+    def permit_board(self, permit: Permit | None) -> None:  # noqa: ARG002
         """Let the output "line ready" permit one board; None holds boards back. Returns at once.
 
         The controller sets the output by itself: high only while the permit is valid, no board has used it up, and a
         board that came would be filmed.
         """
+        return
 
     def line_output(self) -> LineOutput | None:
         """Return the state of the output "line ready"; None if there is none. Does not wait for the device."""
+        return None
 
     def barrier_blocked(self) -> bool | None:
         """Return whether the barrier is interrupted; None if that is not known. Does not wait for the device."""
+        return None
 
     def is_watching(self) -> bool:
         """Return whether the controller replies, and fires for boards when armed. Does not wait for the device."""
+        return True
 
     def limits(self) -> ControllerLimits:
         """Return what the controller can do with a light program, without waiting for the device."""
+        return ControllerLimits()
 
     def health(self) -> str:
         """Return a sentence that describes the controller's state, without waiting for the device."""

@@ -66,13 +66,7 @@ class TriggerRule:
     """The state machine from one arming to the next. It takes edges and the time, and returns events in their order."""
 
     def __init__(self, plan: TriggerPlan, numbers: count[int], belt: BeltCounter | None = None) -> None:
-        """Begin with a clear barrier.
-
-        Args:
-            plan: the trigger plan.
-            numbers: gives the numbers of events, which continue over several armings.
-            belt: counts of the encoder, for a plan whose rows follow the belt.
-        """
+        """Begin with a clear barrier."""
         check_plan(plan)
         self.plan = plan
         self._belt = belt if plan.belt is not None else None

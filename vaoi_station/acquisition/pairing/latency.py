@@ -1,26 +1,18 @@
-"""The latency of each camera: the time from a pulse to the time stamp of its frame. Pure logic.
-
-Cameras stamp the start of the exposure, its end, or the end of the read-out, so the latency may be anything from some
-microseconds to more than a trigger period T. Because pulses come at nearly equal intervals, the latencies φ, φ + T and
-φ + 2 T fit the frames of a run equally well. A wrong one would move all frames of the camera by one or more rows. Only
-the beginning of a run decides: no pulse was fired before it, and no frame has a time stamp before its pulse. So a frame
-of the first pulse confirms the latency. Until then, the frames of the camera wait.
-"""
+"""The latency of each camera: the time from a pulse to the time stamp of its frame. Pure logic."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
-from vaoi_station.acquisition.pairing.clock_fit import median
+from vaoi_station.acquisition.pairing.evidence import ENOUGH, GATE_S, median
+from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.pairing.run_record import RunRecord
 from vaoi_station.config import CameraConfig
 
-GATE_S = 0.010
-"""Largest accepted difference between a frame's latency and that of its camera, if the configuration gives none, s."""
-ENOUGH = 3
-"""Number of frames, from the first pulses of a run, that confirm a latency which is far from the expected one."""
 SILENT_PERIODS = 2
 """If no frame comes for this number of periods before the first pulse, the first frame belongs to the first pulse."""
 
@@ -88,15 +80,7 @@ class CameraLatency:
         return found
 
     def revise(self, measured_s: float | None, in_order_s: float | None, assigned: int, extra: int) -> None:
-        """Update the latency from the frames of a finished run. A configured latency is never changed.
-
-        Args:
-            measured_s: median latency of the assigned frames.
-            in_order_s: latency at which all frames, unassigned ones too, follow the pulses one by one; None if there is
-                none, or if the frames were assigned with it.
-            assigned: count of the frames that were assigned.
-            extra: count of the frames that were not assigned.
-        """
+        """Update the latency from the frames of a finished run. A configured latency is never changed."""
         if self.given:
             return
         if in_order_s is not None:
@@ -109,13 +93,7 @@ class CameraLatency:
 
 
 def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
-    """Return the latency that the beginning of a run shows; None if more frames or pulses are needed.
-
-    Args:
-        begun: the beginning of a run.
-        expected_s: the latency that was valid before.
-        gate_s: largest accepted difference between the latencies of two frames.
-    """
+    """Return the latency that the beginning of a run shows; None if more frames or pulses are needed."""
     pulses_s, frames_s, bound_s = begun.pulses_s, begun.frames_s, begun.bound_s
     spread_s = min(gate_s, begun.period_s / 2)
     if begun.from_silence and frames_s:
@@ -148,14 +126,7 @@ def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
 
 
 def in_order_s(pulses_s: Sequence[float], frames_s: Sequence[float], bound_s: float, spread_s: float) -> float | None:
-    """Return the latency at which the k-th frame belongs to the k-th pulse; None if there is no such latency.
-
-    Args:
-        pulses_s: times of all pulses of a run, ascending.
-        frames_s: time stamps of all frames of a camera, ascending, by the same clock.
-        bound_s: error bound of their differences: no frame is earlier than its pulse by more than this.
-        spread_s: largest accepted difference between the latencies of two frames.
-    """
+    """Return the latency at which the k-th frame belongs to the k-th pulse; None if there is no such latency."""
     if not frames_s or len(pulses_s) != len(frames_s):
         return None
     latencies_s = [f - p for f, p in zip(frames_s, pulses_s, strict=True)]
@@ -183,3 +154,91 @@ def _several_per_pulse(begun: Beginning) -> bool:
             if after_s - before_s < interval_s - 2 * bound_s:
                 return True
     return False
+
+
+class WaitingFrame(NamedTuple):
+    """A complete frame that is not assigned yet."""
+
+    host_s: float
+    """Time stamp of the frame by the host's clock."""
+    aged: bool
+    """Whether the frame has waited so long that it must be assigned or refused now."""
+
+
+class Latencies:
+    """The latencies (pulse to time stamp) of all cameras of a station, learnt from one run to the next."""
+
+    def __init__(self, settings: Sequence[LatencySettings], bound_s: Callable[[int, float], float]) -> None:
+        """Begin with the configured latencies."""
+        self._cameras = [CameraLatency(s) for s in settings]
+        self._bound_s = bound_s
+
+    def __getitem__(self, camera: int) -> CameraLatency:
+        return self._cameras[camera]
+
+    def awaits(self, runs: Sequence[RunRecord], camera: int, host_s: float) -> bool:
+        """Return whether a frame with this time stamp waits until its run has shown the latency of its camera."""
+        if self._cameras[camera].confirmed:
+            return False
+        run = self._owner(runs, camera, host_s)
+        return run is not None and not run.finished and camera not in run.latency_known
+
+    def learn(
+        self,
+        camera: int,
+        runs: Sequence[RunRecord],
+        waiting: Sequence[WaitingFrame],
+        unassigned_s: Sequence[float],
+        now_s: float,
+    ) -> None:
+        """Learn the latency of a camera from its waiting frames, unless it is known."""
+        latency = self._cameras[camera]
+        for run in runs:
+            own = [f for f in waiting if self._owner(runs, camera, f.host_s) is run]
+            if latency.confirmed or run.finished or not own or camera in run.latency_known:
+                continue
+            bound_s = max(self._bound_s(camera, f.host_s) for f in own)
+            exposed_s = [*(f.host_s for f in waiting), *unassigned_s]
+            # Frames were taken before an earlier run, which finished meanwhile, showed that the latency is not sure.
+            taken = run.complete_frames[camera]
+            found = latency.learn(
+                Beginning(
+                    pulses_s=sorted(p.host_s for p in run.pulses.values()),
+                    frames_s=sorted([*(f.host_s for f in own), *(f.host_s for f in taken)]),
+                    period_s=run.least_period_s,
+                    bound_s=bound_s,
+                    from_silence=run.has_first_pulse and _was_silent(run, runs, exposed_s, bound_s),
+                    all_fired=run.all_fired,
+                    overdue=now_s >= run.deadline_s or any(f.aged for f in own),
+                )
+            )
+            if found is not None:
+                # A frame that was taken by another latency may be in a wrong row.
+                fits = all(abs(run.latency_s(f) - found.latency_s) <= latency.gate_s for f in taken)
+                run.latency_known[camera] = found.confirmed and fits
+
+    def revise(self, proof: TriggerProof) -> None:
+        """Update the latencies of all cameras from the proof of a finished run."""
+        for camera in proof.cameras:
+            # Frames in doubt show nothing about the latency, except the latency at which they would follow their pulses
+            # one by one.
+            measured_us = camera.latency_us if camera.proven else None
+            self._cameras[camera.camera].revise(
+                None if measured_us is None else measured_us * 1e-6,
+                None if camera.in_order_us is None else camera.in_order_us * 1e-6,
+                camera.frames,
+                camera.extra,
+            )
+
+    def _owner(self, runs: Sequence[RunRecord], camera: int, host_s: float) -> RunRecord | None:
+        """Return the newest run whose pulses had begun at a time stamp; None if there is none."""
+        latest_s = host_s + self._bound_s(camera, host_s)
+        return next((r for r in reversed(runs) if r.pulses and r.first_s <= latest_s), None)
+
+
+def _was_silent(run: RunRecord, runs: Sequence[RunRecord], exposed_s: Sequence[float], bound_s: float) -> bool:
+    """Whether a camera exposed nothing, and no pulse was fired, for some periods before the first pulse of a run."""
+    until_s = run.first_s - bound_s
+    since_s = until_s - SILENT_PERIODS * run.measured_period_s
+    pulses_s = [p.host_s for r in runs if r is not run for p in r.pulses.values()]
+    return not any(since_s < s < until_s for s in (*exposed_s, *pulses_s))

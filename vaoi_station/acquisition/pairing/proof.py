@@ -1,9 +1,4 @@
-"""The proof of a run: the check that every frame belongs to its pulse, with findings that contradict this.
-
-A frame is assigned to a pulse only by time on the host's clock. Three independent checks follow. The camera's time
-stamps must fit the controller's pulse times to microseconds. The frame ids of the camera must match the pulses. No
-frame may arrive before its pulse was fired. Pure logic.
-"""
+"""The proof of a run: the check that every frame belongs to its pulse, with findings that contradict this."""
 
 from __future__ import annotations
 
@@ -11,9 +6,15 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Literal
 
-from vaoi_station.acquisition.causes import Gap, in_counting_order
-from vaoi_station.acquisition.pairing.clock_fit import free_running_interval_s, median, residuals_s
-from vaoi_station.acquisition.pairing.latency import ENOUGH, GATE_S
+from vaoi_station.acquisition.pairing.evidence import (
+    ENOUGH,
+    GATE_S,
+    Gap,
+    free_running_interval_s,
+    in_counting_order,
+    median,
+    residuals_s,
+)
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse
 from vaoi_station.model import FrozenModel
 
@@ -77,15 +78,7 @@ def prove(
     gaps: Sequence[Sequence[Gap]],
     unconfirmed: AbstractSet[int] = frozenset(),
 ) -> TriggerProof:
-    """Check the frames of every camera against the pulses.
-
-    Args:
-        pulses: row → its pulse, for all rows whose pulse was fired and reported.
-        pulse_bound_s: largest error of a pulse's host time.
-        frames: complete frames of every camera, unassigned ones included.
-        gaps: the gaps in the frame ids of every camera (`causes.find_gaps`).
-        unconfirmed: cameras whose latency may be another one by whole periods (`latency.Learnt.confirmed`).
-    """
+    """Check the frames of every camera against the pulses."""
     cameras, findings = [], []
     for camera, (observed, between) in enumerate(zip(frames, gaps, strict=True)):
         assigned = sorted((f for f in observed if f.row is not None), key=lambda f: f.row or 0)
@@ -340,3 +333,54 @@ def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedF
 
 def _latency_s(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> float:
     return median([f.host_s - pulses[f.row].host_s for f in assigned if f.row is not None])
+
+
+ACTIONS: Mapping[Kind, str] = {
+    "runs-freely": (
+        "Check by vaoi doctor that the camera is in trigger mode and listens to the input to which the trigger is "
+        "wired, then film the board again."
+    ),
+    "off-beat": "Check the camera's trigger line for interference, then film the board again.",
+    "clock-jumped": (
+        "Switch off what sets the camera's clock (PTP, IEEE 1588, another program) and check its power, then film the "
+        "board again."
+    ),
+    "latency-changed": (
+        "Film the board again: the latency that was found is used from now on. If it stays as it is, write it to "
+        "latency_us of the camera in station.toml."
+    ),
+    "latency-ambiguous": (
+        "Film the board again: a run with a frame of its first pulse settles it. Or write the camera's latency to "
+        "latency_us of the camera in station.toml."
+    ),
+    "exchanged": "Film the board again; report it with the proof of the run if it returns.",
+    "early": "Film the board again; report it with the proof of the run if it returns.",
+    "miscounted": "Check the camera's setting of the frame id, then film the board again.",
+    "other-light": (
+        "Film the board again. If it returns, check the wiring of the LED channels, and the trigger line of a camera "
+        "whose sequencer is a row off; with a replay, use a program that fits the recording."
+    ),
+    "extra-frame": "Check the trigger line for bounces and crosstalk.",
+}
+"""For each kind of finding that makes a run doubtful, the action. Kinds without an entry only explain missing
+frames."""
+
+
+def doubtful(proof: TriggerProof | None) -> tuple[TriggerFinding, ...]:
+    """Return the findings that leave a doubt about the frames of a run; the others only explain missing frames."""
+    return tuple(f for f in proof.findings if f.kind in ACTIONS) if proof is not None else ()
+
+
+def doubts_of(proof: TriggerProof | None) -> tuple[str, ...]:
+    """Return one sentence for each camera and kind of doubtful finding, for the head of the recording."""
+    grouped: dict[tuple[int, Kind], list[TriggerFinding]] = {}
+    for finding in doubtful(proof):
+        grouped.setdefault((finding.camera, finding.kind), []).append(finding)
+    return tuple(_sentence(camera, kind, found) for (camera, kind), found in grouped.items())
+
+
+def _sentence(camera: int, kind: Kind, found: list[TriggerFinding]) -> str:
+    rows = sorted({f.row for f in found if f.row is not None})
+    where = f", row{'s' if len(rows) > 1 else ''} {', '.join(map(str, rows))}" if rows else ""
+    unused = "; these frames are not used" if kind in QUESTIONING_KINDS else ""
+    return f"trigger of camera {camera}{where}: {found[0].text}{unused}"

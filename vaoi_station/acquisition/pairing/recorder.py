@@ -1,28 +1,43 @@
-"""Assign one frame per camera to every pulse, by time, and end every run with a verdict for each (camera, row).
-
-Pure logic: the recorder receives events, arrivals and the host time, and returns outcomes. It uses no threads and no
-devices. A frame belongs to the pulse nearest to its time stamp minus the latency of its camera, both on the host's
-clock, if the difference is within the tolerance. The order of arrival never decides. A pulse may be reported before or
-after its frames arrive, and frames of one run may arrive while the next run is filmed.
-"""
+"""Assign one frame per camera to every pulse, by time, and end every run with a verdict for each (camera, row)."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from typing import TypeVar
 
 from vaoi_station.acquisition.cameras.interface import Arrival
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import PulseFired
-from vaoi_station.acquisition.outages import Outages
-from vaoi_station.acquisition.pairing.forced_assignment import assign_forced
-from vaoi_station.acquisition.pairing.latency import LatencySettings
-from vaoi_station.acquisition.pairing.latency_learning import Latencies, WaitingFrame
+from vaoi_station.acquisition.pairing.conclusion import Outages, cameras_in_doubt, conclude_run, judge_run
+from vaoi_station.acquisition.pairing.latency import Latencies, LatencySettings, WaitingFrame
 from vaoi_station.acquisition.pairing.proof import TriggerProof
-from vaoi_station.acquisition.pairing.run_conclusion import cameras_in_doubt, conclude_run, judge_run
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
 from vaoi_station.model import FrameRecord, Pulse, Verdict
+
+T = TypeVar("T", bound=Hashable)
+
+
+def assign_forced(candidates: Sequence[AbstractSet[T]]) -> dict[int, T]:
+    """Give each candidate set that has only one possible element this element; return {index of the set: element}.
+
+    If two sets are left with the same single element, neither of them gets it.
+    """
+    left = [set(c) for c in candidates]
+    chosen: dict[int, T] = {}
+    while True:
+        single = {n: next(iter(c)) for n, c in enumerate(left) if len(c) == 1 and n not in chosen}
+        claims = Counter(single.values())
+        forced = {n: c for n, c in single.items() if claims[c] == 1}
+        if not forced:
+            return chosen
+        chosen.update(forced)
+        for n, c in enumerate(left):
+            if n not in chosen:
+                c -= set(forced.values())
+
 
 MAX_UNASSIGNED = 256
 """Count of unassigned frames kept per camera. The proof of a run uses those from shortly before to shortly after it."""
@@ -94,18 +109,7 @@ class Recorder:
         latencies: Sequence[LatencySettings] = (),
         gains: Sequence[float] = (),
     ) -> None:
-        """Create a recorder without runs.
-
-        Args:
-            controller_clock: maps pulse times to the host's clock.
-            camera_clocks: map the time stamps of every camera.
-            limits: tolerances and waiting times.
-            move_to_bay: moves a frame into the bay of its run.
-            exposures_us: exposure time of every camera; used if the controller reports neither it nor a shorter on-time
-                of the LEDs with a pulse.
-            latencies: configuration of every camera's latency; by default all are learnt.
-            gains: linear gain of every camera; used like `exposures_us`.
-        """
+        """Create a recorder without runs."""
         self.limits = limits or Limits()
         self.outages = Outages()
         """The outages that the cameras' backends have reported."""

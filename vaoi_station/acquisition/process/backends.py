@@ -10,27 +10,22 @@ from vaoi_station.errors import InputError, VaoiError
 
 
 def open_devices(config: StationConfig) -> Devices:
-    """Open cameras and controller of the configured backend.
-
-    Raises:
-        InputError: the configuration does not fit the devices, the scenario or the recordings.
-        DeviceError: a device cannot be opened.
-    """
+    """Open cameras and controller of the configured backend."""
     if config.controller.backend == "serial":
         return _open_hardware(config)
     if config.controller.backend == "replay":
         # Backends are imported on use: the twin and the Aravis library are slow to load.
-        from vaoi_station.acquisition.simulated.replay import open_replay
+        from vaoi_station.acquisition.replay import open_replay
 
         return open_replay(config)
-    from vaoi_station.acquisition.simulated.twin_devices import open_simulated
+    from vaoi_station.acquisition.simulated import open_simulated
 
     return open_simulated(config)
 
 
 def _open_hardware(config: StationConfig) -> Devices:
     """Open real cameras and a real controller."""
-    from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras
+    from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras
     from vaoi_station.acquisition.controller.serial import open_serial_controller
 
     # The controller is opened first: it fails at once, while an absent camera is noticed only after seconds.
@@ -77,6 +72,6 @@ def check_backends(config: StationConfig) -> None:
             if cameras != len(config.cameras):
                 raise InputError.field(directory, "cameras", cameras, f"{len(config.cameras)}, as in station.toml")
     else:
-        from vaoi_station.acquisition.simulated.twin_devices import check_scenario
+        from vaoi_station.acquisition.simulated import check_scenario
 
         check_scenario(config)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
+import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 from vaoi_station.acquisition.controller.filming_plan import filming_plan
 from vaoi_station.acquisition.process.main_loop import run_acquisition
@@ -23,10 +25,49 @@ from vaoi_station.acquisition.process.messages import (
     Shutdown,
     Trouble,
 )
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.model import Verdict
+from vaoi_station.files import Recording, open_recording, write_recording
+from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.images import Image
+from vaoi_station.model import RecordingHead, Verdict
+
+
+def export_run(
+    directory: Path, finished: RunFinished, ring: Ring, generation: int, copies: Mapping[str, Path] | None = None
+) -> Recording:
+    """Write a finished run as the recording `directory`, which must not exist yet."""
+    with new_directory(directory) as draft:
+        for name, source in (copies or {}).items():
+            shutil.copyfile(source, draft / name)
+        write_recording(draft, recording_head(finished), _frames(finished, ring, generation))
+    return open_recording(directory)
+
+
+def recording_head(finished: RunFinished) -> RecordingHead:
+    """Return the head of the recording of a finished run.
+
+    Faults and the proof are stored under `x_` keys, which other readers ignore.
+    """
+    document = finished.head.model_dump(mode="json", exclude_none=True)
+    document["x_run"] = finished.run
+    document["x_ended"] = finished.reason
+    document["x_verdicts"] = [
+        {"camera": f.camera, "row": f.row, "verdict": str(f.verdict), "cause": f.cause}
+        for f in finished.frames
+        if not f.usable
+    ]
+    if finished.proof is not None:
+        document["x_proof"] = finished.proof.model_dump(mode="json")
+    return RecordingHead.model_validate(document)
+
+
+def _frames(finished: RunFinished, ring: Ring, generation: int) -> Iterator[tuple[int, int, Image]]:
+    for frame in finished.frames:
+        if frame.usable and frame.slot is not None:
+            yield frame.camera, frame.row, ring.snapshot(frame.slot, generation)
+
 
 STOP_S = 5.0
 """Time for the acquisition process to close its devices before it is terminated, s."""
@@ -45,29 +86,14 @@ class FilmingHandlers:
 
 
 def film(config: StationConfig, runs: int, handlers: FilmingHandlers) -> None:
-    """Film a number of boards in a separate acquisition process; block until all are filmed.
-
-    Raises:
-        InputError: the simulation or replay has fewer boards.
-        DeviceError: a device fails.
-    """
+    """Film a number of boards in a separate acquisition process; block until all are filmed."""
     _check_supply(config, runs)
     with _filming_process(config, handlers) as process:
         _film_boards(config, process, runs)
 
 
 def film_pulses(config: StationConfig, pulses: int, rate_hz: float, handlers: FilmingHandlers) -> None:
-    """Fire a number of pulses without the light barrier, each a run of one row; block until all are filmed.
-
-    Args:
-        config: the station.
-        pulses: count of pulses.
-        rate_hz: highest rate; a pulse waits until all frames of the one before have arrived or are given up.
-        handlers: the functions that are called with the results.
-
-    Raises:
-        DeviceError: a device fails, or cannot fire without a board.
-    """
+    """Fire a number of pulses without the light barrier, each a run of one row; block until all are filmed."""
     with _filming_process(config, handlers) as process:
         fire_steadily(process, pulses, 1 / rate_hz)
 

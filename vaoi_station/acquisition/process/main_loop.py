@@ -1,9 +1,4 @@
-"""The acquisition process: one inbox and one loop; devices deliver into the inbox from their own threads.
-
-The station starts the process with `spawn` and communicates with it over one pipe. Commands, controller events,
-arrivals, clock readings and faults go through one queue, so that a single thread takes all decisions. When the pipe
-ends, the process closes its devices and exits. When a device fails, the process reports this and continues.
-"""
+"""The acquisition process: one inbox and one loop; devices deliver into the inbox from their own threads."""
 
 from __future__ import annotations
 
@@ -11,6 +6,7 @@ import contextlib
 import logging
 import math
 import multiprocessing
+import queue
 import signal
 import threading
 import time
@@ -19,12 +15,13 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from time import monotonic
+from typing import Any
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraDevice, CameraLost, DeviceFault
 from vaoi_station.acquisition.clocks import ClockError, ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent, RunEnded
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.inbox import Inbox
 from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.acquisition.process.messages import (
     Arm,
@@ -40,13 +37,55 @@ from vaoi_station.acquisition.process.messages import (
     Shutdown,
     TrialFailed,
 )
-from vaoi_station.acquisition.process.passage_watch import PassageWatch
+from vaoi_station.acquisition.process.passages import PassageWatch
 from vaoi_station.acquisition.process.run_reports import clock_jump_error, trouble_report
 from vaoi_station.acquisition.process.session import Session
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout
+from vaoi_station.acquisition.ring import Ring, RingLayout
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.supervised_thread import SupervisedThread, ThreadFault, faults_of
+
+HELD_UP_S = 0.1
+"""A wait that ends later than this, or a message that takes longer, shows that the process was held up.
+
+Threads of devices were probably held up as well, so this is also the time that they are given to deliver."""
+LONGEST_LAG_S = 2.0
+"""Largest lag of the inbox's time behind the clock.
+
+It bounds the delay if messages come without a pause."""
+
+
+class Inbox:
+    """A queue of messages of several threads, which one thread takes."""
+
+    def __init__(self) -> None:
+        self.messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        """The queue into which threads put their messages."""
+        self.taken_until_s = self._returned_s = monotonic()
+        """Time up to which all messages were taken, by time.monotonic()."""
+        self._held_up = False
+
+    def take(self, until_s: float) -> Any:
+        """Wait for a message until the given time of time.monotonic(), and return it; None if none came.
+
+        If the process was held up, the wait lasts at least `HELD_UP_S`.
+        """
+        now_s = monotonic()
+        if self._held_up or now_s > self._returned_s + HELD_UP_S:
+            until_s = max(until_s, now_s + HELD_UP_S)
+        until_s = max(until_s, now_s)
+        try:
+            message = self.messages.get(timeout=until_s - now_s)
+        except queue.Empty:
+            message = None
+        self._returned_s = monotonic()
+        self._held_up = self._returned_s > until_s + HELD_UP_S
+        # The time was read first: a message that comes between the two lines was put after it.
+        if self.messages.empty() and not self._held_up:
+            self.taken_until_s = self._returned_s
+        self.taken_until_s = max(self.taken_until_s, self._returned_s - LONGEST_LAG_S)
+        return message
+
 
 _log = logging.getLogger(__name__)
 
@@ -71,14 +110,7 @@ def run_acquisition(
     connection: Connection,
     open_backend: Callable[[StationConfig], Devices] = open_devices,
 ) -> None:
-    """Run the acquisition process until `Shutdown`, or until the other end of the pipe is closed.
-
-    Args:
-        config: the station.
-        ring_path: the ring that the station has created.
-        connection: the pipe to the station.
-        open_backend: opens the devices.
-    """
+    """Run the acquisition process until `Shutdown`, or until the other end of the pipe is closed."""
     if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
         # Ctrl-C reaches all processes of the group. Only the station reacts to it, by sending Shutdown.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -145,11 +177,7 @@ class _MainLoop:
         self._passage = PassageWatch()
 
     def run(self) -> None:
-        """Start the devices, then handle one message after another until `Shutdown`.
-
-        Raises:
-            InternalError: a thread of this process has ended or hangs.
-        """
+        """Start the devices, then handle one message after another until `Shutdown`."""
         if multiprocessing.parent_process() is not None:
             # Threads of cameras and controller report errors themselves; one that ends by another error is noticed too.
             threading.excepthook = self._note_failure

@@ -7,7 +7,7 @@ import logging
 from pydantic import ValidationError
 
 from vaoi_station.acquisition.clocks import ClockJump
-from vaoi_station.acquisition.pairing.doubts import doubts_of
+from vaoi_station.acquisition.pairing.proof import doubts_of
 from vaoi_station.acquisition.pairing.recorder import Finished
 from vaoi_station.acquisition.pairing.run_record import RunRecord
 from vaoi_station.acquisition.process.messages import RunFinished, Trouble
@@ -46,11 +46,7 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
 
 
 def _head(config: StationConfig, finished: Finished) -> RecordingHead:
-    """Return the head of the recording of a run with all that was measured and reported.
-
-    Raises:
-        ValidationError: what was reported does not fit together.
-    """
+    """Return the head of the recording of a run with all that was measured and reported."""
     record = finished.record
     measured = {
         "trigger_times_s": record.times_s(),

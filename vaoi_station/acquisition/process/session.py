@@ -21,11 +21,11 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.devices import Devices
-from vaoi_station.acquisition.outages import Outages
+from vaoi_station.acquisition.pairing.conclusion import Outages
 from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, Recorder, Unassigned
 from vaoi_station.acquisition.pairing.run_record import RunRecord
-from vaoi_station.acquisition.process.barrier_log import since_first
+from vaoi_station.acquisition.process.between_boards import SequenceStart, TrialPulse
 from vaoi_station.acquisition.process.messages import (
     Armed,
     BoardMissed,
@@ -38,14 +38,10 @@ from vaoi_station.acquisition.process.messages import (
     Report,
     RunStarted,
 )
-from vaoi_station.acquisition.process.outdated_events import OutdatedEvents
-from vaoi_station.acquisition.process.passage_log import PassageLog
+from vaoi_station.acquisition.process.passages import OutdatedEvents, PassageLog, since_first
 from vaoi_station.acquisition.process.run_reports import finished_report, trouble_report
-from vaoi_station.acquisition.process.sequence_start import SequenceStart
 from vaoi_station.acquisition.process.slot_queue import SlotQueue
-from vaoi_station.acquisition.process.trial_pulse import TrialPulse
-from vaoi_station.acquisition.ring.ring import Ring
-from vaoi_station.acquisition.ring.ring_layout import INCOMPLETE, OK
+from vaoi_station.acquisition.ring import INCOMPLETE, OK, Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
 from vaoi_station.model import Verdict
@@ -73,16 +69,7 @@ class Session:
         camera_clocks: list[ClockModel],
         send: Callable[[Report], None],
     ) -> None:
-        """Create a session that is disarmed and has no grants.
-
-        Args:
-            config: the station.
-            ring: the ring, mapped writable.
-            devices: cameras and controller, opened and started.
-            controller_clock: maps the controller's times to the host's clock.
-            camera_clocks: map the time stamps of every camera.
-            send: sends a report to the station.
-        """
+        """Create a session that is disarmed and has no grants."""
         self._config, self._ring, self._devices, self._send = config, ring, devices, send
         self._clocks = [controller_clock, *camera_clocks]
         self._slot_queue = SlotQueue(ring, devices.cameras)
@@ -151,12 +138,6 @@ class Session:
 
         A plan that is refused before the controller is changed leaves the present plan in force. If the change of the
         controller fails, no plan is in force: the station counts as not armed.
-
-        Raises:
-            InputError: the plan does not fit the ring or the cameras.
-            ClockError: a clock is not known well enough yet.
-            StateError: the plan differs from the present one while a board is passing.
-            DeviceError: the controller refuses the plan.
         """
         if plan.max_rows > self._ring.layout.slots_per_camera:
             limit = f"at most the {self._ring.layout.slots_per_camera} slots per camera and run of the ring"
@@ -187,13 +168,7 @@ class Session:
         self._send(Armed())
 
     def fire_one(self, now_s: float) -> None:
-        """Queue slots in the cameras, then fire one pulse without the barrier.
-
-        Raises:
-            StateError: the station is armed, or no memory is granted.
-            ClockError: a clock is not known well enough yet.
-            DeviceError: the controller refuses the pulse.
-        """
+        """Queue slots in the cameras, then fire one pulse without the barrier."""
         if self.plan is not None:
             raise StateError(
                 "the station is armed; single pulses would mix with those of boards.", action="Disarm first."

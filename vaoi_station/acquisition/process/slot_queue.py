@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from vaoi_station.acquisition.cameras.interface import CameraDevice, Slot
-from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.acquisition.ring import Ring
 
 
 class SlotQueue:

@@ -23,10 +23,9 @@ def record(
     ] = False,
 ) -> None:
     """Film boards with the configured devices and keep each as a recording."""
-    from vaoi_station.acquisition.process.filming import FilmingHandlers, film, film_pulses
+    from vaoi_station.acquisition.process.filming import FilmingHandlers, export_run, film, film_pulses
     from vaoi_station.acquisition.process.messages import RunFinished
-    from vaoi_station.acquisition.process.recording_export import export_run
-    from vaoi_station.acquisition.ring.ring import Ring
+    from vaoi_station.acquisition.ring import Ring
     from vaoi_station.config import read_config
     from vaoi_station.files import read_calibration
     from vaoi_station.files.atomic_directory import refuse_existing

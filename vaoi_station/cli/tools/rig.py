@@ -45,12 +45,12 @@ def run(
     """Start rig and service, let boards pass, score the results with the truth, and stop; exit code 1 on a failure."""
     from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
     from vaoi_station.files.documents import write_json
-    from vaoi_station.rig.devices.firmware import check_sources
-    from vaoi_station.rig.devices.network import enter_namespace
-    from vaoi_station.rig.line.faults import check_faults, parse_fault
-    from vaoi_station.rig.line.scenarios import check_supported, with_cameras
+    from vaoi_station.rig.chip import check_sources
+    from vaoi_station.rig.faults import check_faults, parse_fault
+    from vaoi_station.rig.line import check_supported, with_cameras
+    from vaoi_station.rig.network import enter_namespace
+    from vaoi_station.rig.report import as_text
     from vaoi_station.rig.run import Plan, run_rig
-    from vaoi_station.rig.scoring.tables import as_text
     from vaoi_station.simulation import find_scenario, read_scenario
 
     path, words = find_scenario(scenario), tuple(fault or ())
@@ -102,11 +102,11 @@ def up(
     """Run only the devices, until Ctrl-C; start `vaoi serve` beside them with the station.toml that is written."""
     from vaoi_station.demo.signal_handling import interruptible
     from vaoi_station.errors import InputError
-    from vaoi_station.rig.devices.firmware import check_sources
-    from vaoi_station.rig.devices.network import enter_namespace, may_add_addresses
-    from vaoi_station.rig.line.faults import check_faults, parse_fault
-    from vaoi_station.rig.line.scenarios import check_supported, with_cameras
-    from vaoi_station.rig.up import run_until_interrupted
+    from vaoi_station.rig.chip import check_sources
+    from vaoi_station.rig.faults import check_faults, parse_fault
+    from vaoi_station.rig.line import check_supported, with_cameras
+    from vaoi_station.rig.network import enter_namespace, may_add_addresses
+    from vaoi_station.rig.run import run_until_interrupted
     from vaoi_station.simulation import find_scenario, read_scenario
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -132,7 +132,7 @@ def up(
 @rig.command()
 def faults() -> None:
     """List the faults that can be injected, and their keys with defaults."""
-    from vaoi_station.rig.line.faults import KINDS
+    from vaoi_station.rig.faults import KINDS
 
     for name, (fault, keys, what) in KINDS.items():
         shown = ",".join(f"{key}={getattr(fault, key)}" for key in keys)

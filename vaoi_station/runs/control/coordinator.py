@@ -14,7 +14,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.acquisition.ring import Ring
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import BoardType, FrameRecord, Stitch

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.acquisition.ring import Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import GoneError, NotFoundError, StateError
 from vaoi_station.files.images import read_kept_image

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.interface import CameraExposure
-from vaoi_station.acquisition.controller.program_faults import beyond_camera
+from vaoi_station.acquisition.controller.filming_plan import beyond_camera
 from vaoi_station.acquisition.process.messages import FireTrial, Grant, Health
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError

@@ -6,18 +6,16 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 from vaoi_station.acquisition.controller.filming_plan import (
+    OF_PROGRAM,
+    ProgramFault,
+    beyond_camera,
     checked_plan,
     exposures_of,
     line_of_board,
     longest_lit_us,
-)
-from vaoi_station.acquisition.controller.interface import FirmwareLimits, TriggerPlan
-from vaoi_station.acquisition.controller.program_faults import (
-    OF_PROGRAM,
-    ProgramFault,
-    beyond_camera,
     unknown_lights,
 )
+from vaoi_station.acquisition.controller.interface import FirmwareLimits, TriggerPlan
 from vaoi_station.acquisition.controller.serial.device_program import on_limits_us, program_faults
 from vaoi_station.acquisition.process.messages import Health
 from vaoi_station.config import CameraConfig, StationConfig

@@ -11,7 +11,7 @@ import threading
 
 import numpy as np
 
-from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.acquisition.ring import Ring
 from vaoi_station.errors import GoneError
 from vaoi_station.runs.workers.jobs import RenderJob
 from vaoi_station.runs.workers.mosaic_jobs import TileJob

@@ -9,8 +9,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from vaoi_station.acquisition.pairing.doubts import ACTIONS, doubtful, doubts_of
-from vaoi_station.acquisition.pairing.proof import QUESTIONING_KINDS, TriggerProof
+from vaoi_station.acquisition.pairing.proof import ACTIONS, QUESTIONING_KINDS, TriggerProof, doubtful, doubts_of
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch, Verdict

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from vaoi_station.acquisition.pairing.doubts import ACTIONS, doubtful
-from vaoi_station.acquisition.pairing.proof import TriggerFinding
+from vaoi_station.acquisition.pairing.proof import ACTIONS, TriggerFinding, doubtful
 from vaoi_station.acquisition.process.messages import RunFinished
 from vaoi_station.runs.states.schemas import Reason
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.acquisition.ring import Ring
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import LampCheck, RunCheck
 from vaoi_station.drift.lamps import measure_lamps

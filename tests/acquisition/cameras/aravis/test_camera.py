@@ -15,7 +15,7 @@ from tests.acquisition.cameras.aravis.stand_in import camera_config
 from vaoi_station.acquisition.cameras.aravis import camera as camera_module
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
 from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
-from vaoi_station.acquisition.cameras.aravis.discovery import FoundDevice
+from vaoi_station.acquisition.cameras.aravis.network import FoundCamera
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
     Arrival,
@@ -162,7 +162,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setattr(StandInConnection, "serial", "S1")
     monkeypatch.setattr(StandInConnection, "refusal", None)
     monkeypatch.setattr(camera_module, "Connection", StandInConnection)
-    monkeypatch.setattr(camera_module, "search", lambda: (FoundDevice("S1", "USB-2"),))
+    monkeypatch.setattr(camera_module, "search", lambda: (FoundCamera("S1", "USB-2"),))
     monkeypatch.setattr(camera_module, "CHECK_S", 0.01)
     monkeypatch.setattr(camera_module, "ABSENT_S", 0.02)
     monkeypatch.setattr(camera_module, "PACE", BackoffPolicy(first_s=0.01, longest_s=30.0, proven_s=10.0))

@@ -7,36 +7,35 @@ from types import SimpleNamespace
 import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
-from vaoi_station.acquisition.cameras.aravis import discovery, gvcp
-from vaoi_station.acquisition.cameras.aravis.discovery import FoundDevice
-from vaoi_station.acquisition.cameras.aravis.gvcp import DiscoveredCamera
+from vaoi_station.acquisition.cameras.aravis import connection, network
+from vaoi_station.acquisition.cameras.aravis.network import FoundCamera
 from vaoi_station.errors import DeviceError, InputError
 
 pytestmark = pytest.mark.usefixtures("_stand_in")
 
 BY_SERIAL = camera_config(address=None, serial="S2")
-FOUND = (FoundDevice("S1", "10.0.0.1"), FoundDevice("S2", "10.0.0.2"), FoundDevice("S3", "USB-1"))
+FOUND = (FoundCamera("S1", "10.0.0.1"), FoundCamera("S2", "10.0.0.2"), FoundCamera("S3", "USB-1"))
 
 
 def library(monkeypatch: pytest.MonkeyPatch, **functions: object) -> None:
-    monkeypatch.setattr(discovery, "aravis", lambda: SimpleNamespace(**functions))
+    monkeypatch.setattr(connection, "aravis", lambda: SimpleNamespace(**functions))
 
 
 def test_the_device_with_the_serial_number_is_taken() -> None:
-    assert discovery.find_by_serial(BY_SERIAL, FOUND) == FOUND[1]
+    assert connection.find_by_serial(BY_SERIAL, FOUND) == FOUND[1]
 
 
 def test_an_absent_serial_number_names_those_that_reply() -> None:
     with pytest.raises(DeviceError, match=r"'S2' answers; cameras that answer: S1 at 10\.0\.0\.1\.") as refused:
-        discovery.find_by_serial(BY_SERIAL, FOUND[:1])
+        connection.find_by_serial(BY_SERIAL, FOUND[:1])
     assert refused.value.code == "camera-absent"
     with pytest.raises(DeviceError, match="cameras that answer: none"):
-        discovery.find_by_serial(BY_SERIAL, ())
+        connection.find_by_serial(BY_SERIAL, ())
 
 
 def test_a_serial_number_that_two_devices_have_is_refused() -> None:
     with pytest.raises(InputError, match=r"2 cameras have the serial number 'S2' \(10\.0\.0\.2, USB-2\)") as refused:
-        discovery.find_by_serial(BY_SERIAL, (*FOUND, FoundDevice("S2", "USB-2")))
+        connection.find_by_serial(BY_SERIAL, (*FOUND, FoundCamera("S2", "USB-2")))
     assert refused.value.code == "camera-ambiguous"
 
 
@@ -50,17 +49,17 @@ def test_gige_cameras_are_searched_by_our_datagrams_and_usb_cameras_by_aravis(mo
         get_device_serial_nbr=lambda k: listed[k][1],
         get_device_id=lambda k: listed[k][2],
     )
-    monkeypatch.setattr(gvcp, "discover", lambda: (DiscoveredCamera("10.0.0.1", "S1"),))
-    assert discovery.search() == (FOUND[0], FOUND[2], FoundDevice("", "USB-2"))
+    monkeypatch.setattr(network, "discover", lambda: (FoundCamera("S1", "10.0.0.1"),))
+    assert connection.search() == (FOUND[0], FOUND[2], FoundCamera("", "USB-2"))
 
 
 def test_an_opened_camera_is_controlled_by_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = StandInCamera(is_gige=True)
     library(monkeypatch, Camera=SimpleNamespace(new=lambda _address: camera))
-    assert discovery.open_device(camera_config(), "10.0.0.1") is camera
+    assert connection.open_device(camera_config(), "10.0.0.1") is camera
     camera.device.controlled = False
     with pytest.raises(DeviceError, match=r"another program controls the camera at 10\.0\.0\.1") as refused:
-        discovery.open_device(camera_config(), "10.0.0.1")
+        connection.open_device(camera_config(), "10.0.0.1")
     assert refused.value.code == "camera-in-use"
 
 
@@ -70,13 +69,13 @@ def test_a_camera_that_cannot_be_opened_is_absent(monkeypatch: pytest.MonkeyPatc
 
     library(monkeypatch, Camera=SimpleNamespace(new=fail))
     with pytest.raises(DeviceError, match=r"there is no camera at 10\.0\.0\.1 \(Can't connect\)") as refused:
-        discovery.open_device(camera_config(), "10.0.0.1")
+        connection.open_device(camera_config(), "10.0.0.1")
     assert refused.value.code == "camera-absent"
 
 
 def test_an_address_without_a_reply_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     replies = {"10.0.0.1": True, "10.0.0.9": False}
-    monkeypatch.setattr(gvcp, "is_reachable", replies.__getitem__)
-    discovery.require_reply(camera_config(), "10.0.0.1")
+    monkeypatch.setattr(network, "is_reachable", replies.__getitem__)
+    connection.require_reply(camera_config(), "10.0.0.1")
     with pytest.raises(DeviceError, match=r"camera c0: there is no camera at 10\.0\.0\.9 \(it does not answer\)"):
-        discovery.require_reply(camera_config(), "10.0.0.9")
+        connection.require_reply(camera_config(), "10.0.0.9")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import BufferStatus, StandInBuffer, StandInStream
-from vaoi_station.acquisition.cameras.aravis.frame_check import FrameCheck, FrameFormat
+from vaoi_station.acquisition.cameras.aravis.stream import FrameCheck, FrameFormat
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
 pytestmark = pytest.mark.usefixtures("_stand_in")

@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
-from vaoi_station.acquisition.cameras.aravis import network, opening
+from vaoi_station.acquisition.cameras.aravis import camera as camera_module
+from vaoi_station.acquisition.cameras.aravis import network
+from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras, socket_bytes
 from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
-from vaoi_station.acquisition.cameras.aravis.discovery import FoundDevice
-from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras, socket_bytes
+from vaoi_station.acquisition.cameras.aravis.network import FoundCamera
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError
 
@@ -58,11 +59,11 @@ class OpenCamera:
 @pytest.fixture(autouse=True)
 def _no_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     OpenConnection.opened, OpenConnection.serials, OpenConnection.failing = [], {}, None
-    monkeypatch.setattr(opening, "Connection", OpenConnection)
-    monkeypatch.setattr(opening, "AravisCamera", OpenCamera)
-    monkeypatch.setattr(opening, "check_silence", lambda _connections: None)
-    monkeypatch.setattr(opening, "require_reply", lambda _config, _address: None)
-    monkeypatch.setattr(opening, "search", lambda: (FoundDevice("S1", "10.0.0.1"), FoundDevice("S2", "10.0.0.2")))
+    monkeypatch.setattr(camera_module, "Connection", OpenConnection)
+    monkeypatch.setattr(camera_module, "AravisCamera", OpenCamera)
+    monkeypatch.setattr(camera_module, "check_silence", lambda _connections: None)
+    monkeypatch.setattr(camera_module, "require_reply", lambda _config, _address: None)
+    monkeypatch.setattr(camera_module, "search", lambda: (FoundCamera("S1", "10.0.0.1"), FoundCamera("S2", "10.0.0.2")))
     monkeypatch.setattr(network, "link_mbit_s", lambda _port: 1000.0)
 
 
@@ -124,7 +125,7 @@ def test_a_camera_that_sends_without_a_trigger_closes_all(tmp_path: Path, monkey
     def fail(_connections: object) -> None:
         raise DeviceError("sends frames although no trigger was fired")
 
-    monkeypatch.setattr(opening, "check_silence", fail)
+    monkeypatch.setattr(camera_module, "check_silence", fail)
     with pytest.raises(DeviceError, match="no trigger"):
         open_aravis_cameras(station(tmp_path, {"address": "10.0.0.1"}))
     assert OpenConnection.opened[0].closed

@@ -11,8 +11,7 @@ import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import BufferStatus, StandInBuffer, StandInStream
 from vaoi_station.acquisition.cameras.aravis import stream as stream_module
-from vaoi_station.acquisition.cameras.aravis.frame_check import FrameFormat
-from vaoi_station.acquisition.cameras.aravis.stream import SlotResult, SlotStream
+from vaoi_station.acquisition.cameras.aravis.stream import FrameFormat, SlotResult, SlotStream
 from vaoi_station.acquisition.cameras.interface import Slot, StatedExposure
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vaoi_station.acquisition.cameras.aravis.trigger import GENERIC, RECIPES, recipe_for
+from vaoi_station.acquisition.cameras.aravis.settings import GENERIC, MAKES, make_of
 
 
 @pytest.mark.parametrize(
@@ -20,15 +20,15 @@ from vaoi_station.acquisition.cameras.aravis.trigger import GENERIC, RECIPES, re
     ],
 )
 def test_a_make_is_found_whatever_follows_its_name(vendor: str, make: str, line: str) -> None:
-    assert recipe_for(vendor) is RECIPES[make]
-    assert recipe_for(vendor).line == line
+    assert make_of(vendor) is MAKES[make]
+    assert make_of(vendor).line == line
 
 
 @pytest.mark.parametrize("vendor", ["", "Unknown GmbH", "The Basler Company"])
 def test_an_unknown_make_gets_the_recipe_that_all_cameras_accept(vendor: str) -> None:
-    assert recipe_for(vendor) is GENERIC
+    assert make_of(vendor) is GENERIC
     assert GENERIC.off_while_changing, "some cameras refuse another source while the mode is on"
 
 
 def test_makes_are_written_as_they_are_compared() -> None:
-    assert all(make == make.casefold() for make in RECIPES)
+    assert all(make == make.casefold() for make in MAKES)

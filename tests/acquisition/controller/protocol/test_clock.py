@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.controller.protocol.clock import TickClock
-from vaoi_station.acquisition.controller.protocol.messages import TICK_S
+from vaoi_station.acquisition.controller.protocol import TICK_S
+from vaoi_station.acquisition.controller.serial.exchange import TickClock
 from vaoi_station.errors import DeviceError
 
 TURN_S = 2**32 * TICK_S

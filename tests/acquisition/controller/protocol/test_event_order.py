@@ -5,8 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.controller.protocol.event_order import EventOrder
-from vaoi_station.acquisition.controller.protocol.messages import Event, Kind
+from vaoi_station.acquisition.controller.protocol import Event, EventOrder, Kind
 
 
 def event(number: int) -> Event:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.controller.protocol.framing import (
+from vaoi_station.acquisition.controller.protocol import (
     PAYLOAD_LONGEST,
     FrameReader,
     Message,

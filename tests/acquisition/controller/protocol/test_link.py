@@ -7,29 +7,29 @@ from dataclasses import replace
 import pytest
 
 from vaoi_station.acquisition.controller.interface import Permit
-from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
-from vaoi_station.acquisition.controller.protocol.link import (
+from vaoi_station.acquisition.controller.protocol import (
     HEARTBEAT_S,
     MAX_TRIES,
+    REPLY,
     RETRY_S,
+    Event,
     EventReceived,
     EventsLost,
+    FrameReader,
+    Kind,
     Link,
+    Message,
+    Nak,
     Notification,
+    Reason,
     Refused,
     Replied,
-    Restarted,
-    Unanswered,
-)
-from vaoi_station.acquisition.controller.protocol.messages import (
-    REPLY,
-    Event,
-    Kind,
-    Nak,
-    Reason,
     Request,
+    Restarted,
     Status,
     Type,
+    Unanswered,
+    encode,
     number_request,
     ready,
 )

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.hw.emulated.vectors import IDENT
-from vaoi_station.acquisition.controller.protocol import messages
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
     ClockReply,
     Event,
     Ident,
@@ -21,8 +20,12 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Step,
     Timing,
     Type,
+    arm,
     config_crc,
     configuration,
+    fire_one,
+    number_request,
+    set_step,
 )
 
 U8, U16, U32 = st.integers(0, 0xFF), st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF)
@@ -70,10 +73,10 @@ def test_other_structs_have_one_size(kind: Any) -> None:
 
 
 def test_numbers_are_little_endian() -> None:
-    assert messages.number_request(Type.CLOCK, 0x01020304) == Request(Type.CLOCK, bytes([4, 3, 2, 1]))
-    assert messages.arm(0x0102, 0x03040506) == Request(Type.ARM, bytes([2, 1, 6, 5, 4, 3]))
-    assert messages.set_step(3, Step(5, 0x0102)) == Request(Type.STEP, bytes([3, 5, 0, 2, 1]))
-    assert messages.fire_one(0x0102, Step(5, 600), 200).payload == bytes([2, 1, 5, 0, 88, 2, 200, 0])
+    assert number_request(Type.CLOCK, 0x01020304) == Request(Type.CLOCK, bytes([4, 3, 2, 1]))
+    assert arm(0x0102, 0x03040506) == Request(Type.ARM, bytes([2, 1, 6, 5, 4, 3]))
+    assert set_step(3, Step(5, 0x0102)) == Request(Type.STEP, bytes([3, 5, 0, 2, 1]))
+    assert fire_one(0x0102, Step(5, 600), 200).payload == bytes([2, 1, 5, 0, 88, 2, 200, 0])
 
 
 def test_the_checksum_is_that_of_zlib_over_what_is_sent() -> None:

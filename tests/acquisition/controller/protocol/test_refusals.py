@@ -8,8 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tests.hw.emulated.vectors import IDENT
-from vaoi_station.acquisition.controller.protocol.messages import Nak, Reason, Type
-from vaoi_station.acquisition.controller.protocol.refusals import check_ident, check_interlock, describe
+from vaoi_station.acquisition.controller.protocol import Nak, Reason, Type, check_ident, check_interlock, describe
 from vaoi_station.errors import DeviceError
 
 

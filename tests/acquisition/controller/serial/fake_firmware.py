@@ -11,14 +11,15 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from tests.hw.emulated.vectors import IDENT
-from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
     REPLY,
     ROW_NONE,
     ClockReply,
     Event,
+    FrameReader,
     Hold,
     Kind,
+    Message,
     Nak,
     Reason,
     State,
@@ -27,6 +28,7 @@ from vaoi_station.acquisition.controller.protocol.messages import (
     Timing,
     Type,
     config_crc,
+    encode,
 )
 
 

@@ -29,8 +29,17 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.controller.protocol.framing import FrameReader, Message, encode
-from vaoi_station.acquisition.controller.protocol.messages import REPLY, Kind, Nak, Reason, State, Type
+from vaoi_station.acquisition.controller.protocol import (
+    REPLY,
+    FrameReader,
+    Kind,
+    Message,
+    Nak,
+    Reason,
+    State,
+    Type,
+    encode,
+)
 from vaoi_station.acquisition.controller.serial import SerialController, exchange
 from vaoi_station.acquisition.controller.serial.exchange import RefusalError
 from vaoi_station.config import ControllerConfig

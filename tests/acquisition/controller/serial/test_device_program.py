@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.interface import BeltPacing, TriggerPlan
-from vaoi_station.acquisition.controller.protocol.messages import Ident, Nak, Reason, Step, Type
+from vaoi_station.acquisition.controller.protocol import Ident, Nak, Reason, Step, Type
 from vaoi_station.acquisition.controller.serial.device_program import DARK, explain_refusal, make_program
 from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import InputError

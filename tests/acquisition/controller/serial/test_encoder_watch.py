@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from tests.hw.emulated.line import TIMING, ms
-from vaoi_station.acquisition.controller.protocol.messages import Pacing, State, Status
-from vaoi_station.acquisition.controller.serial.encoder_watch import EncoderWatch
+from vaoi_station.acquisition.controller.protocol import Pacing, State, Status
+from vaoi_station.acquisition.controller.serial.controller import EncoderWatch
 
 BELT = replace(TIMING, pacing=Pacing.DISTANCE)
 RUNNING = replace(Status.unpack(bytes(48)), state=State.RUNNING, run=3, position=(1 << 32) - 50)

@@ -16,8 +16,8 @@ from vaoi_station.acquisition.controller.interface import (
     PulseSkipped,
     RunEnded,
 )
-from vaoi_station.acquisition.controller.protocol.messages import ROW_NONE, Event, Fault, Kind, RunEnd, Suppressed
-from vaoi_station.acquisition.controller.serial.event_translator import EventTranslator
+from vaoi_station.acquisition.controller.protocol import ROW_NONE, Event, Fault, Kind, RunEnd, Suppressed
+from vaoi_station.acquisition.controller.serial.controller import EventTranslator
 
 
 class Recorder:

@@ -11,10 +11,14 @@ from types import SimpleNamespace
 import pytest
 
 from tests.acquisition.controller.serial.fake_firmware import FakeFirmware
-from vaoi_station.acquisition.controller.protocol.link import MAX_TRIES, RETRY_S, EventReceived, EventsLost, Link
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
+    MAX_TRIES,
+    RETRY_S,
     ClockReply,
+    EventReceived,
+    EventsLost,
     Kind,
+    Link,
     Nak,
     Reason,
     Request,
@@ -25,12 +29,13 @@ from vaoi_station.acquisition.controller.protocol.messages import (
 from vaoi_station.acquisition.controller.serial import exchange as exchange_module
 from vaoi_station.acquisition.controller.serial.exchange import (
     Exchange,
+    Port,
     PortLostError,
     RefusalError,
     ResetError,
     SilentError,
+    Waker,
 )
-from vaoi_station.acquisition.controller.serial.port import Port, Waker
 from vaoi_station.errors import DeviceError
 
 Device = tuple[str, FakeFirmware]

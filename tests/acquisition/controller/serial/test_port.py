@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.acquisition.controller.serial import port as port_module
-from vaoi_station.acquisition.controller.serial.port import Port, Waker
+from vaoi_station.acquisition.controller.serial import exchange as port_module
+from vaoi_station.acquisition.controller.serial.exchange import Port, Waker
 from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError
 

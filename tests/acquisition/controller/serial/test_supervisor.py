@@ -16,10 +16,9 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.controller.protocol.messages import Fault, Kind, Nak, Reason, State, Type
-from vaoi_station.acquisition.controller.serial.exchange import ResetError, SilentError
-from vaoi_station.acquisition.controller.serial.port import Waker
-from vaoi_station.acquisition.controller.serial.supervisor import Supervisor
+from vaoi_station.acquisition.controller.protocol import Fault, Kind, Nak, Reason, State, Type
+from vaoi_station.acquisition.controller.serial.controller import Supervisor
+from vaoi_station.acquisition.controller.serial.exchange import ResetError, SilentError, Waker
 from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 

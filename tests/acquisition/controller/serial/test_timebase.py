@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.acquisition.clocks import ClockModel
-from vaoi_station.acquisition.controller.serial.timebase import BOOT_SPACING_S, Timebase
+from vaoi_station.acquisition.controller.serial.exchange import BOOT_SPACING_S, Timebase
 
 BAUD = 250_000
 THERE_S, BACK_S = 100 / BAUD, 140 / BAUD

@@ -1,20 +1,26 @@
-"""A camera of the array that continues after a loss of its connection: a supervisor thread opens it again from scratch.
-
-The supervisor thread checks a GigE camera four times a second. While the camera is lost, the `AravisCamera` object
-keeps its slots. When the camera replies again, the supervisor opens and configures it anew and gives the slots to it
-again. Only one camera of the process is opened at a time.
-"""
+"""The cameras of the array: each continues after a loss of its connection, because a supervisor opens it again."""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from queue import SimpleQueue
 
-from vaoi_station.acquisition.cameras.aravis import gvcp
-from vaoi_station.acquisition.cameras.aravis.connection import Connection, PortShare
-from vaoi_station.acquisition.cameras.aravis.discovery import OPENING_LOCK, absence_error, find_by_serial, search
+from vaoi_station.acquisition.cameras.aravis import network
+from vaoi_station.acquisition.cameras.aravis.connection import (
+    OPENING_LOCK,
+    Connection,
+    PortShare,
+    absence_error,
+    check_silence,
+    find_by_serial,
+    require_reply,
+    search,
+)
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
     Arrival,
@@ -27,6 +33,7 @@ from vaoi_station.acquisition.cameras.interface import (
 )
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.backoff import Backoff, BackoffPolicy
+from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, VaoiError
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -66,12 +73,7 @@ class AravisCamera:
     """A `CameraDevice` that keeps its number and its slots while its `Connection` is lost and replaced by a new one."""
 
     def __init__(self, number: int, connection: Connection, share: PortShare) -> None:
-        """Take over an open, configured connection and start the acquisition.
-
-        Raises:
-            DeviceError: the camera's clock cannot be read, or the stream cannot be created. The caller must then close
-                the connection.
-        """
+        """Take over an open, configured connection and start the acquisition."""
         self.number, self.config, self._sequence = number, connection.config, connection.sequence
         self._share = share
         self._identity = connection.identity
@@ -201,7 +203,7 @@ class AravisCamera:
             connection, self._connection = self._connection, None
         if connection is not None:
             # Stopping an absent camera blocks: each access to it takes 2.6 s before it fails (measured, Aravis 0.8.26).
-            connection.close(gone=self._is_gige and not gvcp.is_reachable(self._identity.address, tries=1))
+            connection.close(gone=self._is_gige and not network.is_reachable(self._identity.address, tries=1))
 
     def _on_slot(self, result: SlotResult) -> None:
         """Count a slot in which a frame has ended, complete or incomplete, and report the frame as an arrival."""
@@ -253,7 +255,7 @@ class AravisCamera:
     def _reopen_when_due(self) -> None:
         """Try to open the camera if its back-off permits an attempt. An unplugged camera ends the back-off."""
         if self._backoff.remaining_s() > 0:
-            if self._is_gige and not gvcp.is_reachable(self._identity.address):
+            if self._is_gige and not network.is_reachable(self._identity.address):
                 self._backoff.reset()
             return
         self._backoff.start_attempt()
@@ -270,10 +272,10 @@ class AravisCamera:
         asked_s = time.monotonic()
         # The camera itself is asked whether it has a controller. After a stop of this process (SIGSTOP), Aravis' own
         # state may be a second old, and a board that passes then would be filmed by a camera that does not send.
-        control = gvcp.read_control(self._identity.address) if self._is_gige else gvcp.Control.CONTROLLED
-        if control is gvcp.Control.ABSENT:
+        control = network.read_control(self._identity.address) if self._is_gige else network.Control.CONTROLLED
+        if control is network.Control.ABSENT:
             raise absence_error(self.config, self._identity.address, "it does not answer any more")
-        if control is gvcp.Control.FREE or not connection.is_controller():
+        if control is network.Control.FREE or not connection.is_controller():
             # Frames may be missing since the last moment of certain control, not only since the last reply.
             self._last_reply_s = self._last_controlled_s
             raise DeviceError(
@@ -361,8 +363,95 @@ class AravisCamera:
 
     def _locate(self) -> str:
         """Return the camera's last address if it replies there, else the address found by its serial number."""
-        if self._is_gige and gvcp.is_reachable(self._identity.address, tries=1):
+        if self._is_gige and network.is_reachable(self._identity.address, tries=1):
             return self._identity.address
         if self.config.serial is None:
             raise absence_error(self.config, self._identity.address, "it does not answer")
         return find_by_serial(self.config, search()).address
+
+
+STALL_S = 1.0
+"""Longest pause of this process during which the kernel's receive buffer can hold all frames of a camera."""
+
+
+def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
+    """Open every camera of a station."""
+    connections: list[Connection] = []
+    cameras: list[AravisCamera] = []
+    with OPENING_LOCK:
+        try:
+            for camera, where in zip(config.cameras, _locate_cameras(config.cameras), strict=True):
+                # Until a light program is armed, the register holds the exposure: pulses without a program use it.
+                by = camera.exposure_by if camera.exposure_by == "sequencer" else "register"
+                connections.append(Connection(camera.model_copy(update={"exposure_by": by}), where))
+            _check_distinct(connections)
+            shares = _port_shares(config, connections)
+            for connection, share in zip(connections, shares, strict=True):
+                connection.configure(share)
+            _check_budgets(config, connections, shares)
+            for number, (connection, share) in enumerate(zip(connections, shares, strict=True)):
+                cameras.append(AravisCamera(number, connection, share))
+            # Checked last, with all cameras started: a camera that sends now would have its frames in wrong rows.
+            check_silence(connections)
+        except BaseException:  # also KeyboardInterrupt: release all cameras; it is raised on
+            # An AravisCamera closes its connection; connections without an AravisCamera are closed one by one.
+            for opened in cameras:
+                opened.close()
+            for unused in connections[len(cameras) :]:
+                unused.close()
+            raise
+    return tuple(cameras)
+
+
+def socket_bytes(camera: CameraConfig, period_s: float) -> int:
+    """Return the wanted size of the kernel's receive buffer, bytes: room for all frames of `STALL_S`, at least two."""
+    return max(2, math.ceil(STALL_S / period_s)) * camera.frame_bytes
+
+
+def _locate_cameras(cameras: Sequence[CameraConfig]) -> list[str]:
+    """Return the IP address or USB device id of each camera. One search covers all cameras given by serial number."""
+    found = search() if any(camera.serial for camera in cameras) else ()
+    addresses = []
+    for camera in cameras:
+        if camera.address is not None:
+            require_reply(camera, camera.address)
+            addresses.append(camera.address)
+        else:
+            addresses.append(find_by_serial(camera, found).address)
+    return addresses
+
+
+def _check_distinct(connections: Sequence[Connection]) -> None:
+    """Raise InputError if two `[[cameras]]` tables of station.toml open the same device (equal serial numbers)."""
+    counts = Counter(connection.identity.serial for connection in connections)
+    for serial, count in counts.items():
+        if count > 1:
+            names = [c.config.name for c in connections if c.identity.serial == serial]
+            raise InputError(
+                f"cameras {', '.join(names)}: have the same serial number {serial!r}.",
+                action="Check their addresses in station.toml; one camera cannot stand at two places.",
+                code="camera-ambiguous",
+            )
+
+
+def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> list[PortShare]:
+    """Return for each camera the network port that it uses: number of its cameras, speed, receive buffer."""
+    on_port = Counter(connection.identity.interface for connection in connections)
+    shares = []
+    for connection in connections:
+        camera, port = connection.config, connection.identity.interface
+        link_mbit_s = camera.link_mbit_s or (network.link_mbit_s(port) if port else None)
+        shares.append(PortShare(on_port[port], link_mbit_s, socket_bytes(camera, config.line.shortest_period_s)))
+    return shares
+
+
+def _check_budgets(config: StationConfig, connections: Sequence[Connection], shares: Sequence[PortShare]) -> None:
+    """Raise DeviceError if a network port is too slow to carry the frames of one row within a trigger period."""
+    ports: defaultdict[str, list[int]] = defaultdict(list)
+    for k, connection in enumerate(connections):
+        if connection.is_gige:
+            ports[connection.identity.interface].append(k)
+    for port, members in ports.items():
+        payloads = [connections[k].config.frame_bytes for k in members]
+        packet = min(connections[k].packet_bytes for k in members)
+        network.check_budget(port, payloads, packet, shares[members[0]].link_mbit_s, config.line.shortest_period_s)

@@ -1,8 +1,4 @@
-"""One connection to one camera, from its opening to its loss. Each reconnection is a new `Connection`.
-
-In Aravis only pushing and popping of buffers is thread-safe. So all access to the camera is guarded by one lock. The
-stream's buffers are popped by one thread only, without this lock.
-"""
+"""One connection to one camera, from its opening to its loss. Each reconnection is a new `Connection`."""
 
 from __future__ import annotations
 
@@ -10,24 +6,124 @@ import contextlib
 import gc
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis import network, settings
-from vaoi_station.acquisition.cameras.aravis.clock import find_clock
-from vaoi_station.acquisition.cameras.aravis.discovery import open_device
-from vaoi_station.acquisition.cameras.aravis.frame_check import FrameFormat
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
-from vaoi_station.acquisition.cameras.aravis.sequencing import chunks, sequencer
-from vaoi_station.acquisition.cameras.aravis.settings import Setting
-from vaoi_station.acquisition.cameras.aravis.stream import SlotResult, SlotStream
+from vaoi_station.acquisition.cameras.aravis.network import FoundCamera, PacketLimits
+from vaoi_station.acquisition.cameras.aravis.settings import Sets, Setting, error_text
+from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader, FrameFormat, SlotResult, SlotStream
 from vaoi_station.acquisition.cameras.interface import CameraLimits
-from vaoi_station.acquisition.clocks import ClockReading
+from vaoi_station.acquisition.clocks import ClockReading, timed_reading
 from vaoi_station.config import CameraConfig
-from vaoi_station.errors import DeviceError
+from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.supervised_thread import SupervisedThread
+
+LATCHES = (
+    ("TimestampLatch", "TimestampLatchValue"),
+    ("GevTimestampControlLatch", "GevTimestampValue"),
+)
+"""GenICam names of the latch command and of the latched value: SFNC 2 (value in ns), GigE Vision 1 (in ticks)."""
+FAKE_VENDOR = "Aravis"
+"""Vendor name of Aravis' fake camera."""
+
+
+def find_clock(camera: Any, name: str) -> tuple[Callable[[], int], bool]:
+    """Return a function that reads the clock of a camera, ns, and whether that needs access to the camera."""
+    device = camera.get_device()
+    for command, value in LATCHES:
+        if device.is_feature_available(command) and device.is_feature_available(value):
+            hertz = device.get_timestamp_tick_frequency() if command.startswith("Gev") else 0
+            return partial(_latch, device, command, value, 1e9 / hertz if hertz else 1.0), True
+    if (camera.get_vendor_name() or "") == FAKE_VENDOR:
+        return time.time_ns, False
+    raise DeviceError(
+        f"{name}: has no time stamp that can be latched ({', '.join(c for c, _ in LATCHES)}).",
+        action="Use a camera whose clock can be latched; without it, frames cannot be assigned to pulses.",
+        code="clock-unknown",
+    )
+
+
+def _latch(device: Any, command: str, value: str, ns_per_tick: float) -> int:
+    device.execute_command(command)
+    ticks: int = device.get_integer_feature_value(value)
+    return ticks if ns_per_tick == 1 else round(ticks * ns_per_tick)
+
+
+OPENING_LOCK = threading.Lock()
+"""Lock to hold while devices are searched or opened, because Aravis has one list of devices per process."""
+
+
+def search() -> tuple[FoundCamera, ...]:
+    """Return all cameras that reply to a search now. The search takes about two seconds."""
+    library = aravis()
+    library.update_device_list()
+    listed = range(library.get_n_devices())
+    usb = [k for k in listed if library.get_device_protocol(k) == "USB3Vision"]
+    # GigE cameras are searched by our own datagrams, because Aravis lists only one of two cameras with the same name.
+    return (
+        *network.discover(),
+        *(FoundCamera(library.get_device_serial_nbr(k) or "", library.get_device_id(k)) for k in usb),
+    )
+
+
+def find_by_serial(config: CameraConfig, found: Sequence[FoundCamera]) -> FoundCamera:
+    """Return the one device that has the serial number of a configured camera."""
+    matching = [device for device in found if device.serial == config.serial]
+    if not matching:
+        there = ", ".join(f"{d.serial} at {d.address}" for d in found) or "none"
+        raise DeviceError(
+            f"{config.label}: no camera with serial number {config.serial!r} answers; cameras that answer: {there}.",
+            action="Check its cable, its power and its serial number in station.toml.",
+            code="camera-absent",
+        )
+    # A choice between them could give a camera the calibration of the other one.
+    if len(matching) > 1:
+        places = ", ".join(d.address for d in matching)
+        raise InputError(
+            f"{config.label}: {len(matching)} cameras have the serial number {config.serial!r} ({places}).",
+            action="Give their addresses in station.toml instead of the serial number.",
+            code="camera-ambiguous",
+        )
+    return matching[0]
+
+
+def open_device(config: CameraConfig, address: str) -> Any:
+    """Open the `Aravis.Camera` at an address (USB: a device id) and take control of it."""
+    try:
+        camera = aravis().Camera.new(address)
+    except glib_error() as error:
+        raise absence_error(config, address, error_text(error)) from error
+    # `Camera.new` succeeds for a camera of another client; only `create_stream` would fail, with code 10 (measured).
+    if camera.is_gv_device() and not camera.get_device().is_controller():
+        raise DeviceError(
+            f"{config.label}: another program controls the camera at {address}.",
+            action="Close that program (the maker's viewer, another station); the camera is then opened automatically.",
+            code="camera-in-use",
+        )
+    return camera
+
+
+def require_reply(config: CameraConfig, address: str) -> None:
+    """Raise DeviceError if no camera replies at an IP address."""
+    # Aravis needs 1.0 to 2.5 s to fail for an absent address (measured).
+    if not network.is_reachable(address):
+        raise absence_error(config, address, "it does not answer")
+
+
+def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
+    """Return the error for a camera that does not reply at its address. `why` is the cause, a text in brackets."""
+    trouble = network.route_trouble(address)
+    return DeviceError(
+        f"{config.label}: there is no camera at {address} ({why}).",
+        action=f"Check its cable, its power and its address in station.toml{f'; {trouble}' if trouble else ''}.",
+        code="camera-absent",
+    )
+
 
 USB3_MIN_VERSION = (0, 8, 30)
 """The first version of Aravis that is reliable with USB3."""
@@ -40,8 +136,6 @@ RESENT_PACKETS, RESENT_SHARE = 20, 0.001
 """Count and share of packets that were sent again above which a camera is warned of. A sound network loses none."""
 TRAFFIC_CHECK_S = 0.02
 """Interval at which a camera that must be silent is checked for packets."""
-Sequence = tuple[tuple[float, float], ...]
-"""Exposure (µs) and gain (dB) of the sets of a sequencer."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +165,8 @@ class PortShare:
 class Connection:
     """An open camera with its stream. Call `configure`, then `start`, and `close` at the end."""
 
-    def __init__(self, config: CameraConfig, where: str, sequence: Sequence = ()) -> None:
-        """Open the camera at an address.
-
-        Args:
-            config: the settings that `configure` writes.
-            where: IP address, or device id of a USB camera.
-            sequence: the sets of the sequencer that `configure` writes; empty: it stays off.
-
-        Raises:
-            DeviceError: the camera is absent, or another program controls it.
-        """
+    def __init__(self, config: CameraConfig, where: str, sequence: Sets = ()) -> None:
+        """Open the camera at an address."""
         self.config, self.sequence = config, sequence
         self._exposure_known = True
         """Whether exposure and sequence of the camera are those of `config` and `sequence`, once it is configured."""
@@ -96,15 +181,11 @@ class Connection:
         """Size of the receive buffer that the kernel granted for the camera's packets."""
         with self._device_access("does not report its identity"):
             self.identity = self._identity(where)
-            self._clock = find_clock(self._camera, config.label)
+            self._clock_ns, self._clock_is_remote = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
     def configure(self, share: PortShare) -> None:
-        """Write all settings and read them back. For a GigE camera, also set packet size and packet delay.
-
-        Raises:
-            DeviceError: the camera refuses or ignores a setting, or its frames have another size than the slots.
-        """
+        """Write all settings and read them back. For a GigE camera, also set packet size and packet delay."""
         with self._device_access("does not take its settings"):
             # An earlier program may have left the acquisition running, and a running camera locks its settings. The
             # error is ignored, because a camera that is not running may refuse the command.
@@ -112,9 +193,9 @@ class Connection:
                 self._camera.stop_acquisition()
             settings.apply(self._camera, self.config)
             if self.config.chunk_room_bytes:
-                chunks.switch_on(self._camera, self.config)
+                settings.switch_chunks_on(self._camera, self.config)
             if self.sequence:
-                sequencer.program(self._camera, self.config, self.sequence)
+                settings.program_sequencer(self._camera, self.config, self.sequence)
             if self.is_gige:
                 self._configure_packets(share)
             self.limits = settings.limits_of(self._camera)
@@ -135,12 +216,8 @@ class Connection:
                 code="frame-size",
             )
 
-    def set_exposure(self, wanted: CameraConfig, sequence: Sequence = ()) -> None:
-        """Write exposure and gain, and the sets of the sequencer, to the running camera, read them back and compare.
-
-        Raises:
-            DeviceError: the camera refuses or ignores a value, or has no such sequencer.
-        """
+    def set_exposure(self, wanted: CameraConfig, sequence: Sets = ()) -> None:
+        """Write exposure and gain, and the sets of the sequencer, to the running camera, read them back and compare."""
         with self._device_access("does not take its exposure"):
             # A refusal half-way leaves some of the new values in the camera.
             self._exposure_known = False
@@ -148,35 +225,27 @@ class Connection:
                 settings.apply_exposure(self._camera, wanted)
             else:
                 with self._acquisition_stopped():
-                    sequencer.switch_off(self._camera, wanted)
+                    settings.switch_sequencer_off(self._camera, wanted)
                     self.sequence = ()
                     if sequence:
-                        sequencer.require_sequencer(self._camera, wanted, sequence)
+                        settings.require_sequencer(self._camera, wanted, sequence)
                     settings.apply_exposure(self._camera, wanted)
                     if sequence:
                         self._program(wanted, sequence)
             self.config, self.sequence, self._exposure_known = wanted, sequence, True
 
-    def has_exposure(self, wanted: CameraConfig, sequence: Sequence) -> bool:
+    def has_exposure(self, wanted: CameraConfig, sequence: Sets) -> bool:
         """Whether the camera certainly has this exposure, gain and sequence; not after a refusal."""
         return self._exposure_known and (self.config, self.sequence) == (wanted, sequence)
 
     def rewind(self) -> None:
-        """Let the next frame be exposed with the first set of the sequencer, if there is one.
-
-        Raises:
-            DeviceError: the camera does not answer.
-        """
+        """Let the next frame be exposed with the first set of the sequencer, if there is one."""
         if self.sequence:
             with self._device_access("does not begin its sequence anew"), self._acquisition_stopped():
-                sequencer.rewind(self._camera, self.config)
+                settings.rewind_sequencer(self._camera, self.config)
 
     def start(self, on_slot: Callable[[SlotResult], None], share: PortShare) -> None:
-        """Create the stream and start the acquisition. The stream calls `on_slot` when a frame has ended in a slot.
-
-        Raises:
-            DeviceError: the stream cannot be created.
-        """
+        """Create the stream and start the acquisition. The stream calls `on_slot` when a frame has ended in a slot."""
         with self._device_access("cannot be started"):
             # No callback is given: it would run Python in Aravis' threads, which crashed (Aravis #453, #714, #941), and
             # it would stall reception while another thread holds the GIL.
@@ -188,7 +257,7 @@ class Connection:
                 # (#994).
                 self.granted_bytes = network.widen_receive_buffer(stream.get_port(), share.socket_bytes)
             kind = FrameFormat(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
-            reader = chunks.ChunkReader(self._camera, self._chunk_bytes) if self._chunk_bytes else None
+            reader = ChunkReader(self._camera, self._chunk_bytes) if self._chunk_bytes else None
             self._stream = SlotStream(stream, kind, on_slot, f"camera-{self.config.name}", reader)
             self._camera.start_acquisition()
 
@@ -214,10 +283,10 @@ class Connection:
 
     def read_clock(self, epoch_ns: int) -> ClockReading:
         """Compare the camera's clock with the host's. Raise DeviceError if the camera does not reply."""
-        if not self._clock.remote:
-            return self._clock.read(epoch_ns)
+        if not self._clock_is_remote:
+            return timed_reading(lambda: (self._clock_ns() - epoch_ns) * 1e-9)
         with self._device_access("does not report its time"):
-            return self._clock.read(epoch_ns)
+            return timed_reading(lambda: (self._clock_ns() - epoch_ns) * 1e-9)
 
     def temperature_c(self) -> float | None:
         """Return the camera's temperature; None if the camera has no thermometer."""
@@ -245,11 +314,7 @@ class Connection:
         )
 
     def close(self, *, gone: bool = False) -> None:
-        """Stop writing to slots, then stop the camera and release it.
-
-        Args:
-            gone: whether the camera is absent. It is then released in the background, without being stopped first.
-        """
+        """Stop writing to slots, then stop the camera and release it."""
         if self._stream is not None:
             self._stream.close()
         # Aravis tries each access to an absent camera five times for 0.5 s (measured: 2.6 s), and closing needs several
@@ -270,13 +335,13 @@ class Connection:
         # PyGObject may be in reference cycles, which only the garbage collector removes.
         gc.collect()
 
-    def _program(self, wanted: CameraConfig, sequence: Sequence) -> None:
+    def _program(self, wanted: CameraConfig, sequence: Sets) -> None:
         """Program the sequencer; leave it switched off if the camera does not take the sequence."""
         try:
-            sequencer.program(self._camera, wanted, sequence)
+            settings.program_sequencer(self._camera, wanted, sequence)
         except DeviceError:
             with contextlib.suppress(DeviceError):  # the first error says what is wrong
-                sequencer.switch_off(self._camera, wanted)
+                settings.switch_sequencer_off(self._camera, wanted)
             raise
 
     @contextlib.contextmanager
@@ -294,29 +359,17 @@ class Connection:
         camera.gv_set_stream_options(aravis().GvStreamOption.PACKET_SOCKET_DISABLED)
         low, high = camera.get_integer_bounds("GevSCPSPacketSize")
         step = max(1, camera.get_integer_increment("GevSCPSPacketSize"))
-        limits = network.PacketLimits(low, high, step)
+        limits = PacketLimits(low, high, step)
         # Aravis' automatic packet size is not used: it chose 12316 bytes at an MTU of 9000, which was 3 to 7 times
         # slower (Aravis #1065).
         size = network.packet_bytes(self.config.packet_bytes, network.mtu_to(self.identity.address), limits)
-        settings.write_and_compare(
-            name,
-            Setting("GevSCPSPacketSize", size, lambda: camera.gv_set_packet_size(size), camera.gv_get_packet_size),
-        )
+        settings.write(camera, name, [Setting("GevSCPSPacketSize", size)])
         self.packet_bytes = size
         # Without gaps between packets, cameras on one link take the bandwidth from each other (Aravis #71, #710).
         delay = network.packet_delay_ns(size, share.cameras, share.link_mbit_s)
         if delay or camera.is_feature_available("GevSCPD"):
             tick_ns = 1e9 / (camera.get_device().get_timestamp_tick_frequency() or 1e9)
-            settings.write_and_compare(
-                name,
-                Setting(
-                    "GevSCPD (ns)",
-                    delay,
-                    lambda: camera.gv_set_packet_delay(delay),
-                    camera.gv_get_packet_delay,
-                    tick_ns,
-                ),
-            )
+            settings.write(camera, name, [Setting("GevSCPD (ns)", delay, tick_ns)])
 
     def _identity(self, where: str) -> Identity:
         camera = self._camera
@@ -367,17 +420,7 @@ def check_silence(
     silence_s: float = 0.4,
     abandoned: threading.Event | None = None,
 ) -> None:
-    """Check that no camera sends frames before the first pulse. Return at once if one sends or the caller gives up.
-
-    Args:
-        connections: the started cameras.
-        latched_s: time within which a frame may arrive whose trigger the camera had latched before it was started.
-        silence_s: time after it during which no packet may arrive.
-        abandoned: set by another thread that no longer needs the cameras.
-
-    Raises:
-        DeviceError: a camera sends although no trigger was fired; the message names the camera.
-    """
+    """Check that no camera sends frames before the first pulse. Return at once if one sends or the caller gives up."""
     abandoned = abandoned or threading.Event()
     # A trigger that a camera latched before the start of its acquisition yields one frame at once. That is no fault.
     if abandoned.wait(latched_s):

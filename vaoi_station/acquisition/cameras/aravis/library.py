@@ -25,12 +25,7 @@ PACKAGES = "python3-gi gir1.2-aravis-0.8"
 
 @functools.cache
 def aravis() -> Any:
-    """Import and return the module `gi.repository.Aravis`.
-
-    Raises:
-        DeviceError: Aravis is not installed, or not for this version of Python. The action names the packages to
-            install.
-    """
+    """Import and return the module `gi.repository.Aravis`."""
     try:
         gi = _gi()
         gi.require_version("Aravis", "0.8")

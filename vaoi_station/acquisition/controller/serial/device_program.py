@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 
+from vaoi_station.acquisition.controller.filming_plan import ProgramFault, coded, require_none
 from vaoi_station.acquisition.controller.interface import FirmwareLimits, TriggerPlan
-from vaoi_station.acquisition.controller.program_faults import ProgramFault, coded, require_none
-from vaoi_station.acquisition.controller.protocol.messages import (
+from vaoi_station.acquisition.controller.protocol import (
     TICK_S,
     Ident,
     Nak,
@@ -106,11 +106,7 @@ def firmware_limits(ident: Ident) -> FirmwareLimits:
 
 
 def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> DeviceProgram:
-    """Translate a plan.
-
-    Raises:
-        InputError: a light is unknown, or a value is beyond the firmware's limits.
-    """
+    """Translate a plan."""
     limits = firmware_limits(ident)
     require_none(program_faults(plan, config, limits))
     lights = tuple(plan.lights) or config.light_sequence
@@ -196,9 +192,6 @@ def on_limits_us(
     """Return the shortest and the longest on-time of a light, µs, and which limit the longest one is.
 
     The limit of the duty cycle counts only if `period_s` is given.
-
-    Raises:
-        InputError: a channel of the light does not exist.
     """
     light = config.lights[name]
     if beyond := [c for c in light.channels if c >= limits.channels]:
@@ -223,9 +216,6 @@ def light_step(
     """Translate a light into a step of the firmware.
 
     The limit of the duty cycle is checked only if `period_s` is given. `on_us` replaces the on-time of station.toml.
-
-    Raises:
-        InputError: a value is beyond the firmware's limits.
     """
     if name not in config.lights:
         error = InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
-from vaoi_station.acquisition.cameras.aravis.sequencing import chunks
+from vaoi_station.acquisition.cameras.aravis import settings
+from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader
 from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.errors import DeviceError
 
@@ -30,7 +31,7 @@ def test_exposure_and_gain_are_switched_on() -> None:
     camera = StandInCamera()
     camera.device.features |= {"ChunkSelector": "Image", "ChunkEnable": False}
     camera.choices["ChunkSelector"] = ["Image", "Gain", "ExposureTime"]
-    chunks.switch_on(camera, CONFIG)
+    settings.switch_chunks_on(camera, CONFIG)
     assert camera.device.written == [
         ("ChunkModeActive", True),
         ("ChunkSelector", "ExposureTime"),
@@ -46,7 +47,7 @@ def test_a_camera_that_cannot_state_its_exposure_is_refused() -> None:
         camera.device.features["ChunkSelector"] = "Image"
         camera.choices["ChunkSelector"] = offered
         with pytest.raises(DeviceError, match=words) as caught:
-            chunks.switch_on(camera, CONFIG)
+            settings.switch_chunks_on(camera, CONFIG)
         assert caught.value.code == "sequencer-absent"
 
 
@@ -57,6 +58,6 @@ def test_what_a_frame_states_is_read_or_not_known() -> None:
         ({"ChunkExposureTime": 90.0}, None),
     ):
         camera.create_chunk_parser = lambda values=values: StandInParser(**values)  # type: ignore[attr-defined]
-        assert chunks.ChunkReader(camera, 40).read(object()) == stated
+        assert ChunkReader(camera, 40).read(object()) == stated
     del camera.device.features["Gain"]
-    assert chunks.ChunkReader(camera, 40).read(object()) == StatedExposure(90.0, None)
+    assert ChunkReader(camera, 40).read(object()) == StatedExposure(90.0, None)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, camera_config
-from vaoi_station.acquisition.cameras.aravis.sequencing import sequencer
+from vaoi_station.acquisition.cameras.aravis import settings
 from vaoi_station.errors import DeviceError
 
 pytestmark = pytest.mark.usefixtures("_stand_in")
@@ -35,7 +35,7 @@ def sequenced(vendor: str = "Acme", **changes: Any) -> StandInCamera:
 
 def refusal(camera: StandInCamera, steps: tuple[tuple[float, float], ...] = STEPS) -> DeviceError:
     with pytest.raises(DeviceError) as caught:
-        sequencer.program(camera, CONFIG, steps)
+        settings.program_sequencer(camera, CONFIG, steps)
     return caught.value
 
 
@@ -53,7 +53,7 @@ def test_every_set_is_saved_with_its_exposure_gain_and_next_set() -> None:
             device.features |= kept[device.features["SequencerSetSelector"]]
 
     device.execute_command = keep  # type: ignore[method-assign]
-    sequencer.program(camera, CONFIG, STEPS)
+    settings.program_sequencer(camera, CONFIG, STEPS)
     assert [(s["ExposureTime"], s["Gain"], s["SequencerSetNext"]) for s in kept.values()] == [
         (300.0, 0.0, 1), (90.0, 0.0, 2), (90.0, 6.0, 0),
     ]  # fmt: skip
@@ -67,7 +67,7 @@ def test_the_path_is_that_of_the_make() -> None:
     for vendor, path in (("Basler", 1), ("Acme", 0)):
         camera = sequenced(vendor, SequencerPathSelector=5)
         del camera.device.features["SequencerSetLoad"]
-        sequencer.program(camera, CONFIG, STEPS)
+        settings.program_sequencer(camera, CONFIG, STEPS)
         assert camera.device.features["SequencerPathSelector"] == path
 
 
@@ -98,7 +98,7 @@ def test_what_the_sequencer_cannot_hold_is_refused_with_numbers(
 
 def test_a_camera_without_a_sequencer_or_its_signal_is_refused() -> None:
     bare = StandInCamera()
-    assert sequencer.missing_features(bare) == sequencer.NEEDED
+    assert settings.missing_features(bare) == settings.SEQUENCER
     assert (refusal(bare).code, "3 different steps" in refusal(bare).message) == ("sequencer-absent", True)
     camera = sequenced()
     camera.choices["SequencerTriggerSource"] = ["Off", "Line1"]
@@ -110,12 +110,12 @@ def test_a_camera_without_a_sequencer_or_its_signal_is_refused() -> None:
 
 def test_it_begins_anew_when_it_is_switched_on_again() -> None:
     camera = sequenced()
-    sequencer.rewind(camera, CONFIG)
+    settings.rewind_sequencer(camera, CONFIG)
     assert camera.device.written == [("SequencerMode", "Off"), ("SequencerMode", "On")]
 
 
 def test_it_is_switched_off_after_its_configuration_and_only_if_it_is_on() -> None:
     camera = sequenced(SequencerConfigurationMode="On")
     for _ in range(2):
-        sequencer.switch_off(camera, CONFIG)
+        settings.switch_sequencer_off(camera, CONFIG)
     assert camera.device.written == [("SequencerConfigurationMode", "Off"), ("SequencerMode", "Off")]

@@ -12,7 +12,7 @@ import pytest
 from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, thread_names, wait_for_remains
 from vaoi_station.config import StationConfig
-from vaoi_station.rig.devices.network import LoopbackAddresses, addresses
+from vaoi_station.rig.network import LoopbackAddresses, addresses
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -18,8 +18,8 @@ from functools import reduce
 
 from vaoi_station.acquisition.cameras.aravis.library import shared_library
 from vaoi_station.pixel_formats import PIXEL_FORMATS
-from vaoi_station.rig.devices import virtual_camera as camera
-from vaoi_station.rig.devices.camera_description import with_line0_trigger
+from vaoi_station.rig import virtual_camera as camera
+from vaoi_station.rig.virtual_camera import with_line0_trigger
 
 PRIVILEGE_REGISTER = 0x0A00
 CLOCK_ADDRESS = 0x8000

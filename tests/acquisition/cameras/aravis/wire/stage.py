@@ -15,13 +15,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
+from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera, open_aravis_cameras
 from vaoi_station.acquisition.cameras.aravis.library import aravis
-from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, Slot
-from vaoi_station.acquisition.ring.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.rig.devices.network import addresses
+from vaoi_station.rig.network import addresses
 
 PATIENCE_S = 20.0
 WIDTH, HEIGHT = 96, 64

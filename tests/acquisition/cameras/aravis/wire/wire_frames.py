@@ -14,7 +14,7 @@ from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, S
 from vaoi_station.acquisition.cameras.aravis import stream
 from vaoi_station.acquisition.cameras.aravis.library import aravis
 from vaoi_station.acquisition.cameras.interface import CameraExposure
-from vaoi_station.acquisition.ring.ring import Ring
+from vaoi_station.acquisition.ring import Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
 

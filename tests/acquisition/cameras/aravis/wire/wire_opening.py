@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
-from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras
+from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError
 

@@ -14,9 +14,9 @@ from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, noise
 from tests.acquisition.conftest import Bench
 from tests.gige.camera import Camera
 from tests.gige.line import ScriptedController
-from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras
-from vaoi_station.acquisition.causes import NO_PACKET
+from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras
 from vaoi_station.acquisition.devices import Devices
+from vaoi_station.acquisition.pairing.evidence import NO_PACKET
 from vaoi_station.acquisition.process.messages import Ready, RunFinished, Trouble
 from vaoi_station.model import FrameRecord, Verdict
 

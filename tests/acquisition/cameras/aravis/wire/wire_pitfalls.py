@@ -13,7 +13,7 @@ from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Stage, no
 from tests.gige.camera import Camera, as_it_is
 from tests.gige.packets import TRAILER
 from vaoi_station.acquisition.cameras.interface import CameraBack, CameraLost
-from vaoi_station.acquisition.causes import id_step
+from vaoi_station.acquisition.pairing.evidence import id_step
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 

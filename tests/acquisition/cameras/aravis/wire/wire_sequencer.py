@@ -15,7 +15,7 @@ from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH
 from tests.acquisition.conftest import Bench
 from tests.gige.camera import Camera
 from tests.gige.line import ScriptedController
-from vaoi_station.acquisition.cameras.aravis.opening import open_aravis_cameras
+from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras
 from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.devices import Devices

@@ -1,1 +1,0 @@
-"""The serial protocol of the trigger controller without any port: bytes to messages and back (hw/protocol.md)."""

@@ -1,1 +1,0 @@
-"""Replace line, cameras and controller by the digital twin or by recordings."""
