@@ -81,6 +81,14 @@ def codes_of_boards() -> set[str]:
     return {code for code in codes if not code.startswith(("stitch-", "trigger-"))}
 
 
+def dictionary(client: Any, language: str, name: str) -> str:
+    """Return the group of texts of a name, as it stands in the file of a language."""
+    texts = client.get(f"/web/texts/{language}.js").text
+    found = re.search(rf"^const {name} = {{\n.*?^}};", texts, re.MULTILINE | re.DOTALL)
+    assert found, name
+    return found[0]
+
+
 def test_the_page_has_an_order_for_every_reason(untouched_client: Any) -> None:
     """An operator cannot act on a sentence about fiducials or overlaps alone."""
     groups = re.search(
@@ -101,7 +109,8 @@ def test_the_page_has_an_order_for_every_reason(untouched_client: Any) -> None:
 
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_the_page_words_refusals_that_exist(untouched_client: Any, language: str) -> None:
-    found = re.search(r"  refusals: {\n(.*?)\n  },", untouched_client.get(f"/web/texts/{language}.js").text, re.DOTALL)
+    texts = untouched_client.get(f"/web/texts/{language}.js").text.partition("export const texts")[2]
+    found = re.search(r"  refusals: {\n(.*?)\n  },", texts, re.DOTALL)
     assert found
     worded = re.findall(r"^    \"?([a-z-]+)\"?: ", found[1], re.MULTILINE)
     assert len(worded) == len(found[1].splitlines())
@@ -111,29 +120,26 @@ def test_the_page_words_refusals_that_exist(untouched_client: Any, language: str
 
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_every_reason_has_a_short_text(untouched_client: Any, language: str) -> None:
-    texts = untouched_client.get(f"/web/texts/station/reasons_{language}.js").text
+    texts = dictionary(untouched_client, language, "reasons")
     reasons = re.findall(r'^  "([a-z-]+)": ".+\."', texts, re.MULTILINE)
     assert len(reasons) == len(set(reasons))
     assert set(reasons) == {code.value for code in ReasonCode} | codes_of("Reasons of a run", "Reasons of an identity")
 
 
 def test_german_pages_translate_only_known_refusals(untouched_client: Any) -> None:
-    found = re.search(
-        r"^  refusals: {\n(.*?)^  },",
-        untouched_client.get("/web/texts/translated_de.js").text,
-        re.MULTILINE | re.DOTALL,
-    )
+    translated = dictionary(untouched_client, "de", "translated")
+    found = re.search(r"^  refusals: {\n(.*?)^  },", translated, re.MULTILINE | re.DOTALL)
     assert found
     assert set(re.findall(r'^    "?([a-z-]+)"?: "', found[1], re.MULTILINE)) <= codes_of("Refusals of requests")
 
 
 def test_german_pages_translate_every_finding_of_the_doctor(untouched_client: Any) -> None:
     sections = ("Reasons, warnings and events of the station", "Devices and files", "Findings of `vaoi doctor`")
-    texts = [untouched_client.get(f"/web/texts/station/{name}_de.js").text for name in ("warnings", "findings")]
+    texts = [dictionary(untouched_client, "de", name) for name in ("warnings", "findings")]
     assert {code for text in texts for code in re.findall(r'^  "?([a-z0-9-]+)"?: \[', text, re.MULTILINE)} == codes_of(
         *sections
     )
-    translated = untouched_client.get("/web/texts/translated_de.js").text
+    translated = dictionary(untouched_client, "de", "translated")
     checks = re.search(r"^  checks: {\n(.*?)^  },", translated, re.MULTILINE | re.DOTALL)
     assert checks
     named = {name for name, _ in (*MACHINE_CHECKS, *STATION_CHECKS)} | {"configuration", "others"}
@@ -141,13 +147,13 @@ def test_german_pages_translate_every_finding_of_the_doctor(untouched_client: An
 
 
 @pytest.mark.parametrize(
-    ("file", "section"),
+    ("name", "section"),
     [
         ("remarks", "Remarks of an import"),
         ("notes", "Notes of a calibration"),
         ("program", "Faults of a light program"),
     ],
 )
-def test_german_pages_translate_every_note(untouched_client: Any, file: str, section: str) -> None:
-    texts = untouched_client.get(f"/web/texts/station/{file}_de.js").text
+def test_german_pages_translate_every_note(untouched_client: Any, name: str, section: str) -> None:
+    texts = dictionary(untouched_client, "de", name)
     assert set(re.findall(r'^  "([a-z-]+)": \(', texts, re.MULTILINE)) == codes_of(section)

@@ -9,7 +9,7 @@ from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.settings.keys import documentation, keys, unit_of
 
 ROOT = Path(__file__).resolve().parents[2]
-GERMAN = ROOT / "vaoi_station" / "api" / "web" / "texts" / "setup" / "settings_de.js"
+GERMAN = ROOT / "vaoi_station" / "api" / "web" / "texts" / "de.js"
 BY_KEY = {key.key: key for key in keys()}
 
 
@@ -19,7 +19,8 @@ def test_every_key_is_documented_in_the_model() -> None:
 
 
 def test_the_german_page_has_a_text_for_every_key() -> None:
-    said = re.findall(r'^    "([^"]+)": "', GERMAN.read_text(encoding="utf-8"), re.MULTILINE)
+    (meanings,) = re.findall(r"^  meanings: {\n(.*?)^  }", GERMAN.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    said = re.findall(r'^    "([^"]+)": "', meanings, re.MULTILINE)
     assert sorted(said) == sorted(BY_KEY)
 
 

@@ -38,11 +38,6 @@ def test_the_page_names_all_modules_of_its_frame() -> None:
     assert sorted(linked) == sorted(modules_of("app.js") - {"app.js", "ahead.js"})
 
 
-@pytest.mark.parametrize("language", ["en", "de"])
-def test_all_texts_of_a_language_are_asked_for_ahead(language: str) -> None:
-    assert sorted(listed(language)) == sorted(modules_of(f"texts/{language}.js"))
-
-
 def test_all_files_of_the_view_of_a_board_are_asked_for_ahead() -> None:
     assert sorted(listed("BOARD")) == sorted({*modules_of("board/board.js") - modules_of("app.js"), LIBRARY})
 
@@ -89,10 +84,10 @@ def test_modules_do_not_wait_for_those_that_import_them(page: Page, served: Any)
     """Each depth of the imports would be a round of requests that waits for the one before."""
     asked, held = Requests(page), Held(page, "**/web/app.js")
     page.goto(served.url, wait_until="commit")
-    asked.wait_for(*modules_of("app.js"), *modules_of("texts/en.js"))
+    asked.wait_for(*modules_of("app.js"), "texts/en.js")
     held.release()
     expect(page.locator("#state-word")).to_have_text("Not armed")
-    assert not any(path.endswith("_de.js") for path in asked.paths), "texts of another language"
+    assert not any(path.endswith("/de.js") for path in asked.paths), "texts of another language"
 
 
 @pytest.mark.browser

@@ -4,22 +4,10 @@
 import * as rest from "./parts/rest.js";
 import { language } from "./texts/language.js";
 
-const TEXTS = {
-  en: [
-    "texts/board_en.js", "texts/cameras_en.js", "texts/en.js", "texts/lights_en.js", "texts/setup/optics_en.js",
-    "texts/setup/settings_en.js", "texts/setup_en.js", "texts/station/reasons_en.js", "texts/trends_en.js",
-  ],
-  de: [
-    "texts/board_de.js", "texts/cameras_de.js", "texts/de.js", "texts/lights_de.js", "texts/setup/optics_de.js",
-    "texts/setup/settings_de.js", "texts/setup_de.js", "texts/station/findings_de.js", "texts/station/notes_de.js",
-    "texts/station/program_de.js", "texts/station/reasons_de.js", "texts/station/remarks_de.js", "texts/station/warnings_de.js",
-    "texts/translated_de.js", "texts/trends_de.js",
-  ],
-};
 const BOARD = [
   "board/board.js", "board/colours.js", "board/comparison.js", "board/deep_zoom.js", "board/drawings.js", "board/exports.js",
   "board/page_state.js", "board/pictures.js", "board/report.js", "board/timing.js", "board/zoom.js", "parts/csv.js", "parts/identity.js",
-  "parts/svg.js", "vendor/openseadragon/openseadragon.min.js",
+  "vendor/openseadragon/openseadragon.min.js",
 ];
 
 // A link for each file of a list that was not asked for before.
@@ -58,7 +46,7 @@ export function askBoard(id) {
 }
 
 let first = askForBoard();
-ask(TEXTS[language]);
+ask([`texts/${language}.js`]);
 askAhead();
 
 // The run of a board and the list of its mosaics, both asked for: with the page, if it began with this board, else now.

@@ -3,7 +3,7 @@ import { quoted } from "../parts/csv.js";
 import { make, saidOf, setText } from "../parts/elements.js";
 import { readId } from "../parts/identity.js";
 import * as rest from "../parts/rest.js";
-import { draw } from "../parts/signs.js";
+import { sign } from "../parts/signs.js";
 import { language, moment, number, texts } from "../texts/texts.js";
 
 const PAGE_RUNS = 100;
@@ -26,14 +26,6 @@ const PART = `
 <p id="list-answer" role="alert"></p>
 <div id="list" tabindex="0"><table><thead></thead><tbody></tbody></table></div>
 <button type="button" id="more" data-text="more" hidden></button>`;
-
-function sign(name) {
-  const shape = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  shape.setAttribute("viewBox", "0 0 100 100");
-  shape.setAttribute("aria-hidden", "true");
-  draw(shape, name);
-  return shape;
-}
 
 // A figure of a run, as the trends name it.
 const figure = (name, digits) => (run) => (run.figures?.[name] == null ? "" : number(run.figures[name], digits));

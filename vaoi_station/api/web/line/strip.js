@@ -1,17 +1,7 @@
 // The last twenty boards as signs, with those that were missed, and the counts of the day.
 import { make } from "../parts/elements.js";
-import { draw } from "../parts/signs.js";
+import { sign } from "../parts/signs.js";
 import { clock, number, texts } from "../texts/texts.js";
-
-const SVG = "http://www.w3.org/2000/svg";
-
-function sign(name) {
-  const shape = document.createElementNS(SVG, "svg");
-  shape.setAttribute("viewBox", "0 0 100 100");
-  shape.setAttribute("aria-hidden", "true");
-  draw(shape, name);
-  return shape;
-}
 
 export class Strip {
   #root;

@@ -1,16 +1,9 @@
 // A small picture of the whole board from its mosaic, with the parts that were not seen hatched.
 import * as rest from "./rest.js";
 import { make } from "./elements.js";
+import { svg, titled } from "./svg.js";
 
 const TILE = 256;
-const SVG = "http://www.w3.org/2000/svg";
-
-function svg(name, fields) {
-  const element = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(fields)) element.setAttribute(key, value);
-  return element;
-}
-
 export function toPicture(matrix, [x, y]) {
   const [u, v, w] = matrix.map((row) => row[0] * x + row[1] * y + row[2]);
   return [u / w, v / w];
@@ -51,14 +44,11 @@ async function hatched(run, mosaic) {
   const parts = await rest.components(run.id, { unseen: true });
   const over = svg("svg", { viewBox: `0 0 ${mosaic.width_px} ${mosaic.height_px}`, class: "unseen-parts" });
   const step = Math.max(mosaic.width_px, mosaic.height_px) / 60;
-  const pattern = svg("pattern", { id: "hatch", width: step, height: step, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" });
-  pattern.append(svg("rect", { width: step, height: step, class: "hatch-ground" }), svg("rect", { width: step / 2, height: step, class: "hatch-line" }));
-  over.append(pattern);
+  over.append(svg("pattern", { id: "hatch", width: step, height: step, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
+    svg("rect", { width: step, height: step, class: "hatch-ground" }), svg("rect", { width: step / 2, height: step, class: "hatch-line" })));
   for (const part of parts) {
     const points = part.footprint.map((corner) => toPicture(mosaic.image_from_cad, corner).map((v) => v.toFixed(1)).join(",")).join(" ");
-    const shape = svg("polygon", { points, fill: "url(#hatch)", "stroke-width": step / 4 });
-    shape.append(Object.assign(svg("title", {}), { textContent: part.address }));
-    over.append(shape);
+    over.append(titled(svg("polygon", { points, fill: "url(#hatch)", "stroke-width": step / 4 }), part.address));
   }
   return over;
 }

@@ -1,4 +1,6 @@
 // Shapes that distinguish states without colour. Each is the content of an SVG with viewBox 0 0 100 100.
+import { svg } from "./svg.js";
+
 const line = 'fill="none" stroke="currentColor" stroke-width="8" stroke-linecap="round" stroke-linejoin="round"';
 const ring = `<circle cx="50" cy="50" r="42" ${line}/>`;
 const dashed = `<circle cx="50" cy="50" r="42" ${line} stroke-dasharray="20 24"/>`;
@@ -31,4 +33,11 @@ export function draw(svg, name) {
   if (svg.dataset.mark === name) return;
   svg.dataset.mark = name;
   svg.innerHTML = shape;
+}
+
+// A sign by itself, for lists.
+export function sign(name) {
+  const shape = svg("svg", { viewBox: "0 0 100 100", "aria-hidden": "true" });
+  draw(shape, name);
+  return shape;
 }

@@ -1,23 +1,12 @@
 // A board type drawn to scale: outline, cut-outs, bodies, fiducials, and a bar of a round length. A bottom side is drawn as it is seen.
 import { make } from "../parts/elements.js";
+import { svg, titled } from "../parts/svg.js";
 import { number, texts } from "../texts/texts.js";
 import { address, extent, footprint, mmPerUnit, outlineOf } from "./geometry.js";
 import { PanZoom } from "./pan_zoom.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const MOST_LABELS = 400;
 
-export function svg(name, fields = {}, ...children) {
-  const element = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(fields)) element.setAttribute(key, value);
-  element.append(...children);
-  return element;
-}
-
-export const titled = (element, text) => {
-  element.append(Object.assign(svg("title"), { textContent: text }));
-  return element;
-};
 const path = (polygons) => polygons.map((points) => `M${points.map((p) => p.map((v) => +v.toFixed(5)).join(" ")).join("L")}Z`).join("");
 
 // The shapes of the parts, one element each, so that each has its name and can be chosen.

@@ -2,8 +2,9 @@
 import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { stateShown } from "../parts/settings.js";
+import { svg, titled } from "../parts/svg.js";
 import { entered, moment, number, texts } from "../texts/texts.js";
-import { bodies, svg, titled } from "./drawing.js";
+import { bodies } from "./drawing.js";
 import { answerLine, attempt, button, choice, facts, input, labelled, say, section, tick, Wrong } from "./fields.js";
 import { middle, mmPerUnit, moved, mover, outlineOf } from "./geometry.js";
 import { PanZoom } from "./pan_zoom.js";
