@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import socket
 import time
@@ -10,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.project.test_formats_doc import EXAMPLES
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
-from vaoi_station.errors import DeviceError, InputError, StateError
+from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.files import write_calibration
 from vaoi_station.line_config import Line
 from vaoi_station.model import Calibration
@@ -62,6 +64,24 @@ def test_calibration_of_another_array_is_refused(config: StationConfig) -> None:
     assert "calibration of this array" in refusal.value.action
     assert remaining_files(config) == []
     assert not config.data.exists()
+
+
+def test_before_the_first_calibration_cameras_are_set_up_and_the_line_is_not_armed(config: StationConfig) -> None:
+    config.calibration.unlink()
+    with pytest.raises(NotFoundError, match=r"calibration\.json"):
+        Station(config).start()
+    nominal = {"nominal_px_per_mm": 2.0}
+    cameras = tuple(
+        camera.model_copy(update={**nominal, "nominal_center_mm": (30.0 * n, 0.0)})
+        for n, camera in enumerate(config.cameras)
+    )
+    (config.board_types).mkdir()
+    (config.board_types / "demo.json").write_text(json.dumps({**json.loads(EXAMPLES[3]), "name": "demo"}))
+    with Station(config.model_copy(update={"cameras": cameras})) as station:
+        assert [camera.name for camera in station.coordinator.snapshot().cameras] == ["c0", "c1"]
+        with pytest.raises(StateError, match="is not calibrated yet") as refused:
+            station.coordinator.arm("demo")
+    assert refused.value.code == "no-calibration"
 
 
 def test_damaged_database_is_set_aside_and_the_station_starts(config: StationConfig) -> None:

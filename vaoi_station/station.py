@@ -13,14 +13,18 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 from vaoi_station.acquisition.process.backends import row_lights
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.calibration.nominal_view import nominal_matrix
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, StateError, VaoiError
+from vaoi_station.errors import DeviceError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
+from vaoi_station.model import Calibration
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
@@ -28,7 +32,7 @@ from vaoi_station.runs.archive.housekeeping import Housekeeping
 from vaoi_station.runs.archive.retention import Retention
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawn_launcher
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.control.coordinator import MakeOrder, StationCoordinator
 from vaoi_station.runs.control.core import Parts
 from vaoi_station.runs.control.reasons import thread_reasons
 from vaoi_station.runs.handover.handover import Handover
@@ -139,7 +143,7 @@ class Station:
         """Build and start all parts. If one part fails, stop the parts that were started and raise its error."""
         config = self.config
         with ExitStack() as parts:
-            calibration = read_calibration(config.calibration, [c.head for c in config.cameras])
+            calibration, uncalibrated = _calibration(config)
             database = Database(config.data / DATABASE)
             store = Store(database)
             parts.callback(store.close)
@@ -157,7 +161,11 @@ class Station:
             shelf.sweep()
             housekeeping = _housekeeping(config, store, events)
             board_types = BoardTypeDirectory(config.board_types)
-            make_order = OrderFactory(config, calibration, store, shelf, row_lights(config))
+            make_order: MakeOrder = (
+                partial(_refuse_order, uncalibrated)
+                if uncalibrated
+                else OrderFactory(config, calibration, store, shelf, row_lights(config))
+            )
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)
             run_ids = RunIds(store.newest_run())
@@ -259,6 +267,28 @@ class Station:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def _calibration(config: StationConfig) -> tuple[Calibration, StateError | None]:
+    """Return the calibration, or while there is none the nominal one, and why the line cannot be armed with it."""
+    heads = tuple(camera.head for camera in config.cameras)
+    try:
+        return read_calibration(config.calibration, heads), None
+    except NotFoundError:
+        if any(head.nominal_center_mm is None or head.nominal_px_per_mm is None for head in heads):
+            raise
+    matrices = tuple(nominal_matrix(head, i) for i, head in enumerate(heads))
+    nominal = Calibration(format="vaoi-calibration", version=1, unit="mm", camera_matrices=matrices)
+    _log.warning("%s does not exist: cameras can be set up, and the line cannot be armed", config.calibration)
+    return nominal, StateError(
+        f"{config.calibration} does not exist: the array is not calibrated yet.",
+        action="Film the calibration board (vaoi record --still), calibrate (vaoi calibrate), and restart the station.",
+        code="no-calibration",
+    )
+
+
+def _refuse_order(refusal: StateError, *_: object) -> NoReturn:
+    raise refusal
 
 
 def _housekeeping(config: StationConfig, store: Store, events: EventLog) -> Housekeeping:
