@@ -22,8 +22,8 @@ if TYPE_CHECKING:
         StateError,
         VaoiError,
     )
-    from vaoi_station.library.async_station import AsyncStation, AsyncStationRun, connect_async
-    from vaoi_station.library.board_data import ImportedBoard, StationImport, import_board_data
+    from vaoi_station.library.async_station import AsyncBoardTypes, AsyncStation, AsyncStationRun, connect_async
+    from vaoi_station.library.board_data import ImportedBoard, import_board_data
     from vaoi_station.library.component_images import ComponentImage, ComponentImages
     from vaoi_station.library.documents import (
         read_board_type,
@@ -34,19 +34,14 @@ if TYPE_CHECKING:
         write_calibration,
         write_image,
     )
-    from vaoi_station.library.live_station import Station, connect
+    from vaoi_station.library.live_station import MergedPicture, Station, StationBoardTypes, StationRun, connect
     from vaoi_station.library.picture_stream import ComponentPictures
-    from vaoi_station.library.recorded_run import RecordedRun, open_recording, stitch
-    from vaoi_station.library.simulated_run import simulate
-    from vaoi_station.library.station.async_board_types import AsyncBoardTypes
-    from vaoi_station.library.station.station_board_types import StationBoardTypes
-    from vaoi_station.library.station.station_run import MergedPicture, StationRun
-    from vaoi_station.library.stitched_run import StitchedRun
+    from vaoi_station.library.recordings import RecordedRun, StitchedRun, open_recording, simulate, stitch
     from vaoi_station.model import BoardType, Calibration, Component, Status
     from vaoi_station.model import Stitch as Result
 
 _LOCATIONS = {
-    "AsyncBoardTypes": "library.station.async_board_types",
+    "AsyncBoardTypes": "library.async_station",
     "AsyncStation": "library.async_station",
     "AsyncStationRun": "library.async_station",
     "BoardType": "model",
@@ -62,28 +57,28 @@ _LOCATIONS = {
     "ImportedBoard": "library.board_data",
     "InputError": "errors",
     "InternalError": "errors",
-    "MergedPicture": "library.station.station_run",
+    "MergedPicture": "library.live_station",
     "NotFoundError": "errors",
-    "RecordedRun": "library.recorded_run",
+    "RecordedRun": "library.recordings",
     "Result": "model:Stitch",
     "StateError": "errors",
     "Station": "library.live_station",
-    "StationImport": "library.board_data",
-    "StationRun": "library.station.station_run",
-    "StationBoardTypes": "library.station.station_board_types",
+    "StationImport": "library.live_station",
+    "StationRun": "library.live_station",
+    "StationBoardTypes": "library.live_station",
     "Status": "model",
-    "StitchedRun": "library.stitched_run",
+    "StitchedRun": "library.recordings",
     "VaoiError": "errors",
     "connect": "library.live_station",
     "connect_async": "library.async_station",
     "import_board_data": "library.board_data",
-    "open_recording": "library.recorded_run",
+    "open_recording": "library.recordings",
     "read_board_type": "library.documents",
     "read_calibration": "library.documents",
     "read_image": "library.documents",
     "read_result": "library.documents",
-    "simulate": "library.simulated_run",
-    "stitch": "library.recorded_run",
+    "simulate": "library.recordings",
+    "stitch": "library.recordings",
     "write_board_type": "library.documents",
     "write_calibration": "library.documents",
     "write_image": "library.documents",

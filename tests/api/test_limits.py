@@ -12,9 +12,7 @@ import anyio
 import pytest
 from fastapi.routing import APIRoute
 
-from vaoi_station.api.board_data import check_routes
-from vaoi_station.api.cameras import routes as cameras
-from vaoi_station.api.cameras.trials import CameraTrials
+from vaoi_station.api.cameras.frames import CameraTrials
 from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub
 from vaoi_station.api.limits import (
     PICTURES_OF_CALLER,
@@ -27,7 +25,7 @@ from vaoi_station.api.limits import (
     set_caller,
 )
 from vaoi_station.api.parameters import PREFIX
-from vaoi_station.api.routes import components, frames, merged, mosaics
+from vaoi_station.api.routes import board_types, cameras, mosaics, pictures
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import BusyError
 
@@ -129,7 +127,7 @@ def test_one_caller_has_a_limited_number_of_pictures_made_at_a_time(
 def test_every_picture_of_a_camera_or_run_takes_a_seat(station: Any) -> None:
     """Its thread and its memory are limited until it is read; a route without a seat would have neither limit."""
     services = Services(station, EventHub(station))
-    routers = [module.router(services) for module in (frames, components, merged, mosaics, check_routes)]
+    routers = [module.router(services) for module in (board_types, pictures, mosaics)]
     routers.append(cameras.router(services, CameraTrials(services.coordinator)))
     routes = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     of_pictures, unlimited = set(), set()

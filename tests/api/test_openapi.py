@@ -21,8 +21,7 @@ from vaoi_station.api import create_app, openapi
 from vaoi_station.api.access import PUBLIC, AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.api.board_data import previews
-from vaoi_station.api.cameras.examination import Examinations
-from vaoi_station.api.cameras.models import Examination
+from vaoi_station.api.cameras.examination import Examination, Examinations
 from vaoi_station.files.access_keys import KeyFile
 
 GOLDEN = Path(__file__).parent / "openapi.json"

@@ -108,7 +108,7 @@ def test_requests(client: Client) -> None:
     assert client.get("/runs", limit=3, before=None)["request"] == ["GET", "/api/v1/runs?limit=3", ""]
     assert client.get("/api/v1/runs/r1")["request"] == ["GET", "/api/v1/runs/r1", ""]
     assert client.post("/station/arm", runs=1)["request"] == ["POST", "/api/v1/station/arm", '{"runs": 1}']
-    assert client.put("/runs/r1/hold", holder="me")["request"] == ["PUT", "/api/v1/runs/r1/hold?holder=me", ""]
+    assert client.act("PUT", "/runs/r1/hold", holder="me")["request"] == ["PUT", "/api/v1/runs/r1/hold?holder=me", ""]
     assert client.get("/nothing") is None
 
 
@@ -166,7 +166,7 @@ def test_garbage_is_a_device_error_with_the_address(client: Client, path: str) -
 
 @pytest.mark.parametrize("path", ["/cut", "/cut-refusal"])
 def test_connection_that_ends_within_a_reply_is_a_device_error(client: Client, path: str) -> None:
-    with pytest.raises(DeviceError, match=rf"/api/v1{path}: the station does not reply \(IncompleteRead"):
+    with pytest.raises(DeviceError, match=rf"/api/v1{path}: the station does not reply \(RemoteProtocolError"):
         client.get(path)
 
 

@@ -12,7 +12,7 @@ import pytest
 from vaoi_station.demo.given_board import LEAST_PX_PER_MM, MOST_CAMERAS, write_given_scenario
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import apply
-from vaoi_station.library.simulated_run import simulate
+from vaoi_station.library.recordings import simulate
 from vaoi_station.simulation import read_scenario
 
 

@@ -1,10 +1,16 @@
-"""A station over a real socket through the public API."""
+"""A station over a real socket through the public API: its line, its runs and its board types."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import asyncio
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
 import vaoi_station as vaoi
@@ -128,3 +134,155 @@ def test_events_follow_the_newest_one_known(served: Served) -> None:
     run = served.station.film()
     events = [next(e for e in station.events(after) if e.get("state") == "ready")]
     assert events[0]["run"] == run
+
+
+@pytest.fixture(scope="module")
+def run() -> Iterator[vaoi.StationRun]:
+    station = HeldStation()
+    station.film(board_id="SN-1")
+    served = Served(station)
+    yield vaoi.connect(served.url).run()
+    served.stop()
+
+
+def test_a_frame_is_an_array(run: vaoi.StationRun) -> None:
+    frame = run.frame(0, 0)
+    assert frame.ndim == 2
+    assert frame.dtype == np.uint8
+    with pytest.raises(vaoi.StateError, match="has holes"):
+        run.frame(0, 1)
+    assert run.frame(0, 1, incomplete=True).shape == frame.shape
+    with pytest.raises(vaoi.InputError, match="row is -1"):
+        run.frame(0, -1)
+
+
+def test_the_verdict_of_the_run_counts_with_its_reasons(run: vaoi.StationRun) -> None:
+    """A board id that differs degrades the run, not its matrices."""
+    assert (run.status, run.reasons) == ("ok", run.result.reasons)
+    differs = {"code": "board-id-differs", "message": "The code states SN-2."}
+    degraded = replace(run, summary=run.summary | {"verdict": "degraded", "reasons": [differs]})
+    assert degraded.result.status == "ok"
+    assert (degraded.status, degraded.reasons) == ("degraded", (*run.result.reasons, "The code states SN-2."))
+
+
+def test_a_region_has_pictures(run: vaoi.StationRun) -> None:
+    found = run.region((10, 10, 20, 20), limit=1)
+    assert (found.address, len(found.pixels)) == ("region", 1)
+
+
+@pytest.mark.parametrize("region", [(1, 2, 3), "1,2,3,4", (0, 0, float("nan"), 1), 7])
+def test_a_wrong_region_is_refused(run: vaoi.StationRun, region: object) -> None:
+    with pytest.raises(vaoi.InputError, match="region is"):
+        run.region(region)  # type: ignore[arg-type]
+
+
+def test_a_hold_says_how_long_it_lasts_and_is_ended(run: vaoi.StationRun) -> None:
+    assert run.hold("tester", "reads").expires_in_s > 0
+    run.end_hold("tester")
+
+
+def test_a_decision_needs_a_reason(run: vaoi.StationRun) -> None:
+    with pytest.raises(vaoi.InputError, match="decide: reason is ''"):
+        run.decide("use", "J. Doe", "")
+
+
+def test_two_files_that_are_written_at_once_are_both_complete(tmp_path: Path) -> None:
+    target = tmp_path / "board.tif"
+
+    class Reply(io.BytesIO):
+        headers: Mapping[str, str] = {"Content-Length": "5"}
+
+        def read(self, size: int | None = -1) -> bytes:
+            if replies:
+                run.save_mosaic("all", target)
+                assert target.read_bytes() == b"other"
+            return super().read(size)
+
+    replies = [Reply(b"other"), Reply(b"first")]
+    client = Mock(opened=lambda *_, **__: nullcontext(replies.pop()))
+    run = vaoi.StationRun("r1", {}, client)
+    run.save_mosaic("all", target)
+    assert target.read_bytes() == b"first"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.fixture
+def board_types() -> Iterator[vaoi.StationBoardTypes]:
+    station = HeldStation()
+    station.film()
+    served = Served(station)
+    yield vaoi.connect(served.url).board_types
+    served.stop()
+
+
+def test_a_change_with_the_tag_of_an_earlier_version_is_refused(board_types: vaoi.StationBoardTypes) -> None:
+    board, tag = board_types.get_tagged("demo-board")
+    changed = board.model_copy(update={"revision": "B"})
+    assert board_types.put(changed, tag=tag).revision == "B"
+    with pytest.raises(vaoi.VaoiError) as refusal:
+        board_types.put(board, tag=tag)
+    assert refusal.value.code == "changed"
+    with pytest.raises(vaoi.VaoiError) as refusal:
+        board_types.put(board, new=True)
+    assert refusal.value.code == "changed"
+
+
+def test_a_reference_is_taught_and_forgotten(board_types: vaoi.StationBoardTypes) -> None:
+    assert board_types.reference("demo-board") is None
+    assert board_types.teach("demo-board", "r000001").run == "r000001"
+    board_types.forget_reference("demo-board")
+    with pytest.raises(vaoi.NotFoundError):
+        board_types.reference("unheard")
+
+
+def test_a_wrong_name_is_refused_before_a_request(board_types: vaoi.StationBoardTypes) -> None:
+    with pytest.raises(vaoi.InputError, match="get: name is ''"):
+        board_types.get("")
+
+
+async def whole_cycle(served: Served) -> None:
+    station = await vaoi.connect_async(served.url)
+    assert (await station.arm("demo-board", board_id="SN-2", runs=1))["state"] == "armed"
+    assert served.station.armed is not None
+    assert served.station.armed.board_id == "SN-2"
+    latest = await station.run()
+    assert latest.summary["board_id"] == "SN-1"
+    waiting = asyncio.create_task(station.wait_for_run(after=latest.id, timeout_s=30.0))
+    second = await asyncio.to_thread(served.station.film)
+    following = await waiting
+    assert following is not None
+    assert following.id == second
+    assert (await following.result()).status == vaoi.Status.OK
+    assert [image.pixels.shape for image in await following.component("U1", limit=1)] == [(64, 80)]
+    assert {found.address async for found in following.pictures(limit=1)} == {"U1", "R1", "2/R1"}
+    await following.hold("tester", "reads pictures")
+    assert (second, "tester") in served.station.holders
+    await following.release("tester")
+    assert not served.station.run(second).frames_available
+    assert (await station.disarm())["state"] == "idle"
+    assert [run["id"] for run in await station.runs()] == [second, latest.id]
+
+
+def test_a_tester_s_whole_cycle(served: Served) -> None:
+    asyncio.run(whole_cycle(served))
+
+
+def test_events_as_they_happen(served: Served) -> None:
+    async def first_run() -> str:
+        station = await vaoi.connect_async(served.url)
+        after = (await station.snapshot())["last_event"]
+        served.station.film()
+        async for event in station.events(after):
+            if event.get("state") == "ready":
+                return str(event["run"])
+        raise AssertionError("the station ended its events")
+
+    assert asyncio.run(first_run()) == "r000002"
+
+
+def test_refusals_are_the_same_with_asyncio(served: Served) -> None:
+    async def arm() -> None:
+        await (await vaoi.connect_async(served.url)).arm("unheard")
+
+    with pytest.raises(vaoi.NotFoundError, match="unheard"):
+        asyncio.run(arm())

@@ -13,9 +13,10 @@ import pytest
 
 import vaoi_station as vaoi
 from tests.peers.web_server import ScriptedHandler, serving
+from vaoi_station.demo.client import checked
 from vaoi_station.files.images import encode_png
 from vaoi_station.files.results import stitch_document
-from vaoi_station.library.replies import RunIdReply, ViewReply, checked
+from vaoi_station.library.replies import RunIdReply, ViewReply
 
 EYE = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 VIEW: dict[str, Any] = {

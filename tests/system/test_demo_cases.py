@@ -103,7 +103,7 @@ def apart_px(document: dict[str, Any], expected: Stitch, recording: Recording) -
 
 def check_frames(client: Client, run: str, recording: Recording) -> None:
     """Check that each frame of the run is that of the recording."""
-    client.put(f"/runs/{run}/hold", holder="test")
+    client.act("PUT", f"/runs/{run}/hold", holder="test")
     for camera, head in enumerate(recording.head.cameras):
         for row in range(recording.head.rows):
             raw = client.content(f"/runs/{run}/frames/{camera}/{row}", format="raw")

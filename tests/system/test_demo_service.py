@@ -135,7 +135,7 @@ def test_arming_is_refused_with_the_holders_names_if_all_bays_are_held(client: C
     for holder in ("tester", "review", "archive"):
         if held:
             begun = until(client, "run", "filming", after=begun["number"])
-        client.put(f"/runs/{begun['run']}/hold", holder=holder, purpose="AOI")
+        client.act("PUT", f"/runs/{begun['run']}/hold", holder=holder, purpose="AOI")
         held.append(begun["run"])
     until(client, "station", "blocked", after=begun["number"])
     client.post("/station/disarm")

@@ -12,35 +12,28 @@ from fastapi import Depends, FastAPI, Response
 from vaoi_station.api import batch, openapi, pages, problems
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.addresses import allowed_names
-from vaoi_station.api.board_data import check_routes
 from vaoi_station.api.board_data import routes as board_data
 from vaoi_station.api.board_data.previews import Previews
-from vaoi_station.api.cameras import routes as cameras
-from vaoi_station.api.cameras.trials import CameraTrials
+from vaoi_station.api.cameras.frames import CameraTrials
 from vaoi_station.api.event_hub import EventHub
-from vaoi_station.api.inspection import routes as inspection
-from vaoi_station.api.lighting import routes as lighting
 from vaoi_station.api.parameters import operation_id, refuse_unclear_parameters
 from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import (
     board_types,
-    calibration,
-    components,
+    cameras,
     events,
-    frames,
     keys,
-    merged,
     metrics,
     mosaics,
+    pictures,
     runs,
     station,
-    stitching,
+    trends,
 )
 from vaoi_station.api.routes.services import Services
-from vaoi_station.api.setup import calibration_routes, optics_routes, settings
+from vaoi_station.api.setup import calibration, optics, settings
 from vaoi_station.api.setup.station_files import StationFiles
-from vaoi_station.api.trends import routes as trends
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.readiness import EXPECTED, NOT_READY
@@ -100,19 +93,15 @@ def create_app(
     problems.install(app)
     # First, because routes are tried in order, and a browser asks for dozens of files of a page at once.
     pages.install(app)
-    pictures = (frames, components, batch, merged, mosaics)
-    of_types = (board_types, stitching, lighting)
-    routers = [
-        module.router(services)
-        for module in (station, calibration, *of_types, runs, trends, check_routes, *pictures, events, inspection)
-    ]
+    nouns = (station, board_types, runs, trends, pictures, batch, mosaics, events)
+    routers = [noun.router(services) for noun in nouns]
     camera_trials = CameraTrials(services.coordinator)
     routers += [cameras.router(services, camera_trials, config), board_data.router(services, previews)]
     if access is not None:
         routers.append(keys.router(services, access))
     if files is not None:
-        routers.append(calibration_routes.router(services, files, camera_trials))
-        routers += [setup.router(services, files) for setup in (optics_routes, settings)]
+        routers.append(calibration.router(services, files, camera_trials))
+        routers += [setup.router(services, files) for setup in (optics, settings)]
     for router in routers:
         app.router.routes.extend(router.routes)
     _add_health(app, services)

@@ -101,7 +101,7 @@ CONDITIONAL = frozenset(
     {
         "get_board_type", "put_board_type", "list_components", "get_component", "get_component_image", "get_frame",
         "list_merged", "get_merged_image", "get_matrices", "get_heights", "get_run", "get_latest_run",
-        "wait_for_next_run", "pin_run", "list_mosaics", "get_dzi", "get_dzi_tile", "get_iiif", "get_iiif_tile",
+        "wait_for_next_run", "pin_run", "list_mosaics", "get_dzi", "get_dzi_tile",
         "check_board_type", "get_board_check_picture", "get_kept_mosaic", "get_overlay", "get_timeline",
     }
 )  # fmt: skip

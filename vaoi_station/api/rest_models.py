@@ -159,7 +159,6 @@ class MosaicEntry(Strict):
     levels: int = Field(description="Number of reductions by 2 until the picture fits into one tile.")
     image_from_cad: list[list[float]] = Field(description="CAD → pixels of the largest picture; centres are integers.")
     dzi: str = Field(description="Deep Zoom Image.")
-    iiif: str = Field(description="IIIF Image API 3, level 0.")
     tiff: str = Field(description="Pyramidal TIFF.")
 
 

@@ -1,22 +1,21 @@
-"""A REST client such as tester software contains: standard library only, one connection per request."""
+"""The client of a station's REST interface: refusals and failed connections are raised as errors of this package."""
 
 from __future__ import annotations
 
+import io
 import json
-import ssl
 import time
-import urllib.error
 import urllib.parse
-import urllib.request
 import uuid
+import weakref
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http import HTTPStatus
-from http.client import HTTPException, HTTPResponse, IncompleteRead
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
 
 from vaoi_station.errors import (
     BusyError,
@@ -29,21 +28,26 @@ from vaoi_station.errors import (
     VaoiError,
 )
 from vaoi_station.files.caller_credentials import CallerCredentials
+from vaoi_station.files.documents import describe
 from vaoi_station.files.images import decode
 
+if TYPE_CHECKING:
+    import httpx2
+
+M = TypeVar("M", bound=BaseModel)
 REPLY_TIMEOUT_S = 150.0
 """Longest time to wait for a reply; longer than the longest long poll and the longest import of board data."""
 EVENT_TIMEOUT_S = 15.0
 """Longest time between two lines of the event stream, which sends a heartbeat every two seconds."""
 ATTEMPTS = 3
-"""How often a command is sent at most, if the connection ends before its reply."""
+"""How often a request is sent at most, if the connection ends before its reply."""
 _SHOWN = 200
 """Largest number of bytes of an unusable reply that an error message quotes."""
 _ERRORS: dict[int, type[VaoiError]] = {404: NotFoundError, 409: StateError, 410: GoneError, 503: BusyError}
 
 
 class Client:
-    """REST client of one station.
+    """Client of one station, for use in any thread.
 
     A refusal by the station is raised here as the same `VaoiError`. A station that does not reply, or whose reply is
     not what a station sends, is a `DeviceError` with the address.
@@ -54,63 +58,86 @@ class Client:
 
         Behind a proxy the address may have a path.
         """
+        import httpx2  # here, because most commands ask no station
+
         self.address = address
         self._path = urllib.parse.urlsplit(address).path
         self._base = f"{address}/api/v1"
         credentials = credentials or CallerCredentials()
-        # Proxies of the environment are ignored: the service is on loopback or in the factory's own network.
-        handlers: list[urllib.request.BaseHandler] = [urllib.request.ProxyHandler({}), _NoRedirect()]
-        if address.startswith("https:"):
-            handlers.append(urllib.request.HTTPSHandler(context=credentials.tls_context()))
-        self._opener = urllib.request.build_opener(*handlers)
-        self._opener.addheaders = [*credentials.headers().items()]
+        # Redirects are not followed: a station sends none, and another server would get the key. Proxies of the
+        # environment are ignored: the service is on loopback or in the factory's own network.
+        self._http = httpx2.Client(
+            headers={**credentials.headers(), "Accept-Encoding": "identity"},
+            verify=credentials.tls_context() if address.startswith("https:") else False,
+            timeout=REPLY_TIMEOUT_S,
+            trust_env=False,
+        )
+        weakref.finalize(self, self._http.close)
 
     def get(self, path: str, **query: Any) -> Any:
         """Request a JSON object; return None if the reply has no body."""
         return _parse(self.content(path, **query), self.url(path))
 
+    def read(self, model: type[M], path: str, **query: Any) -> M:
+        """Request a document."""
+        return checked(model, self.get(path, **query), self.url(path))
+
     def post(self, path: str, **fields: Any) -> Any:
         """Send a command with `fields` as its JSON body; return the reply, None if it has no body."""
-        return self._act("POST", path, fields)
+        return self.act("POST", path, fields)
 
-    def post_under(self, path: str, conditions: dict[str, str]) -> Any:
-        """Send a command that acts only under conditions, which are headers; return the reply."""
-        return self._act("POST", path, {}, conditions)
+    def act(
+        self,
+        method: Literal["POST", "PUT", "DELETE"],
+        path: str,
+        document: dict[str, Any] | None = None,
+        headers: dict[str, str] | None = None,
+        **query: Any,
+    ) -> Any:
+        """Send a command, with a JSON body if a document is given; return the reply, None if it has no body.
 
-    def put(self, path: str, **query: Any) -> Any:
-        """Send a PUT request without a body; `query` holds all parameters. Return the reply, None without a body."""
-        return self._act("PUT", _with_query(path, query))
+        It has a key of its own, and is repeated with the same key if its reply was lost on the way: the station
+        performs a command with a key once, and gives a repetition the same reply.
+        """
+        sent = {"Idempotency-Key": f'"{uuid.uuid4().hex}"', **(headers or {})}
+        content = b""
+        if document is not None:
+            content, sent["Content-Type"] = json.dumps(document).encode(), "application/json"
+        url = with_query(self.url(path), query)
+        return _parse(self._exchange(method, url, content=content, headers=sent), self.url(path))
 
-    def put_document(self, path: str, document: dict[str, Any], headers: dict[str, str] | None = None) -> Any:
-        """Send a PUT request with a JSON body; return the reply, None if it has no body."""
-        return self._act("PUT", path, document, headers)
-
-    def delete(self, path: str, headers: dict[str, str] | None = None, **query: Any) -> Any:
-        """Send a DELETE request; return the reply, None if it has no body."""
-        return self._act("DELETE", _with_query(path, query), headers=headers)
+    def write(
+        self,
+        model: type[M],
+        method: Literal["POST", "PUT", "DELETE"],
+        path: str,
+        document: dict[str, Any] | None = None,
+        headers: dict[str, str] | None = None,
+        **query: Any,
+    ) -> M:
+        """Send a command as `act` does; return the document of its reply."""
+        return checked(model, self.act(method, path, document, headers, **query), self.url(path))
 
     def upload(self, path: str, content: bytes, **query: Any) -> Any:
         """Send a file by POST; return the reply."""
         headers = {"Content-Type": "application/octet-stream"}
-        request = urllib.request.Request(self.url(_with_query(path, query)), content, headers, method="POST")
-        return _parse(self._exchange(request), self.url(path))
+        url = with_query(self.url(path), query)
+        return _parse(self._exchange("POST", url, 1, content=content, headers=headers), url)
 
     def content(self, path: str, **query: Any) -> bytes:
         """Send GET and return the reply's body. `path` is one of those of `url`."""
-        return self._exchange(urllib.request.Request(_with_query(self.url(path), query)))
+        return self._exchange("GET", with_query(self.url(path), query))
 
     @contextmanager
-    def opened(self, path: str, **query: Any) -> Iterator[HTTPResponse]:
-        """Send GET and provide the reply in a `with` block, in which its body is read piece by piece."""
-        url = _with_query(self.url(path), query)
-        with _translated_errors(url), self._opener.open(url, timeout=REPLY_TIMEOUT_S) as reply:
-            yield reply
+    def opened(self, path: str, **query: Any) -> Iterator[io.BufferedReader]:
+        """Send GET and provide the body of the reply in a `with` block, in which it is read piece by piece."""
+        with self._reply("GET", with_query(self.url(path), query)) as reply:
+            yield io.BufferedReader(_Body(reply.iter_bytes()), 1 << 16)
 
     def tagged(self, path: str) -> tuple[Any, str]:
         """Request a JSON object; return it with its ETag, by which a change can be bound to what was read."""
-        with self.opened(path) as reply:
-            content, tag = bytes(reply.read()), reply.headers.get("ETag", "")
-        return _parse(content, self.url(path)), tag
+        with self._reply("GET", self.url(path)) as reply:
+            return _parse(reply.read(), self.url(path)), reply.headers.get("ETag", "")
 
     def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
         """Request a PNG image. Return its bytes and its pixels."""
@@ -123,11 +150,10 @@ class Client:
     def messages(self, after: int = 0) -> Iterator[dict[str, Any]]:
         """Yield events numbered above `after`, and heartbeats, as they happen, until the station ends."""
         url = self.url(f"/events?after={after}")
-        request = urllib.request.Request(url)
-        with _translated_errors(url), self._opener.open(request, timeout=EVENT_TIMEOUT_S) as stream:
-            for line in stream:
-                if line.startswith(b"data:"):
-                    yield _parse(line[5:], url) or Reply.of(url)
+        with self._reply("GET", url, timeout=EVENT_TIMEOUT_S) as stream:
+            for line in stream.iter_lines():
+                if line.startswith("data:"):
+                    yield _parse(line[5:].encode(), url) or Reply.of(url)
 
     def url(self, path: str) -> str:
         """Return the complete address of a path: relative to `/api/v1`, from `/api/` on, or as a reply states it."""
@@ -135,47 +161,63 @@ class Client:
             return self.address.removesuffix(self._path) + path
         return (self.address if path.startswith("/api/") else self._base) + path
 
-    def _act(
-        self, method: str, path: str, body: dict[str, Any] | None = None, headers: dict[str, str] | None = None
-    ) -> Any:
-        """Send a command with a key of its own; repeat it with the same key if its reply was lost on the way.
-
-        The station performs a command with a key once, and gives a repetition the same reply.
-        """
-        content = b"" if body is None else json.dumps(body).encode()
-        sent = {"Idempotency-Key": f'"{uuid.uuid4().hex}"', **(headers or {})}
-        sent |= {"Content-Type": "application/json"} if content else {}
-        request = urllib.request.Request(self.url(path), content, sent, method=method)
+    def _exchange(self, method: str, url: str, most_attempts: int = ATTEMPTS, **sent: Any) -> bytes:
+        """Return the body of a reply; send the request again if the connection ends before the reply."""
         until_s, attempts = time.monotonic() + REPLY_TIMEOUT_S, 1
         while True:
             try:
-                return _parse(self._exchange(request), self.url(path))
+                with self._reply(method, url, **sent) as reply:
+                    content, status = reply.read(), reply.status_code
+                break
             except _LostReplyError:
-                if attempts == ATTEMPTS:
+                if attempts == most_attempts:
                     raise
                 attempts += 1
             except StateError as refusal:
                 # The first one has reached the station, which waited for its end as long as it may.
                 if attempts == 1 or refusal.code != "request-under-way" or time.monotonic() > until_s:
                     raise
-
-    def _exchange(self, request: urllib.request.Request) -> bytes:
-        with _translated_errors(request.full_url), self._opener.open(request, timeout=REPLY_TIMEOUT_S) as reply:
-            content, status = bytes(reply.read()), reply.status
         if not content and status != HTTPStatus.NO_CONTENT:
-            raise unusable_reply(request.full_url, f"status {status} and no content")
+            raise unusable_reply(url, f"status {status} and no content")
         return content
+
+    @contextmanager
+    def _reply(self, method: str, url: str, **sent: Any) -> Iterator[httpx2.Response]:
+        """Provide a reply; raise the refusal of the station, or the failure of the connection, as an error of ours."""
+        import httpx2
+
+        try:
+            with self._http.stream(method, url, **sent) as reply:
+                if not reply.is_success:
+                    raise _refusal(reply.status_code, reply.read(), url)
+                yield reply
+        except (httpx2.HTTPError, httpx2.InvalidURL) as error:
+            lost = isinstance(error, httpx2.ReadError | httpx2.WriteError | httpx2.RemoteProtocolError)
+            raise (_LostReplyError if lost else DeviceError)(
+                f"{url}: the station does not reply ({type(error).__name__}: {error}).", action=_remedy(url, error)
+            ) from error
 
 
 class _LostReplyError(DeviceError):
-    """The connection ended after the request was sent: whether the command took effect is not known."""
+    """The connection ended after the request was sent: whether a command took effect is not known."""
 
 
-class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """Follows no redirect: a station sends none, and another server would get the key."""
+class _Body(io.RawIOBase):
+    """The body of a reply as a file."""
 
-    def redirect_request(self, *_: Any) -> None:
-        """Return None, which means that the redirect is not followed. The caller then gets it as a refusal."""
+    def __init__(self, pieces: Iterator[bytes]) -> None:
+        self._pieces, self._left = pieces, b""
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Copy the next bytes; return their number, 0 at the end."""
+        self._left = self._left or next(self._pieces, b"")
+        size = min(len(buffer), len(self._left))
+        buffer[:size], self._left = self._left[:size], self._left[size:]
+        return size
 
 
 class Reply(dict[str, Any]):
@@ -196,6 +238,16 @@ class Reply(dict[str, Any]):
         raise unusable_reply(self.url, f"a document without the key {key!r}")
 
 
+def checked(model: type[M], reply: Any, url: str) -> M:
+    """Validate a reply, which may have keys of a newer station; raise DeviceError with its address if it is wrong."""
+    # Documents that the station writes itself are closed; a newer station may have added keys to them.
+    extra: Literal["ignore"] | None = "ignore" if model.model_config.get("extra") != "allow" else None
+    try:
+        return model.model_validate(reply, extra=extra)
+    except ValidationError as error:
+        raise unusable_reply(url, f"another document than expected: {describe(error, 'reply').rstrip('.')}") from error
+
+
 def unusable_reply(url: str, received: str) -> DeviceError:
     """Return the error for a reply that no station of this version sends; `received` describes the reply."""
     return DeviceError(
@@ -203,6 +255,12 @@ def unusable_reply(url: str, received: str) -> DeviceError:
         action="Check that a station of this version runs at this address, and that no other program replies there.",
         code="unusable-reply",
     )
+
+
+def with_query(path: str, query: dict[str, Any]) -> str:
+    """Return an address with its parameters; those that are None are left out."""
+    given = {k: v for k, v in query.items() if v is not None}
+    return f"{path}?{urllib.parse.urlencode(given, doseq=True)}" if given else path
 
 
 def _parse(content: bytes, url: str) -> Reply | None:
@@ -218,39 +276,15 @@ def _parse(content: bytes, url: str) -> Reply | None:
     return reply
 
 
-@contextmanager
-def _translated_errors(url: str) -> Iterator[None]:
-    """Convert refusals of the station, and failed connections, to the errors of this package."""
-    try:
-        try:
-            yield
-        except urllib.error.HTTPError as refusal:
-            with refusal:
-                raise _error(refusal.code, refusal.read(), url) from None
-    # The outer block also covers a connection that ends while the body of a refusal is read.
-    except (OSError, HTTPException) as error:
-        cause = error.reason if isinstance(error, urllib.error.URLError) else error
-        lost = isinstance(cause, ConnectionResetError | BrokenPipeError | IncompleteRead)
-        raise (_LostReplyError if lost else DeviceError)(
-            f"{url}: the station does not reply ({error or type(error).__name__}).",
-            action=_remedy(url, cause),
-        ) from error
-
-
-def _remedy(url: str, cause: object) -> str:
+def _remedy(url: str, error: Exception) -> str:
     """Return what to do about a connection that failed."""
-    if isinstance(cause, ssl.SSLCertVerificationError):
+    if "certificate verify failed" in str(error).lower():
         return "Name its certificate by --ca or VAOI_CA, and use a host name or address that the certificate has."
     # A station with TLS ends a connection that speaks plain HTTP without a reply.
     return "Check whether it still runs." + ("" if url.startswith("https:") else " With TLS its address is https://….")
 
 
-def _with_query(path: str, query: dict[str, Any]) -> str:
-    given = {k: v for k, v in query.items() if v is not None}
-    return f"{path}?{urllib.parse.urlencode(given, doseq=True)}" if given else path
-
-
-def _error(status: int, body: bytes, url: str) -> VaoiError:
+def _refusal(status: int, body: bytes, url: str) -> VaoiError:
     """Return the error that a refusal's body describes as problem details (RFC 9457)."""
     # Other refusals below 500 are for the caller to mend: a key is missing, or it has not the scope.
     kind = _ERRORS.get(status, InputError if status < HTTPStatus.INTERNAL_SERVER_ERROR else InternalError)

@@ -1,23 +1,16 @@
-"""Board types from the files of CAD systems and placement machines, here or on a running station."""
+"""Board types from the files of CAD systems and placement machines."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypedDict, Unpack
-from urllib.parse import quote
+from typing import Literal, TypedDict, Unpack
 
 from vaoi_station.board_data.import_process import OF_PERSONS, ImportTask
 from vaoi_station.board_data.limited_import import import_limited
-from vaoi_station.demo.client import Client
 from vaoi_station.errors import InputError
-from vaoi_station.files.text_files import read_text
 from vaoi_station.library.arguments import require_path
-from vaoi_station.library.replies import checked
-from vaoi_station.library.station.station_board_types import conditions
 from vaoi_station.model import BoardType
-
-PREVIEWS = "/board-data/previews"
 
 
 class ImportChoices(TypedDict, total=False):
@@ -77,63 +70,6 @@ def import_board_data(
     assert reply.overview is not None
     board = BoardType.model_validate_json(reply.board_type)
     return ImportedBoard(board, tuple(remark.message for remark in reply.overview.check), reply.picture)
-
-
-@dataclass(frozen=True, eq=False)
-class StationImport:
-    """A file with board data on a running station, not yet a board type."""
-
-    document: dict[str, Any]
-    """What the station has found: the reply of `GET board-data/previews/{id}`."""
-    _client: Client = field(repr=False)
-
-    @classmethod
-    def upload(cls, client: Client, path: str | Path, options: dict[str, Any]) -> StationImport:
-        """Send a file to a station."""
-        file = require_path("upload_board_data", "path", path)
-        try:
-            content = file.read_bytes()
-        except OSError as error:
-            raise InputError(f"{file}: cannot be read: {error.strerror}.") from error
-        # A table of sizes may be too long for an address: the file is read again with it.
-        sizes = options.pop("sizes", None)
-        found = cls(dict(client.upload(PREVIEWS, content, filename=file.name, **options)), client)
-        return found if sizes is None else found.correct(sizes=sizes, **options)
-
-    @property
-    def picture(self) -> bytes:
-        """Outline, marks and bodies as SVG."""
-        return self._client.content(f"{self._address}/picture")
-
-    def correct(self, **options: Any) -> StationImport:
-        """Read the file again with other options: `side`, `join` (id of another upload), and as for the upload."""
-        if options.get("sizes") is not None:
-            options["sizes"] = read_text(require_path("correct", "sizes", options["sizes"]))
-        reply = self._client.put_document(self._address, {k: v for k, v in options.items() if v is not None})
-        return StationImport(dict(reply), self._client)
-
-    def confirm(self, *, tag: str | None = None, new: bool = False) -> BoardType:
-        """Store the board type on the station, so that it can be armed.
-
-        Args:
-            tag: replace only the version with this tag (`StationBoardTypes.get_tagged`).
-            new: replace none: refuse with the code `changed` if there is a board type of this name.
-        """
-        path = f"{self._address}/confirm"
-        return checked(BoardType, self._client.post_under(path, conditions(tag, new=new)), self._client.url(path))
-
-    def board_type(self) -> BoardType:
-        """Return the board type that `confirm` would store."""
-        path = f"{self._address}/board-type"
-        return checked(BoardType, self._client.get(path), self._client.url(path))
-
-    def discard(self) -> None:
-        """Delete the file from the station; without this call it goes after an hour."""
-        self._client.delete(self._address)
-
-    @property
-    def _address(self) -> str:
-        return f"{PREVIEWS}/{quote(str(self.document['id']))}"
 
 
 def _known(choices: ImportChoices) -> None:

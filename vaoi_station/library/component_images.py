@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import Status
+from vaoi_station.model import Status, Stitch
 from vaoi_station.rendering.contact_sheet import Tile, contact_sheet
 from vaoi_station.rendering.view import Plane
 
@@ -109,3 +110,16 @@ class ComponentImages:
             sigma = f" ± {self.height_sigma_mm:.2f}" if self.height_sigma_mm is not None else ""
             facts.append(f"height {self.height_mm:.2f}{sigma} mm")
         return contact_sheet(tiles, self.ref, self.status, facts)
+
+
+def component_height(result: Stitch, ref: str) -> tuple[float | None, float | None]:
+    """Return the estimated height of a component above the board and its standard deviation, mm."""
+    return _figure(result, "heights_mm", ref), _figure(result, "height_sigma_mm", ref)
+
+
+def _figure(result: Stitch, key: str, ref: str) -> float | None:
+    figures = result.quality.get(key, {})
+    value = figures.get(ref) if isinstance(figures, dict) else str(figures)
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        raise InputError.field("the result", f"quality.{key}", value, "an object of numbers by ref")
+    return value

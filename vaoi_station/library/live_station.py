@@ -1,27 +1,522 @@
-"""A running station, used over REST (docs/rest.md): its line, its board types and its runs."""
+"""A running station, used over REST (docs/rest.md): its line, its board types, imports of board data, and its runs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import io
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, Literal, TypedDict, Unpack
 from urllib.parse import quote, urlsplit
 
-from vaoi_station.demo.client import Client, unusable_reply
-from vaoi_station.errors import InputError
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.board_check.report import BoardCheck
+from vaoi_station.config import MethodName
+from vaoi_station.demo.client import Client, checked, unusable_reply
+from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files.caller_credentials import caller_credentials
-from vaoi_station.library.arguments import require_number, require_path, require_text, require_whole
-from vaoi_station.library.board_data import ImportChoices, StationImport
-from vaoi_station.library.replies import RunIdReply, RunListReply, checked
-from vaoi_station.library.station.station_board_types import StationBoardTypes
-from vaoi_station.library.station.station_run import StationRun
+from vaoi_station.files.text_files import read_text
+from vaoi_station.library.arguments import (
+    require_instance,
+    require_number,
+    require_path,
+    require_text,
+    require_whole,
+)
+from vaoi_station.library.board_data import ImportChoices
+from vaoi_station.library.component_images import FIELDS, ComponentImage, ComponentImages, component_height
+from vaoi_station.library.picture_stream import ComponentPictures, read_pictures
+from vaoi_station.library.replies import (
+    BoardTypeListReply,
+    ComponentListReply,
+    ComponentReply,
+    MergedListReply,
+    MergedReply,
+    MosaicListReply,
+    MosaicReply,
+    RunIdReply,
+    RunListReply,
+    VersionListReply,
+    ViewReply,
+)
+from vaoi_station.model import BoardType, Status, Stitch
+from vaoi_station.model.board_identity import IdentityDocument
+from vaoi_station.model.board_type import BoardTypeState
+from vaoi_station.rendering.request import ImageOptions, ImageRequest
+from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
-from vaoi_station.runs.states.decision_schemas import RunCounts
+from vaoi_station.runs.states.decision_schemas import Choice, RunCounts
+from vaoi_station.runs.states.height_schemas import HeightEntry, HeightList
+from vaoi_station.runs.states.schemas import BoardTypeSummary, LeaseStatus
+from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
+from vaoi_station.runs.states.timeline_schemas import Timeline
 
 _PAGE = 500
 """Largest number of runs in one reply of a station."""
+Box = tuple[float, float, float, float]
+"""A part of a board: x0, y0, x1, y1, CAD coordinates in the unit of the board type."""
+_PREVIEWS = "/board-data/previews"
+
+
+class StationBoardTypes:
+    """The board types of a station. Changes apply from the next arming on.
+
+    A `tag` names the version that the caller has read (`get_tagged`); if the board type was changed since, a change
+    with this tag is refused with the code `changed`.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def list(self) -> tuple[BoardTypeSummary, ...]:
+        """Return a summary of each board type, sorted by name; `fault` says why a file cannot be used."""
+        return self._listing().board_types
+
+    def deleted(self) -> tuple[str, ...]:
+        """Return the names of deleted board types, of which a version can be restored."""
+        return self._listing().deleted
+
+    def get(self, name: str) -> BoardType:
+        """Return a board type."""
+        return self._client.read(BoardType, _path("get", name))
+
+    def get_tagged(self, name: str) -> tuple[BoardType, str]:
+        """Return a board type, and the tag of this version."""
+        path = _path("get_tagged", name)
+        document, tag = self._client.tagged(path)
+        return checked(BoardType, document, self._client.url(path)), tag
+
+    def put(self, board_type: BoardType, *, tag: str | None = None, new: bool = False) -> BoardType:
+        """Store a board type, or replace it; the version before can be restored. Return what was stored.
+
+        Args:
+            board_type: the board type, under its name.
+            tag: replace only the version with this tag.
+            new: replace none: refuse if there is a board type of this name.
+        """
+        require_instance("put", "board_type", board_type, BoardType)
+        document = board_type.model_dump(mode="json", exclude_none=True)
+        path = _path("put", board_type.name)
+        return self._client.write(BoardType, "PUT", path, document, _conditions(tag, new=new))
+
+    def delete(self, name: str, *, tag: str | None = None) -> None:
+        """Delete a board type, of which a version is kept; refused while the line is armed with it."""
+        self._client.act("DELETE", _path("delete", name), headers=_conditions(tag))
+
+    def set_state(self, name: str, state: BoardTypeState, revision: str | None = None) -> BoardType:
+        """Set the state `draft`, `approved` or `retired`, and the revision of the data if it is given."""
+        document = {"state": require_text("set_state", "state", state)}
+        document |= {} if revision is None else {"revision": require_text("set_state", "revision", revision)}
+        return self._client.write(BoardType, "PUT", _path("set_state", name, "/state"), document)
+
+    def versions(self, name: str) -> tuple[BoardTypeVersion, ...]:
+        """Return the versions that were replaced or deleted, newest first."""
+        return self._client.read(VersionListReply, _path("versions", name, "/revisions")).revisions
+
+    def version(self, name: str, version: str) -> BoardType:
+        """Return the document of a version; `latest` is the one before the present."""
+        escaped = quote(require_text("version", "version", version), safe="")
+        return self._client.read(BoardType, _path("version", name, f"/revisions/{escaped}"))
+
+    def restore(self, name: str, version: str = "latest") -> BoardType:
+        """Put a version in force again; the present one becomes a version itself."""
+        escaped = quote(require_text("restore", "version", version), safe="")
+        return self._client.write(BoardType, "POST", _path("restore", name, f"/revisions/{escaped}/restore"), {})
+
+    def reference(self, name: str) -> ReferenceStatus | None:
+        """Return the run against which boards of the type are placed; None if there is none."""
+        try:
+            return self._client.read(ReferenceStatus, _path("reference", name, "/reference"))
+        except NotFoundError as error:
+            if error.code != "no-reference":
+                raise
+            return None
+
+    def teach(self, name: str, run: str, *, confirm_orientation: bool = False) -> ReferenceStatus:
+        """Make a finished run the reference of its board type.
+
+        Args:
+            name: name of the board type.
+            run: id of a run whose verdict is `ok`, and whose frames are in memory.
+            confirm_orientation: a person has checked that the board did not lie turned by 180°.
+        """
+        document: dict[str, Any] = {"run": require_text("teach", "run", run)}
+        document |= {"confirm_orientation": True} if confirm_orientation else {}
+        return self._client.write(ReferenceStatus, "PUT", _path("teach", name, "/reference"), document)
+
+    def forget_reference(self, name: str) -> None:
+        """Delete the reference of a board type."""
+        self._client.act("DELETE", _path("forget_reference", name, "/reference"))
+
+    def method(self, name: str) -> StitchingMethod:
+        """Return the stitching method of a board type, and whether it was set for it."""
+        return self._client.read(StitchingMethod, _path("method", name, "/method"))
+
+    def set_method(self, name: str, method: MethodName) -> StitchingMethod:
+        """Set the stitching method of a board type."""
+        document = {"method": require_text("set_method", "method", method)}
+        return self._client.write(StitchingMethod, "PUT", _path("set_method", name, "/method"), document)
+
+    def forget_method(self, name: str) -> StitchingMethod:
+        """Delete the method that was set for a board type; return the station's, which applies then."""
+        return self._client.write(StitchingMethod, "DELETE", _path("forget_method", name, "/method"))
+
+    def _listing(self) -> BoardTypeListReply:
+        return self._client.read(BoardTypeListReply, "/board-types")
+
+
+@dataclass(frozen=True, eq=False)
+class MergedPicture:
+    """A picture in linear radiance that was merged of frames of several exposures."""
+
+    facts: MergedReply
+    """Its frames, exposures, lights, size and matrices."""
+    _load: Callable[[bool], NDArray[Any]] = field(repr=False)
+
+    @cached_property
+    def radiance(self) -> NDArray[np.float32]:
+        """(h, w) grey levels per µs at gain 1; NaN where no frame gives a valid value."""
+        return self._load(False)
+
+    @cached_property
+    def sigma(self) -> NDArray[np.float32]:
+        """(h, w) standard deviation of `radiance`."""
+        return self._load(True)
+
+
+@dataclass(frozen=True, eq=False)
+class StationRun:
+    """One run of a station. Its images can be fetched while the station keeps the frames of the run."""
+
+    id: str
+    summary: dict[str, Any]
+    """The reply of the station to `GET runs/{id}`."""
+    _client: Client = field(repr=False)
+
+    @cached_property
+    def result(self) -> Stitch:
+        """Matrices, uncertainty and verdict of the run, fetched at the first access."""
+        return self._client.read(Stitch, self._path("matrices"))
+
+    @property
+    def status(self) -> Status:
+        """The verdict of the run: ok, degraded or failed. Its faults and identity may lower that of the result."""
+        return Status(self.summary.get("verdict") or self.result.status)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Reasons for a verdict other than ok, in sentences: those of the result, then those of the run."""
+        if self.status is Status.OK:
+            return self.result.reasons
+        of_run = (str(reason["message"]) for reason in self.summary.get("reasons", ()))
+        return (*self.result.reasons, *(text for text in of_run if text not in self.result.reasons))
+
+    @cached_property
+    def refs(self) -> tuple[str, ...]:
+        """Addresses of all components of the board type."""
+        listing = self._client.read(ComponentListReply, self._path("components"))
+        return tuple(entry.address for entry in listing.components)
+
+    def component(self, ref: str, **options: Unpack[ImageOptions]) -> ComponentImages:
+        """Return the images of a component from every frame that shows it. Pixels are fetched when they are accessed.
+
+        Args:
+            ref: address of the component.
+            **options: `px_per_mm`, `margin_mm`, `align` ("cad", "part") and `plane` ("board", "top") frame the images;
+                `light`, `seen_from` with `within_deg`, and bounds of coverage, exposure, angle, sharpness and
+                saturation choose them; `order` ("best", "sharpest") and `limit` follow; `minus` subtracts another
+                light; `measure` measures sharpness and saturation of each. docs/rest.md describes all of them.
+
+        Raises:
+            InputError: an option is not of its type, or outside its limits, or the run has no such light.
+            NotFoundError: the board type has no such component.
+            GoneError: at access to pixels, if the station no longer keeps the frames of the run.
+        """
+        require_text("component", "ref", ref)
+        wanted = ImageRequest.of(options)
+        # On a panel, `ref` is `panel/ref`; `quote` keeps the slash, which the path of the component contains as well.
+        reply = self._client.read(ComponentReply, self._path(f"components/{quote(ref)}"), **wanted.options())
+        height, sigma = component_height(self.result, ref)
+        images = tuple(self._image(view) for view in reply.views)
+        return ComponentImages(ref, images, height, sigma, self.status, reply.remark)
+
+    def pictures(self, *components: str, **options: Unpack[ImageOptions]) -> Iterator[ComponentPictures]:
+        """Yield the pictures of many components, each when all of its pictures have arrived, from one request.
+
+        Args:
+            *components: addresses of components; none: all components of the run.
+            **options: as for `component`.
+
+        Raises:
+            InputError: an option is not of its type, or outside its limits, or the run has no such light.
+            NotFoundError: the board type has no such component.
+            GoneError: the station no longer keeps the frames of the run, or gave up their memory meanwhile.
+        """
+        for ref in components:
+            require_text("pictures", "component", ref)
+        wanted = ImageRequest.of(options).options()
+        path = self._path("images")
+        with self._client.opened(path, component=components or None, format="raw", **wanted) as reply:
+            yield from read_pictures(reply, self._client.url(path))
+
+    def region(self, region: Box, **options: Unpack[ImageOptions]) -> ComponentPictures:
+        """Return the pictures of a part of the board, best first; options as for `component`."""
+        text = ",".join(f"{v!r}" for v in _box("region", region))
+        wanted = ImageRequest.of(options).options()
+        path = self._path("images")
+        with self._client.opened(path, region=text, format="raw", **wanted) as reply:
+            found = list(read_pictures(reply, self._client.url(path)))
+        if len(found) != 1:
+            raise unusable_reply(self._client.url(path), f"{len(found)} regions where one was asked for")
+        return found[0]
+
+    def frame(self, camera: int, row: int, *, incomplete: bool = False) -> NDArray[Any]:
+        """Return a frame as the camera delivered it, (h, w) or (h, w, 3), 8 or 16 bit.
+
+        Args:
+            camera: number of the camera.
+            row: number of the row.
+            incomplete: return it also if packets are missing, or if nothing proves that it is of this row.
+
+        Raises:
+            StateError: the frame is incomplete or unproven, and `incomplete` is False.
+            GoneError: the station no longer keeps the frames of the run.
+        """
+        numbers = require_whole("frame", "camera", camera, 0, 10_000), require_whole("frame", "row", row, 0, 1_000_000)
+        path = self._path(f"frames/{numbers[0]}/{numbers[1]}")
+        return self._array(path, incomplete="show" if incomplete else None)
+
+    def merged(
+        self,
+        component: str | None = None,
+        *,
+        region: Box | None = None,
+        light: str | None = None,
+        px_per_mm: float | None = None,
+        min_coverage: float | None = None,
+    ) -> tuple[MergedPicture, ...]:
+        """Return pictures in linear radiance of a component or a region; the last one is of all frames of a light.
+
+        Args:
+            component: address of the component.
+            region: a part of the board in place of a component.
+            light: merge the frames under this light; by default that of most frames of the run.
+            px_per_mm: resolution; by default that of the cameras.
+            min_coverage: omit frames that show a smaller share.
+        """
+        query = {
+            "component": component,
+            "region": None if region is None else ",".join(f"{v!r}" for v in _box("merged", region)),
+            "light": light,
+            "px_per_mm": px_per_mm,
+            "min_coverage": min_coverage,
+        }
+        listing = self._client.read(MergedListReply, self._path("merged"), **query)
+
+        def picture(facts: MergedReply) -> MergedPicture:
+            def load(sigma: bool) -> NDArray[Any]:
+                return self._array(f"{facts.url}&format=npy{'&sigma=true' if sigma else ''}", None)
+
+            return MergedPicture(facts, load)
+
+        return tuple(picture(facts) for facts in listing.pictures)
+
+    def mosaics(self) -> tuple[MosaicReply, ...]:
+        """Return the pictures of the whole board that the station offers: by light, by exposure, and merged."""
+        return self._client.read(MosaicListReply, self._path("mosaics")).mosaics
+
+    def save_mosaic(
+        self, name: str, path: str | Path, *, region: Box | None = None, px_per_mm: float | None = None
+    ) -> None:
+        """Write a picture of the whole board, or of a region, to a file: tiled, pyramidal TIFF.
+
+        Args:
+            name: name of one of `mosaics`.
+            path: the file, which is complete or unchanged.
+            region: a part of the board.
+            px_per_mm: resolution; by default that of the cameras.
+        """
+        target = require_path("save_mosaic", "path", path)
+        corners = (
+            {} if region is None else dict(zip(("x0", "y0", "x1", "y1"), _box("save_mosaic", region), strict=True))
+        )
+        address = self._path(f"mosaics/{quote(require_text('save_mosaic', 'name', name), safe='')}.tif")
+        # Calls at the same time write to several drafts, so that they do not mix them.
+        part = target.with_name(f".{target.name}.{token_hex(4)}.part")
+        try:
+            with self._client.opened(address, px_per_mm=px_per_mm, **corners) as reply, part.open("wb") as file:
+                shutil.copyfileobj(reply, file)
+            part.replace(target)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def heights(self) -> Mapping[str, HeightEntry]:
+        """Return the heights of the components above the board, by address.
+
+        Raises:
+            StateError: the run has no CAD mapping, or the calibration no working distance.
+            GoneError: they were not measured while the frames were there.
+        """
+        return self._client.read(HeightList, self._path("heights")).heights
+
+    def timeline(self) -> Timeline:
+        """Return the times of the steps of the run: frames, links, result, and what followed."""
+        return self._client.read(Timeline, self._path("timeline"))
+
+    def identity(self, timeout_s: float = 0.0) -> IdentityDocument:
+        """Return which board the run shows: the ids that were armed, read and reported, and whether they agree.
+
+        Args:
+            timeout_s: longest wait for the codes, 0 to 60; before they are read, `state` is `pending`.
+        """
+        require_number("identity", "timeout_s", timeout_s, 0.0, 60.0)
+        return self._client.read(IdentityDocument, self._path("identity"), timeout=timeout_s)
+
+    def report_next_machine(self, board_id: str, machine: str = "") -> IdentityDocument:
+        """Report the id that the next machine of the line has read of this board; return the ids compared."""
+        fields = {"board_id": require_text("report_next_machine", "board_id", board_id), "machine": machine}
+        return self._client.write(IdentityDocument, "PUT", self._path("identity/next-machine"), fields)
+
+    def decide(self, choice: Choice, name: str, reason: str) -> None:
+        """Keep what a person has decided about the run: `film-again`, or `use` its pictures despite the verdict.
+
+        Args:
+            choice: the decision; the verdict stays as it is.
+            name: name of the person.
+            reason: why.
+        """
+        given = {"choice": choice, "name": name, "reason": reason}
+        for field_name, value in given.items():
+            require_text("decide", field_name, value)
+        self._client.act("PUT", self._path("decision"), given)
+
+    def pin(self) -> None:
+        """Keep the run until it is unpinned: result and record, and its frames as a recording if they are there."""
+        self._client.act("PUT", self._path("pin"))
+
+    def unpin(self) -> None:
+        """Remove the pin; the run is then deleted like other runs."""
+        self._client.act("DELETE", self._path("pin"))
+
+    def hold(self, holder: str, purpose: str = "") -> LeaseStatus:
+        """Keep the frames of the run in memory until the hold expires or ends; a repeated call renews the hold.
+
+        Raises:
+            GoneError: the station no longer keeps the frames.
+        """
+        return self._client.write(LeaseStatus, "PUT", self._path("hold"), holder=holder, purpose=purpose)
+
+    def end_hold(self, holder: str) -> None:
+        """End the hold of `hold`; the frames stay as long as the station has memory for them."""
+        self._client.act("DELETE", self._path("hold"), holder=require_text("end_hold", "holder", holder))
+
+    def release(self, holder: str | None = None) -> None:
+        """Give up the frames of the run, so that the next board can use their memory; the result stays.
+
+        Args:
+            holder: the name under which the caller held the run; None if it did not.
+
+        Raises:
+            StateError: another caller holds the run.
+        """
+        self._client.act("POST", self._path("release"), {}, holder=holder or None)
+
+    def check_board_type(self, name: str | None = None) -> BoardCheck:
+        """Lay a board type of the station, by default that of the run, over the run's pictures; takes seconds."""
+        return self._client.read(BoardCheck, self._path("board-check"), board_type=name)
+
+    def board_check_picture(self, name: str | None = None) -> bytes:
+        """Return the picture of `check_board_type` as JPEG: the components of the board type over the board."""
+        return self._client.content(self._path("board-check/picture"), board_type=name)
+
+    def correct_board_type(self, name: str, revision: str | None = None) -> BoardType:
+        """Store the correction that `check_board_type` proposes, as a draft of the board type."""
+        path = f"/board-types/{quote(name, safe='')}/correct"
+        return self._client.write(BoardType, "POST", path, {"run": self.id, "revision": revision})
+
+    def _path(self, rest: str) -> str:
+        return f"/runs/{quote(self.id, safe='')}/{rest}"
+
+    def _array(self, path: str, format: Literal["npy"] | None = "npy", **query: Any) -> NDArray[Any]:
+        content = self._client.content(path, format=format, **query)
+        try:
+            found = np.load(io.BytesIO(content), allow_pickle=False)
+        except (ValueError, EOFError) as error:
+            raise unusable_reply(self._client.url(path), f"{len(content)} bytes that are no array") from error
+        return np.asarray(found)
+
+    def _image(self, view: ViewReply) -> ComponentImage:
+        def load() -> NDArray[Any]:
+            return self._client.picture(view.url)[1]
+
+        fields: dict[str, Any] = {name: getattr(view, name) for name in FIELDS}
+        fields |= {"crop_from_cad": view.crop_from_cad, "image_from_crop": view.image_from_crop}
+        covariance = None if view.covariance_px2 is None else np.array(view.covariance_px2)
+        return ComponentImage(**fields, covariance_px2=covariance, _load=load)
+
+
+@dataclass(frozen=True, eq=False)
+class StationImport:
+    """A file with board data on a running station, not yet a board type."""
+
+    document: dict[str, Any]
+    """What the station has found: the reply of `GET board-data/previews/{id}`."""
+    _client: Client = field(repr=False)
+
+    @classmethod
+    def upload(cls, client: Client, path: str | Path, options: dict[str, Any]) -> StationImport:
+        """Send a file to a station."""
+        file = require_path("upload_board_data", "path", path)
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            raise InputError(f"{file}: cannot be read: {error.strerror}.") from error
+        # A table of sizes may be too long for an address: the file is read again with it.
+        sizes = options.pop("sizes", None)
+        found = cls(dict(client.upload(_PREVIEWS, content, filename=file.name, **options)), client)
+        return found if sizes is None else found.correct(sizes=sizes, **options)
+
+    @property
+    def picture(self) -> bytes:
+        """Outline, marks and bodies as SVG."""
+        return self._client.content(f"{self._address}/picture")
+
+    def correct(self, **options: Any) -> StationImport:
+        """Read the file again with other options: `side`, `join` (id of another upload), and as for the upload."""
+        if options.get("sizes") is not None:
+            options["sizes"] = read_text(require_path("correct", "sizes", options["sizes"]))
+        given = {name: value for name, value in options.items() if value is not None}
+        reply = self._client.act("PUT", self._address, given)
+        return StationImport(dict(reply), self._client)
+
+    def confirm(self, *, tag: str | None = None, new: bool = False) -> BoardType:
+        """Store the board type on the station, so that it can be armed.
+
+        Args:
+            tag: replace only the version with this tag (`StationBoardTypes.get_tagged`).
+            new: replace none: refuse with the code `changed` if there is a board type of this name.
+        """
+        headers = _conditions(tag, new=new)
+        return self._client.write(BoardType, "POST", f"{self._address}/confirm", {}, headers)
+
+    def board_type(self) -> BoardType:
+        """Return the board type that `confirm` would store."""
+        return self._client.read(BoardType, f"{self._address}/board-type")
+
+    def discard(self) -> None:
+        """Delete the file from the station; without this call it goes after an hour."""
+        self._client.act("DELETE", self._address)
+
+    @property
+    def _address(self) -> str:
+        return f"{_PREVIEWS}/{quote(str(self.document['id']))}"
 
 
 class RunFilters(TypedDict, total=False):
@@ -56,17 +551,14 @@ class Station:
         if not isinstance(key, str | None):
             # The type only: a value of another type may still contain the key.
             raise InputError.field("connect", "key", type(key).__name__, "a text")
-        credentials = caller_credentials(_path("key_file", key_file), _path("ca", ca), key=key)
+        credentials = caller_credentials(_optional_path("key_file", key_file), _optional_path("ca", ca), key=key)
         self._client = Client(checked_address(address), credentials)
         self.board_types = StationBoardTypes(self._client)
         """The board types of the station."""
 
     def snapshot(self) -> dict[str, Any]:
         """Return the present state of the station as `GET station` gives it."""
-        reply = self._client.get("/station")
-        if reply is None:
-            raise unusable_reply(self._client.url("/station"), "no content")
-        return dict(reply)
+        return self._given("/station", self._client.get("/station"))
 
     def arm(
         self,
@@ -102,11 +594,12 @@ class Station:
             "allow_lost_cameras": allow_lost_cameras or None,
             "passing": None if passing is None else require_text("arm", "passing", passing),
         }
-        return self._command("/station/arm", {k: v for k, v in fields.items() if v is not None})
+        given = {name: value for name, value in fields.items() if value is not None}
+        return self._given("/station/arm", self._client.post("/station/arm", **given))
 
     def disarm(self) -> dict[str, Any]:
         """Disarm the line: film no further board. Return the station's state."""
-        return self._command("/station/disarm", {})
+        return self._given("/station/disarm", self._client.post("/station/disarm"))
 
     def events(self, after: int) -> Iterator[dict[str, Any]]:
         """Yield events numbered above `after`, and heartbeats, as they happen, until the station ends.
@@ -129,8 +622,7 @@ class Station:
         found: list[dict[str, Any]] = []
         # One reply has at most `_PAGE` runs, and with a filter it may have fewer although more follow.
         while missing > 0:
-            reply = self._client.get("/runs", **query, limit=min(missing, _PAGE))
-            page = checked(RunListReply, reply, self._client.url("/runs"))
+            page = self._client.read(RunListReply, "/runs", **query, limit=min(missing, _PAGE))
             found += page.runs
             missing -= len(page.runs)
             if page.next is None:
@@ -141,11 +633,11 @@ class Station:
     def counts(self, since: str | datetime | None = None) -> RunCounts:
         """Return the numbers of boards by verdict, and of missed ones, since a time; by default since midnight."""
         query = _filters({} if since is None else {"since": since})
-        return checked(RunCounts, self._client.get("/runs/counts", **query), self._client.url("/runs/counts"))
+        return self._client.read(RunCounts, "/runs/counts", **query)
 
     def calibration(self) -> CalibrationStatus:
         """Return the calibration in force, with the displacement of every camera from it in the latest runs."""
-        return checked(CalibrationStatus, self._client.get("/calibration"), self._client.url("/calibration"))
+        return self._client.read(CalibrationStatus, "/calibration")
 
     def run(self, run_id: str = "latest") -> StationRun:
         """Return a run by its id, by default the one that finished last."""
@@ -175,8 +667,7 @@ class Station:
         """
         return StationImport.upload(self._client, path, {"side": side, **choices})
 
-    def _command(self, path: str, fields: dict[str, Any]) -> dict[str, Any]:
-        reply = self._client.post(path, **fields)
+    def _given(self, path: str, reply: Any) -> dict[str, Any]:
         if reply is None:
             raise unusable_reply(self._client.url(path), "no content")
         return dict(reply)
@@ -226,7 +717,7 @@ def _filters(given: RunFilters) -> dict[str, str]:
     return query
 
 
-def _path(name: str, value: str | Path | None) -> Path | None:
+def _optional_path(name: str, value: str | Path | None) -> Path | None:
     return None if value is None else require_path("connect", name, value)
 
 
@@ -243,3 +734,22 @@ def checked_address(address: str) -> str:
     if not sound or not address.isascii() or any(c.isspace() or not c.isprintable() for c in address):
         raise InputError(f"address is {address!r}, but must be http://HOST:PORT, for example http://127.0.0.1:8350.")
     return address.rstrip("/")
+
+
+def _path(function: str, name: object, rest: str = "") -> str:
+    return f"/board-types/{quote(require_text(function, 'name', name), safe='')}{rest}"
+
+
+def _conditions(tag: str | None, *, new: bool = False) -> dict[str, str]:
+    """Return the headers by which a change replaces only the version with a tag, or none."""
+    match = {} if tag is None else {"If-Match": require_text("board types", "tag", tag)}
+    return match | ({"If-None-Match": "*"} if new else {})
+
+
+def _box(function: str, region: object) -> Box:
+    """Return a region as four numbers; raise InputError if it is none."""
+    values = tuple(region) if isinstance(region, Iterable) and not isinstance(region, str) else ()
+    if len(values) != 4:
+        raise InputError.field(function, "region", region, "four numbers: x0, y0, x1, y1")
+    x0, y0, x1, y1 = (require_number(function, "region", v, -1e6, 1e6) for v in values)
+    return x0, y0, x1, y1

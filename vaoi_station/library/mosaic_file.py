@@ -12,7 +12,7 @@ from vaoi_station.files import open_recording, read_board_type, read_calibration
 from vaoi_station.files.documents import write_json
 from vaoi_station.files.pyramids import PyramidLayout, refuse_existing
 from vaoi_station.files.results import read_heights
-from vaoi_station.library.stitched_run import check_result
+from vaoi_station.library.recordings import check_result
 from vaoi_station.model.known_height import with_heights
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, choose_frames, make_plan
 from vaoi_station.mosaic.frames import frames_of_head

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,6 @@ from vaoi_station.demo.client import unusable_reply
 from vaoi_station.errors import DeviceError, GoneError
 
 _MOST_HEAD = 10_000
-
-
-class Readable(Protocol):
-    """A reply whose body is read piece by piece."""
-
-    def read(self, size: int, /) -> bytes:
-        """Return at most `size` bytes; none at the end."""
-        ...
-
-    def readline(self, limit: int, /) -> bytes:
-        """Return the bytes up to the next line feed, at most `limit`."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,28 +30,7 @@ class ComponentPictures:
     """Why the component has no pictures; None if it was not refused."""
 
 
-@dataclass
-class _Begun:
-    """A component whose pictures have not all arrived."""
-
-    document: dict[str, Any]
-    pixels: list[NDArray[Any]] = field(default_factory=list)
-
-    @property
-    def complete(self) -> bool:
-        return len(self.pixels) == len(self.document["views"])
-
-    def finished(self) -> ComponentPictures:
-        refused = self.document.get("refused")
-        return ComponentPictures(
-            self.document["address"],
-            tuple(self.document["views"]),
-            tuple(self.pixels),
-            None if refused is None else refused["message"],
-        )
-
-
-def read_pictures(reply: Readable, url: str) -> Iterator[ComponentPictures]:
+def read_pictures(reply: BinaryIO, url: str) -> Iterator[ComponentPictures]:
     """Yield the components of a multipart answer with bare pixels, each when all its pictures have arrived.
 
     Args:
@@ -74,28 +41,31 @@ def read_pictures(reply: Readable, url: str) -> Iterator[ComponentPictures]:
         GoneError: the station no longer keeps the frames of the run; the components so far are right.
         DeviceError: the answer ended early, the station had a fault, or the bytes are no such answer.
     """
-    begun: dict[str, _Begun] = {}
+    begun: dict[str, tuple[dict[str, Any], list[NDArray[Any]]]] = {}
     ended = False
     try:
         for name, content in _files(reply, url):
             folder, _, file = name.rpartition("/")
             if file == "views.json":
-                begun[folder] = _Begun(json.loads(content))
+                begun[folder] = json.loads(content), []
             elif file == "end.json":
                 _check_end(json.loads(content), url)
                 ended = True
             elif file != "run.json":
-                component = begun[folder]
-                component.pixels.append(_pixels(content, component.document["views"][len(component.pixels)]))
-            if folder in begun and begun[folder].complete:
-                yield begun.pop(folder).finished()
+                document, pixels = begun[folder]
+                pixels.append(_pixels(content, document["views"][len(pixels)]))
+            document, pixels = begun.get(folder, ({}, []))
+            if document and len(pixels) == len(document["views"]):
+                del begun[folder]
+                refused = document["refused"]["message"] if document.get("refused") else None
+                yield ComponentPictures(document["address"], tuple(document["views"]), tuple(pixels), refused)
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise unusable_reply(url, f"a batch that cannot be read ({type(error).__name__}: {error})") from error
     if not ended or begun:
         raise unusable_reply(url, "a batch that ends early")
 
 
-def _files(reply: Readable, url: str) -> Iterator[tuple[str, bytes]]:
+def _files(reply: BinaryIO, url: str) -> Iterator[tuple[str, bytes]]:
     """Yield name and content of each part."""
     boundary = reply.readline(_MOST_HEAD).strip()
     line = boundary
@@ -104,23 +74,14 @@ def _files(reply: Readable, url: str) -> Iterator[tuple[str, bytes]]:
         while header := reply.readline(_MOST_HEAD).strip():
             key, _, value = header.decode("ascii").partition(": ")
             headers[key.lower()] = value
-        size = int(headers["content-length"])
-        yield headers["content-disposition"].partition('filename="')[2].rstrip('"'), _exactly(reply, size, url)
+        content = reply.read(int(headers["content-length"]))
+        if len(content) < int(headers["content-length"]):
+            raise unusable_reply(url, "a batch that ends early")
+        yield headers["content-disposition"].partition('filename="')[2].rstrip('"'), content
         reply.readline(_MOST_HEAD)
         line = reply.readline(_MOST_HEAD).strip()
     if line != boundary + b"--":
         raise unusable_reply(url, "a batch that ends early")
-
-
-def _exactly(reply: Readable, size: int, url: str) -> bytes:
-    pieces, missing = [], size
-    while missing:
-        piece = reply.read(missing)
-        if not piece:
-            raise unusable_reply(url, "a batch that ends early")
-        pieces.append(piece)
-        missing -= len(piece)
-    return b"".join(pieces)
 
 
 def _pixels(content: bytes, view: Mapping[str, Any]) -> NDArray[Any]:

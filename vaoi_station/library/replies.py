@@ -1,27 +1,18 @@
-"""The parts of a station's replies that the public API uses, checked before use.
-
-Unknown keys are accepted, so that a newer station may send more. Everything else that differs is a `DeviceError`.
-"""
+"""The parts of a station's replies that the client uses; a newer station may send more."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from vaoi_station.demo.client import unusable_reply
-from vaoi_station.files.documents import describe
 from vaoi_station.model.frozen_model import Matrix, Point, Positive, Whole
 from vaoi_station.rendering.view import Plane
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.states.schemas import BoardTypeSummary
 
-M = TypeVar("M", bound=BaseModel)
-
 
 class _Reply(BaseModel):
-    """Base class of all replies."""
-
     model_config = ConfigDict(arbitrary_types_allowed=True, frozen=True)
 
 
@@ -32,11 +23,10 @@ class RunIdReply(_Reply):
 
 
 class RunListReply(_Reply):
-    """A page of the list of runs."""
+    """A page of the list of runs; `next` is the id of a run before which the next page begins."""
 
     runs: list[dict[str, Any]]
     next: str | None = None
-    """Id of a run, before which the next page begins; None on the last page."""
 
 
 class BoardTypeListReply(_Reply):
@@ -91,6 +81,13 @@ class ViewReply(_Reply):
     url: Annotated[str, Field(pattern=r"^(/[^/?#]+)*/api/")]
 
 
+class ComponentReply(_Reply):
+    """All views of one component."""
+
+    remark: str | None = None
+    views: list[ViewReply]
+
+
 class MergedReply(_Reply):
     """One picture that is merged of several frames."""
 
@@ -130,33 +127,11 @@ class MosaicReply(_Reply):
     image_from_cad: Matrix
     """CAD → pixels of the largest picture; centres of pixels are integers."""
     dzi: str
-    iiif: str
     tiff: str
-    """Addresses as Deep Zoom Image, over IIIF, and as a file."""
+    """Addresses as Deep Zoom Image, and as a file."""
 
 
 class MosaicListReply(_Reply):
     """The pictures of a whole board."""
 
     mosaics: tuple[MosaicReply, ...]
-
-
-class ComponentReply(_Reply):
-    """All views of one component."""
-
-    remark: str | None = None
-    views: list[ViewReply]
-
-
-def checked(model: type[M], reply: Any, url: str) -> M:
-    """Validate a reply.
-
-    Raises:
-        DeviceError: the reply is empty, lacks a key, or has a value of another type; the message names address and key.
-    """
-    # Documents that the station writes itself are closed; a newer station may have added keys to them.
-    extra: Literal["ignore"] | None = "ignore" if model.model_config.get("extra") != "allow" else None
-    try:
-        return model.model_validate(reply, extra=extra)
-    except ValidationError as error:
-        raise unusable_reply(url, f"another document than expected: {describe(error, 'reply').rstrip('.')}") from error

@@ -1,4 +1,4 @@
-"""Board data over REST: upload, preview, correct, confirm. The importers run in this process here."""
+"""Imports of board data over REST."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
+from pydantic import ValidationError
 
 from tests.api.board_data.test_previews import import_here
 from tests.api.held_station import HeldStation
@@ -15,6 +16,7 @@ from tests.board_data.readers import samples
 from vaoi_station.api import create_app, request_guard
 from vaoi_station.api.access import scope_needed
 from vaoi_station.api.board_data import previews
+from vaoi_station.api.board_data.models import ImportOptions
 from vaoi_station.model import BoardType
 
 PREVIEWS = "/api/v1/board-data/previews"
@@ -170,3 +172,10 @@ def test_a_preview_that_is_deleted_while_it_is_confirmed_is_stored(
 def test_uploads_need_the_scope_teach() -> None:
     assert scope_needed("POST", PREVIEWS) == "teach"
     assert scope_needed("GET", PREVIEWS) == "read"
+
+
+def test_options_are_checked() -> None:
+    assert ImportOptions().side == "top"
+    for wrong in ({"units": "cm"}, {"join": "../x"}, {"format": "gerber"}, {"nonsense": 1}):
+        with pytest.raises(ValidationError):
+            ImportOptions.model_validate(wrong)

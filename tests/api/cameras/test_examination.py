@@ -1,4 +1,4 @@
-"""The doctor runs in a process of its own, once for callers that ask together; a failure names what to do."""
+"""vaoi doctor for callers of REST."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from vaoi_station.api.cameras import examination
-from vaoi_station.api.cameras.examination import DOCTOR, Examinations
+from vaoi_station.api.cameras.examination import DOCTOR, Examination, Examinations
+from vaoi_station.api.cameras.frames import SharpnessTile
 from vaoi_station.errors import DeviceError, NotFoundError
 
 FINDING = {"check": "disk", "subject": "", "level": "warning", "message": "nearly full", "action": "Make room."}
@@ -128,3 +129,12 @@ def test_a_machine_without_nice_is_a_failure(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(DeviceError, match="FileNotFoundError"):
         asyncio.run(Line(tmp_path, "").examinations.examine())
+
+
+def test_a_part_without_edges_has_no_blur() -> None:
+    assert SharpnessTile(column=0, row=2).model_dump(exclude_none=True) == {"column": 0, "row": 2}
+
+
+def test_a_report_of_the_doctor_with_further_fields_is_read() -> None:
+    report = {"format": "vaoi-doctor", "created": "now", "worst": "ok", "findings": []}
+    assert Examination.model_validate(report).worst == "ok"

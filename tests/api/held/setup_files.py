@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from tests.api.held_station import CAMERAS, HEIGHT, PX_PER_MM, WIDTH, HeldStation
-from vaoi_station.api.setup.models import ArtworkOptions
+from vaoi_station.api.setup.calibration import ArtworkOptions
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.config import read_config
 from vaoi_station.files import write_calibration

@@ -1,4 +1,4 @@
-"""`board-types`: store, read, replace, delete."""
+"""Board types over REST: documents, versions, reference, method, light program, and the check against a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from vaoi_station.model import BoardType
+from tests.api.held_station import HeldStation
+from vaoi_station.board_check.report import BoardCheck
+from vaoi_station.model import BoardType, Status
+from vaoi_station.runs.workers.board_check_job import CheckedBoard
 
 TYPES = "/api/v1/board-types"
 U1 = {"ref": "U1", "center": [1, 2], "width": 3, "height": 4}
@@ -181,3 +184,160 @@ def test_the_state_is_set_and_the_version_before_restored(client: Any) -> None:
     assert "state" not in client.get(f"{address}/revisions/latest").json()
     assert "state" not in client.post(f"{address}/revisions/latest/restore").json()
     assert client.put(f"{TYPES}/none/state", json={"state": "draft"}).status_code == 404
+
+
+TYPE = "/api/v1/board-types/demo-board"
+
+
+def test_a_reference_is_set_read_and_deleted(client: Any, station: Any) -> None:
+    none = client.get(f"{TYPE}/reference")
+    assert (none.status_code, none.json()["code"]) == (404, "no-reference")
+    first = client.put(f"{TYPE}/reference", json={"run": station.film()})
+    assert (first.status_code, first.headers["location"]) == (201, f"{TYPE}/reference")
+    assert {k: first.json()[k] for k in ("run", "board_type", "usable", "calibration", "rows", "cameras")} == {
+        "run": "r000001", "board_type": "demo-board", "usable": True, "calibration": "c0ffee", "rows": 4, "cameras": 3,
+    }  # fmt: skip
+    assert client.get(f"{TYPE}/reference").json() == first.json()
+    assert first.headers["cache-control"] == "no-store"
+    second = client.put(f"{TYPE}/reference", json={"run": station.film()})
+    assert (second.status_code, second.json()["run"]) == (200, "r000002")
+    assert client.delete(f"{TYPE}/reference").status_code == 204
+    assert client.delete(f"{TYPE}/reference").json()["code"] == "no-reference"
+
+
+def test_a_method_is_changed_only_if_it_is_the_one_that_was_read(client: Any) -> None:
+    read = client.get(f"{TYPE}/method").headers["etag"]
+    first = client.put(f"{TYPE}/method", json={"method": "features"}, headers={"If-Match": read})
+    assert first.headers["etag"] == client.get(f"{TYPE}/method").headers["etag"] != read
+    for answer in (
+        client.put(f"{TYPE}/method", json={"method": "fiducials"}, headers={"If-Match": read}),
+        client.delete(f"{TYPE}/method", headers={"If-Match": read}),
+    ):
+        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
+    assert client.get(f"{TYPE}/method").json()["method"] == "features"
+
+
+def test_of_two_who_teach_the_second_learns_that_there_is_another_reference(client: Any, station: Any) -> None:
+    runs = [station.film() for _ in range(3)]
+    first = client.put(f"{TYPE}/reference", json={"run": runs[0]}).headers["etag"]
+    assert client.get(f"{TYPE}/reference").headers["etag"] == first
+    second = client.put(f"{TYPE}/reference", json={"run": runs[1]}, headers={"If-Match": first}).headers["etag"]
+    for answer in (
+        client.put(f"{TYPE}/reference", json={"run": runs[2]}, headers={"If-Match": first}),
+        client.delete(f"{TYPE}/reference", headers={"If-Match": first}),
+    ):
+        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
+    assert client.get(f"{TYPE}/reference").json()["run"] == runs[1]
+    assert client.delete(f"{TYPE}/reference", headers={"If-Match": second}).status_code == 204
+    assert client.put(f"{TYPE}/reference", json={"run": runs[2]}, headers={"If-Match": second}).status_code == 412
+
+
+def test_unsuitable_runs_are_refused_as_reference(client: Any, station: Any) -> None:
+    def refused(**body: Any) -> tuple[int, str]:
+        answer = client.put(f"{TYPE}/reference", json=body)
+        assert answer.headers["content-type"] == "application/problem+json"
+        return answer.status_code, answer.json()["code"]
+
+    assert refused() == (422, "invalid-input")
+    assert refused(run="r000099") == (404, "unknown-run")
+    assert refused(run=station.film(), extra=1) == (422, "invalid-input")
+    assert refused(run=station.film(verdict=Status.DEGRADED)) == (409, "not-a-reference")
+    gone = station.film()
+    station.release(gone)
+    assert refused(run=gone) == (410, "frames-gone")
+    assert client.put("/api/v1/board-types/unheard/reference", json={"run": gone}).status_code == 404
+
+
+def test_a_method_is_set_and_deleted(client: Any) -> None:
+    assert client.get(f"{TYPE}/method").json() == {"method": "auto", "chosen": "station"}
+    assert client.put(f"{TYPE}/method", json={"method": "reference"}).json() == {
+        "method": "reference",
+        "chosen": "board-type",
+    }
+    assert client.get(f"{TYPE}/method").json()["method"] == "reference"
+    assert client.delete(f"{TYPE}/method").json() == {"method": "auto", "chosen": "station"}
+
+
+@pytest.mark.parametrize("body", [{"method": "paper"}, {"method": None}, {}, {"method": "auto", "more": 1}])
+def test_an_unknown_method_is_refused(client: Any, body: Any) -> None:
+    answer = client.put(f"{TYPE}/method", json=body)
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid-input")
+
+
+PATH = "/api/v1/board-types/demo-board/program/check"
+
+
+def test_a_program_is_checked_and_nothing_is_changed(client: Any, station: Any) -> None:
+    before = station.types["demo-board"]
+    answer = client.post(PATH, json={"program": [{"light": "left", "on_us": 900.0}]})
+    assert answer.status_code == 200
+    assert answer.headers["Cache-Control"] == "no-store"
+    content = answer.json()
+    assert (content["usable"], content["origin"]) == (False, "request")
+    assert content["faults"][0]["message"].endswith(
+        "must be 50 … 500 (the longest pulse of channel 2 in its firmware)."
+    )
+    assert station.types["demo-board"] is before
+    assert client.post(PATH, json={}).json()["origin"] == "cameras"
+
+
+def test_what_is_no_program_is_refused(client: Any) -> None:
+    assert client.post(PATH, json={"program": [{"light": "left", "on_us": -1.0}]}).status_code == 422
+    assert client.post(PATH, json={"program": [{"light": "left"}] * 65}).status_code == 422
+    assert client.post(PATH.replace("demo-board", "other"), json={}).status_code == 404
+
+
+def proposing(station: HeldStation) -> BoardCheck:
+    """Make the station's checks propose a shifted board type."""
+    board = station.board_type("demo-board")
+    moved = board.model_copy(update={"state": "draft", "revision": "A corrected"})
+    report = BoardCheck(board_type=board.name, score=9, rival_score=5, components=3, measured=3, proposal=moved)
+    station.mosaics.board_checks._render = lambda job, name: CheckedBoard(report, b"jpeg")
+    return report
+
+
+def test_a_check_without_evidence_says_so(client: Any, station: HeldStation) -> None:
+    run = station.film()
+    answer = client.get(f"/api/v1/runs/{run}/board-check")
+    assert answer.status_code == 200
+    assert answer.json()["board_type"] == "demo-board"
+    assert [w["code"] for w in answer.json()["warnings"]] == ["not-found"]
+    tag = answer.headers["ETag"]
+    assert client.get(f"/api/v1/runs/{run}/board-check", headers={"If-None-Match": tag}).status_code == 304
+    picture = client.get(f"/api/v1/runs/{run}/board-check/picture", params={"board_type": "demo-board"})
+    assert picture.headers["Content-Type"] == "image/jpeg"
+    assert len(station.mosaics.jobs) == 1  # type: ignore[attr-defined]
+    unknown = client.get(f"/api/v1/runs/{run}/board-check", params={"board_type": "nonsense"})
+    assert unknown.status_code == 404
+    refused = client.post("/api/v1/board-types/demo-board/correct", json={"run": run})
+    assert (refused.status_code, refused.json()["code"]) == (409, "nothing-to-correct")
+
+
+def test_a_change_that_comes_during_a_check_is_checked_as_well(client: Any, station: HeldStation) -> None:
+    """Other changes do not wait for the check, and none of them is lost."""
+    run = station.film()
+    proposing(station)
+    checks, asked = station.mosaics.board_checks, list[BoardType]()
+    correct = checks.correct
+
+    def changed_meanwhile(run: str, board_type: BoardType, revision: str | None) -> BoardType:
+        asked.append(board_type)
+        if len(asked) == 1:
+            station.put_board_type(board_type.model_copy(update={"revision": "meanwhile"}))
+        return correct(run, board_type, revision)
+
+    checks.correct = changed_meanwhile  # type: ignore[method-assign]
+    assert client.post("/api/v1/board-types/demo-board/correct", json={"run": run}).status_code == 200
+    assert [board_type.revision for board_type in asked] == [None, "meanwhile"]
+
+
+def test_a_correction_is_stored_as_a_draft_of_the_version_that_was_read(client: Any, station: HeldStation) -> None:
+    run = station.film()
+    proposing(station)
+    path = "/api/v1/board-types/demo-board/correct"
+    assert client.post(path, json={"run": run}, headers={"If-Match": '"other"'}).status_code == 412
+    tag = client.get("/api/v1/board-types/demo-board").headers["ETag"]
+    stored = client.post(path, json={"run": run, "revision": "B"}, headers={"If-Match": tag})
+    assert stored.status_code == 200, stored.text
+    assert (stored.json()["state"], stored.json()["revision"]) == ("draft", "B")
+    assert client.get("/api/v1/board-types/demo-board").json()["revision"] == "B"

@@ -1,4 +1,4 @@
-"""Mosaics over REST: Deep Zoom, IIIF and the file; what viewers ask for and what is refused."""
+"""Mosaics over REST: Deep Zoom and the file; what viewers ask for and what is refused."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def board(client: Any, station: Any) -> Any:
 def test_list_leads_to_all_forms_of_a_mosaic(client: Any, board: Any) -> None:
     assert (board["name"], board["hdr"], board["width_px"], board["height_px"]) == ("board", False, 480, 320)
     assert board["image_from_cad"][0] == [8.0, 0.0, -0.5]
-    forms = {"dzi": ("application/xml", "immutable"), "iiif": ("application/json", "immutable")}
-    for form, (media, cache) in (forms | {"tiff": ("image/tiff", "no-cache")}).items():
+    forms = {"dzi": ("application/xml", "immutable"), "tiff": ("image/tiff", "no-cache")}
+    for form, (media, cache) in forms.items():
         answer = client.get(board[form])
         assert answer.status_code == 200
         assert answer.headers["content-type"].startswith(media)
@@ -39,7 +39,7 @@ def test_addresses_of_lights_with_any_name_can_be_opened(client: Any, station: A
     entries = client.get(f"{RUNS}/{station.film()}/mosaics").json()["mosaics"]
     assert {entry.get("light") for entry in entries} == {None, *station.lights}
     for entry in entries:
-        assert client.get(entry["dzi"]).status_code == client.get(entry["iiif"]).status_code == 200
+        assert client.get(entry["dzi"]).status_code == 200
     tile = client.get(entries[-1]["dzi"].removesuffix(".dzi") + "_files/0/0_0.jpg")
     assert tile.status_code == 200
 
@@ -61,25 +61,9 @@ def test_deep_zoom_tiles_join_to_the_board(client: Any, board: Any) -> None:
     assert client.get(f"{tiles}/0/0_0.jpg").headers["content-type"] == "image/jpeg"
 
 
-def test_iiif_tiles_are_those_of_its_description(client: Any, board: Any) -> None:
-    info = client.get(board["iiif"]).json()
-    assert (info["profile"], info["width"], info["height"]) == ("level0", 480, 320)
-    assert info["id"].endswith(board["iiif"].removesuffix("/info.json"))
-    base = board["iiif"].removesuffix("/info.json")
-    for region, size, shape in [
-        ("0,0,256,256", "256,256", (256, 256)),
-        ("256,256,224,64", "224,64", (64, 224)),
-        ("full", "240,160", (160, 240)),
-        ("0,0,480,320", "240,", (160, 240)),
-    ]:
-        assert picture(client.get(f"{base}/{region}/{size}/0/default.png")).shape == shape
-
-
 @pytest.mark.parametrize(
     ("address", "status", "words"),
     [
-        ("board/1,2,3,4/3,4/0/default.jpg", 422, "region/size is '1,2,3,4/3,4', but must be one of the tiles"),
-        ("board/square/max/0/default.jpg", 422, "region is 'square', but must be one of the tiles"),
         ("board_files/9/2_0.jpg", 404, "2×2 tiles, counted from 0; there is no tile 2_0"),
         ("board_files/12/0_0.jpg", 404, "levels 0 to 9; there is no level 12"),
         ("board,light=left.dzi", 422, "light is 'left', but must be one of the 1 lights of the run"),

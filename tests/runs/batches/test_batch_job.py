@@ -10,10 +10,11 @@ import pytest
 from tests.api.held.batches import held_batches
 from tests.api.held.unpacked import documents, unpacked
 from tests.api.held_station import HeldStation
-from vaoi_station.api.images.view_entries import view_entry
+from vaoi_station.api.rest_models import ViewEntry
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.model import Component
 from vaoi_station.rendering import ImageRequest, render_chosen
+from vaoi_station.rendering.description import describe
 from vaoi_station.runs.batches import batch_job
 from vaoi_station.runs.batches.batch_job import BatchJob, folder_of, picture_member
 from vaoi_station.runs.batches.batch_request import BatchRequest
@@ -53,7 +54,7 @@ def test_pictures_and_figures_are_those_of_single_requests(station: HeldStation,
         assert entry["address"] == address
         for k, (choice, view) in enumerate(zip(choices, entry["views"], strict=True)):
             url = f"/api/v1/runs/{RUN}/components/{address}/images/{k}?q"
-            expected = view_entry(k, choice, url, None).model_dump(mode="json", exclude_none=True)
+            expected = ViewEntry(k=k, url=url, **describe(choice, None)).model_dump(mode="json", exclude_none=True)
             assert view == {**expected, "file": f"{folder}/{k}.npy"}
             frames = [station.pixels[RUN, s.view.camera, s.view.row] for s in (choice, choice.minus) if s]
             pixels = np.frombuffer(files[view["file"]][128:], np.uint8)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from typing import Annotated, Any
+from typing import Annotated
 from urllib.parse import quote
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -15,11 +15,11 @@ from vaoi_station.api.board_data.models import (
     ImportPreviewList,
     UploadOptions,
 )
-from vaoi_station.api.board_data.previews import Previews
-from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.board_data.previews import Preview, Previews
+from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.limits import Seats, ThreadLimit, caller_in
 from vaoi_station.api.parameters import PREVIEW_ID, IfMatch, IfNoneMatch, rest_router
-from vaoi_station.api.routes.board_types import document_of, present_document
+from vaoi_station.api.routes.board_types import document_of, unchanged_board_type
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model import BoardType
@@ -33,9 +33,6 @@ BODY = {
     }
 }
 """OpenAPI description of an upload."""
-SVG: dict[int | str, dict[str, Any]] = {
-    200: {"description": "The picture.", "content": {"image/svg+xml": {"schema": {"type": "string"}}}}
-}
 _SVG_POLICY = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
 
 
@@ -46,18 +43,17 @@ def router(services: Services, previews: Previews) -> APIRouter:
     importing, checking, quick = ThreadLimit(1), ThreadLimit(1), services.commands
     seats = Seats("imports of board data", 6, 3)
 
-    def document(request: Request, preview: object) -> ImportPreview:
+    def document(request: Request, preview: Preview) -> ImportPreview:
         prefix = request.url.path.partition("/board-data")[0]
-        return previews.document(preview, f"{prefix}/board-data/previews")  # type: ignore[arg-type]
+        return previews.document(preview, f"{prefix}/board-data/previews")
 
-    @routes.get("/previews", response_model_exclude_none=True)
-    async def list_import_previews(request: Request, response: Response) -> ImportPreviewList:
+    @routes.get("/previews")
+    async def list_import_previews(request: Request) -> ImportPreviewList:
         """List the uploaded files and what they would make."""
-        response.headers["Cache-Control"] = LIVE
         found = await quick.ask(previews.list)
         return ImportPreviewList(previews=[document(request, preview) for preview in found])
 
-    @routes.post("/previews", status_code=201, response_model_exclude_none=True, openapi_extra=BODY)
+    @routes.post("/previews", status_code=201, openapi_extra=BODY)
     async def upload_board_data(
         request: Request, response: Response, upload: Annotated[UploadOptions, Query()]
     ) -> ImportPreview:
@@ -79,13 +75,12 @@ def router(services: Services, previews: Previews) -> APIRouter:
         response.headers["Location"] = f"{request.url.path}/{preview.id}"
         return document(request, preview)
 
-    @routes.get("/previews/{preview}", response_model_exclude_none=True)
-    async def get_import_preview(request: Request, response: Response, preview: PreviewId) -> ImportPreview:
+    @routes.get("/previews/{preview}")
+    async def get_import_preview(request: Request, preview: PreviewId) -> ImportPreview:
         """Return what an uploaded file would make."""
-        response.headers["Cache-Control"] = LIVE
         return document(request, await quick.ask(previews.get, preview))
 
-    @routes.put("/previews/{preview}", response_model_exclude_none=True)
+    @routes.put("/previews/{preview}")
     async def correct_import_preview(request: Request, preview: PreviewId, options: ImportOptions) -> ImportPreview:
         """Import an uploaded file again with other options: side, columns, units, or joined with another file."""
         with seats.take(caller_in(request.scope).name):
@@ -96,18 +91,22 @@ def router(services: Services, previews: Previews) -> APIRouter:
         """Delete an uploaded file and its preview."""
         await quick.ask(previews.drop, preview)
 
-    @routes.get("/previews/{preview}/picture", response_class=Response, responses=SVG)
+    @routes.get(
+        "/previews/{preview}/picture",
+        response_class=Response,
+        responses={200: {"description": "The picture.", "content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
+    )
     async def get_import_picture(preview: PreviewId) -> Response:
         """Return outline, cut-outs, marks and bodies of a preview as SVG. Bodies of guessed size are orange."""
         reply = await quick.ask(previews.reply, preview)
-        headers = {"Cache-Control": LIVE, "Content-Security-Policy": _SVG_POLICY}
+        headers = {"Content-Security-Policy": _SVG_POLICY}
         return Response(reply.picture, media_type="image/svg+xml", headers=headers)
 
     @routes.get("/previews/{preview}/board-type", response_model=BoardType)
     async def get_imported_board_type(preview: PreviewId) -> Response:
         """Return the board type that a preview would make."""
         reply = await quick.ask(previews.reply, preview)
-        return Response(reply.board_type, media_type="application/json", headers={"Cache-Control": LIVE})
+        return Response(reply.board_type, media_type="application/json")
 
     @routes.post(
         "/previews/{preview}/confirm",
@@ -125,25 +124,17 @@ def router(services: Services, previews: Previews) -> APIRouter:
         reply = await quick.ask(previews.reply, preview)
         board_type = await checking.ask(BoardType.model_validate_json, reply.board_type)
         content = await checking.ask(document_of, board_type)
-        new = await _store(services, request, board_type)
+        if not re.fullmatch(STORED_NAME, board_type.name):
+            action = "Set `name` by PUT of the preview."
+            raise InputError.field("preview", "name", board_type.name, STORED_NAME_RULE, action=action)
+        answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
+        async with unchanged_board_type(services, request, board_type.name):
+            if await quick.ask(services.coordinator.put_board_type, board_type):
+                prefix = request.url.path.partition("/board-data")[0]
+                answer.status_code = 201
+                answer.headers["Location"] = f"{prefix}/board-types/{quote(board_type.name)}"
         with suppress(NotFoundError):  # deleted meanwhile: by another caller, or because others are newer
             await quick.ask(previews.drop, preview)
-        answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
-        if new:
-            answer.status_code = 201
-            answer.headers["Location"] = (
-                f"{request.url.path.partition('/board-data')[0]}/board-types/{quote(board_type.name)}"
-            )
         return answer
 
     return routes
-
-
-async def _store(services: Services, request: Request, board_type: BoardType) -> bool:
-    """Store a board type under the conditions of a request; return whether it is new."""
-    name = board_type.name
-    if not re.fullmatch(STORED_NAME, name):
-        raise InputError.field("preview", "name", name, STORED_NAME_RULE, action="Set `name` by PUT of the preview.")
-    async with services.changing:
-        require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
-        return await services.commands.ask(services.coordinator.put_board_type, board_type)

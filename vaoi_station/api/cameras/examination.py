@@ -11,10 +11,10 @@ import time
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, Literal
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from vaoi_station.api.cameras.models import Examination
 from vaoi_station.errors import DeviceError, NotFoundError
 
 LIMIT_S = 60.0
@@ -23,6 +23,44 @@ KEPT_S = 10.0
 """Time for which an answer, or a failure, is given again, so that several pages cause one examination."""
 LOWEST_PRIORITY = 19
 DOCTOR = (sys.executable, "-m", "vaoi_station", "doctor", "--json", "--config")
+
+
+class ExaminationFinding(BaseModel):
+    """One finding of `vaoi doctor`."""
+
+    model_config = ConfigDict(frozen=True)
+
+    check: str
+    subject: str
+    """The camera, file or port that it concerns; empty: the station."""
+    level: Literal["ok", "warning", "fault", "not-applicable"]
+    code: str = ""
+    """What is wrong; empty without a problem."""
+    message: str
+    action: str
+    """The step that solves the problem; empty without a problem."""
+    figures: dict[str, float] = Field(default_factory=dict)
+    """Measured values, with units in the names."""
+    names: dict[str, str] = Field(default_factory=dict)
+    """Files and other names that the message states, by what they are."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _divided(cls, finding: dict[str, Any]) -> dict[str, Any]:
+        # The doctor has one object for both; clients in typed languages need one type per field.
+        figures = finding.get("figures", {})
+        numbers = {name: value for name, value in figures.items() if isinstance(value, int | float)}
+        return finding | {"figures": numbers, "names": {n: v for n, v in figures.items() if isinstance(v, str)}}
+
+
+class Examination(BaseModel):
+    """All findings of `vaoi doctor`, in the order of its checks."""
+
+    model_config = ConfigDict(frozen=True)
+
+    created: str
+    worst: Literal["ok", "warning", "fault", "not-applicable"]
+    findings: tuple[ExaminationFinding, ...]
 
 
 class _NoFindingsError(Exception):

@@ -1,21 +1,37 @@
-"""Routes under `board-types`: store, read and delete board types."""
+"""Routes under `board-types`: documents and versions, reference, method, light program, and the check against a run."""
 
 from __future__ import annotations
 
+import asyncio
 import json
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Annotated, TypeVar
 from urllib.parse import quote
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
-from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged, tag_of
 from vaoi_station.api.limits import ThreadLimit
-from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision, rest_router
-from vaoi_station.api.rest_models import BoardTypeList, BoardTypeVersions, StateRequest
+from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision, RunId, file_reply, rest_router
+from vaoi_station.api.rest_models import (
+    BoardTypeList,
+    BoardTypeVersions,
+    CorrectionRequest,
+    MethodRequest,
+    StateRequest,
+    TeachRequest,
+)
 from vaoi_station.api.routes.services import Services
+from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.errors import InputError, NotFoundError, VaoiError
-from vaoi_station.model import BoardType
+from vaoi_station.model import BoardType, Strict
+from vaoi_station.model.light_program import Program
+from vaoi_station.runs.lighting.program_schemas import ProgramCheck
+from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
 
 BODY = {
     "requestBody": {
@@ -24,29 +40,43 @@ BODY = {
     }
 }
 """OpenAPI description of the request body with which a board type is stored."""
+Setting = TypeVar("Setting", StitchingMethod, ReferenceStatus)
+Checked = Annotated[
+    str | None,
+    Query(description="Name of the board type that is checked [that of the run].", min_length=1, max_length=200),
+]
+
+
+class ProgramRequest(Strict):
+    """A light program that is to be checked."""
+
+    program: Program | None = Field(
+        default=None,
+        description="The steps, as in a board type; empty: those of the station; absent: those in force.",
+    )
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes for board types. Their documents have the format of `docs/formats.md`."""
+    """Create the routes. Documents of board types have the format of `docs/formats.md`."""
     routes = rest_router(prefix="/board-types", tags=["board types"])
-    coordinator, ask = services.coordinator, services.commands.ask
+    coordinator, ask, history = services.coordinator, services.commands.ask, services.coordinator.board_type_history
     # Only one is parsed at a time, because parsing holds the interpreter's lock.
     parsing = ThreadLimit(1)
-    # Between the check of If-Match and the change no other caller may change the board type.
-    changing = services.changing
 
-    @routes.get("", response_model_exclude_none=True)
+    def shown(request: Request, board_type: BoardType, cache: str = LIVE) -> Response:
+        return conditional_response(request, document_of(board_type), "application/json", cache=cache)
+
+    @routes.get("")
     async def list_board_types(response: Response) -> BoardTypeList:
         """List all board types, sorted by name. The entry of an unusable file states the fault."""
         response.headers["Cache-Control"] = REVALIDATE
-        known, deleted = await ask(coordinator.board_types), await ask(coordinator.board_type_history.deleted)
+        known, deleted = await ask(coordinator.board_types), await ask(history.deleted)
         return BoardTypeList(board_types=list(known), deleted=list(deleted))
 
     @routes.get("/{name}", response_model=BoardType)
     async def get_board_type(request: Request, name: BoardTypeName) -> Response:
         """Return the stored document of one board type."""
-        content = document_of(await ask(coordinator.board_type, name))
-        return conditional_response(request, content, "application/json", cache=REVALIDATE)
+        return shown(request, await ask(coordinator.board_type, name), REVALIDATE)
 
     @routes.put(
         "/{name}",
@@ -68,14 +98,10 @@ def router(services: Services) -> APIRouter:
         board_type = await parsing.ask(_parsed, await request.body())
         if board_type.name != name:
             raise InputError.field("body", "name", board_type.name, f"{name!r}, as in the address")
-        content = document_of(board_type)
-        async with changing:
-            require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
-            new = await ask(coordinator.put_board_type, board_type)
-        answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
-        if new:
-            answer.status_code = 201
-            answer.headers["Location"] = quote(request.url.path)
+        answer = shown(request, board_type, REVALIDATE)
+        async with unchanged_board_type(services, request, name):
+            if await ask(coordinator.put_board_type, board_type):
+                answer.status_code, answer.headers["Location"] = 201, quote(request.url.path)
         return answer
 
     @routes.delete("/{name}", status_code=204)
@@ -84,8 +110,7 @@ def router(services: Services) -> APIRouter:
 
         With `If-Match: ETAG` only the version that the caller has read: else 412 `changed`.
         """
-        async with changing:
-            require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
+        async with unchanged_board_type(services, request, name):
             await ask(coordinator.delete_board_type, name)
 
     @routes.put("/{name}/state", response_model=BoardType)
@@ -97,22 +122,18 @@ def router(services: Services) -> APIRouter:
         An armed line keeps the state with which it was armed; the new one applies from the next arming on. With
         `If-Match: ETAG` only the version that the caller has read: else 412 `changed`.
         """
-        async with changing:
-            require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
-            board_type = await ask(coordinator.board_type_history.set_state, name, body.state, body.revision)
-        return conditional_response(request, document_of(board_type), "application/json", cache=LIVE)
+        async with unchanged_board_type(services, request, name):
+            return shown(request, await ask(history.set_state, name, body.state, body.revision))
 
     @routes.get("/{name}/revisions")
-    async def list_revisions(response: Response, name: BoardTypeName) -> BoardTypeVersions:
+    async def list_revisions(name: BoardTypeName) -> BoardTypeVersions:
         """List the versions of a board type that were replaced or deleted, newest first."""
-        response.headers["Cache-Control"] = LIVE
-        return BoardTypeVersions(revisions=list(await ask(coordinator.board_type_history.list, name)))
+        return BoardTypeVersions(revisions=list(await ask(history.list, name)))
 
     @routes.get("/{name}/revisions/{revision}", response_model=BoardType)
     async def get_revision(name: BoardTypeName, revision: Revision) -> Response:
         """Return the document of one version."""
-        content = document_of(await ask(coordinator.board_type_history.get, name, revision))
-        return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
+        return Response(document_of(await ask(history.get, name, revision)), media_type="application/json")
 
     @routes.post("/{name}/revisions/{revision}/restore", response_model=BoardType)
     async def restore_revision(
@@ -122,10 +143,156 @@ def router(services: Services) -> APIRouter:
 
         The reference and the method of a board type that was deleted have to be set again.
         """
+        async with unchanged_board_type(services, request, name):
+            return Response(document_of(await ask(history.restore, name, revision)), media_type="application/json")
+
+    @routes.post("/{name}/program/check")
+    async def check_light_program(name: BoardTypeName, body: ProgramRequest) -> ProgramCheck:
+        """Check a light program as if the line were armed with it: all faults at once, each with its limit.
+
+        Nothing is changed. The reply states all values of the steps, and the limits of cameras, lights and line.
+        """
+        board_type = await ask(coordinator.board_type, name)
+        return await ask(coordinator.lighting.programs.check, board_type, body.program)
+
+    _add_stitching(routes, services)
+    routes.routes += _board_check(services).routes
+    return routes
+
+
+def _add_stitching(routes: APIRouter, services: Services) -> None:
+    """Add the routes for reference and method of a board type. A change applies from the next arming on."""
+    coordinator, ask = services.coordinator, services.commands.ask
+    # Between the check of If-Match and the change no other caller may change the setting. Teaching copies frames.
+    changing, teaching = asyncio.Lock(), asyncio.Lock()
+
+    @asynccontextmanager
+    async def unchanged_reference(request: Request, name: str) -> AsyncIterator[None]:
+        async with teaching:
+            present = await _present(services, request, lambda: _content(coordinator.reference(name)))
+            require_unchanged(request, present, f"The reference of {name!r}")
+            yield
+
+    @asynccontextmanager
+    async def unchanged_method(request: Request, name: str) -> AsyncIterator[None]:
         async with changing:
-            require_unchanged(request, await present_document(services, request, name), f"Board type {name!r}")
-            content = document_of(await ask(coordinator.board_type_history.restore, name, revision))
-        return Response(content, media_type="application/json", headers={"Cache-Control": LIVE})
+            require_unchanged(request, _content(await ask(coordinator.method, name)), f"The method of {name!r}")
+            yield
+
+    @routes.get("/{name}/reference")
+    async def get_reference(response: Response, name: BoardTypeName) -> ReferenceStatus:
+        """Return the board type's reference, and whether it is usable. Replies 404 `no-reference` if there is none."""
+        return _tagged(response, await ask(coordinator.reference, name))
+
+    @routes.put(
+        "/{name}/reference",
+        responses={201: {"model": ReferenceStatus, "description": "The board type had no reference before."}},
+    )
+    async def teach_reference(
+        request: Request, response: Response, name: BoardTypeName, wanted: TeachRequest, _: IfMatch = None
+    ) -> ReferenceStatus:
+        """Make a finished run the reference of its board type, from the next arming on.
+
+        Some frames of each row are copied to the disk. 409: the run's verdict is not ok, or the run has none yet; 410:
+        the frames of the run are no longer in memory; 422: the run is of another board type. A run that is degraded
+        only because its board may lie turned by 180° is accepted with `confirm_orientation`. With `If-Match: ETAG` only
+        if the reference is still the one that the caller has read: else 412 `changed`.
+        """
+        teach = partial(coordinator.teach_reference, confirm_orientation=wanted.confirm_orientation)
+        async with unchanged_reference(request, name):
+            if await ask(teach, name, wanted.run):
+                response.status_code, response.headers["Location"] = 201, quote(request.url.path)
+            return _tagged(response, await ask(coordinator.reference, name))
+
+    @routes.delete("/{name}/reference", status_code=204)
+    async def forget_reference(request: Request, name: BoardTypeName, _: IfMatch = None) -> None:
+        """Delete the reference of the board type. The change applies from the next arming on.
+
+        With `If-Match: ETAG` only if it is still the one that the caller has read: else 412 `changed`.
+        """
+        async with unchanged_reference(request, name):
+            await ask(coordinator.forget_reference, name)
+
+    @routes.get("/{name}/method")
+    async def get_method(response: Response, name: BoardTypeName) -> StitchingMethod:
+        """Return the stitching method of the board type: the one that was set for it, else the station's default."""
+        return _tagged(response, await ask(coordinator.method, name))
+
+    @routes.put("/{name}/method")
+    async def set_method(
+        request: Request, response: Response, name: BoardTypeName, wanted: MethodRequest, _: IfMatch = None
+    ) -> StitchingMethod:
+        """Set the stitching method of the board type, from the next arming on.
+
+        With `If-Match: ETAG` only if it is still the one that the caller has read: else 412 `changed`.
+        """
+        async with unchanged_method(request, name):
+            return _tagged(response, await ask(coordinator.set_method, name, wanted.method))
+
+    @routes.delete("/{name}/method")
+    async def forget_method(
+        request: Request, response: Response, name: BoardTypeName, _: IfMatch = None
+    ) -> StitchingMethod:
+        """Delete the method that was set for the board type. The default (`method` of station.toml) then applies."""
+        async with unchanged_method(request, name):
+            return _tagged(response, await ask(coordinator.set_method, name, None))
+
+
+def _board_check(services: Services) -> APIRouter:
+    """Create the routes of the check of a board type against a run, and of its correction."""
+    routes = rest_router(tags=["board types"])
+    coordinator, checks = services.coordinator, services.coordinator.mosaics.board_checks
+    # A check takes a worker for seconds: one caller at a time, and none of the threads for pictures.
+    checking = ThreadLimit(1)
+
+    def stored(run: str, name: str | None) -> BoardType:
+        return coordinator.board_type(name or checks.own_type(run))
+
+    @routes.get("/runs/{run}/board-check", response_model=BoardCheck)
+    async def check_board_type(request: Request, run: RunId, board_type: Checked = None) -> Response:
+        """Lay a board type, as it is stored now, over a run: shift, rotation, mirror and scale of its components.
+
+        The reply names components that do not look as if they were there, and proposes a corrected board type. It
+        takes some seconds. 410: the frames are no longer in memory.
+        """
+        made = await checking.ask(lambda: checks.check(run, stored(run, board_type)))
+        body = made.report.model_dump_json(exclude_none=True).encode()
+        return conditional_response(request, body, "application/json", cache=REVALIDATE)
+
+    @routes.get(
+        "/runs/{run}/board-check/picture",
+        response_class=Response,
+        responses=file_reply("The picture.", "image/jpeg"),
+        dependencies=[Depends(services.picture_seats.hold)],
+    )
+    async def get_board_check_picture(request: Request, run: RunId, board_type: Checked = None) -> Response:
+        """Return the picture of the check: bodies where the run's C puts them (blue) and where they are (yellow).
+
+        Components that do not look as if they were there are red.
+        """
+        made = await checking.ask(lambda: checks.check(run, stored(run, board_type)))
+        return conditional_response(request, made.picture, "image/jpeg", cache=REVALIDATE)
+
+    @routes.post("/board-types/{name}/correct", response_model=BoardType)
+    async def correct_board_type(
+        request: Request, name: BoardTypeName, body: CorrectionRequest, _: IfMatch = None
+    ) -> Response:
+        """Store the correction that the check against a run proposes, as a draft. The version before can be restored.
+
+        409 `nothing-to-correct`: the check proposes none.
+        """
+        ask = services.commands.ask
+        # The check takes seconds, so other changes do not wait for it. One that comes meanwhile is checked again.
+        while True:
+            before = await ask(coordinator.board_type, name)
+            require_unchanged(request, document_of(before), f"Board type {name!r}")
+            corrected = await checking.ask(checks.correct, body.run, before, body.revision)
+            async with services.changing:
+                if await ask(coordinator.board_type, name) == before:
+                    await ask(coordinator.put_board_type, corrected)
+                    break
+        headers = {"Content-Location": quote(request.url.path.rpartition("/")[0])}
+        return Response(document_of(corrected), media_type="application/json", headers=headers)
 
     return routes
 
@@ -144,12 +311,21 @@ def _parsed(body: bytes) -> BoardType:
         raise RequestValidationError([{**f, "loc": ("body", *f.get("loc", ()))} for f in faults]) from error
 
 
-async def present_document(services: Services, request: Request, name: str) -> bytes | None:
-    """Return the document of a board type as it is now; None if there is none, or the request has no condition."""
+@asynccontextmanager
+async def unchanged_board_type(services: Services, request: Request, name: str) -> AsyncIterator[None]:
+    """Hold off other changes of board types; raise ChangedError unless this one is as the request's conditions say."""
+    async with services.changing:
+        present = await _present(services, request, lambda: document_of(services.coordinator.board_type(name)))
+        require_unchanged(request, present, f"Board type {name!r}")
+        yield
+
+
+async def _present(services: Services, request: Request, document: Callable[[], bytes]) -> bytes | None:
+    """Return a document as it is now; None if there is none, or the request has no condition."""
     if not {"if-match", "if-none-match"} & set(request.headers.keys()):
         return None
     try:
-        return await services.commands.ask(lambda: document_of(services.coordinator.board_type(name)))
+        return await services.commands.ask(document)
     except NotFoundError:
         return None
     except VaoiError:
@@ -162,3 +338,13 @@ def document_of(board_type: BoardType) -> bytes:
         return json.dumps(board_type.model_dump(exclude_none=True), allow_nan=False).encode()
     except ValueError as error:
         raise InputError(f"body: {error}; JSON has neither NaN nor infinity.") from error
+
+
+def _content(setting: StitchingMethod | ReferenceStatus) -> bytes:
+    return setting.model_dump_json().encode()
+
+
+def _tagged(response: Response, setting: Setting) -> Setting:
+    """Add the ETag of a method or reference to its reply, and return it."""
+    response.headers["ETag"] = tag_of(_content(setting))
+    return setting

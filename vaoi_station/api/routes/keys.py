@@ -9,7 +9,6 @@ from pydantic import BaseModel, Field
 
 from vaoi_station.api.access import COOKIE, SESSION_S, AccessControl, session_token
 from vaoi_station.api.addresses import root_of
-from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.limits import caller_of
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.problems import problem_response
@@ -72,21 +71,18 @@ def router(services: Services, access: AccessControl) -> APIRouter:
     ask, keys = services.commands.ask, access.keys
 
     @routes.get("/keys")
-    async def list_keys(response: Response) -> KeyList:
+    async def list_keys() -> KeyList:
         """List all keys, without their secrets. Needs the scope admin, as all calls for keys do."""
-        response.headers["Cache-Control"] = LIVE
         return KeyList(keys=[KeyEntry(**_fields(k)) for k in await ask(keys.entries)])
 
     @routes.post("/keys", status_code=201)
-    async def create_key(response: Response, request: KeyRequest) -> KeySecret:
+    async def create_key(request: KeyRequest) -> KeySecret:
         """Make a key. The reply is the only place where its secret can be read."""
-        response.headers["Cache-Control"] = LIVE
         return _secret(await ask(keys.create, request.name, request.scopes))
 
     @routes.post("/keys/{name}/rotate")
-    async def rotate_key(response: Response, name: Name) -> KeySecret:
+    async def rotate_key(name: Name) -> KeySecret:
         """Replace a key by a new one with the same name and scopes. The old one is refused from now on."""
-        response.headers["Cache-Control"] = LIVE
         return _secret(await ask(keys.rotate, name))
 
     @routes.delete("/keys/{name}", status_code=204)
@@ -95,15 +91,13 @@ def router(services: Services, access: AccessControl) -> APIRouter:
         await ask(keys.revoke, name)
 
     @routes.get("/audit")
-    async def get_audit(response: Response, limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> AuditEntries:
+    async def get_audit(limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> AuditEntries:
         """Return the newest commands and refusals: time, key, address, method, path, query and status."""
-        response.headers["Cache-Control"] = LIVE
         return AuditEntries(entries=await ask(access.audit.newest, limit))
 
-    @routes.get("/session", response_model_exclude_none=True)
-    async def get_session(request: Request, response: Response) -> SessionState:
+    @routes.get("/session")
+    async def get_session(request: Request) -> SessionState:
         """Return who the caller is to the station, and what it may do. Needs no key."""
-        response.headers["Cache-Control"] = LIVE
         caller = caller_of(request)
         return SessionState(key=caller.key, scopes=sorted(caller.scopes))
 
@@ -115,7 +109,7 @@ def router(services: Services, access: AccessControl) -> APIRouter:
             return problem_response(request.scope, "no-key", "The key is not valid.")
         caller, token = access.log_in(request.scope, key)
         state = SessionState(key=key.name, scopes=sorted(caller.scopes))
-        answer = Response(state.model_dump_json(), media_type="application/json", headers={"Cache-Control": LIVE})
+        answer = Response(state.model_dump_json(), media_type="application/json")
         # Behind a proxy the station itself sees no TLS; the proxy states it.
         tls = "https" in (request.url.scheme, request.headers.get("x-forwarded-proto"))
         answer.set_cookie(COOKIE, token, max_age=SESSION_S, secure=tls, **_cookie(request))

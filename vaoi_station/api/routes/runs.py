@@ -1,4 +1,4 @@
-"""Routes under `runs`: list runs, wait for the next one, return results, hold and release frames."""
+"""Routes under `runs`: list runs, wait for the next one, return results, hold and release frames, decide."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.archive.run_history import Wanted
 from vaoi_station.runs.states.decision_schemas import RunCounts
 from vaoi_station.runs.states.height_schemas import HeightList
+from vaoi_station.runs.states.overlay_schemas import RunOverlay
 from vaoi_station.runs.states.run_ids import in_utc, is_run_id, last_midnight, utc
 from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail, RunSummary
 from vaoi_station.runs.states.tables import IN_MEMORY
+from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store.history.run_search import RunFilter
 
 Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
@@ -47,11 +49,59 @@ async def run_filter(
 
 
 def router(services: Services) -> APIRouter:
-    """Create the routes for runs. Other modules create those for frames and for component images."""
+    """Create the routes for runs; `routes.pictures` and `routes.mosaics` have those for their pictures."""
     routes = rest_router(prefix="/runs", tags=["runs"])
     coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
+    # Between the check of If-Match and the decision no other caller may decide.
+    searches, deciding = services.searches, asyncio.Lock()
 
-    _add_lists(routes, services)
+    async def shown(request: Request, run: str, cache: str = REVALIDATE, *, figures: bool = False) -> Response:
+        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run), figures), cache)
+
+    @routes.get("")
+    async def list_runs(
+        *,
+        request: Request,
+        wanted: Annotated[RunFilter, Depends(run_filter)],
+        limit: Annotated[int, Query(ge=1, le=500)] = 50,
+        before: Cursor = None,
+        read_id: Annotated[
+            str | None,
+            Query(description="Id that was read from a board, or reported.", min_length=1, max_length=200),
+        ] = None,
+        figures: Figures = False,
+    ) -> RunPage:
+        """List runs, newest first; `next` is the cursor of the next page.
+
+        With a filter, a reply may have fewer runs than `limit`, or none, although there are more: one request reads
+        20,000 runs at most. Go on while there is a `next`. With `read_id`, runs are listed of which this id was read
+        from a code, or reported by the next machine. As `before` any id of a run is accepted, also of one that was
+        deleted meanwhile: the next page has what is older.
+        """
+        # A wrong cursor, if it was ignored, would list the first page again, and a client that pages would not end. The
+        # id of a run is a position also when the run is deleted, because ids sort by time.
+        if before is not None and not is_run_id(before):
+            await ask(coordinator.run, before)  # raises NotFoundError
+        if read_id is not None or wanted != RunFilter():
+            runs: Sequence[RunSummary]
+            async with searches.take(caller_of(request).name):
+                if read_id is not None:
+                    runs, more = await searches.ask(kept.with_id, read_id, wanted, limit, before)
+                else:
+                    runs, more = await searches.ask(kept.history.find, wanted, limit, before)
+                return RunPage(runs=list(await searches.ask(kept.all_shown, tuple(runs), figures)), next=more)
+        # One more than requested shows whether there is a further page.
+        runs = await ask(coordinator.runs, limit + 1, before)
+        page = await ask(kept.all_shown, runs[:limit], figures)
+        return RunPage(runs=list(page), next=runs[limit - 1].id if len(runs) > limit else None)
+
+    @routes.get("/counts", dependencies=[Depends(searches.hold)])
+    async def count_runs(since: Moment = None) -> RunCounts:
+        """Count the boards since a time, by verdict, and the boards that passed without a run.
+
+        Without `since`: since the last midnight of the station's time zone.
+        """
+        return await searches.ask(kept.history.counts, in_utc(since) if since else last_midnight())
 
     @routes.get("/latest", response_model=RunDetail)
     async def get_latest_run(request: Request) -> Response:
@@ -79,13 +129,12 @@ def router(services: Services) -> APIRouter:
     @routes.get("/{run}", response_model=RunDetail)
     async def get_run(request: Request, run: RunId, figures: Figures = False) -> Response:
         """Return one run, also while it is filmed, with the verdict of every frame."""
-        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run), figures))
+        return await shown(request, run, figures=figures)
 
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
         """Return the result of a run in the format of `docs/formats.md`. Replies 409 while there is none yet."""
-        content = (await ask(coordinator.stitch_text, run)).encode()
-        return conditional_response(request, content, "application/json", cache=IMMUTABLE)
+        return _final(request, (await ask(coordinator.stitch_text, run)).encode())
 
     @routes.get("/{run}/heights", response_model=HeightList, dependencies=[Depends(services.picture_seats.hold)])
     async def get_heights(request: Request, run: RunId) -> Response:
@@ -95,12 +144,28 @@ def router(services: Services) -> APIRouter:
         with the result; all requests get the same document. 409: no CAD mapping, or a calibration without working
         distance. 410: the frames are no longer in memory, and the heights were not measured while they were.
         """
-        content = await services.pictures.ask(coordinator.heights.document, run)
-        return conditional_response(request, content, "application/json", cache=IMMUTABLE)
+        return _final(request, await services.pictures.ask(coordinator.heights.document, run))
 
-    @routes.post("/{run}/release", response_model_exclude_none=True)
+    @routes.get("/{run}/timeline", response_model=Timeline)
+    async def get_timeline(request: Request, run: RunId) -> Response:
+        """Return the times of the steps of a finished run: barrier, pulses, exposures, frames, stitching, result.
+
+        All are seconds since the board interrupted the light barrier.
+        """
+        return _final(request, (await ask(coordinator.timeline, run)).model_dump_json(exclude_none=True).encode())
+
+    @routes.get("/{run}/overlay", response_model=RunOverlay)
+    async def get_overlay(request: Request, run: RunId) -> Response:
+        """Return what is drawn over the mosaics of a run: its frames, links, fiducials and residuals on the board.
+
+        Places are CAD coordinates, as `image_from_cad` of a mosaic takes them. No frames are needed. 409: the run has
+        no CAD mapping.
+        """
+        overlay = await ask(coordinator.mosaics.overlay, run)
+        return _final(request, overlay.model_dump_json(exclude_none=True).encode())
+
+    @routes.post("/{run}/release")
     async def release_run(
-        response: Response,
         run: RunId,
         holder: Annotated[
             PlainText | None, Query(description="Name of the holder.", min_length=1, max_length=80)
@@ -110,18 +175,13 @@ def router(services: Services) -> APIRouter:
 
         Ends the hold of `holder`. Replies 409 `held`, and releases nothing, while another caller holds the run.
         """
-        response.headers["Cache-Control"] = LIVE
         return await ask(kept.shown, await ask(coordinator.release, run, holder))
 
-    @routes.put("/{run}/hold", response_model_exclude_none=True)
+    @routes.put("/{run}/hold")
     async def hold_run(
-        response: Response,
-        run: RunId,
-        holder: Holder,
-        purpose: Annotated[PlainText, Query(max_length=200)] = "",
+        run: RunId, holder: Holder, purpose: Annotated[PlainText, Query(max_length=200)] = ""
     ) -> LeaseStatus:
         """Keep a run's frames in memory until the hold expires. A repeated call renews the hold."""
-        response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.hold, run, holder, purpose)
 
     @routes.delete("/{run}/hold", status_code=204)
@@ -136,87 +196,12 @@ def router(services: Services) -> APIRouter:
         Replies 410 if result and record were deleted already, 409 `too-many-pins` if 1000 runs are pinned.
         """
         await ask(kept.pin, run)
-        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)), LIVE)
+        return await shown(request, run, LIVE)
 
     @routes.delete("/{run}/pin", status_code=204)
     async def unpin_run(run: RunId) -> None:
         """Remove the pin of a run; it is then deleted like other runs. Replies 404 `not-pinned` if it has none."""
         await ask(kept.unpin, run)
-
-    _add_decision(routes, services)
-    _add_identity(routes, services)
-    return routes
-
-
-def _add_lists(routes: APIRouter, services: Services) -> None:
-    """Add the routes that list, search and count runs."""
-    coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
-    searches = services.searches
-
-    @routes.get("", response_model_exclude_none=True)
-    async def list_runs(
-        *,
-        request: Request,
-        response: Response,
-        wanted: Annotated[RunFilter, Depends(run_filter)],
-        limit: Annotated[int, Query(ge=1, le=500)] = 50,
-        before: Cursor = None,
-        read_id: Annotated[
-            str | None,
-            Query(description="Id that was read from a board, or reported.", min_length=1, max_length=200),
-        ] = None,
-        figures: Figures = False,
-    ) -> RunPage:
-        """List runs, newest first; `next` is the cursor of the next page.
-
-        With a filter, a reply may have fewer runs than `limit`, or none, although there are more: one request reads
-        20,000 runs at most. Go on while there is a `next`. With `read_id`, runs are listed of which this id was read
-        from a code, or reported by the next machine. As `before` any id of a run is accepted, also of one that was
-        deleted meanwhile: the next page has what is older.
-        """
-        # A wrong cursor, if it was ignored, would list the first page again, and a client that pages would not end. The
-        # id of a run is a position also when the run is deleted, because ids sort by time.
-        if before is not None and not is_run_id(before):
-            await ask(coordinator.run, before)  # raises NotFoundError
-        response.headers["Cache-Control"] = LIVE
-        if read_id is not None or wanted != RunFilter():
-            runs: Sequence[RunSummary]
-            async with searches.take(caller_of(request).name):
-                if read_id is not None:
-                    runs, more = await searches.ask(kept.with_id, read_id, wanted, limit, before)
-                else:
-                    runs, more = await searches.ask(kept.history.find, wanted, limit, before)
-                return RunPage(runs=list(await searches.ask(kept.all_shown, tuple(runs), figures)), next=more)
-        # One more than requested shows whether there is a further page.
-        found = await ask(coordinator.runs, limit + 1, before)
-        shown = await ask(kept.all_shown, found[:limit], figures)
-        return RunPage(runs=list(shown), next=found[limit - 1].id if len(found) > limit else None)
-
-    @routes.get("/counts", dependencies=[Depends(searches.hold)])
-    async def count_runs(response: Response, since: Moment = None) -> RunCounts:
-        """Count the boards since a time, by verdict, and the boards that passed without a run.
-
-        Without `since`: since the last midnight of the station's time zone.
-        """
-        response.headers["Cache-Control"] = LIVE
-        return await searches.ask(kept.history.counts, in_utc(since) if since else last_midnight())
-
-
-def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
-    """Return the document of a run as JSON, with its ETag."""
-    # Even a finished run changes its state when its frames are released, so clients must revalidate.
-    return conditional_response(request, _content(run), "application/json", cache=cache)
-
-
-def _content(run: RunDetail) -> bytes:
-    return run.model_dump_json(exclude_none=True).encode()
-
-
-def _add_decision(routes: APIRouter, services: Services) -> None:
-    """Add the route for what a person decides about a run."""
-    coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
-    # Between the check of If-Match and the decision no other caller may decide.
-    deciding = asyncio.Lock()
 
     @routes.put("/{run}/decision", response_model=RunDetail)
     async def decide_about_run(request: Request, run: RunId, wanted: DecisionRequest, _: IfMatch = None) -> Response:
@@ -229,17 +214,11 @@ def _add_decision(routes: APIRouter, services: Services) -> None:
             present = _content(await ask(kept.shown, await ask(coordinator.run, run)))
             require_unchanged(request, present, f"Run {run}")
             await ask(kept.history.decide, run, wanted.choice, wanted.name, wanted.reason)
-        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run)), LIVE)
+        return await shown(request, run, LIVE)
 
-
-def _add_identity(routes: APIRouter, services: Services) -> None:
-    """Add the routes for the identity of a run."""
-    ask, kept = services.commands.ask, services.coordinator.kept
-
-    @routes.get("/{run}/identity", response_model_exclude_none=True)
+    @routes.get("/{run}/identity")
     async def get_identity(
         request: Request,
-        response: Response,
         run: RunId,
         timeout: Annotated[float, Query(description="Longest wait for the codes, s.", ge=0, le=60)] = 0.0,
     ) -> IdentityDocument:
@@ -248,32 +227,46 @@ def _add_identity(routes: APIRouter, services: Services) -> None:
         Codes are read after the result, if the board type has `identity`: until then `state` is `pending`; with
         `timeout`, the call waits for the end of the reading.
         """
-        response.headers["Cache-Control"] = LIVE
         return await _identity(services, caller_of(request).name, run, timeout)
 
-    @routes.put("/{run}/identity/next-machine", response_model_exclude_none=True)
-    async def report_identity(response: Response, run: RunId, reported: IdentityReport) -> IdentityDocument:
+    @routes.put("/{run}/identity/next-machine")
+    async def report_identity(run: RunId, reported: IdentityReport) -> IdentityDocument:
         """Report the id that the next machine has read of the same board; the ids are compared, none is replaced.
 
         A further report replaces the one before. Replies 409 `identity-pending` while the codes are being read.
         """
-        response.headers["Cache-Control"] = LIVE
         report = ReportedId(board_id=reported.board_id, machine=reported.machine, time=utc())
         return await ask(kept.identities.report, run, report)
+
+    return routes
+
+
+def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
+    """Return the document of a run as JSON, with its ETag."""
+    # Even a finished run changes its state when its frames are released, so clients must revalidate.
+    return conditional_response(request, _content(run), "application/json", cache=cache)
+
+
+def _content(run: RunDetail) -> bytes:
+    return run.model_dump_json(exclude_none=True).encode()
+
+
+def _final(request: Request, content: bytes) -> Response:
+    return conditional_response(request, content, "application/json", cache=IMMUTABLE)
 
 
 async def _identity(services: Services, caller: str, run: str, timeout_s: float) -> IdentityDocument:
     """Wait until the codes of a run are read, without occupying a thread; return its identity, read or not."""
     hub, ask, identities = services.hub, services.commands.ask, services.coordinator.kept.identities
     until, seen = time.monotonic() + timeout_s, hub.newest
-    found = await ask(identities.document, run)
-    if found.state != "pending" or timeout_s <= 0:
-        return found
+    identity = await ask(identities.document, run)
+    if identity.state != "pending" or timeout_s <= 0:
+        return identity
     with hub.polls.take(caller):
-        while found.state == "pending" and (records := await hub.events(seen, until - time.monotonic())):
+        while identity.state == "pending" and (records := await hub.events(seen, until - time.monotonic())):
             seen = records[-1].number
-            found = await ask(identities.document, run)
-    return found
+            identity = await ask(identities.document, run)
+    return identity
 
 
 async def _next(services: Services, caller: str, after: str | None, timeout_s: float) -> RunDetail | None:

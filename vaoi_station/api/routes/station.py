@@ -1,19 +1,19 @@
-"""Routes under `station`: return its state, arm it, disarm it."""
+"""Routes under `station` and `calibration`: return its state, arm it, disarm it."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
+from fastapi import APIRouter, Body, Depends, Path, Query, Request
 
-from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.limits import Seats, ThreadLimit, caller_of
 from vaoi_station.api.parameters import CallerId, PlainText, rest_router
 from vaoi_station.api.rest_models import ArmRequest
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.run.order import Passing
+from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
 from vaoi_station.runs.states.schemas import StationSnapshot
 
 ARMING, ARMING_OF_CALLER = 8, 4
@@ -35,16 +35,14 @@ def router(services: Services) -> APIRouter:
         with arms.take(caller_of(request).name):
             yield
 
-    @routes.get("", response_model_exclude_none=True)
-    async def get_station(response: Response) -> StationSnapshot:
+    @routes.get("")
+    async def get_station() -> StationSnapshot:
         """Return the station's state, health, memory, versions and retention."""
-        response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.snapshot)
 
-    @routes.post("/arm", response_model_exclude_none=True, dependencies=[Depends(seat)])
+    @routes.post("/arm", dependencies=[Depends(seat)])
     async def arm_station(
         *,
-        response: Response,
         request: Annotated[ArmRequest, Body(default_factory=ArmRequest)],
         board_type: TypeName = None,
         board_id: BoardId = None,
@@ -69,29 +67,37 @@ def router(services: Services) -> APIRouter:
             "passing": passing,
         }
         order = _merged(request, given)
-        response.headers["Cache-Control"] = LIVE
         despite, passing = bool(order.allow_lost_cameras), order.passing or "wait"
         wanted = order.board_type, order.board_id, order.job_id, order.runs, despite, passing
         return await arming.ask(coordinator.arm, *wanted)
 
-    @routes.post("/disarm", response_model_exclude_none=True)
-    async def disarm_station(response: Response) -> StationSnapshot:
+    @routes.post("/disarm")
+    async def disarm_station() -> StationSnapshot:
         """Disarm the station: ignore the light barrier. A run under way is still finished. No effect when idle."""
-        response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.disarm)
 
-    @routes.post("/set-aside/{file}/acknowledge", response_model_exclude_none=True)
+    @routes.post("/set-aside/{file}/acknowledge")
     async def acknowledge_database(
-        response: Response, file: Annotated[str, Path(description="Name of a file of `set_aside`.", max_length=200)]
+        file: Annotated[str, Path(description="Name of a file of `set_aside`.", max_length=200)],
     ) -> StationSnapshot:
         """End the warning about a database that was set aside, also for later starts; the file stays.
 
         Needs the scope admin. 404: no such file was set aside.
         """
         await ask(coordinator.storage.acknowledge, file)
-        response.headers["Cache-Control"] = LIVE
         return await ask(coordinator.snapshot)
 
+    calibration = rest_router(prefix="/calibration", tags=["station"])
+
+    @calibration.get("")
+    async def get_calibration() -> CalibrationStatus:
+        """Return the calibration in use, and for each camera its state, its drift (size and start) and its history.
+
+        A displacement is the camera's motion since its calibration, in px of its frame, estimated from filmed boards.
+        """
+        return await ask(coordinator.calibration)
+
+    routes.routes += calibration.routes
     return routes
 
 

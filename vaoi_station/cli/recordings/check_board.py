@@ -34,7 +34,7 @@ def check_board(
     from vaoi_station.files.documents import write_json
     from vaoi_station.files.images import write_image
     from vaoi_station.files.pyramids import refuse_existing
-    from vaoi_station.library.stitched_run import StitchedRun, check_result
+    from vaoi_station.library.recordings import StitchedRun, check_result
     from vaoi_station.model import BoardType
     from vaoi_station.stitching.recordings.origin import check_origin
 

@@ -67,7 +67,7 @@ def cut(
     """Cut upright, CAD-aligned images of components from all or chosen frames, or merge their exposures."""
     from vaoi_station.cli.recordings.cut_hdr import Case, cut_merged
     from vaoi_station.errors import InputError
-    from vaoi_station.library.stitched_run import StitchedRun
+    from vaoi_station.library.recordings import StitchedRun
 
     chosen = [bool(component), all_components, region is not None]
     if sum(chosen) != 1:

@@ -23,7 +23,7 @@ from vaoi_station.hdr.encoding import LINEAR, MergedFormat, encode_merged
 from vaoi_station.hdr.parts import region_component, views_on_top
 from vaoi_station.hdr.row_levels import at_level, row_levels
 from vaoi_station.hdr.tone_mapping import ToneCurve
-from vaoi_station.library.stitched_run import check_result
+from vaoi_station.library.recordings import check_result
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
 from vaoi_station.model.known_height import known_height_mm, with_heights
 from vaoi_station.model.light_program import usual_light

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 if TYPE_CHECKING:
-    from vaoi_station.library.stitched_run import StitchedRun
+    from vaoi_station.library.recordings import StitchedRun
     from vaoi_station.rendering import ImageRequest
 
 Margin = Annotated[float, typer.Option(help="Show this much around the component, mm.")]

@@ -38,7 +38,7 @@ def heights(
     from vaoi_station.heights.equalised_frames import equalised_frames
     from vaoi_station.heights.estimates import measure_heights, open_places
     from vaoi_station.heights.height_map import draw_map, measure_map
-    from vaoi_station.library.stitched_run import check_result
+    from vaoi_station.library.recordings import check_result
     from vaoi_station.photometry import FlatFields
     from vaoi_station.stitching.recordings.origin import check_origin
 

@@ -62,7 +62,7 @@ def state(
 ) -> None:
     """Set the state of a board type, from the next arming on."""
     document = {"state": state} | ({} if revision is None else {"revision": revision})
-    reply = _client(station, key_file, ca).put_document(f"/board-types/{quote(name, safe='')}/state", document)
+    reply = _client(station, key_file, ca).act("PUT", f"/board-types/{quote(name, safe='')}/state", document)
     typer.echo(f"{name}: {reply['state']}, revision {reply.get('revision', 'not stated')}.")
 
 
@@ -88,7 +88,7 @@ def import_board_data(
 ) -> None:
     """Make a board type of board data on a running station."""
     from vaoi_station.errors import InputError, StateError, VaoiError
-    from vaoi_station.library.board_data import StationImport
+    from vaoi_station.library.live_station import StationImport
 
     client = _client(station, key_file, ca)
     options: dict[str, object] = {"side": side, "name": name, "format": format, "units": units, "columns": columns}

@@ -126,7 +126,7 @@ def test_tables_are_added_and_removed_and_a_protected_file_is_taken(
         answer = route.fetch()
         route.fulfill(response=answer, json={**answer.json(), "writable": False})
 
-    # The unit of the service protects the file; tests/api/setup/test_settings_file.py has a folder that is.
+    # The unit of the service protects the file; tests/api/setup/test_settings.py has a folder that is.
     page.route(read, protected)
     page.reload()
     expect(page.locator(".warnings").first).to_contain_text("The service may not write this file")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.api.board_data.test_check_routes import proposing
+from tests.api.routes.test_board_types import proposing
 from tests.api.web.contrast import contrast
 from tests.board_data.readers import samples
 from vaoi_station.model.board_marks import OtherMark

@@ -1,0 +1,88 @@
+"""Trends over REST: typed, filtered, thinned, refused if the span is wrong."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from typing import Any, get_args
+
+import pytest
+
+from vaoi_station.api.routes.trends import ANSWERS_OF_CALLER, ANSWERS_WAITING, FigureName
+from vaoi_station.runs.trends.figures import FIGURES
+
+
+def test_the_parameter_names_every_figure() -> None:
+    assert get_args(FigureName) == tuple(FIGURES)
+
+
+def test_trends_are_filtered_by_type_span_and_figure(client: Any, station: Any) -> None:
+    station.kept.trends.fill(20)
+    all_boards = client.get("/api/v1/trends").json()
+    assert all_boards["boards"] == len(all_boards["times"]) == len(all_boards["runs"]) == 20
+    assert [m["kind"] for m in all_boards["marks"]] == ["calibration"]
+    middle = all_boards["times"][10]
+    some = client.get("/api/v1/trends", params={"since": middle, "figure": ["seam_px", "ready_ms"]}).json()
+    assert some["boards"] == 10
+    assert [(s["figure"], s["part"]) for s in some["series"]] == [
+        ("seam_px", "0-1"),
+        ("seam_px", "1-2"),
+        ("ready_ms", ""),
+    ]
+    assert some["series"][0]["upper"] == 0.3
+    assert client.get("/api/v1/trends", params={"board_type": "other"}).json()["boards"] == 0
+    thinned = client.get("/api/v1/trends", params={"points": 10}).json()
+    assert thinned["bin_s"] == 3 * 3600
+    assert sum(thinned["counts"]) == 20
+    assert len(thinned["times"]) <= 10
+    assert "runs" not in thinned
+
+
+def test_one_caller_at_a_time_reads_figures_and_few_wait(
+    client: Any, station: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inside, at_once, go_on, trends = [0], [0], threading.Event(), station.kept.trends.trends
+
+    def counted(*args: Any) -> Any:
+        inside[0] += 1
+        at_once[0] = max(at_once[0], inside[0])
+        go_on.wait(30)
+        found = trends(*args)
+        inside[0] -= 1
+        return found
+
+    monkeypatch.setattr(station.kept.trends, "trends", counted)
+    most = ANSWERS_OF_CALLER + ANSWERS_WAITING
+    with ThreadPoolExecutor(most + 1) as pool:
+        replies = [pool.submit(client.get, "/api/v1/trends") for _ in range(most + 1)]
+        try:
+            done, _ = wait(replies, 30, FIRST_COMPLETED)
+            assert [(r.result().status_code, r.result().json()["code"]) for r in done] == [(503, "busy")]
+        finally:
+            go_on.set()
+        assert sorted(r.result().status_code for r in replies) == [200] * most + [503]
+    assert at_once == [1]
+
+
+def test_two_spans_are_compared(client: Any, station: Any) -> None:
+    station.kept.trends.fill(240)
+    found = client.get("/api/v1/trends/comparison").json()
+    assert found["before_boards"] == pytest.approx(120, abs=1)
+    first = found["changes"][0]
+    assert (first["figure"], first["part"], first["changed"], first["worse"]) == ("seam_px", "0-1", True, True)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        {"since": "2026-01-02T00:00:00Z", "until": "2026-01-01T00:00:00Z"},
+        {"since": "1900-01-02T00:00:00Z"},
+        {"until": "0001-01-01T00:00:00+14:00", "since": "0001-01-01T00:00:00+14:00"},
+        {"figure": "misfit"},
+        {"points": "9"},
+    ],
+)
+def test_a_wrong_span_is_refused(client: Any, query: dict[str, str]) -> None:
+    reply = client.get("/api/v1/trends", params=query)
+    assert reply.status_code == 422
+    assert reply.json()["detail"]

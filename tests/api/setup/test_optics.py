@@ -1,0 +1,146 @@
+"""The optics of a line over REST: what is known of it, and a plan."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import MISSING, fields, replace
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.api.held.setup_files import PITCH_MM
+from tests.api.held_station import CAMERAS, HEIGHT, PX_PER_MM, WIDTH
+from vaoi_station.api.access import scope_needed
+from vaoi_station.api.setup.optics import PlanOptions, known_requirements
+from vaoi_station.api.setup.station_files import StationFiles
+from vaoi_station.cli import app
+from vaoi_station.config import LightConfig
+from vaoi_station.errors import InputError
+from vaoi_station.files import read_calibration
+from vaoi_station.optics import Requirements
+from vaoi_station.optics.optics_plan import make_plan
+from vaoi_station.optics.paper_example import PAPER
+from vaoi_station.optics.remedies import find_remedies
+
+PLAN = "/api/v1/optics/plan"
+REQUIREMENTS = "/api/v1/optics/requirements"
+
+
+def test_the_plan_is_that_of_the_command(client: Any) -> None:
+    paper = client.get(REQUIREMENTS, params={"of": "paper"}).json()
+    assert set(paper["sources"].values()) == {"paper"}
+    found = client.get(PLAN, params=paper["values"]).json()
+    printed = json.loads(CliRunner().invoke(app, ["plan", "--example", "paper", "--json"]).stdout)
+    printed.pop("paper")
+    assert found == _without_none(printed)
+    assert {r["requirement"] for r in found["remedies"]} >= {"cameras", "frame_rate_hz"}
+
+
+def test_what_the_station_knows_begins_a_plan(client: Any, files: StationFiles) -> None:
+    known = client.get(REQUIREMENTS).json()
+    assert known["values"].keys() == known["sources"].keys()
+    missing = client.get(PLAN, params=known["values"])
+    wheres = {fault["where"] for fault in missing.json()["errors"]}
+    assert (missing.status_code, wheres) == (422, {"query.sensor_width_mm", "query.distance_max_mm"})
+    whole = client.get(PLAN, params=known["values"] | {"sensor_width_mm": 6.4, "distance_max_mm": 500})
+    assert (whole.status_code, whole.json()["array"]["camera_pitch_mm"]) == (200, 36.0)
+    # A calibration that cannot be read is no reason to state nothing.
+    files.config.calibration.write_text("{}")
+    assert client.get(REQUIREMENTS).json()["sources"]["resolution_px_per_mm"] == "cameras.nominal_px_per_mm"
+
+
+def test_contradictions_and_limits_are_refused_by_name(client: Any) -> None:
+    paper = client.get(REQUIREMENTS, params={"of": "paper"}).json()["values"]
+    for change in ({"distance_min_mm": 900}, {"width_mm": 1e9}, {"speed_mm_s": "nan"}, {"cameras": 1.5}):
+        refused = client.get(PLAN, params=paper | change)
+        assert (refused.status_code, next(iter(change)) in refused.json()["detail"]) == (422, True), refused.text
+    assert client.get(PLAN, params=paper | {"breadth_mm": 3}).json()["code"] == "unknown-parameter"
+
+
+def test_reading_is_enough() -> None:
+    assert {scope_needed("GET", path) for path in (PLAN, REQUIREMENTS)} == {"read"}
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_none(v) for key, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list) else value
+
+
+def test_the_parameters_are_the_requirements_of_a_plan_with_their_defaults() -> None:
+    assert list(PlanOptions.model_fields) == [f.name for f in fields(Requirements)]
+    for field in fields(Requirements):
+        option = PlanOptions.model_fields[field.name]
+        assert option.is_required() == (field.default is MISSING), field.name
+        assert option.is_required() or option.default == field.default, field.name
+        assert option.description, field.name
+    assert PlanOptions(**vars(PAPER)).requirements() == PAPER
+
+
+def _limit(name: str, key: str) -> Any:
+    schema = PlanOptions.model_json_schema()["properties"][name]
+    return (schema["anyOf"][0] if "anyOf" in schema else schema)[key]
+
+
+@pytest.mark.parametrize("key", ["minimum", "maximum"])
+def test_every_value_within_the_limits_gives_a_plan_or_a_refusal(key: str) -> None:
+    refused = {}
+    for name in PlanOptions.model_fields:
+        try:
+            plan = make_plan(replace(PAPER, **{name: _limit(name, key)}))
+        except InputError as error:
+            refused[name] = error.message
+            continue
+        if name in ("resolution_px_per_mm", "speed_mm_s"):  # the remedies of one plan take a tenth of a second
+            find_remedies(plan)
+    # What is refused contradicts another requirement.
+    contradictions = {"minimum": {"distance_max_mm"}, "maximum": {"depth_of_field_mm", "distance_min_mm"}}
+    assert refused.keys() >= contradictions[key], refused
+    assert all("mm" in message for message in refused.values())
+
+
+COVERED_MM = (CAMERAS - 1) * PITCH_MM + WIDTH / PX_PER_MM
+
+
+def test_the_calibration_states_resolution_and_width(files: StationFiles) -> None:
+    calibration = read_calibration(files.config.calibration)
+    known = known_requirements(files.config, calibration)
+    assert known["resolution_px_per_mm"] == (PX_PER_MM, "calibration")
+    assert known["width_mm"] == (COVERED_MM, "calibration")
+    assert known["speed_mm_s"] == (100.0, "line.conveyor_mm_s")
+    assert known["frame_rate_hz"] == (9.52381, "line.trigger_period_s")
+    assert known["cameras"] == (float(CAMERAS), "cameras")
+    assert "distance_max_mm" not in known
+    far = calibration.model_copy(update={"working_distance_mm": 480.0})
+    assert known_requirements(files.config, far)["distance_max_mm"] == (480.0, "calibration")
+
+
+def test_without_a_calibration_nominal_values_are_taken(files: StationFiles) -> None:
+    known = known_requirements(files.config, None)
+    assert known["width_mm"] == (COVERED_MM, "cameras.nominal_center_mm")
+    assert known["resolution_px_per_mm"] == (PX_PER_MM, "cameras.nominal_px_per_mm")
+    bare = (files.config.cameras[0].model_copy(update={"nominal_px_per_mm": None}), *files.config.cameras[1:])
+    unknown = known_requirements(files.config.model_copy(update={"cameras": bare}), None)
+    assert not {"width_mm", "resolution_px_per_mm"} & unknown.keys()
+    assert unknown["sensor_px_h"] == (WIDTH, "cameras.width")
+
+
+@pytest.mark.parametrize(("roll_deg", "px_h"), [(0.0, WIDTH), (178.0, WIDTH), (90.0, HEIGHT), (-90.0, HEIGHT)])
+def test_the_mounting_of_a_camera_decides_which_side_lies_across_the_motion(
+    files: StationFiles, roll_deg: float, px_h: int
+) -> None:
+    turned = tuple(c.model_copy(update={"nominal_roll_deg": roll_deg}) for c in files.config.cameras)
+    known = known_requirements(files.config.model_copy(update={"cameras": turned}), None)
+    assert (known["sensor_px_h"][0], known["sensor_px_v"][0]) == (px_h, WIDTH + HEIGHT - px_h)
+
+
+@pytest.mark.parametrize(
+    ("on_us", "expected"), [(80.0, (80.0, "controller.lights")), (900.0, (250.0, "cameras.exposure_us"))]
+)
+def test_light_that_ends_before_the_exposure_ends_it(files: StationFiles, on_us: float, expected: Any) -> None:
+    lights = {"ring": LightConfig(channels=(0,), on_us=on_us)}
+    controller = files.config.controller.model_copy(update={"lights": lights})
+    assert (
+        known_requirements(files.config.model_copy(update={"controller": controller}), None)["exposure_us"] == expected
+    )

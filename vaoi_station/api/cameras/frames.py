@@ -1,0 +1,270 @@
+"""Frames of the cameras with their figures: the newest in memory, and those of pulses with settings on trial."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections import defaultdict
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from vaoi_station.errors import NotFoundError, VaoiError
+from vaoi_station.files.images import Image, encode_jpeg
+from vaoi_station.model import FrameRecord, Strict
+from vaoi_station.photometry.image_quality import full_scale, histogram, measure_quality
+from vaoi_station.runs.control.coordinator import StationCoordinator
+from vaoi_station.runs.lighting.camera_trial import TRIAL_S
+from vaoi_station.runs.lighting.lighting import TrialSettings
+from vaoi_station.runs.states.schemas import RunDetail
+
+LARGEST_PX = 960
+"""Longest side of the picture of a card."""
+_NEWEST_RUNS = 4
+"""Number of runs in which a frame of a camera is searched: the newest may have lost all of its frames."""
+_QUALITY = 80
+
+
+class Answer(BaseModel):
+    """Base class of these answers: immutable; a program may get further fields with any version."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+class SharpnessTile(Answer):
+    """The sharpness of one of the 3 × 3 parts of a frame."""
+
+    column: int
+    row: int
+    blur_px: float | None = None
+    """Standard deviation of the blur across edges, px; absent if the part has too few edges."""
+
+
+class FrameFigures(Answer):
+    """The figures of one frame. Grey levels are shares of the full scale."""
+
+    width: int
+    height: int
+    focus: float
+    """Figure of focus: a higher value is sharper. Comparable only between frames of the same scene."""
+    blur_px: float | None = None
+    """Standard deviation of the blur across edges, px, of the whole frame; absent if there are too few edges."""
+    mtf50: float | None = None
+    """Spatial frequency, cycles per pixel, at which the modulation falls to one half."""
+    tiles: tuple[SharpnessTile, ...]
+    mean: float
+    low: float
+    """Grey level below which 1 % of the pixels lie."""
+    high: float
+    """Grey level below which 99 % of the pixels lie."""
+    saturated: float
+    """Share of the pixels at full scale."""
+    histogram: tuple[float, ...]
+    """Share of the pixels in each of 64 equal steps of grey, from dark to bright."""
+
+
+class CameraFrame(FrameFigures):
+    """The newest frame of a camera that is in memory, and its figures."""
+
+    camera: int
+    run: str
+    row: int
+    light: str
+    exposure_us: float | None = None
+    gain: float | None = None
+    link_mbit_s: float | None = None
+    """Mean data rate of the camera while the run was filmed, Mbit/s; absent while it is."""
+
+
+class CameraTrialRequest(Strict):
+    """Settings that one camera is to try with one pulse; what is absent is as in station.toml."""
+
+    light: str | None = Field(default=None, min_length=1, max_length=100, description="Name of a light.")
+    on_us: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False, description="On-time of its LEDs.")
+    exposure_us: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False)
+    gain_db: float | None = Field(default=None, ge=-60, le=60, allow_inf_nan=False)
+
+
+class CameraTrialFrame(FrameFigures):
+    """A frame that was taken with settings on trial, and its figures."""
+
+    camera: int
+    number: int
+    """Number of the trial, for its picture."""
+    light: str
+    on_us: float | None = None
+    exposure_us: float
+    gain_db: float
+    expires_in_s: float
+    """Time until the settings of station.toml are set again, without another trial."""
+
+
+class NewestFrames:
+    """Measures frames for the cards of cameras. Its methods may be called from any thread."""
+
+    def __init__(self, coordinator: StationCoordinator) -> None:
+        self._coordinator = coordinator
+        self._measured: dict[int, CameraFrame] = {}
+        self._lock = threading.Lock()
+        self._measuring: defaultdict[int, threading.Lock] = defaultdict(threading.Lock)
+        """A lock for each camera: callers who ask for the same new frame wait until one of them has measured it."""
+
+    def frame(self, camera: int) -> CameraFrame:
+        """Return the figures of a camera's newest frame in memory.
+
+        Raises:
+            NotFoundError: the station has no such camera, or none of its frames is in memory.
+        """
+        names = [c.name for c in self._coordinator.snapshot().cameras]
+        if camera >= len(names):
+            raise NotFoundError(
+                f"There is no camera {camera}; the station has {len(names)}.", action="See cameras of GET station."
+            )
+        with self._lock:
+            measuring = self._measuring[camera]
+        with measuring:
+            return self._newest(camera, names[camera])
+
+    def _newest(self, camera: int, name: str) -> CameraFrame:
+        """Return the figures of a camera's newest frame; the caller holds the lock of the camera."""
+        candidates = self._candidates(camera)
+        runs = {run.id for run, _ in candidates}
+        for run, record in candidates:
+            with self._lock:
+                known = self._measured.get(camera)
+            if known is not None:
+                filming = run.finished is None
+                newest = (known.run, known.row) == (run.id, record.row) and known.link_mbit_s is not None
+                # While a board is filmed, each row would be measured, and would take time from the station.
+                if newest or (filming and known.run in runs):
+                    return known
+            try:
+                pixels, _ = self._coordinator.frame(run.id, camera, record.row)
+            except VaoiError:
+                continue  # its memory was given to a later board meanwhile
+            found = _measured(run, record, pixels)
+            with self._lock:
+                self._measured[camera] = found
+            return found
+        raise NotFoundError(f"No frame of camera {name} is in memory.", action="Let a board pass.", code="no-frame-yet")
+
+    def picture(self, camera: int, run: str | None, row: int | None) -> bytes:
+        """Return a frame as JPEG of 8 bits, at most `LARGEST_PX` long: without a run and a row, the newest."""
+        if run is None or row is None:
+            newest = self.frame(camera)
+            run, row = newest.run, newest.row
+        return for_display(self._coordinator.frame(run, camera, row)[0])
+
+    def _candidates(self, camera: int) -> list[tuple[RunDetail, FrameRecord]]:
+        """Return for each of the newest runs the last good frame of a camera, newest run first."""
+        found = []
+        for summary in self._coordinator.runs(_NEWEST_RUNS):
+            if not summary.frames_available and summary.finished is not None:
+                continue
+            try:
+                run = self._coordinator.run(summary.id)
+            except VaoiError:
+                continue  # it was forgotten meanwhile
+            good = [frame for frame in run.frames if frame.camera == camera and frame.usable]
+            if good:
+                found.append((run, good[-1]))
+        return found
+
+
+class CameraTrials:
+    """Tries settings, and keeps the newest frame for its picture. Methods may be called from any thread."""
+
+    def __init__(self, coordinator: StationCoordinator) -> None:
+        self._coordinator = coordinator
+        self._numbers = itertools.count(1)
+        self._lock = threading.Lock()
+        self._newest: tuple[int, int, Image] | None = None
+        """Camera, number and pixels of the newest frame."""
+
+    def shoot(self, camera: int, wanted: CameraTrialRequest) -> CameraTrialFrame:
+        """Fire one pulse with these settings; return the figures of the camera's frame."""
+        settings = TrialSettings(wanted.light, wanted.on_us, wanted.exposure_us, wanted.gain_db)
+        taken = self._coordinator.lighting.try_settings(camera, settings)
+        with self._lock:
+            number = next(self._numbers)
+            self._newest = camera, number, taken.pixels
+        return CameraTrialFrame(
+            camera=camera,
+            number=number,
+            light=taken.light,
+            on_us=taken.on_us,
+            exposure_us=taken.exposure_us,
+            gain_db=taken.gain_db,
+            expires_in_s=TRIAL_S,
+            **figures_of(taken.pixels).model_dump(),
+        )
+
+    def frame(self, camera: int, number: int | None) -> Image:
+        """Return the newest frame; `NotFoundError` if it is of another camera or trial, or there is none."""
+        with self._lock:
+            newest = self._newest
+        if newest is None or newest[0] != camera or number not in (None, newest[1]):
+            raise NotFoundError(f"There is no trial of camera {camera}.", action="Fire a pulse.", code="no-trial-frame")
+        return newest[2]
+
+    def picture(self, camera: int, number: int | None) -> bytes:
+        """Return the newest frame as JPEG; raises the errors of `frame`."""
+        return for_display(self.frame(camera, number))
+
+    def end(self) -> None:
+        """Set the exposures of station.toml again, and forget the picture."""
+        self._coordinator.lighting.end_trial()
+        with self._lock:
+            self._newest = None
+
+
+def for_display(pixels: Image) -> bytes:
+    """Return a frame as JPEG of 8 bits, at most `LARGEST_PX` long."""
+    scale = LARGEST_PX / max(pixels.shape[:2])
+    if scale < 1:
+        pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    if pixels.dtype != np.uint8:
+        pixels = cv2.convertScaleAbs(pixels, alpha=255 / full_scale(pixels))
+    return encode_jpeg(pixels, _QUALITY)
+
+
+def _measured(run: RunDetail, record: FrameRecord, pixels: Image) -> CameraFrame:
+    filming_s = run.timings.filming_s if run.timings else 0.0
+    good = sum(frame.camera == record.camera and frame.usable for frame in run.frames)
+    return CameraFrame(
+        camera=record.camera,
+        run=run.id,
+        row=record.row,
+        light=record.light,
+        exposure_us=record.exposure_us,
+        gain=record.gain,
+        link_mbit_s=round(good * pixels.nbytes * 8e-6 / filming_s, 1) if filming_s > 0 else None,
+        **figures_of(pixels).model_dump(),
+    )
+
+
+def figures_of(pixels: Image) -> FrameFigures:
+    """Measure sharpness and grey levels of a frame."""
+    quality = measure_quality(pixels)
+    return FrameFigures(
+        width=pixels.shape[1],
+        height=pixels.shape[0],
+        focus=float(f"{quality.focus:.5g}"),
+        blur_px=_rounded(quality.blur_px),
+        mtf50=_rounded(quality.mtf50),
+        tiles=tuple(
+            SharpnessTile(column=column, row=row, blur_px=_rounded(blur))
+            for row, blurs in enumerate(quality.blur_tiles_px)
+            for column, blur in enumerate(blurs)
+        ),
+        mean=round(quality.mean, 4),
+        low=round(quality.low, 4),
+        high=round(quality.high, 4),
+        saturated=round(quality.saturated, 6),
+        histogram=histogram(pixels),
+    )
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)

@@ -1,1 +1,0 @@
-"""The images of a component over REST: query parameters that choose them, and the entries that describe them."""

@@ -1,1 +1,0 @@
-"""What an engineer sees of one run beside its pictures: the times of its steps, and what is drawn over the board."""

@@ -1,0 +1,397 @@
+"""Routes under `runs/{id}/frames`, `…/components` and `…/merged`: frames, temporary images, merged pictures."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+from urllib.parse import quote, urlencode
+
+from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
+from pydantic import Field
+
+from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, encode_image, raw_from_npy
+from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, matches
+from vaoi_station.api.parameters import (
+    FOR_CACHES,
+    Address,
+    Camera,
+    FormatName,
+    MinCoverage,
+    PxPerMm,
+    Row,
+    RunId,
+    file_reply,
+    parse_box,
+    rest_router,
+)
+from vaoi_station.api.problems import problem_response
+from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews, Matrix3, ViewEntry
+from vaoi_station.api.routes.services import Services
+from vaoi_station.model import Strict
+from vaoi_station.rendering import ImageRequest
+from vaoi_station.rendering.description import component_covariances, describe
+from vaoi_station.rendering.framing import MOST_MARGIN_MM, Framing
+from vaoi_station.rendering.request import MOST_IMAGES, Bounds, Choice, direction
+from vaoi_station.runs.batches.batches import merged_entry
+from vaoi_station.runs.merging.merged_pictures import MergeRequest
+from vaoi_station.runs.states.schemas import ImageFormat as Rendered
+from vaoi_station.runs.states.tables import FINISHED
+
+Accept = Annotated[str | None, Header(max_length=500)]
+Index = Annotated[int, Path(description="Index of the view, from 0.", ge=0, le=99_999)]
+Number = Annotated[float, Query(allow_inf_nan=False)]
+PICTURE = file_reply("The image; X-Image-* headers describe raw pixels.", *MEDIA_TYPES.values())
+RENDERED_AS: dict[ImageFormat, Rendered] = {
+    ImageFormat.PNG: "png",
+    ImageFormat.JPEG: "jpeg",
+    ImageFormat.TIFF: "tiff",
+    ImageFormat.NPY: "npy",
+    ImageFormat.RAW: "npy",
+}
+"""For each format of a reply, the format requested from the coordinator. Raw is npy without the header."""
+_ONE_RANGE = re.compile(r"bytes=(\d{0,15})-(\d{0,15})")
+
+
+# Coroutines, because FastAPI performs other functions in a thread, which takes longer than the functions.
+async def _framing(
+    px_per_mm: PxPerMm = None,
+    margin_mm: Annotated[
+        Number, Query(description="Strip of surroundings on all sides of the component.", ge=0, le=MOST_MARGIN_MM)
+    ] = 0.0,
+    align: Annotated[
+        Literal["cad", "part"],
+        Query(description="What is upright: CAD, or the component as at rotation 0."),
+    ] = "cad",
+    plane: Annotated[
+        Literal["board", "top"],
+        Query(description="Plane in which the images are right: the board's surface, or the top of the body."),
+    ] = "board",
+) -> Framing:
+    return Framing(px_per_mm, margin_mm, align, plane)
+
+
+async def _bounds(
+    min_coverage: MinCoverage = 0.5,
+    min_exposure_us: Annotated[Number | None, Query(description="Least exposure time.", ge=0)] = None,
+    max_exposure_us: Annotated[Number | None, Query(description="Longest exposure time.", ge=0)] = None,
+    min_angle_deg: Annotated[
+        Number, Query(description="Least angle between line of sight and vertical.", ge=0, le=90)
+    ] = 0.0,
+    max_angle_deg: Annotated[Number, Query(description="Largest such angle.", ge=0, le=90)] = 90.0,
+    min_sharpness_per_mm: Annotated[Number | None, Query(description="Least sharpness.", ge=0)] = None,
+    max_saturated: Annotated[Number | None, Query(description="Largest share of saturated pixels.", ge=0, le=1)] = None,
+) -> Bounds:
+    return Bounds(
+        min_coverage,
+        min_exposure_us,
+        max_exposure_us,
+        min_angle_deg,
+        max_angle_deg,
+        min_sharpness_per_mm,
+        max_saturated,
+    )
+
+
+async def _choice(
+    light: Annotated[str | None, Query(description="Only images under this light.", max_length=200)] = None,
+    minus: Annotated[
+        str | None,
+        Query(description="Subtract the image under this light, seen most nearly from the same side.", max_length=200),
+    ] = None,
+    seen_from: Annotated[
+        str | None,
+        Query(
+            description="Only images that see the component from this side of the image (`left`, `right`, `front`: "
+            "below, `back`: above), or from this azimuth in CAD, 0 to 360.",
+            max_length=20,
+        ),
+    ] = None,
+    within_deg: Annotated[
+        Number | None, Query(description="Largest difference from `seen_from` [45]; only with it.", ge=0, le=180)
+    ] = None,
+    order: Annotated[Literal["best", "sharpest"], Query(description="What comes first; see the guide.")] = "best",
+    limit: Annotated[int | None, Query(description="Largest number of images.", ge=1, le=MOST_IMAGES)] = None,
+    measure: Annotated[bool, Query(description="Measure sharpness and saturation of every image.")] = False,
+) -> Choice:
+    return Choice(light, minus, direction(seen_from), within_deg, order, limit, measure)
+
+
+async def _wanted(
+    framing: Annotated[Framing, Depends(_framing)],
+    bounds: Annotated[Bounds, Depends(_bounds)],
+    choice: Annotated[Choice, Depends(_choice)],
+) -> ImageRequest:
+    return ImageRequest(framing, bounds, choice).check()
+
+
+Wanted = Annotated[ImageRequest, Depends(_wanted)]
+"""The request for images that the query of an HTTP request makes."""
+
+
+def picture_query(wanted: ImageRequest) -> str:
+    """Return the query for the address of an image: that of the list to which the image's index k refers."""
+    # Default values are omitted: one image then has one address, which caches can use.
+    asked = wanted.unmeasured().options()
+    return "?" + urlencode(asked) if asked else ""
+
+
+class MergedEntry(Strict):
+    """One merged picture. Matrices act on column vectors (x, y, 1)."""
+
+    k: int
+    merged: list[tuple[int, int]] = Field(description="[camera, row] of the frames it is merged of, best first.")
+    exposures: int = Field(description="Number of different exposures; with 1, saturated places have no value.")
+    lights: list[str] = Field(description="The light of the frames; empty if lights have no names.")
+    width_px: int
+    height_px: int
+    px_per_mm: float
+    plane_height_mm: float = Field(description="Height above the board of the plane in which frames are merged.")
+    crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of the picture.")
+    cad_from_crop: Matrix3
+    url: str = Field(description="Address of the picture.")
+
+
+class MergedList(Strict):
+    """The merged pictures of a component or region: the paper's m_v pictures, and last the one of all frames."""
+
+    pictures: list[MergedEntry]
+
+
+async def _merge_request(
+    component: Annotated[
+        str | None,
+        Query(
+            description="Component: `ref`, or `panel/ref` on a panel; or give `region`.", min_length=1, max_length=200
+        ),
+    ] = None,
+    region: Annotated[
+        str | None,
+        Query(description="Part of the board: `x0,y0,x1,y1` in CAD coordinates; or give `component`.", max_length=200),
+    ] = None,
+    light: Annotated[
+        str | None,
+        Query(description="Merge the frames under this light; default: that of most frames.", max_length=100),
+    ] = None,
+    px_per_mm: PxPerMm = None,
+    min_coverage: Annotated[
+        float, Query(description="Omit frames that show less than this share.", gt=0, le=1, allow_inf_nan=False)
+    ] = 0.02,
+) -> MergeRequest:
+    return MergeRequest(component, parse_box("region", region), light, px_per_mm, min_coverage)
+
+
+Merged = Annotated[MergeRequest, Depends(_merge_request)]
+
+
+def router(services: Services) -> APIRouter:
+    """Create the routes. `{ref}` in a path is a component's address: `ref`, or `panel/ref`."""
+    routes = rest_router(prefix="/runs/{run}", tags=["pictures"])
+    coordinator, ask, pictures = services.coordinator, services.commands.ask, services.pictures
+    with_seat: dict[str, Any] = {"response_class": Response, "dependencies": [Depends(services.picture_seats.hold)]}
+
+    @routes.get(
+        "/frames/{camera}/{row}",
+        responses={**PICTURE, 206: {**PICTURE[200], "description": "The bytes of the header Range."}},
+        **with_seat,
+    )
+    async def get_frame(
+        *,
+        request: Request,
+        run: RunId,
+        camera: Camera,
+        row: Row,
+        format: FormatName = None,
+        accept: Accept = None,
+        incomplete: Annotated[
+            Literal["refuse", "show"], Query(description="Whether an incomplete or unproven frame is returned.")
+        ] = "refuse",
+    ) -> Response:
+        """Return one frame as PNG, TIFF, npy or raw, all without loss. An incomplete frame needs `incomplete=show`.
+
+        So does a frame that is not proven to belong to its row (409 `frame-unproven`). The header X-Frame-Verdict is
+        `ok`, `incomplete` or `unproven`. 410: the frame is no longer in memory,
+        and not in a recording that is kept of the run. The header Range selects some of the bytes (206): of a raw
+        frame, line k begins at byte k · X-Image-Stride.
+        """
+        image_format = choose_format(format, accept)
+
+        def picture() -> tuple[bytes, dict[str, str]]:
+            pixels, record = coordinator.frame(run, camera, row, incomplete == "show")
+            content, headers = encode_image(pixels, image_format)
+            return content, headers | {"X-Frame-Verdict": str(record.verdict) if record.proven else "unproven"}
+
+        content, headers = await pictures.ask(picture)
+        return part_of(request, conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers))
+
+    async def caching(run: str, wanted: ImageRequest | None = None) -> str:
+        if (await ask(coordinator.run, run)).state not in FINISHED:
+            return LIVE
+        # Heights are measured after the result: until they are known, images on the tops of bodies may change.
+        final = wanted is None or wanted.framing.plane != "top" or coordinator.heights.known(run) is not None
+        return IMMUTABLE if final else REVALIDATE
+
+    @routes.get("/components", response_model=ComponentList, dependencies=[Depends(services.searches.hold)])
+    async def list_components(
+        request: Request,
+        run: RunId,
+        unseen: Annotated[
+            bool | None, Query(description="Only those of which too little is seen, or the others.")
+        ] = None,
+    ) -> Response:
+        """List the components of the run's board type with their positions."""
+        path, cache = quote(request.url.path), await caching(run)
+
+        def listed() -> Response:
+            parts = [c for c in coordinator.components(run) if unseen in (None, c.unseen)]
+            entries = [
+                ComponentEntry(
+                    **c.model_dump(exclude={"panel"}),
+                    panel=None if c.panel is None else str(c.panel),
+                    url=f"{path}/{quote(c.address)}",
+                )
+                for c in parts
+            ]
+            return _document(request, ComponentList(components=entries), cache)
+
+        # 20,000 components become some megabytes of text, which takes too long for the event loop.
+        return await services.searches.ask(listed)
+
+    # Before "/components/{ref:path}", whose path parameter would match its addresses as well.
+    @routes.get("/components/{ref:path}/images/{k}", responses=PICTURE, **with_seat)
+    async def get_component_image(
+        *,
+        request: Request,
+        run: RunId,
+        ref: Address,
+        k: Index,
+        wanted: Wanted,
+        format: FormatName = None,
+        accept: Accept = None,
+    ) -> Response:
+        """Return temporary image k of a component: cut from one frame, upright, aligned with the CAD axes.
+
+        Pass the same parameters as for the list of views, to which index k refers. 410: the frames
+        are no longer in memory, and no recording of the run is kept.
+        """
+        image_format = choose_format(format, accept)
+        content = await pictures.ask(lambda: coordinator.image(run, ref, k, wanted, format=RENDERED_AS[image_format]))
+        return _picture(request, content, image_format, await caching(run, wanted))
+
+    @routes.get("/components/{ref:path}", response_model=ComponentViews)
+    async def get_component(request: Request, run: RunId, ref: Address, wanted: Wanted) -> Response:
+        """List the frames that show a component, best first, with the addresses of their temporary images."""
+        # Measuring reads pixels, like rendering; its callers wait in the same queue.
+        reads = wanted.needs_pixels or wanted.choice.measure
+        cache = await caching(run, wanted)
+        images = await (pictures.ask if reads else ask)(lambda: coordinator.images(run, ref, wanted))
+        address, query = quote(request.url.path), picture_query(wanted)
+        certain = component_covariances(await ask(coordinator.stitch, run), ref) if images.chosen else {}
+        entries = []
+        for k, choice in enumerate(images.chosen):
+            covariance_px2 = images.covariance_px2(choice, certain.get((choice.view.camera, choice.view.row)))
+            entries.append(ViewEntry(k=k, url=f"{address}/images/{k}{query}", **describe(choice, covariance_px2)))
+        views = ComponentViews(
+            address=ref,
+            px_per_mm=entries[0].px_per_mm if entries else None,
+            remark=images.remark,
+            plane_source=None if images.height is None else images.height.source,
+            plane_sigma_mm=None if images.height is None else images.height.sigma_mm,
+            views=entries,
+        )
+        return _document(request, views, cache)
+
+    @routes.get("/merged", response_model=MergedList)
+    async def list_merged(*, request: Request, run: RunId, wanted: Merged) -> Response:
+        """List the merged pictures of a component or a region, with their frames and matrices.
+
+        Frames of different exposures under one light are merged to linear radiance, in the plane of the component's
+        top.
+        """
+        choices = await ask(coordinator.merged.pictures, run, wanted)
+        query = {k: v for k, v in request.query_params.items() if k != FOR_CACHES}
+        query["min_coverage"] = str(wanted.min_coverage)
+        address = f"{quote(request.url.path)}/image?"
+        entries = [
+            MergedEntry(k=k, url=address + urlencode(query | {"k": str(k)}), **merged_entry(choice))
+            for k, choice in enumerate(choices)
+        ]
+        return _document(request, MergedList(pictures=entries), REVALIDATE)
+
+    @routes.get("/merged/image", responses=PICTURE, **with_seat)
+    async def get_merged_image(
+        *,
+        request: Request,
+        run: RunId,
+        wanted: Merged,
+        k: Annotated[
+            int | None,
+            Query(
+                description="Index of the picture, from 0; default: the last, of all frames of the light.",
+                ge=0,
+                le=99_999,
+            ),
+        ] = None,
+        sigma: Annotated[
+            bool,
+            Query(
+                description="Return the standard deviation of every pixel in place of the radiance (npy, tiff, raw)."
+            ),
+        ] = False,
+        format: FormatName = None,
+        accept: Accept = None,
+    ) -> Response:
+        """Return a merged picture: linear radiance as npy, TIFF or raw floats, tone-mapped 8 bit as PNG or JPEG.
+
+        Radiance is in grey levels per µs at gain 1; NaN where no frame gives a valid value (black in 8 bit). Pass the
+        same parameters as for the list, to which index k refers. 410: the frames are no longer in memory, and no
+        recording of the run is kept.
+        """
+        image_format = choose_format(format, accept)
+        content = await pictures.ask(
+            lambda: coordinator.merged.image(run, wanted, k, RENDERED_AS[image_format], sigma=sigma)
+        )
+        # Other flat fields give other pictures of the same run.
+        return _picture(request, content, image_format, REVALIDATE)
+
+    return routes
+
+
+def _document(request: Request, content: Strict, cache: str) -> Response:
+    body = content.model_dump_json(exclude_none=True).encode()
+    return conditional_response(request, body, "application/json", cache=cache)
+
+
+def _picture(request: Request, content: bytes, image_format: ImageFormat, cache: str) -> Response:
+    headers: dict[str, str] = {}
+    if image_format is ImageFormat.RAW:
+        content, headers = raw_from_npy(content)
+    return conditional_response(request, content, MEDIA_TYPES[image_format], cache=cache, headers=headers)
+
+
+def part_of(request: Request, whole: Response) -> Response:
+    """Return the part of a reply that the header Range asks for (RFC 9110, section 14); the whole reply without one.
+
+    Several ranges, and headers that cannot be read, are answered with the whole reply, as the standard permits.
+    """
+    if whole.status_code != 200:
+        return whole
+    size = len(whole.body)
+    whole.headers["Accept-Ranges"] = "bytes"
+    asked = _ONE_RANGE.fullmatch(request.headers.get("range", "").strip())
+    # If-Range names the ETag of the bytes that the caller means.
+    tag = request.headers.get("if-range")
+    meant = tag is None or (matches(tag, whole.headers.get("etag", "")) and not tag.startswith("W/"))
+    if asked is None or asked.groups() == ("", "") or not meant:
+        return whole
+    first, last = asked.groups()
+    start = int(first) if first else max(0, size - int(last))
+    end = min(int(last) if first and last else size - 1, size - 1)
+    if first and last and int(last) < int(first):
+        return whole
+    if start >= size:
+        detail = f"The range begins at byte {start}, but there are {size} bytes."
+        unsatisfied = {"Content-Range": f"bytes */{size}"}
+        return problem_response(request.scope, "range-not-satisfiable", detail, headers=unsatisfied)
+    headers = {name: value for name, value in whole.headers.items() if name != "content-length"}
+    headers["Content-Range"] = f"bytes {start}-{end}/{size}"
+    return Response(bytes(whole.body[start : end + 1]), 206, headers)
