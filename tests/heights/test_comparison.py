@@ -74,7 +74,7 @@ def test_the_document_has_heights_in_mm_and_expectations_of_the_board_type() -> 
             "views": 3,
             "expected_mm": 1.016,
             "comparison": "agrees",
-            "probability": 0.9973,
+            "probability": 0.9907,
         },
         "A/R1": {"height_mm": None, "sigma_mm": None, "views": 2, "low_mm": 0.5, "high_mm": 2.0},
         "R2": {

@@ -17,7 +17,7 @@ _LEAST, _LEAST_OTHER = 0.95, 0.995
 
 _EDGE = 0.1
 """Uncertainty of the ends of an interval, as a share of its width: the pictures fall off slowly there."""
-_WIDE, _WIDER = 0.03, 3.0
+_WIDE, _WIDER = 0.03, 5.0
 """Share of the heights that err more than their standard deviation says, and the factor by which it is too small."""
 
 
