@@ -12,7 +12,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch, Surface
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.geometry import FootprintViews, FrameIndex
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 _MOST_PREPARED = 24
@@ -66,7 +66,7 @@ class CheckedRun:
         # Tilt and bow are known in the coordinates of the run's board type only; they move a point by micrometres.
         surface = Surface(lift_mm=self.stitch.surface.lift_mm) if self.stitch.surface else None
         rows = np.array(self.stitch.row_motion)
-        return FootprintViews.of(cad, tester_from_cad, self.cameras, rows, surface)
+        return FrameIndex(self.cameras, rows, surface=surface).views(cad, tester_from_cad)
 
     def stated_matrix(self, board: BoardType) -> Floats | None:
         """Return C of the run for data in the unit and axes of another board type; None if the run has no C."""

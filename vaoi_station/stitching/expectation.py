@@ -83,7 +83,6 @@ def refuse_unplaceable(board_type: BoardType, where: str | Path) -> None:
     """Raise `InputError` if a board type has too few fiducials to be placed.
 
     Args:
-        board_type: the board type.
         where: the file or request from which it came, for the message.
     """
     found = len(board_type.fiducials)

@@ -1,16 +1,8 @@
-"""The components of a board type as arrays, with a grid that finds the component on which a point lies.
+"""Where components lie on the board, and which frames show a point, a line or a region of it, and how.
 
-Lengths are in CAD units. Angles refer to the CAD axes of the board type, whether its y axis points up or down.
-
-The frames of a run as arrays: find the frame that shows a board point best, and the pixel of the point in it.
-
-Components on the stitched board: the component under a point, and the frames that show a component's centre.
-
-How much of every component the good frames of a run show: the union of the frames over its footprint.
-
-The footprint lies at the height of the board's surface. It is divided into quarters until each part lies inside one
-frame, or outside all frames, or is smaller than 1/128 of the footprint's sides. Most footprints lie wholly in one
-frame; for these, a check of the four corners is enough.
+`ComponentIndex` finds the component under a point; its lengths are in CAD units, its angles refer to the CAD axes of
+the board type. `FrameIndex` answers all questions about frames: the views of points, the frame that shows a place best,
+its pixels there, and how much of every footprint the frames show together.
 """
 
 from __future__ import annotations
@@ -31,7 +23,7 @@ from vaoi_station.geometry.projection_kernels import distort_point
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.marks.candidate_search import SURROUND
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.adjustment.motion import Motion, points_in_box
+from vaoi_station.stitching.adjustment.motion import points_in_box
 from vaoi_station.stitching.adjustment.problem import Ints
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.frames import Scene
@@ -204,164 +196,18 @@ def _find(cad_from_board: Floats, board_mm: Floats, cells: _Cells, boxes: _Boxes
                 break
 
 
+_BEYOND_PX = 3.0
+"""A footprint's centre up to this far outside a frame still counts as a view."""
+_BORDER_PX = 6.0
+"""Least distance of a fiducial's bare rim from the border of a frame: nearer to the border it may not be detected."""
 _MARGIN_MM = 1.0
 """Least distance of a point from the border of its best frame."""
 _FAINT = 1 / 3
 """A frame whose grey levels scatter less than this share of those of another frame is exposed too short or too long."""
-
-
-@dataclass(frozen=True, eq=False)
-class FrameArrays:
-    """The poses of f frames, of c cameras in m rows, as arrays for compiled functions."""
-
-    scene: Scene
-    frame: Ints
-    """(f, 2) camera and row of each frame."""
-    rows: Floats
-    """(m, 3, 3) the matrix D_j of each row."""
-    image_from_row: Floats
-    """(c, 3, 3) the matrix N_i of each camera."""
-    radial: Floats
-    """(c, r) radial coefficients a1, a2, … of each lens."""
-    lens: Floats
-    """(c, 5) other parameters of each lens, in the form of `geometry.projection_kernels`."""
-    view_mm: Floats
-    """(c, 4) lowest x and y, then highest x and y, of each camera's view, mm in row coordinates."""
-    size_px: Floats
-    """(c, 3) width and height of each camera's frame, and the margin at its border."""
-
-    @staticmethod
-    def of(scene: Scene, motion: Motion) -> FrameArrays:
-        """Collect the arrays of a scene, with the motion of its rows."""
-        return FrameArrays.of_rows(scene, motion.rows_from_tester)
-
-    @staticmethod
-    def of_rows(scene: Scene, rows: Floats) -> FrameArrays:
-        """Collect the arrays of a scene whose rows have the matrices D_j (m, 3, 3)."""
-        cameras = scene.cameras
-        # All lenses share one array, so shorter polynomials are filled up with zeros.
-        most = max(len(c.lens.coefficients) for c in cameras)
-        return FrameArrays(
-            scene,
-            np.array(scene.present, dtype=np.int_).reshape(-1, 2),
-            rows,
-            np.array([c.image_from_row.matrix for c in cameras]),
-            np.array([[*c.lens.coefficients, *[0.0] * (most - len(c.lens.coefficients))] for c in cameras]),
-            np.array([c.lens.shape for c in cameras]),
-            np.array([np.concatenate(c.view_mm()) for c in cameras]),
-            np.array([(c.width_px, c.height_px, _MARGIN_MM * c.px_per_mm) for c in cameras]),
-        )
-
-    def nearest(self, board_mm: Floats) -> Ints:
-        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre; −1: none.
-
-        A frame that is almost black or saturated everywhere shows no edges: it is taken for points that no other frame
-        shows. A program may give every row and camera its own exposure.
-        """
-        points, faint, contrast = (
-            np.ascontiguousarray(board_mm),
-            np.zeros(len(self.frame), np.bool_),
-            dict[int, float](),
-        )
-        chosen = first = _nearest(points, self._poses, self.view_mm, self.size_px, faint)
-        # Only the contrast of frames that are chosen is computed: their pixels are read next in any case.
-        while new := set(np.unique(chosen[chosen >= 0]).tolist()) - set(contrast):
-            contrast |= {n: self.scene.prepared(self.scene.present[n]).contrast for n in new}
-            least = _FAINT * max(contrast.values())
-            faint[[n for n, found in contrast.items() if found < least]] = True
-            better = _nearest(points, self._poses, self.view_mm, self.size_px, faint) if faint.any() else first
-            chosen = np.where(better >= 0, better, first)
-        return chosen
-
-    def project(self, number: Ints, board_mm: Floats) -> Floats:
-        """Project board points (k, s, 2) to raw pixels, s points each to one of k frames.
-
-        `number` (k,) holds the frames' numbers; where it is −1 the pixels are NaN.
-        """
-        return _projected(np.ascontiguousarray(board_mm), number, self._poses)
-
-    @property
-    def _poses(self) -> _Poses:
-        return _Poses(self.frame, self.rows, self.image_from_row, self.radial, self.lens)
-
-    def read_samples(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
-        """Read s grey levels along a line at each of k places, from the frame that shows the place: (k, samples).
-
-        Args:
-            number: (k,) number of the frame for each place; −1 gives NaN.
-            samples: number s of samples per place.
-            read: function that takes the pixels of a frame and the indices (j,) of its places, and returns their
-                samples (j, samples).
-        """
-        # The loop goes frame by frame, so that each frame is fetched and prepared only once.
-        out = np.full((len(number), samples), np.nan)
-        for n in np.unique(number[number >= 0]).tolist():
-            mine = np.flatnonzero(number == n)
-            out[mine] = read(self.scene.prepared(self.scene.present[n]).grey, mine)
-        return out
-
-
-class _Poses(NamedTuple):
-    """The arrays of `FrameArrays` that are needed to project board points to raw pixels."""
-
-    frame: Ints
-    rows: Floats
-    image_from_row: Floats
-    radial: Floats
-    lens: Floats
-
-
-@compiled
-def _nearest(board_mm: Floats, poses: _Poses, view_mm: Floats, size_px: Floats, faint: NDArray[np.bool_]) -> Ints:
-    frame, rows, image_from_row, radial, lens = poses
-    chosen = np.full(len(board_mm), -1)
-    for k in range(len(board_mm)):
-        best = np.inf
-        for n in range(len(frame)):
-            if faint[n]:
-                continue
-            i, d = frame[n, 0], rows[frame[n, 1]]
-            x = d[0, 0] * board_mm[k, 0] + d[0, 1] * board_mm[k, 1] + d[0, 2]
-            y = d[1, 0] * board_mm[k, 0] + d[1, 1] * board_mm[k, 1] + d[1, 2]
-            # The comparison in mm is cheap and rules out most frames before projection and lens are computed.
-            if not (view_mm[i, 0] <= x <= view_mm[i, 2] and view_mm[i, 1] <= y <= view_mm[i, 3]):
-                continue
-            m, last_x, last_y, margin = image_from_row[i], size_px[i, 0] - 1, size_px[i, 1] - 1, size_px[i, 2]
-            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
-            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
-            shape = (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4])
-            u, v = distort_point(u, v, radial[i], shape)
-            if min(u, v) < margin or u > last_x - margin or v > last_y - margin:
-                continue
-            off = (u - last_x / 2) ** 2 + (v - last_y / 2) ** 2
-            if off < best:
-                best, chosen[k] = off, n
-    return chosen
-
-
-@compiled
-def _projected(board_mm: Floats, number: Ints, poses: _Poses) -> Floats:
-    frame, rows, image_from_row, radial, lens = poses
-    out = np.full(board_mm.shape, np.nan)
-    for k in range(len(board_mm)):
-        if number[k] < 0:
-            continue
-        i, d = frame[number[k], 0], rows[frame[number[k], 1]]
-        m, shape = image_from_row[i], (lens[i, 0], lens[i, 1], lens[i, 2], lens[i, 3], lens[i, 4])
-        for s in range(board_mm.shape[1]):
-            x = d[0, 0] * board_mm[k, s, 0] + d[0, 1] * board_mm[k, s, 1] + d[0, 2]
-            y = d[1, 0] * board_mm[k, s, 0] + d[1, 1] * board_mm[k, s, 1] + d[1, 2]
-            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
-            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
-            out[k, s, 0], out[k, s, 1] = distort_point(u, v, radial[i], shape)
-    return out
-
-
-_BEYOND_PX = 3.0
-"""A footprint's centre up to this far outside a frame still counts as a view."""
-
-_BORDER_PX = 6.0
-"""Least distance of a fiducial's bare rim from the border of a frame: nearer to the border it may not be detected."""
+_DEEPEST, _DEEPEST_VIEW = 7, 4
+"""Number of times that a footprint is divided into quarters at its border: for its share, and to count its views."""
+_VIEW_SHARE = 0.5
+"""Least share of a footprint that a frame must show, for the frame to count as a view."""
 
 View = tuple[int, int, float, float]
 """One view of a point: camera, row, and raw pixels x and y."""
@@ -379,36 +225,6 @@ class FootprintViews:
     """(k, 2) position of the point in the conveyor's plane, mm in row coordinates, in the row of the view."""
     px: Floats
     """(k, 2) raw pixels. Some lie a little outside the frame."""
-
-    @staticmethod
-    def of(
-        cad: Floats, cad_matrix: Floats, cameras: Sequence[Camera], rows: Floats, surface: Surface | None
-    ) -> FootprintViews:
-        """Compute the views of CAD points.
-
-        Args:
-            cad: (n, 2) points in CAD coordinates.
-            cad_matrix: C, (3, 3) from CAD to tester coordinates.
-            cameras: the cameras.
-            rows: (m, 3, 3) the matrices D_j of the m rows.
-            surface: surface of the board; None for a board in the calibrated plane.
-        """
-        height = surface.height_mm(cad) if surface else np.zeros(len(cad))
-        # First, one box around all cameras' views is tested: in most rows no camera sees a given point.
-        between = float(height.min()), float(height.max())
-        boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in cameras])
-        row, point, place = points_in_box(rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
-        (x, y), found = place.T, []
-        for i, (camera, (low, high)) in enumerate(zip(cameras, boxes, strict=True)):
-            near = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
-            px = camera.project(place[near], height[point[near]])
-            seen = camera.sees(px, -_BEYOND_PX)
-            at = near[seen]
-            found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
-        point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
-        # Views were found camera by camera; the stable sort orders them by point and keeps cameras and rows.
-        order = np.argsort(point, kind="stable")
-        return FootprintViews(point[order], *(values[order] for values in others))
 
     @property
     def frames(self) -> list[FrameKey]:
@@ -430,35 +246,12 @@ class FootprintViews:
     def _where(self, keep: NDArray[np.bool_]) -> FootprintViews:
         return FootprintViews(self.point[keep], self.camera[keep], self.row[keep], self.place_mm[keep], self.px[keep])
 
-
-def views_by_address(addresses: Sequence[str], views: FootprintViews) -> dict[str, tuple[View, ...]]:
-    """Return the views of each footprint's centre: {address: ((camera, row, x, y), …)}, x and y in raw pixels."""
-    x, y = np.round(views.px, 4).T.tolist()
-    every = list(zip(views.camera.tolist(), views.row.tolist(), x, y, strict=True))
-    ends = [0, *np.cumsum(np.bincount(views.point, minlength=len(addresses))).tolist()]
-    return {address: tuple(every[a:b]) for address, (a, b) in zip(addresses, pairwise(ends), strict=True)}
-
-
-def frames_of_marks(
-    board_type: BoardType, views: FootprintViews, cameras: Sequence[Camera], confirmed: Collection[FrameKey]
-) -> dict[int, FrameKey]:
-    """Return one frame for each fiducial that a confirmed frame shows with its bare rim, by number of the fiducial."""
-    found: dict[int, FrameKey] = {}
-    for n, i, j, px in zip(views.point.tolist(), views.camera.tolist(), views.row.tolist(), views.px, strict=True):
-        reach_px = SURROUND / 2 * board_type.fiducials[n].diameter * board_type.mm_per_unit * cameras[i].px_per_mm
-        if (i, j) in confirmed and cameras[i].sees(px[None], reach_px + _BORDER_PX)[0]:
-            found.setdefault(n, (i, j))
-    return found
-
-
-_DEEPEST = 7
-"""Largest number of times that a part of a footprint is divided."""
-_BORDER_POINTS = 9
-"""Points per side of a frame, from which the box that the frame wholly shows is computed."""
-_MARGIN = 0.01
-"""Margin of the box that a frame wholly shows, as a share of its size; a usable lens bends a border by less."""
-_VIEW_SHARE = 0.5
-"""Least share of a footprint that a frame must show, for the frame to count as a view."""
+    def by_address(self, addresses: Sequence[str]) -> dict[str, tuple[View, ...]]:
+        """Return the views by the address of each point: {address: ((camera, row, x, y), …)}, rounded raw pixels."""
+        x, y = np.round(self.px, 4).T.tolist()
+        every = list(zip(self.camera.tolist(), self.row.tolist(), x, y, strict=True))
+        ends = [0, *np.cumsum(np.bincount(self.point, minlength=len(addresses))).tolist()]
+        return {address: tuple(every[a:b]) for address, (a, b) in zip(addresses, pairwise(ends), strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -473,135 +266,227 @@ class Coverage:
     """(n,) whether one frame shows the whole footprint."""
 
 
-class _Array(NamedTuple):
-    """The poses of c cameras as arrays for compiled functions."""
+@dataclass(frozen=True, eq=False)
+class FrameIndex:
+    """The frames of a run, with their poses above the board: cameras N_i, rows D_j, and the board's surface."""
 
+    cameras: Sequence[Camera]
+    rows: Floats
+    """(m, 3, 3) the matrices D_j of all rows."""
+    present: Sequence[FrameKey] = ()
+    """Camera and row of the frames that count; `views` gives those of all cameras and rows."""
+    surface: Surface | None = None
+    """Surface of the board; None for a board in the calibrated plane."""
+    scene: Scene | None = None
+    """The pixels of the frames, for those questions that read them."""
+
+    @staticmethod
+    def of(scene: Scene, rows: Floats) -> FrameIndex:
+        """Make the index of a scene whose rows have the matrices D_j (m, 3, 3), for a board in the calibrated plane."""
+        return FrameIndex(scene.cameras, rows, scene.present, None, scene)
+
+    def views(self, cad: Floats, cad_matrix: Floats) -> FootprintViews:
+        """Return the views of points (n, 2) in CAD coordinates in the frames of all rows; `cad_matrix` is C (3, 3)."""
+        height = self.surface.height_mm(cad) if self.surface else np.zeros(len(cad))
+        # First, one box around all cameras' views is tested: in most rows no camera sees a given point.
+        between = float(height.min(initial=0.0)), float(height.max(initial=0.0))
+        boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in self.cameras])
+        row, point, place = points_in_box(self.rows, apply(cad_matrix, cad), boxes[:, 0].min(0), boxes[:, 1].max(0))
+        found = []
+        for i, (camera, (low, high)) in enumerate(zip(self.cameras, boxes, strict=True)):
+            near = np.flatnonzero(((place >= low) & (place <= high)).all(1))
+            px = camera.project(place[near], height[point[near]])
+            seen = camera.sees(px, -_BEYOND_PX)
+            at = near[seen]
+            found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
+        point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
+        # Views were found camera by camera; the stable sort orders them by point and keeps cameras and rows.
+        order = np.argsort(point, kind="stable")
+        return FootprintViews(point[order], *(values[order] for values in others))
+
+    def coverage(self, parts: ComponentIndex, cad_matrix: Floats, *, count_views: bool = True) -> Coverage:
+        """Compute how much of every component the frames show; without `count_views`, a count may be too low.
+
+        The footprint lies at the height of the board's surface. It is divided into quarters until each part lies inside
+        one frame, or outside all frames, or is smaller than 1/128 of the footprint's sides.
+        """
+        n = len(parts.center)
+        height = self.surface.height_mm(parts.center) if self.surface else np.zeros(n)
+        there = np.zeros((len(self.rows), len(self.cameras)), np.bool_)
+        for camera, row in self.present:
+            there[row, camera] = True
+        coverage = Coverage(np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.bool_))
+        if n and len(self.rows):
+            corners = np.ascontiguousarray(apply(cad_matrix, parts.corners))
+            poses = _poses_of(self.cameras, self.rows, (float(height.min()), float(height.max())))
+            seen = _Seen(coverage.share, coverage.views, coverage.in_one_frame)
+            _cover(corners, height, there, poses, count_views, seen)
+        return coverage
+
+    def nearest(self, board_mm: Floats) -> Ints:
+        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre; −1: none.
+
+        A frame that is almost black or saturated everywhere shows no edges: it is taken for points that no other frame
+        shows. A program may give every row and camera its own exposure.
+        """
+        assert self.scene is not None
+        points, frame = np.ascontiguousarray(board_mm), self._frame
+        faint, contrast = np.zeros(len(frame), np.bool_), dict[int, float]()
+        chosen = first = _nearest(points, frame, self._poses, faint)
+        # Only the contrast of frames that are chosen is computed: their pixels are read next in any case.
+        while new := set(np.unique(chosen[chosen >= 0]).tolist()) - set(contrast):
+            contrast |= {n: self.scene.prepared(self.present[n]).contrast for n in new}
+            least = _FAINT * max(contrast.values())
+            faint[[n for n, found in contrast.items() if found < least]] = True
+            better = _nearest(points, frame, self._poses, faint) if faint.any() else first
+            chosen = np.where(better >= 0, better, first)
+        return chosen
+
+    def project(self, number: Ints, board_mm: Floats) -> Floats:
+        """Project board points (k, s, 2) to raw pixels, s each to the frames numbered `number` (k,); NaN for −1."""
+        return _projected(np.ascontiguousarray(board_mm), number, self._frame, self._poses)
+
+    def grey(self, number: Ints, px: Floats) -> Floats:
+        """Read grey levels at raw pixels (k, s, 2) of the frames numbered `number` (k,), bilinearly: (k, s).
+
+        They are NaN outside the frame, and where the number is −1.
+        """
+        return self.read_samples(number, px.shape[1], lambda image, mine: _bilinear(image, px[mine]))
+
+    def read_samples(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
+        """Read s grey levels at each of k places, from the frames numbered `number` (k,): (k, samples); NaN for −1.
+
+        `read` takes the pixels of a frame and the indices (j,) of its places, and returns their samples (j, samples).
+        """
+        assert self.scene is not None
+        # The loop goes frame by frame, so that each frame is fetched and prepared only once.
+        out = np.full((len(number), samples), np.nan)
+        for n in np.unique(number[number >= 0]).tolist():
+            mine = np.flatnonzero(number == n)
+            out[mine] = read(self.scene.prepared(self.present[n]).grey, mine)
+        return out
+
+    @cached_property
+    def _frame(self) -> Ints:
+        return np.array(self.present, dtype=np.int_).reshape(-1, 2)
+
+    @cached_property
+    def _poses(self) -> _Poses:
+        return _poses_of(self.cameras, self.rows, (0.0, 0.0))
+
+
+def frames_of_marks(
+    board_type: BoardType, views: FootprintViews, cameras: Sequence[Camera], confirmed: Collection[FrameKey]
+) -> dict[int, FrameKey]:
+    """Return one frame for each fiducial that a confirmed frame shows with its bare rim, by number of the fiducial."""
+    found: dict[int, FrameKey] = {}
+    for n, (i, j), px in zip(views.point.tolist(), views.frames, views.px, strict=True):
+        reach_px = SURROUND / 2 * board_type.fiducials[n].diameter * board_type.mm_per_unit * cameras[i].px_per_mm
+        if (i, j) in confirmed and cameras[i].sees(px[None], reach_px + _BORDER_PX)[0]:
+            found.setdefault(n, (i, j))
+    return found
+
+
+class _Poses(NamedTuple):
+    """The poses of c cameras in m rows, in the form that compiled functions take."""
+
+    rows: Floats
+    """(m, 3, 3) the matrices D_j."""
     image_from_row: Floats
     radial: Floats
+    """(c, r) radial coefficients of the lenses; shorter polynomials are filled up with zeros."""
     lens: Floats
+    """(c, 5) other parameters of each lens, in the form of `geometry.projection_kernels`."""
     viewpoint: Floats
     """(c, 3) foot x and y, mm, and the inverse working distance; 0 for an unknown distance."""
     size_px: Floats
+    """(c, 3) width and height of each camera's frame, and the margin at its border."""
     view_mm: Floats
     """(c, 4) lowest x and y, then highest x and y, of a box around each camera's view, mm in row coordinates."""
-    inner_mm: Floats
-    """(c, 4) the same numbers for a box that each camera shows wholly; an empty box has lowest values above the
-    highest."""
 
 
-class _Found(NamedTuple):
-    """The arrays of a `Coverage` while they are filled, and whether all views are counted."""
+class _Seen(NamedTuple):
+    """The arrays of a `Coverage` while they are filled."""
 
     share: Floats
     views: Ints
     in_one_frame: NDArray[np.bool_]
-    count_views: bool
 
 
-def component_coverage(
-    parts: ComponentIndex,
-    cad_matrix: Floats,
-    cameras: Sequence[Camera],
-    rows: Floats,
-    present: Collection[FrameKey],
-    surface: Surface | None,
-    *,
-    count_views: bool = True,
-) -> Coverage:
-    """Compute how much of every component the frames show.
-
-    Args:
-        parts: the n components.
-        cad_matrix: C, (3, 3) from CAD to tester coordinates.
-        cameras: the cameras.
-        rows: (m, 3, 3) the matrices D_j.
-        present: camera and row of the frames to count.
-        surface: surface of the board; None for a board in the calibrated plane.
-        count_views: whether to count all views. If false, a component that one frame shows wholly may get a lower
-            count.
-    """
-    height = surface.height_mm(parts.center) if surface else np.zeros(len(parts.center))
-    there = np.zeros((len(rows), len(cameras)), np.bool_)
-    for camera, row in present:
-        there[row, camera] = True
-    found = _Found(np.zeros(len(height)), np.zeros(len(height), np.int64), np.zeros(len(height), np.bool_), count_views)
-    if len(height) and len(rows):
-        heights = float(height.min()), float(height.max())
-        corners = np.ascontiguousarray(apply(cad_matrix, parts.corners))
-        _cover(corners, height, np.ascontiguousarray(rows), there, _array_of(cameras, heights), found)
-    return Coverage(found.share, found.views, found.in_one_frame)
-
-
-def _array_of(cameras: Sequence[Camera], heights_mm: tuple[float, float]) -> _Array:
-    # All lenses share one array, so shorter polynomials are filled up with zeros.
+def _poses_of(cameras: Sequence[Camera], rows: Floats, heights_mm: tuple[float, float]) -> _Poses:
     most = max(len(c.lens.coefficients) for c in cameras)
-    return _Array(
+    return _Poses(
+        np.ascontiguousarray(rows),
         np.array([c.image_from_row.matrix for c in cameras]),
-        np.array([[*c.lens.coefficients, *[0.0] * (most - len(c.lens.coefficients))] for c in cameras]),
+        np.array([np.pad(c.lens.coefficients, (0, most - len(c.lens.coefficients))) for c in cameras]),
         np.array([c.lens.shape for c in cameras]),
         np.array([(*c.foot_mm, 1 / c.working_distance_mm if c.working_distance_mm else 0.0) for c in cameras]),
-        np.array([(c.width_px, c.height_px) for c in cameras], dtype=np.float64),
+        np.array([(c.width_px, c.height_px, _MARGIN_MM * c.px_per_mm) for c in cameras], dtype=np.float64),
         np.array([np.concatenate(c.view_mm(0.0, heights_mm)) for c in cameras]),
-        np.array([_inner_box(c, heights_mm) for c in cameras]),
     )
 
 
-def _inner_box(camera: Camera, heights_mm: tuple[float, float]) -> Floats:
-    """Return a box that a camera shows wholly: lowest x and y, highest x and y, mm; an empty box if none."""
-    t, (right, bottom) = np.linspace(0, 1, _BORDER_POINTS), (camera.width_px - 1, camera.height_px - 1)
-    sides = [np.stack([t * right, np.full_like(t, y)], -1) for y in (0, bottom)]
-    sides += [np.stack([np.full_like(t, x), t * bottom], -1) for x in (0, right)]
-    middle, box = camera.ground(camera.center_px), np.array([-np.inf, -np.inf, np.inf, np.inf])
-    for side in sides:
-        at = np.concatenate([camera.ground(side, h) for h in heights_mm])
-        # Each side of a frame limits the box at the side where it lies: images may be turned or mirrored.
-        off = at.mean(0) - middle
-        axis = int(np.abs(off).argmax())
-        if off[axis] > 0:
-            box[axis + 2] = min(box[axis + 2], at[:, axis].min())
-        else:
-            box[axis] = max(box[axis], at[:, axis].max())
-    margin = _MARGIN * (box[2:] - box[:2])
-    box += np.concatenate([margin, -margin])
-    corners = np.array([(box[a], box[b]) for a in (0, 2) for b in (1, 3)])
-    if np.isfinite(box).all() and all(camera.sees(camera.project(corners, h)).all() for h in heights_mm):
-        return box
-    return np.array([0.0, 0.0, -1.0, -1.0])
-
-
 @inlined
-def _to_pixel(x: float, y: float, height: float, i: int, d: Floats, array: _Array) -> tuple[float, float]:
-    """Project a board point at a height to raw pixels of camera i, with the matrix D_j of the row."""
-    m, place = array.image_from_row[i], array.viewpoint[i]
+def _to_pixel(x: float, y: float, height: float, i: int, j: int, poses: _Poses) -> tuple[float, float]:
+    """Project a board point at a height to raw pixels of camera i in row j."""
+    m, d, place, s = poses.image_from_row[i], poses.rows[j], poses.viewpoint[i], poses.lens[i]
     share = height * place[2]
     u = (d[0, 0] * x + d[0, 1] * y + d[0, 2] - share * place[0]) / (1 - share)
     v = (d[1, 0] * x + d[1, 1] * y + d[1, 2] - share * place[1]) / (1 - share)
     w = m[2, 0] * u + m[2, 1] * v + m[2, 2]
-    s = array.lens[i]
     a, b = (m[0, 0] * u + m[0, 1] * v + m[0, 2]) / w, (m[1, 0] * u + m[1, 1] * v + m[1, 2]) / w
-    return distort_point(a, b, array.radial[i], (s[0], s[1], s[2], s[3], s[4]))
-
-
-@inlined
-def _on_footprint(corners: Floats, u: float, v: float) -> tuple[float, float]:
-    """Return the point of a footprint (4, 2) at the shares u and v of its sides."""
-    a, b, d = corners[0], corners[1], corners[3]
-    return a[0] + u * (b[0] - a[0]) + v * (d[0] - a[0]), a[1] + u * (b[1] - a[1]) + v * (d[1] - a[1])
+    return distort_point(a, b, poses.radial[i], (s[0], s[1], s[2], s[3], s[4]))
 
 
 @compiled
-def _relation(corners: Floats, height: float, box: Floats, i: int, d: Floats, array: _Array) -> int:
-    """Return 1 if a frame shows a part of a footprint wholly, −1 if it shows none of it, 0 if undecided.
+def _nearest(board_mm: Floats, frame: Ints, poses: _Poses, faint: NDArray[np.bool_]) -> Ints:
+    chosen = np.full(len(board_mm), -1)
+    for k in range(len(board_mm)):
+        best = np.inf
+        for n in range(len(frame)):
+            if faint[n]:
+                continue
+            i, d, view = frame[n, 0], poses.rows[frame[n, 1]], poses.view_mm[frame[n, 0]]
+            x = d[0, 0] * board_mm[k, 0] + d[0, 1] * board_mm[k, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[k, 0] + d[1, 1] * board_mm[k, 1] + d[1, 2]
+            # The comparison in mm is cheap and rules out most frames before projection and lens are computed.
+            if not (view[0] <= x <= view[2] and view[1] <= y <= view[3]):
+                continue
+            last_x, last_y, margin = poses.size_px[i, 0] - 1, poses.size_px[i, 1] - 1, poses.size_px[i, 2]
+            u, v = _to_pixel(board_mm[k, 0], board_mm[k, 1], 0.0, i, frame[n, 1], poses)
+            if min(u, v) < margin or u > last_x - margin or v > last_y - margin:
+                continue
+            off = (u - last_x / 2) ** 2 + (v - last_y / 2) ** 2
+            if off < best:
+                best, chosen[k] = off, n
+    return chosen
+
+
+@compiled
+def _projected(board_mm: Floats, number: Ints, frame: Ints, poses: _Poses) -> Floats:
+    out = np.full(board_mm.shape, np.nan)
+    for k in range(len(board_mm)):
+        if number[k] >= 0:
+            i, j = frame[number[k], 0], frame[number[k], 1]
+            for s in range(board_mm.shape[1]):
+                out[k, s, 0], out[k, s, 1] = _to_pixel(board_mm[k, s, 0], board_mm[k, s, 1], 0.0, i, j, poses)
+    return out
+
+
+@compiled
+def _relation(corners: Floats, height: float, box: Floats, i: int, j: int, poses: _Poses) -> int:
+    """Return 1 if a frame shows a part of a footprint (4, 2) wholly, −1 if it shows none of it, 0 if undecided.
 
     `box` (4,) holds the lowest u and v of the part, then the highest, as shares of the footprint's sides.
     """
-    right, bottom = array.size_px[i, 0] - 1, array.size_px[i, 1] - 1
+    right, bottom = poses.size_px[i, 0] - 1, poses.size_px[i, 1] - 1
+    a, b, d = corners[0], corners[1], corners[3]
     inside, left_of, right_of, above, below = 0, 0, 0, 0, 0
     for k in range(4):
         u = box[0] if k in (0, 3) else box[2]
         v = box[1] if k < 2 else box[3]
-        x, y = _on_footprint(corners, u, v)
-        px, py = _to_pixel(x, y, height, i, d, array)
+        x, y = a[0] + u * (b[0] - a[0]) + v * (d[0] - a[0]), a[1] + u * (b[1] - a[1]) + v * (d[1] - a[1])
+        px, py = _to_pixel(x, y, height, i, j, poses)
         left_of += px < 0
         right_of += px > right
         above += py < 0
@@ -613,155 +498,96 @@ def _relation(corners: Floats, height: float, box: Floats, i: int, d: Floats, ar
 
 
 @compiled
-def _share_in_frame(corners: Floats, height: float, i: int, d: Floats, array: _Array) -> float:
-    """Return the share of a footprint that a frame shows; the frame's border is taken as straight there."""
-    polygon, clipped = np.empty((8, 2)), np.empty((8, 2))
-    for k in range(4):
-        polygon[k, 0], polygon[k, 1] = _to_pixel(corners[k, 0], corners[k, 1], height, i, d, array)
-    count, whole = 4, _area(polygon, 4)
-    # The polygon is clipped at one border of the frame after the other (Sutherland and Hodgman).
-    for border in range(4):
-        axis, sign = border % 2, 1.0 if border < 2 else -1.0
-        limit = 0.0 if border < 2 else 1.0 - array.size_px[i, axis]
-        found = 0
-        for k in range(count):
-            a, b = polygon[k], polygon[(k + 1) % count]
-            u, v = sign * a[axis] - limit, sign * b[axis] - limit
-            if u >= 0:
-                clipped[found, 0], clipped[found, 1] = a[0], a[1]
-                found += 1
-            if (u >= 0) != (v >= 0):
-                for c in range(2):
-                    clipped[found, c] = a[c] + (u / (u - v)) * (b[c] - a[c])
-                found += 1
-        count = found
-        for k in range(count):
-            polygon[k, 0], polygon[k, 1] = clipped[k, 0], clipped[k, 1]
-    return _area(polygon, count) / whole
-
-
-@inlined
-def _area(polygon: Floats, count: int) -> float:
-    total = 0.0
-    for k in range(count):
-        a, b = polygon[k], polygon[(k + 1) % count]
-        total += a[0] * b[1] - b[0] * a[1]
-    return abs(total) / 2
-
-
-@compiled
-def _share_of_union(corners: Floats, height: float, near: Ints, rows: Floats, array: _Array) -> float:
+def _share_of_union(corners: Floats, height: float, near: Ints, poses: _Poses, deepest: int) -> float:
     """Return the share of a footprint that several frames show together; `near` (f, 2) holds camera and row of each."""
     # Parts that are still to be examined lie on a stack as (lowest u, lowest v, side, depth); a division adds three.
-    stack = np.empty((3 * _DEEPEST + 4, 4))
+    stack = np.empty((3 * deepest + 4, 4))
     stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0.0, 0.0, 1.0, 0.0
     waiting, share, box = 1, 0.0, np.empty(4)
     while waiting:
         waiting -= 1
         u, v, side, depth = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2], stack[waiting, 3]
         box[0], box[1], box[2], box[3] = u, v, u + side, v + side
+        if depth == deepest:
+            # At the border of the frames, the middle of a smallest part decides whether the part is seen.
+            box[0] = box[2] = u + side / 2
+            box[1] = box[3] = v + side / 2
         covered, touched = False, False
         for f in range(len(near)):
-            relation = _relation(corners, height, box, near[f, 0], rows[near[f, 1]], array)
+            relation = _relation(corners, height, box, near[f, 0], near[f, 1], poses)
             covered |= relation > 0
             touched |= relation == 0
             if covered:
                 break
         if covered:
             share += side * side
-        elif touched and depth < _DEEPEST:
+        elif touched and depth < deepest:
             half = side / 2
             for k in range(4):
                 stack[waiting + k, 0], stack[waiting + k, 1] = u + half * (k % 2), v + half * (k // 2)
                 stack[waiting + k, 2], stack[waiting + k, 3] = half, depth + 1
             waiting += 4
-        elif touched:
-            # At the border of the frames, the middle of a smallest part decides whether the part is seen.
-            box[0] = box[2] = u + side / 2
-            box[1] = box[3] = v + side / 2
-            for f in range(len(near)):
-                if _relation(corners, height, box, near[f, 0], rows[near[f, 1]], array) > 0:
-                    share += side * side
-                    break
     return share
 
 
 @compiled
 def _cover(
-    corners: Floats, height: Floats, rows: Floats, there: NDArray[np.bool_], array: _Array, found: _Found
+    corners: Floats, height: Floats, there: NDArray[np.bool_], poses: _Poses, count_views: bool, seen: _Seen
 ) -> None:
-    """Compute how much of each of n footprints the frames show, and write the values to `found`.
+    """Compute how much of each of n footprints the frames show, and write the values to `seen`.
 
-    Args:
-        corners: (n, 4, 2) corners of the footprints, mm, tester coordinates.
-        height: (n,) height of the board's surface at the footprints, mm.
-        rows: (m, 3, 3) the matrices D_j.
-        there: (m, c) which frames count, by row and camera.
-        array: the cameras.
-        found: written.
+    `corners` (n, 4, 2) and `height` (n,) are those of the footprints, mm; `there` (m, c) says which frames count.
     """
-    view = array.view_mm
-    unit = np.array([0.0, 0.0, 1.0, 1.0])
-    outer = np.array([np.inf, np.inf, -np.inf, -np.inf])
-    for i in range(len(view)):
-        for k in range(2):
-            outer[k], outer[2 + k] = min(outer[k], view[i, k]), max(outer[2 + k], view[i, 2 + k])
+    view, unit = poses.view_mm, np.array([0.0, 0.0, 1.0, 1.0])
+    outer = np.array([view[:, 0].min(), view[:, 1].min(), view[:, 2].max(), view[:, 3].max()])
     near = np.empty((there.size, 2), np.int64)
     for n in range(len(corners)):
-        part, whole, views = corners[n], 0, 0
-        border = 0
-        for k in range(_frames_near(part, rows, there, array, outer, near)):
-            i, j = near[k, 0], near[k, 1]
-            if i >= 0:
-                near[border, 0], near[border, 1] = i, j
-                border += 1
+        part, whole, border = corners[n], 0, 0
+        x, y = (part[0, 0] + part[2, 0]) / 2, (part[0, 1] + part[2, 1]) / 2
+        reach = math.hypot(part[0, 0] - part[2, 0], part[0, 1] - part[2, 1]) / 2
+        for j in range(len(poses.rows)):
+            d = poses.rows[j]
+            a, b = d[0, 0] * x + d[0, 1] * y + d[0, 2], d[1, 0] * x + d[1, 1] * y + d[1, 2]
+            # In most rows no camera sees a given component: one comparison rules these rows out.
+            if a + reach < outer[0] or a - reach > outer[2] or b + reach < outer[1] or b - reach > outer[3]:
                 continue
-            whole += 1
-        if found.count_views or not whole:
-            partly = 0
-            for k in range(border):
-                i, j = near[k, 0], near[k, 1]
-                relation = _relation(part, height[n], unit, i, rows[j], array)
+            for i in range(there.shape[1]):
+                if not there[j, i] or a + reach < view[i, 0] or a - reach > view[i, 2]:
+                    continue
+                if b + reach < view[i, 1] or b - reach > view[i, 3]:
+                    continue
+                relation = _relation(part, height[n], unit, i, j, poses)
                 whole += relation > 0
                 if relation == 0:
-                    near[partly, 0], near[partly, 1] = i, j
-                    partly += 1
-                    views += _share_in_frame(part, height[n], i, rows[j], array) >= _VIEW_SHARE
-            if not whole and partly:
-                found.share[n] = _share_of_union(part, height[n], near[:partly], rows, array)
-        found.views[n] = views + whole
+                    near[border, 0], near[border, 1] = i, j
+                    border += 1
+            if whole and not count_views:
+                break
+        seen.views[n] = whole
         if whole:
-            found.share[n], found.in_one_frame[n] = 1.0, True
+            seen.share[n], seen.in_one_frame[n] = 1.0, True
+        elif border:
+            seen.share[n] = _share_of_union(part, height[n], near[:border], poses, _DEEPEST)
+        if count_views:
+            for k in range(border):
+                shown = _share_of_union(part, height[n], near[k : k + 1], poses, _DEEPEST_VIEW)
+                seen.views[n] += shown >= _VIEW_SHARE
 
 
 @compiled
-def _frames_near(part: Floats, rows: Floats, there: NDArray[np.bool_], array: _Array, outer: Floats, near: Ints) -> int:
-    """Write to `near` the frames that may show a footprint, and return their number.
-
-    A frame is written as camera and row, or as −1 and −1 if it surely shows the whole footprint.
-    """
-    view, inner = array.view_mm, array.inner_mm
-    x, y = (part[0, 0] + part[2, 0]) / 2, (part[0, 1] + part[2, 1]) / 2
-    ax, ay = part[0, 0] - part[1, 0], part[0, 1] - part[1, 1]
-    bx, by = part[0, 0] - part[3, 0], part[0, 1] - part[3, 1]
-    reach = (np.hypot(ax, ay) + np.hypot(bx, by)) / 2
-    count = 0
-    for j in range(len(rows)):
-        d = rows[j]
-        a, b = d[0, 0] * x + d[0, 1] * y + d[0, 2], d[1, 0] * x + d[1, 1] * y + d[1, 2]
-        # In most rows no camera sees a given component: one comparison rules these rows out.
-        if a + reach < outer[0] or a - reach > outer[2] or b + reach < outer[1] or b - reach > outer[3]:
-            continue
-        # half the extent of the footprint along the axes of row coordinates
-        w = (abs(d[0, 0] * ax + d[0, 1] * ay) + abs(d[0, 0] * bx + d[0, 1] * by)) / 2
-        v = (abs(d[1, 0] * ax + d[1, 1] * ay) + abs(d[1, 0] * bx + d[1, 1] * by)) / 2
-        for i in range(there.shape[1]):
-            if not there[j, i] or a + w < view[i, 0] or a - w > view[i, 2]:
+def _bilinear(image: NDArray[np.uint8], px: Floats) -> Floats:
+    """Interpolate the grey levels (k, s) at pixels (k, s, 2) of an image; NaN outside of it."""
+    h, w = image.shape
+    out = np.empty(px.shape[:2])
+    for k in range(len(px)):
+        for s in range(px.shape[1]):
+            x, y = px[k, s, 0], px[k, s, 1]
+            if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
+                out[k, s] = np.nan
                 continue
-            if b + v < view[i, 1] or b - v > view[i, 3]:
-                continue
-            near[count, 0], near[count, 1] = i, j
-            if a - w >= inner[i, 0] and a + w <= inner[i, 2] and b - v >= inner[i, 1] and b + v <= inner[i, 3]:
-                near[count, 0] = near[count, 1] = -1
-            count += 1
-    return count
+            j, i = min(int(x), w - 2), min(int(y), h - 2)
+            u, v = x - j, y - i
+            above = image[i, j] * (1 - u) + image[i, j + 1] * u
+            below = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
+            out[k, s] = above * (1 - v) + below * v
+    return out

@@ -66,7 +66,6 @@ def estimate_step(
     Args:
         earlier: features of the earlier row, one entry per camera.
         later: features of the later row, one entry per camera.
-        cameras: the cameras, in the same order.
     """
     # Matches are converted to mm in the conveyor's plane, where one transform holds for all cameras.
     source, target = [], []
@@ -95,8 +94,6 @@ def chain_rows(
     """Estimate D_j of every row by the paper's chain, M_{i,j+1} = M_{i,j} T⁻¹ (equation 16).
 
     Args:
-        cameras: the cameras.
-        rows: number of rows.
         grey: function that returns the grey frame of a camera and a row.
     """
     tester_from_row = np.eye(3)
@@ -122,7 +119,6 @@ def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> S
 
     Args:
         setup: cameras, board type and expectation of the run.
-        head: head of the recording.
         frame: function that returns the pixels of a camera and a row; None where a frame never arrived.
     """
     start = time.perf_counter()

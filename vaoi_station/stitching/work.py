@@ -26,7 +26,7 @@ from vaoi_station.stitching.adjustment.problem import LinkStore
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.fiducials import detect_marks
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.conclude import PriorKnowledge, conclude
+from vaoi_station.stitching.conclude import PriorKnowledge, Stitcher
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, MethodName, Task
 from vaoi_station.stitching.matching.frame_pair import FramePair, overlap_share
@@ -109,7 +109,6 @@ def possible_tasks(
     Args:
         new: camera and row of the frame.
         present: all good frames that have arrived. It may contain `new` or not. A set is fastest.
-        times_s: time of each row's pulse, by row.
         setup: cameras, belt velocity, board type and method.
     """
     return tuple(_tasks_of(new, lambda key: key in present, times_s, setup))
@@ -143,7 +142,6 @@ class TaskRunner:
         """Create the runner of one run.
 
         Args:
-            setup: the settings of the run.
             frame: returns the pixels of the run's frame of a camera and row, or None if the frame is missing.
             reference_frame: the same for the frames of the reference.
         """
@@ -204,29 +202,23 @@ class TaskRunner:
         """Return the result of the run, and the findings from which it was derived.
 
         Args:
-            times_s: (m,) time of every row's pulse.
-            present: camera and row of all good frames.
-            evidence: the evidence of `all_tasks`, in any order.
             doubts: doubts about the frames that arose when they were recorded (`RecordingHead.doubts`).
         """
         s = self._setup
-        return conclude(
-            Scene(s.cameras, tuple(sorted(present)), self._get, doubts),
-            PriorKnowledge(
-                s.plane,
-                s.expectation,
-                np.asarray(s.conveyor_mm_s, dtype=np.float64),
-                s.method,
-                s.reference,
-                s.visibility,
-                self._reference if self._reference_frame is not None else None,
-                tuple(s.light(row) for row in range(len(times_s))) if s.lights else (),
-                s.channels,
-            ),
-            np.asarray(times_s, dtype=np.float64),
-            list(evidence),
-            self._link_store,
+        prior = PriorKnowledge(
+            s.plane,
+            s.expectation,
+            np.asarray(s.conveyor_mm_s, dtype=np.float64),
+            s.method,
+            s.reference,
+            s.visibility,
+            self._reference if self._reference_frame is not None else None,
+            tuple(s.light(row) for row in range(len(times_s))) if s.lights else (),
+            s.channels,
         )
+        scene = Scene(s.cameras, tuple(sorted(present)), self._get, doubts)
+        stitcher = Stitcher(scene, prior, np.asarray(times_s, dtype=np.float64), self._link_store)
+        return stitcher.stitch(list(evidence))
 
     def _reference(self, key: FrameKey) -> PreparedFrame:
         """Return a prepared frame of the reference; raise LookupError if the reference lacks it."""
@@ -379,8 +371,6 @@ def stitch_frames(
     """Stitch the frames of a finished run.
 
     Args:
-        setup: inputs that are known before the board is filmed.
-        head: head of the recording, with cameras, rows and times.
         frame: function that returns the pixels of a camera and a row; None where a frame never arrived.
         reference_frame: the same function for the frames of the reference, if `setup` has a reference.
     """

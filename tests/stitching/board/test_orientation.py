@@ -17,9 +17,9 @@ from vaoi_station.stitching.board.outline import (
     Orientation,
     compare_orientations,
     measure_outline_contrast,
+    outline_pieces,
     outline_polygons,
     straight_pieces,
-    subsample_pieces,
 )
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
@@ -141,13 +141,13 @@ def test_a_board_out_of_view_is_not_compared(workshop: Any) -> None:
     assert compare_orientations(board(outline=OUTLINE), PLACED, TURNED, seen, away) is None
 
 
-@given(st.integers(1, 500))
-def test_few_pieces_are_all_taken_and_many_are_thinned_evenly(pieces: int) -> None:
-    chosen = subsample_pieces(pieces)
-    assert len(chosen) == min(pieces, 48)
-    assert (chosen[0], chosen[-1]) == (0, pieces - 1)
-    steps = np.diff(chosen)
-    assert steps.max(initial=0) - steps.min(initial=steps.max(initial=0)) <= 1
+@pytest.mark.parametrize("w", [8.0, 30.0, 400.0])
+def test_few_pieces_are_all_taken_and_many_are_thinned_evenly(w: float) -> None:
+    kind = board(outline=[(0.0, 0.0), (w, w)])
+    every, chosen = straight_pieces(outline_polygons(kind), kind.mm_per_unit), outline_pieces(kind)
+    assert len(chosen) == min(len(every), 48)
+    assert (chosen[0] == every[0]).all()
+    assert (chosen[-1] == every[-1]).all()
 
 
 @given(st.floats(1, 90), st.floats(1, 90), st.sampled_from([1.0, 25.4]))

@@ -12,7 +12,7 @@ from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import Problem, to_observations
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.outline import _quantile_of_known, beside, outline_confirmed, without_links_beside
+from vaoi_station.stitching.board.outline import beside, outline_confirmed, strongest_line, without_links_beside
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -190,10 +190,8 @@ def test_two_fiducials_in_a_carrier_as_bright_as_the_board_fail_with_the_cause()
     assert "2 of them fit, but the edges of the board do not show" in result.reasons[0]
 
 
-def test_the_quantile_of_known_values_is_that_of_numpy() -> None:
+def test_the_strongest_line_is_a_quantile_of_the_known_steps() -> None:
     g = np.random.default_rng(3)
-    values = np.where(g.random((17, 40)) < 0.4, np.nan, g.normal(0, 1, (17, 40)))
-    values[0] = np.arange(40.0)
-    assert _quantile_of_known(values) == pytest.approx(np.nanquantile(values, 0.25, axis=0))
-    assert _quantile_of_known(values[:1]) == pytest.approx(values[0])
-    assert _quantile_of_known(np.zeros((4, 0))).shape == (0,)
+    values = np.where(g.random((17, 40)) < 0.4, np.nan, g.normal(5, 1, (17, 40)))
+    assert strongest_line(values) == pytest.approx(np.nanquantile(values, 0.25, axis=0).max())
+    assert strongest_line(np.full((4, 3), np.nan)) == strongest_line(np.zeros((4, 0))) == 0.0

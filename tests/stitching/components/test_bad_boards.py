@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.model import BoardType, ReasonCode
 from vaoi_station.stitching.components.bad_boards import MarkedPanel, board_reasons, look_of, read_bad_marks
-from vaoi_station.stitching.components.places import BoardPlace
+from vaoi_station.stitching.components.places import OwnPlace
 from vaoi_station.stitching.matching.frames import Scene
 
 SIZE_PX, MIDDLE = 16.0, np.array([40.3, 29.6])
@@ -93,7 +93,7 @@ def test_a_mark_without_a_stated_look_is_not_read(workshop: Any) -> None:
     assert marked([drawn(12, 70)], workshop, bad=None) == {}
 
 
-GOOD = BoardPlace(("F1", "F2"), (), np.zeros(2), 0.0, 0.001, 1e-5, np.zeros(2), 0.002, np.eye(3))
+GOOD = OwnPlace(("F1", "F2"), sigma_mm=0.001, sigma_turn_rad=1e-5, off_mm=0.002, matrix=np.eye(3))
 LOST = replace(GOOD, fiducials=(), lost=("F1", "F2"), matrix=None, sigma_mm=0.15, refusal="F1, F2 was not found")
 
 

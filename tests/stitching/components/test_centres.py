@@ -32,7 +32,7 @@ from vaoi_station.stitching.components.centres import (
     two_that_place,
     unnoticed_mm,
 )
-from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 
@@ -43,7 +43,7 @@ def test_each_component_is_taken_from_the_good_frame_that_shows_it_most_central(
     camera = workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
     rows = np.arange(4.0)
     motion = nominal_motion(rows, np.array([-4.0, 0.0]), np.zeros(2))
-    views = FootprintViews.of(plane.components.center, np.eye(3), (camera,), motion.rows_from_tester, None)
+    views = FrameIndex((camera,), motion.rows_from_tester).views(plane.components.center, np.eye(3))
     scene = Scene((camera,), ((0, 0), (0, 2), (0, 3)), workshop)
     found = {view.part: view for view in central_views(plane, np.eye(3), scene, motion, views)}
     assert set(found) == set(range(4))
@@ -61,7 +61,7 @@ def test_a_board_type_without_components_has_no_views_of_them(workshop: Any) -> 
     kind = BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0, 0], [9, 9]], "components": []})
     plane, camera = BoardPlane(kind, mirrored=False), workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
     motion = nominal_motion(np.zeros(1), np.zeros(2), np.zeros(2))
-    views = FootprintViews.of(np.array([[0.0, 0.0], [9.0, 9.0]]), np.eye(3), (camera,), motion.rows_from_tester, None)
+    views = FrameIndex((camera,), motion.rows_from_tester).views(np.array([[0.0, 0.0], [9.0, 9.0]]), np.eye(3))
     assert central_views(plane, np.eye(3), Scene((camera,), ((0, 0),), workshop), motion, views) == []
 
 
@@ -215,7 +215,7 @@ def measured(
     frame = PreparedFrame(workshop.digitised(picture))
     matrix = C if wrong is None else wrong @ C
     plane = BoardPlane(board_type, mirrored=False)
-    views = FootprintViews.of(plane.components.center, matrix, (camera,), np.eye(3)[None], None)
+    views = FrameIndex((camera,), np.eye(3)[None]).views(plane.components.center, matrix)
     scene = Scene((camera,), ((0, 0),), lambda key: frame)
     parts = central_views(plane, matrix, scene, STILL, views)
     return measure_component_shift(plane, matrix, scene, STILL, parts)

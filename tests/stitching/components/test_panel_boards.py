@@ -17,7 +17,7 @@ from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.fiducials import LOCAL_MM
 from vaoi_station.stitching.components.places import (
-    BoardPlace,
+    OwnPlace,
     board_places,
     components_of,
     matrices_of_components,
@@ -48,7 +48,7 @@ def panel(of_panel: int = 2) -> BoardType:
     return BoardType.model_validate({"name": "b", "fiducials": own[:of_panel] + boards, "components": parts})
 
 
-def places(off: dict[int, tuple[float, float]], noise_px: float = 0.0) -> dict[str, BoardPlace]:
+def places(off: dict[int, tuple[float, float]], noise_px: float = 0.0) -> dict[str, OwnPlace]:
     """Places of the boards if fiducials, by number, lie `off` mm from C; all others of the boards are not found."""
     numbers = [0, 1, *off]
     which = np.repeat(np.array(numbers), 5)
@@ -173,7 +173,7 @@ def test_the_board_that_determines_c_lies_where_c_puts_it() -> None:
     assert found["B"].shift_mm == pytest.approx([0.1, 0.1])
 
 
-def located_otherwise(numbers: list[int]) -> dict[str, BoardPlace]:
+def located_otherwise(numbers: list[int]) -> dict[str, OwnPlace]:
     """Places of the boards if a reference or a fixture located the panel and these fiducials were found."""
     which = np.repeat(np.array(numbers, np.int_), 3)
     k, lean = len(which), np.zeros((len(which), 2))

@@ -15,7 +15,7 @@ from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.fiducials import LOCAL_MM
 from vaoi_station.stitching.components.places import (
-    LocalPlace,
+    OwnPlace,
     common_displacement_mm,
     fit_shift_and_turn,
     local_places,
@@ -76,13 +76,13 @@ def seen(off_mm: list[tuple[float, float]], noise_px: float) -> tuple[FiducialPo
     return points, SimpleNamespace(fiducial_px=residual)
 
 
-def placed(count: int, off_mm: list[tuple[float, float]], noise_px: float = 0.02) -> dict[str, LocalPlace]:
+def placed(count: int, off_mm: list[tuple[float, float]], noise_px: float = 0.02) -> dict[str, OwnPlace]:
     """Places of components if the local fiducials lie `off_mm` from C."""
     points, adjusted = seen(off_mm, noise_px)
     return local_places(BoardPlane(board(count), True), adjusted, points, C)
 
 
-def at_center(place: LocalPlace) -> Floats:
+def at_center(place: OwnPlace) -> Floats:
     assert place.matrix is not None
     return np.asarray(apply(place.matrix, np.array([30.0, 20.0])) - apply(C, np.array([30.0, 20.0])))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import Status
-from vaoi_station.stitching.matching.frames import MaskedFrame, PreparedFrame, downsampled, half_size, resample
+from vaoi_station.stitching.matching.frames import PreparedFrame, downsampled, half_size, resample
 from vaoi_station.stitching.work import stitch_frames
 
 
@@ -77,7 +77,7 @@ def test_beside_a_frame_its_border_is_repeated() -> None:
 
 def test_outside_its_part_a_masked_frame_is_without_texture(workshop: Any) -> None:
     whole = PreparedFrame(workshop.digitised(workshop.waves(1, finest=12.0, coarsest=40.0).levels(640, 480)))
-    left = MaskedFrame(whole, np.array([(0.0, 0.0), (319.5, 0.0), (319.5, 479.0), (0.0, 479.0)]))
+    left = whole.masked(np.array([(0.0, 0.0), (319.5, 0.0), (319.5, 479.0), (0.0, 479.0)]))
     assert left.grey is whole.grey
     assert left.factor == whole.factor
     middle = whole.coarse.shape[1] // 2

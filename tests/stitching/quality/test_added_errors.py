@@ -17,7 +17,6 @@ from vaoi_station.stitching.quality.uncertainty import (
     matrix_sigmas,
     reference_share,
     row_covariances,
-    with_common_error,
 )
 from vaoi_station.stitching.work import TaskRunner
 
@@ -128,7 +127,7 @@ def test_a_common_error_widens_every_position(filmed: Any) -> None:
     evidence = [runner.perform(task) for task in filmed.tasks]
     _, findings = runner.conclude_with_findings(filmed.times_s, filmed.present, evidence)
     plain = findings.sigma
-    wide = with_common_error(plain, 0.1)
+    wide = plain.with_common_error(0.1)
     assert plain.worst_px is not None
     assert wide.worst_px == pytest.approx(np.hypot(plain.worst_px, 0.1))
     assert wide.rows_px == pytest.approx(tuple(np.hypot(v, 0.1) for v in plain.rows_px))

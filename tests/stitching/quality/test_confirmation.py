@@ -18,9 +18,9 @@ from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.quality.confirmation import (
     DarkLight,
+    Fits,
     RowLights,
     confirmed_beside,
-    confirmed_by_links,
     confirmed_by_points,
     dark_light_reasons,
     dark_lights,
@@ -76,7 +76,8 @@ def test_a_frame_is_linked_to_the_one_before_by_used_links_of_its_camera() -> No
 def test_a_number_or_a_share_of_links_must_fit(weight: list[float], confirmed: bool, decided: bool) -> None:
     links = observed((ROWS, ways(*[STEP_MM] * len(weight))))
     both = {(0, 0), (0, 1)}
-    assert confirmed_by_links(links, np.array(weight)) == (both if confirmed else set(), both if decided else set())
+    fits = Fits.of_links(links, np.array(weight) > 0.1)
+    assert (fits.enough, fits.decided) == (both if confirmed else set(), both if decided else set())
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.scenario import AbsentPart
-from vaoi_station.stitching.quality.body_heights import BodyLinks, body_heights
-from vaoi_station.stitching.quality.heights import FootprintArrays, LinkArrays, per_link_heights
+from vaoi_station.stitching.quality.heights import BodyLinks, body_heights
 from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 
@@ -59,38 +58,6 @@ def test_a_missing_part_has_no_height_of_a_body() -> None:
 def test_parts_with_bodies_are_never_taken_for_missing(filmed: Any) -> None:
     heights, true = filmed.stitch.quality["heights_mm"], filmed.truth["heights"]
     assert not [ref for ref, mm in heights.items() if mm < 0.1 < true[ref]]
-
-
-def test_link_height_explains_the_residual() -> None:
-    """Against numpy. Five links on two components, one of them turned."""
-    g = np.random.default_rng(3)
-    center, angle, floor_px = np.array([[2.0, 1.0], [9.0, 4.0]]), np.radians([30.0, 0.0]), 0.02
-    turn = np.array([[np.cos(angle[0]), -np.sin(angle[0])], [np.sin(angle[0]), np.cos(angle[0])]])
-    inside = np.array([[0.3, -0.2], [-1.1, 0.6], [1.4, 0.9], [0.0, 0.0]])
-    ground = np.vstack([inside @ turn.T + center[0], center[1]])
-    near, component = np.array([5, 3, 1, 0, 4]), np.array([0, 0, -1, 0, 1, 0])
-    residual, lean, half = g.normal(0, 0.02, (5, 2)), g.normal(0, 0.1, (5, 2)), g.normal(0, 1e-3, (6, 2, 2))
-    own_lean, surface = g.normal(0, 0.1, (5, 2)), g.normal(0, 0.1, 6)
-    noise, resolution, across = half @ half.swapaxes(1, 2), g.uniform(30, 40, 6), np.arange(6) % 2 == 0
-    links = LinkArrays(near, ground, own_lean, residual, lean, surface, noise, resolution, component, across)
-    footprints = FootprintArrays(center, angle, 1.0)
-    found = per_link_heights(links, footprints, np.eye(3), floor_px)
-    for i, n in enumerate(near):
-        weight = np.linalg.inv(noise[n] + (floor_px / resolution[n]) ** 2 * np.eye(2))
-        flat, information = residual[i] + lean[i] * surface[n], lean[i] @ weight @ lean[i]
-        height = -(lean[i] @ weight @ flat) / information
-        assert found.mm[i] == pytest.approx(height)
-        assert found.sigma_mm[i] == pytest.approx(information**-0.5)
-        left = flat + lean[i] * height
-        assert found.aside[i] == pytest.approx(np.sqrt(left @ weight @ left), abs=1e-9)
-        shared_px = 0.02 if across[n] else 0.01
-        assert found.shared_mm[i] == pytest.approx(shared_px / resolution[n] / np.hypot(*lean[i]))
-        part = component[n]
-        rotation = turn if part == 0 else np.eye(2)
-        place = ground[i] + own_lean[i] * (surface[n] + height) - center[part]
-        assert found.place_mm[i] == pytest.approx(place @ rotation)
-        side = 1.0 if part else np.cos(angle[0]) + np.sin(angle[0])
-        assert found.reach_mm[i] == pytest.approx(13 / resolution[n] * side)
 
 
 def test_without_a_working_distance_there_are_no_heights(filmed: Any) -> None:

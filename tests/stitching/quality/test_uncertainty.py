@@ -13,7 +13,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Observations, Problem
 from vaoi_station.stitching.board.board_plane import board_plane, landmarks
-from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.quality.uncertainty import (
     MODEL_PX,
@@ -64,7 +64,7 @@ def plane(scene: Scene) -> Any:
 def predicted(scene: Scene, plane: Any, found: AdjustmentResult) -> PredictedSigma:
     assert found.similarity is not None
     rows, matrix = found.motion.rows_from_tester, plane.matrix(found.similarity)
-    return predict_sigma(scene, plane, found, FootprintViews.of(landmarks(plane)[1], matrix, scene.cameras, rows, None))
+    return predict_sigma(scene, plane, found, FrameIndex(scene.cameras, rows).views(landmarks(plane)[1], matrix))
 
 
 def test_shift_uncertainty_scales_with_the_resolution(scene: Scene, plane: Any) -> None:

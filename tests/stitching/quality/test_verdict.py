@@ -12,9 +12,10 @@ import pytest
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import BoardType, Calibration, ReasonCode, Status
 from vaoi_station.stitching.adjustment.problem import Influence
-from vaoi_station.stitching.components.places import LocalPlace
+from vaoi_station.stitching.components.places import OwnPlace
 from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.quality.verdict import (
+    CHECKS,
     OK_SIGMA_PX,
     _Placed,
     _unusable_local_fiducials,
@@ -214,10 +215,10 @@ def test_a_third_fiducial_that_is_not_where_it_should_be_is_a_reason(filmed: Any
 
 def test_local_fiducials_that_no_frame_shows_are_no_reason() -> None:
     """Neither are those of a run that uses no fiducials."""
-    lost = LocalPlace((), np.zeros(2), 0.0, 0.0, None, "L0 was not found", ("L0",))
+    lost = OwnPlace((), ("L0",), refusal="L0 was not found")
     apart = replace(lost, fiducials=("L0",), refusal="L0 would displace it by 0.4 mm (limit 0.3 mm)", lost=())
 
-    def reasons(place: LocalPlace, method: str, *in_view: int) -> list[str]:
+    def reasons(place: OwnPlace, method: str, *in_view: int) -> list[str]:
         places: Any = SimpleNamespace(
             method=METHODS[method],
             own_places=SimpleNamespace(local={"U1": place}),
@@ -312,3 +313,20 @@ def test_the_gauge_holds_and_matrices_are_products(filmed: Any) -> None:
         assert np.abs(m - filmed.calibration.camera_matrices[i] @ result.row_motion[j]).max() < 0.1
     for d in result.row_motion:
         np.testing.assert_allclose(d[:2, :2] @ d[:2, :2].T, np.eye(2), atol=1e-12)
+
+
+def test_every_code_belongs_to_a_check_or_says_why_there_is_no_board() -> None:
+    of_checks = frozenset.union(*(check.codes for check in CHECKS))
+    of_failures = {
+        ReasonCode.NO_FRAMES,
+        ReasonCode.CAMERA_ABSENT,
+        ReasonCode.NO_BOARD_TYPE,
+        ReasonCode.TOO_FEW_FIDUCIALS,
+        ReasonCode.FIDUCIALS_NOT_FOUND,
+        ReasonCode.FIDUCIAL_SIZE,
+        ReasonCode.BOARD_TURNED,
+        ReasonCode.REFERENCE_NOT_FOUND,
+    }
+    of_the_paper = {ReasonCode.ROWS_NOT_CHAINED, ReasonCode.NO_ERROR_MEASURE}
+    assert of_checks | of_failures | of_the_paper == set(ReasonCode)
+    assert not of_checks & (of_failures | of_the_paper)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,10 @@ from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.geometry import ComponentIndex
+from vaoi_station.stitching.geometry import ComponentIndex, FrameIndex
 from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.quality.visibility import (
     FilmedBoard,
-    SeenFrames,
     UnseenComponent,
     absent_camera_reasons,
     expected_fiducials,
@@ -150,10 +150,10 @@ def test_the_cause_is_the_one_that_was_tested(workshop: Any, center: Any, lost: 
     rows[1, 1, 2] = 7.0
     part = {"ref": "U1", "center": center, "width": 4, "height": 2, "visibility": {"in_one_frame": True}}
     kind = BoardType.model_validate({"name": "b", "y_axis": "down", "components": [part]})
-    board = FilmedBoard(kind, ComponentIndex.of(kind), np.eye(3), cameras, rows, None)
     present = [(i, j) for i in range(2) for j in range(2) if (i, j) not in lost]
-    frames = SeenFrames(present, [key for key in present if key not in odd])
-    (unseen,) = find_unseen(board, frames, np.array([0.0, 50.0]), Visibility())
+    board = FilmedBoard(ComponentIndex.of(kind), np.eye(3), FrameIndex(cameras, rows, present))
+    confirmed = [key for key in present if key not in odd]
+    (unseen,) = find_unseen(board, confirmed, np.array([0.0, 50.0]), required_visibility(kind, Visibility()))
     assert (unseen.address, unseen.cause) == ("U1", cause)
     assert (unseen.coverage == 1) == (cause == "seam")
 
@@ -219,7 +219,8 @@ def test_a_reason_names_at_most_forty_components(filmed: Any) -> None:
 def test_lost_frames_are_named_beside_rows_that_are_not_placed(lost: Any, unplaced: Any, words: str) -> None:
     unseen = UnseenComponent("U1", 0.5, 0, False, Visibility(), "frames-lost")
     present = {(i, j) for i in range(2) for j in range(2)} - lost
-    ((_, text),) = unseen_reasons((unseen,), 10, 2, 2, present, unplaced)
+    scene: Any = SimpleNamespace(cameras=(None, None), present=tuple(sorted(present)))
+    ((_, text),) = unseen_reasons((unseen,), 10, scene, 2, unplaced)
     assert words in text
 
 

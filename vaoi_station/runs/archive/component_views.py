@@ -30,7 +30,7 @@ from vaoi_station.rendering.selection import Measure, select
 from vaoi_station.rendering.view_table import ViewTable
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
-from vaoi_station.stitching.geometry import ComponentIndex, Coverage, component_coverage
+from vaoi_station.stitching.geometry import ComponentIndex, Coverage, FrameIndex
 
 _ALIKE = 8
 """Largest number of addresses that the refusal of an unknown component names."""
@@ -266,7 +266,7 @@ def _coverages(finished: FinishedRun) -> Coverage | None:
     whole = [(f.camera, f.row) for f in finished.detail.frames if f.usable]
     rows, parts = np.array(stitch.row_motion), ComponentIndex.of(finished.board_type)
     parts = parts.moved(stitch.displacements(parts.addresses))
-    return component_coverage(parts, stitch.cad_matrix, finished.cameras, rows, whole, stitch.surface)
+    return FrameIndex(finished.cameras, rows, whole, stitch.surface).coverage(parts, stitch.cad_matrix)
 
 
 def _summary(part: Component, mm: float, tester_mm: tuple[float, float] | None, **seen: Any) -> ComponentSummary:

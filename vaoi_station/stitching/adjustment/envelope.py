@@ -99,7 +99,6 @@ def add_equations(columns: Ints, a: Floats, b: Floats, normal: NormalEquations) 
         columns: (k, f) indices of the f unknowns of each set. Within a set they are all different.
         a: (k, r, f) coefficients of the r equations of each set.
         b: (k, r) constant terms.
-        normal: the normal equations, changed in place.
     """
     at, values, right = normal.at, normal.values, normal.right
     for k in range(len(a)):

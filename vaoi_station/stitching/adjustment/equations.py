@@ -72,8 +72,6 @@ def fiducial_residuals(
     of the surface.
 
     Args:
-        points: the detections.
-        motion: the motion of the rows.
         c: the similarity C as (a, b, x, y).
         basis: (s, f) values of the surface's basis functions at the detections; f may be 0.
         surface_mm: (f,) coefficients of the surface.
@@ -91,7 +89,6 @@ def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floa
     """Return the robustly weighted, whitened equations of s detections.
 
     Args:
-        points: the detections.
         residual: (s, 2) residuals, mm.
         jacobian: (s, 2, 3 + u) their derivatives by the row of each detection and by u other unknowns.
         others: (s, u) columns of the other unknowns of each detection: C, the surface, and the camera.
@@ -184,7 +181,6 @@ class HeightScatter:
         """Find the component on or beside which each link lies.
 
         Args:
-            problem: the problem of the adjustment.
             height: (k,) index of the height of each link, or −1 (`HeightModel.component`).
             parts: number of components with links.
         """
@@ -457,7 +453,6 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
 
     Args:
         links: the links, of which covariance, resolution, overlap and group are used.
-        noise: the noise of the links.
         groups: number of pairs of frames.
         state: its residuals are read; sigma, robust weight and weight are written.
     """

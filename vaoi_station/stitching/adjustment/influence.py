@@ -45,7 +45,7 @@ from vaoi_station.stitching.adjustment.equations import (
     add_links,
     eliminate_heights,
 )
-from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Influence, Ints, LinkArrays
+from vaoi_station.stitching.adjustment.problem import REFERENCE, USED, FiducialPoints, Influence, Ints, LinkArrays
 
 _SQUARE_MM = 5.0
 """Side of the squares: about the size of components, holes and their shadows."""
@@ -56,8 +56,6 @@ _FEW, _FEW_AT_SEAM = 24, 12
 
 A frame of 1392×1040 px at 40 px/mm has about 30 to 50 in its overlap with the next row, one of 480×360 px 5 to 30. All
 rows of two cameras together have 10 to 60; little depends on one of them, since the cameras are held."""
-_USED = 0.1
-"""Robust weight above which a link counts as used."""
 _LEAST_PX = 0.03
 """Changes up to this, px, are not kept."""
 _PLACING_MM, _NONE = 0.1, -9
@@ -143,7 +141,6 @@ def examine_influence(
     """Leave out each cluster of weakly connected rows and cameras, and each mark; return None if little changes.
 
     Args:
-        assembly: the equations at the solution.
         seam: (k,) of each link between two cameras the lower of their numbers; −1 for links from row to row.
         points: the points of `Problem.fiducials`, at least one.
         shared: number of unknowns that all rows share, without cameras.
@@ -184,14 +181,12 @@ def few_places(links: LinkArrays, robust: Floats, seam: Ints, rows: int) -> list
     """Return the clusters that are left out, each once, with the grids in which it occurs.
 
     Args:
-        links: the links.
         robust: (k,) their robust weights.
         seam: (k,) of each link between two cameras the lower of their numbers; −1 for links from row to row.
-        rows: number of rows.
     """
     found: dict[bytes, Place] = {}
     for grid, offset in enumerate(_GRIDS):
-        cluster = number_clusters(links, robust, _USED, _SQUARE_MM, offset)
+        cluster = number_clusters(links, robust, USED, _SQUARE_MM, offset)
         few = np.flatnonzero(_of_few(links, cluster, seam, rows))
         # The grids hardly differ in their number of clusters.
         if not len(few):

@@ -102,7 +102,6 @@ def belt_equations(motion: Motion, times_s: Floats, velocity_mm_s: Floats) -> tu
 
     Args:
         motion: the current motion of the m rows, to which δ is a change.
-        times_s: (m,) time of every row's pulse.
         velocity_mm_s: (2,) velocity from which the steps are predicted.
 
     Returns:
@@ -164,7 +163,6 @@ def points_in_box(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> 
     """Find in which rows which points of the board lie inside a box on the conveyor's plane.
 
     Args:
-        rows: (m, 3, 3) matrices D_j of all rows.
         board_mm: (k, 2) points of the board in tester coordinates.
         low: (2,) the corner of the box with the smallest x and y, in row coordinates.
         high: (2,) the corner with the largest x and y.

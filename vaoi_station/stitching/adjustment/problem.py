@@ -14,7 +14,7 @@ from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.projection_kernels import undistort_point
-from vaoi_station.geometry.transforms import Floats
+from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Surface
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.matching.evidence import Links
@@ -108,6 +108,12 @@ class Observations:
         """(k,) of each link between two cameras the lower of their numbers; −1 for links from row to row."""
         lower = [e.task.a[0] if e.task.kind == "neighbours" else -1 for e in self.groups]
         return np.array(lower, dtype=np.int_)[self.group]
+
+    def inverse_noise(self, at: Ints, floor_px: float) -> Floats:
+        """Return the inverse (k, 2, 2) of the noise of the links `at` (k,), mm⁻², with a scatter added per axis."""
+        noise, floor = self.noise_mm2[at], (floor_px / self.px_per_mm[at]) ** 2
+        a, b, d = noise[:, 0, 0] + floor, noise[:, 0, 1], noise[:, 1, 1] + floor
+        return np.moveaxis(np.array([[d, -b], [-b, a]]) / (a * d - b * b), 2, 0)
 
     @staticmethod
     def empty() -> Observations:
@@ -316,6 +322,8 @@ def median_noise_px(links: Observations, at: Ints) -> float:
     return float(np.median(sigma_mm * links.px_per_mm[at])) if len(at) else 0.0
 
 
+USED = 0.1
+"""Robust weight above which a link counts as used."""
 FIXTURE, REFERENCE = -1, -2
 """Values of `FiducialPoints.which` for fixture marks and for points of a reference run."""
 
@@ -474,6 +482,19 @@ class Influence:
         return Influence(self.change[at], self.growth[at], self.grids[at], self.marks)
 
 
+class LinkHeights(NamedTuple):
+    """The heights above the board's surface that k links measure."""
+
+    mm: Floats
+    sigma_mm: Floats
+    aside: Floats
+    """(k,) length of the part of the residual that no height explains, in standard deviations."""
+    place_mm: Floats
+    """(k, 2) place of the point at this height, tester coordinates."""
+    lean: Floats
+    """(k,) change of the residual, mm per mm of height."""
+
+
 @dataclass(frozen=True, eq=False)
 class AdjustmentResult:
     """The solution of an adjustment with its covariance and its residuals."""
@@ -508,6 +529,27 @@ class AdjustmentResult:
     influence: Influence | None = None
     """The influence of the links of single places and of single marks; None if it is small, or was not examined."""
 
+    def link_heights(self, at: Ints, least_floor_px: float = 0.0) -> LinkHeights:
+        """Return the height above the board's surface that each of the links `at` (k,) measures, taken as one point.
+
+        With the residual r that the link has on the surface, the change l of r per mm of height, and the inverse W of
+        the covariance of r, it is h = −(l·W·r) / (l·W·l), with variance 1 / (l·W·l).
+        """
+        o, motion, surface = self.problem.links, self.motion, self.problem.surface
+        on_surface = surface.at_links[at] @ self.surface_mm if surface else np.zeros(len(at))
+        lean = motion.turned(o.p[at], o.a_lean[at])
+        change = motion.turned(o.q[at], o.b_lean[at]) - lean
+        place = motion.board(o.p[at], o.a_mm[at]) + lean * on_surface[:, None]
+        apart = motion.board(o.q[at], o.b_mm[at]) - motion.board(o.p[at], o.a_mm[at]) + change * on_surface[:, None]
+        weight = o.inverse_noise(at, max(self.floor_px, least_floor_px))
+        weighted = (weight @ change[:, :, None])[:, :, 0]
+        # If both frames see the point under the same angle, l is almost 0, and the standard deviation large.
+        information = np.maximum((change * weighted).sum(1), 1e-12)
+        mm = -(weighted * apart).sum(1) / information
+        rest = apart + change * mm[:, None]
+        aside = np.sqrt(np.maximum((rest * (weight @ rest[:, :, None])[:, :, 0]).sum(1), 0.0))
+        return LinkHeights(mm, 1 / np.sqrt(information), aside, place + lean * mm[:, None], np.hypot(*change.T))
+
 
 SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])
 """(6,) prior standard deviations of the coefficients, mm: lift, tilt along u, tilt along v, and bow (u², uv, v²)."""
@@ -539,28 +581,14 @@ def prior_sigma_mm(coefficients_mm: Floats, sigma_mm: Floats) -> Floats:
 
 def basis(board_type: BoardType, cad: Floats) -> Floats:
     """Return the values (k, 6) of the basis functions 1, u, v, u², uv, v² at CAD points (k, 2)."""
-    return _basis(np.eye(3), np.ascontiguousarray(cad, dtype=np.float64), *frame_of(board_type))
+    about, half = frame_of(board_type)
+    u, v = np.clip((np.asarray(cad, np.float64) - about) / half, -_EDGE, _EDGE).T
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], -1)
 
 
 def basis_at_board(board_type: BoardType, cad_matrix: Floats, board_mm: Floats) -> Floats:
     """Return the values (k, 6) of the basis functions at points (k, 2) of the board in tester coordinates, mm."""
-    cad_from_board = np.ascontiguousarray(np.linalg.inv(cad_matrix), dtype=np.float64)
-    return _basis(cad_from_board, np.ascontiguousarray(board_mm), *frame_of(board_type))
-
-
-@compiled
-def _basis(cad_from_place: Floats, place: Floats, about: Floats, half: Floats) -> Floats:
-    """Return the values (k, 6) of the basis functions at points (k, 2) which an affine map (3, 3) transforms to CAD.
-
-    `about` (2,) and `half` (2,) are the centre and the half span of the board, see `frame_of`.
-    """
-    m, out = cad_from_place, np.empty((len(place), 6))
-    for n in range(len(place)):
-        x, y = place[n, 0], place[n, 1]
-        u = min(max((m[0, 0] * x + m[0, 1] * y + m[0, 2] - about[0]) / half[0], -_EDGE), _EDGE)
-        v = min(max((m[1, 0] * x + m[1, 1] * y + m[1, 2] - about[1]) / half[1], -_EDGE), _EDGE)
-        out[n, 0], out[n, 1], out[n, 2], out[n, 3], out[n, 4], out[n, 5] = 1.0, u, v, u * u, u * v, v * v
-    return out
+    return basis(board_type, apply(np.linalg.inv(cad_matrix), board_mm))
 
 
 def frame_of(board_type: BoardType) -> tuple[Floats, Floats]:

@@ -58,6 +58,7 @@ from vaoi_station.stitching.adjustment.motion import (
     let_irregular_steps_free,
 )
 from vaoi_station.stitching.adjustment.problem import (
+    USED,
     AdjustmentResult,
     Influence,
     Ints,
@@ -106,7 +107,6 @@ class NoiseFloors:
         """Choose the links from which the noise floors are estimated.
 
         Args:
-            problem: the problem of the adjustment.
             kind: (k,) kind of each link: 0 between rows, 1 … `seams` between two cameras in one row, and the last one
                 between rows of different lights.
             seams: number of kinds of links between two cameras.
@@ -228,8 +228,8 @@ list (seeds 102826, 103588: a board with other parts)."""
 _FREE_STEPS = 3
 """Number of first steps in which heights may be below the board, and links near components count as links on the board.
 The initial motion may be that of the tops of components. Relative to these, the board seems to lie too low."""
-_USED_WEIGHT, _HEIGHT_MIN_LINKS = 0.1, 3
-"""A component's height is reported if at least `_HEIGHT_MIN_LINKS` of its links have a weight above `_USED_WEIGHT`."""
+_HEIGHT_MIN_LINKS = 3
+"""Least number of used links by which the height of a component is reported."""
 
 
 def adjust(
@@ -238,7 +238,6 @@ def adjust(
     """Solve for all unknowns.
 
     Args:
-        problem: observations and priors.
         start: motion to start from; right to a few px.
         similarity: C to start from; needed if the problem has fiducials.
         converged_mm: the adjustment ends after a step that moves no row by more; about a tenth of it remains.
@@ -493,5 +492,5 @@ class _Solver:
         """Return the heights of all components for both kinds of links (2, parts); NaN where too few links are used."""
         component = self.heights.component
         on = component >= 0
-        used = np.bincount(component[on], self.state.robust[on] > _USED_WEIGHT, minlength=2 * self.n_parts)
+        used = np.bincount(component[on], self.state.robust[on] > USED, minlength=2 * self.n_parts)
         return np.where(used >= _HEIGHT_MIN_LINKS, self.heights_mm, np.nan).reshape(2, self.n_parts)

@@ -132,11 +132,7 @@ def map_cad(
     """Find the board, locate its fiducials again where a first C predicts them, and adjust all unknowns together.
 
     Args:
-        plane: plane of the board type.
-        scene: the cameras and the frames.
-        problem: the adjustment problem of the links alone.
         moved: solution of that problem, whose motion of the rows is used.
-        known: evidence and prior knowledge.
     """
     referred = FiducialPoints.empty()
     if known.reference is not None and known.method.reference:

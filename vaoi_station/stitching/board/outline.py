@@ -1,22 +1,12 @@
-"""Separate the texture of the board from that of its surroundings: a carrier, or a dirty or textured belt.
+"""What the board's outline shows in the pictures: orientation, position, and which texture is the board's own.
 
-Texture beside the board may move with it, stand still, or lie at another height, so that its links contradict those of
-the board. The outline in the CAD data decides which links lie on the board. This is valid only where the pictures
-confirm the outline: each side of it that is in view must show an edge where C puts this side, and no stronger edge near
-by, but for those of components.
-
-The orientation of the board: as expected, or turned by 180°. Two fiducials often fit both orientations.
-
-If the fiducials do not decide the orientation, the pictures do (docs/decisions/0004). The outline is a step of grey
-level between board and belt, and components have edges where the CAD data place them. The contrast of these edges is
-measured for the board as placed and for the board turned by 180° on the same fiducials.
-
-The measured shift of the board's outline against the position that the fiducials predict.
-
-All fiducials may be wrong together: look-alikes can have the right distances, and CAD data can be of another revision.
-The edge of the board, a step of grey level between board and belt, is independent of them. It is searched across each
-piece of the outline. A histogram over all pieces gives the shift of the board that most edges support. Near this shift
-the edge of each piece is then measured to a fraction of a sample.
+The outline is a step of grey level between board and belt, independent of the fiducials. Two fiducials often fit a
+board turned by 180°: the contrast of outline and footprints, as placed and turned, then decides
+(docs/decisions/0004). All fiducials may be wrong together, as look-alikes with the right distances: the edge is
+searched across each piece of the outline, a histogram over all pieces gives the shift that most edges support, and near
+it the edges are measured to a fraction of a sample. Texture beside the board, of a carrier or a belt, may contradict
+the board's: the outline separates both where the pictures confirm it, that is, where each side in view shows an edge in
+its place and no stronger one near by, but for those of components.
 """
 
 from __future__ import annotations
@@ -35,14 +25,13 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import Observations, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.geometry import FrameArrays
+from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.frames import Scene
 
 _PIECE_MM = 4.0
 """Length over which an edge is averaged, so that texture cancels and the edge stays."""
-_SAMPLES, _DEPTHS = 10, 2
-_NEAR_MM, _FAR_MM = 0.12, 0.45
-"""Distances from an edge at which its two sides are compared."""
+_SAMPLES, _DEPTHS, _NEAR_MM, _FAR_MM = 10, 2, 0.12, 0.45
+"""Points along a piece and across each of its sides, and distances from the edge at which the sides are compared."""
 _APART_MM = 0.4
 """Edges of the two orientations that lie closer together than this are not compared."""
 _CLEAR = {"outline": 1.5, "components": 2.5}
@@ -51,9 +40,97 @@ _LEAST_CONTRAST = {"outline": 5.0, "components": 10.0}
 
 In addition, the contrasts of the two orientations must differ by the factor in `_CLEAR`. Components are weaker evidence
 than the outline, so their limits are higher."""
-_FEWEST_PIECES, _MOST_PIECES = 6, 48
+_LEAST_PIECES, _MOST_PIECES = 6, 48
+"""48 pieces give the position of the outline more precisely than boards are cut; more would only take more time."""
 _LEAST_OUTLINE = 3.0
 """Least contrast of a visible outline, in grey levels. Noise alone gives less than 1."""
+
+_STEP_MM, _REACH, _ALONG = 0.05, 70, 12
+"""Distance of samples across a piece, their number on either side of it, and number of samples averaged along it."""
+_GAP, _SIDE = 1, 6
+"""A step of grey level is the difference of the means of `_SIDE` samples on each side, `_GAP` away from the edge."""
+_MOST_STEP, _LEAST_STEP = 40.0, 6.0
+"""Largest weight of a step in the histogram, in grey levels: one bright pad must not outweigh the board's edge."""
+_VOTE_MM, _VOTES = 0.1, 30
+"""Distance between the shifts in the histogram, and number of shifts on either side of zero, along each axis."""
+_MOVED_MM = 0.3
+"""Displacement of a piece across itself from which it distinguishes a shift from none."""
+_CLEARLY, _OPPOSED = 1.2, 0.7
+"""Least ratio of the support for a shift to the support for none, over all such pieces, and over those of one side."""
+_NEAR = 8
+"""Half width, in samples, of the range in which the edge of a piece is searched around the most supported shift."""
+_PRIOR = np.array([3.0, 3.0, 0.02, 0.2])
+"""Prior standard deviations: shift x and y (mm), turn (rad), and what a cutter leaves on all sides (mm).
+
+With the last as an unknown, one side alone determines the shift less well than two opposite sides do."""
+_PIECE_SIGMA_MM, _MACHINED_MM = 0.05, 0.1
+"""Least scatter of pieces of the outline, mm, and error of the cut outline as a whole against the copper (1 σ)."""
+_KNEE, _ROUNDS = 2.0, 6
+_LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
+"""Largest accepted shift, largest accepted turn (displacement of the board's ends), and both in standard deviations.
+
+Cutting errors shift an outline more often than they turn it, so the limit of the turn is lower."""
+
+MOST_BESIDE = 0.03
+"""Largest share of links beside the board that need not be left out: the robust loss copes with them."""
+_MOST_AT_EDGE = 0.1
+"""Largest share of links outside the outline in one pair of frames that need not be left out."""
+_MARGIN_MM = 1.0
+"""Links outside the outline by more than this lie beside the board; errors of C and of cutting are smaller."""
+HALF_PATCH_PX = 12.0
+"""Links on the board that are nearer to the outline than this measure a mixture of board and surroundings."""
+_EDGE_NEAR_MM = 0.5
+"""Largest distance between a side's edge in the pictures and its position by C, due to cutting and fiducials."""
+_QUANTILE = 0.25
+"""The step of grey level of a side is this quantile of the steps of its pieces.
+
+The edge of a board runs along all pieces of a side; a row of pads runs along only some of them. Where components hide
+more than the other pieces, nothing is known of a line."""
+_LEAST_EDGE, _STANDS_OUT = 4.0, 1.15
+"""Least step of grey level at the edge of a side, and least ratio to the steps more than `2 · _EDGE_NEAR_MM` away."""
+_PART_MM = 0.35
+"""Distance from a component, with solder and silkscreen, up to which a step of grey level contains its edge.
+
+A connector along a side shows a stronger edge than the board, which is no reason to doubt the outline."""
+_PIECES_OF_SIDE = 2
+"""Least number of pieces of a side in view; with fewer, the side is not checked."""
+
+
+def outline_polygons(board_type: BoardType) -> list[Floats]:
+    """Return the outline as a list of polygons (k, 2) in CAD coordinates: one polygon, or none if it is unknown."""
+    if board_type.outline is None:
+        return []
+    points = np.array(board_type.outline, dtype=np.float64)
+    if len(points) == 2:
+        (x0, y0), (x1, y1) = points.min(0), points.max(0)
+        points = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return [points]
+
+
+def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
+    """Cut closed polygons into k straight pieces of a few mm, (k, 2, 2) start and end; shorter edges are not cut."""
+    if not polygons:
+        return np.zeros((0, 2, 2))
+    a, b = np.concatenate(polygons), np.concatenate([np.roll(p, -1, 0) for p in polygons])
+    count = np.maximum((np.hypot(*(b - a).T) * mm_per_unit / _PIECE_MM).astype(int), 1)
+    of, k = np.repeat(np.arange(len(a)), count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    ends = np.stack([k, k + 1], -1) / count[of, None]
+    return np.asarray(a[of, None] + ends[..., None] * (b - a)[of, None])
+
+
+def outline_pieces(board_type: BoardType) -> Floats:
+    """Return the pieces (k, 2, 2) of the outline in CAD coordinates; if they are many, an even subset of them."""
+    pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
+    return pieces[np.unique(np.linspace(0, len(pieces) - 1, min(len(pieces), _MOST_PIECES)).round().astype(np.int_))]
+
+
+def _left_normals(board: Floats) -> Floats:
+    """Return the unit normals (k, 2) of pieces (k, 2, 2), to the left of their direction."""
+    along = board[:, 1] - board[:, 0]
+    return np.asarray(np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None])
+
+
+# The orientation
 
 
 @dataclass(frozen=True)
@@ -67,50 +144,35 @@ class Orientation:
     @property
     def contradicts(self) -> bool:
         """Whether the edges show that the board lies turned by 180°."""
-        return _stands_out(self.evidence, self.turned, self.as_placed)
+        return self._stands_out(self.turned, self.as_placed)
 
     @property
     def confirms(self) -> bool:
         """Whether the edges show that the board lies as placed."""
-        return _stands_out(self.evidence, self.as_placed, self.turned)
+        return self._stands_out(self.as_placed, self.turned)
 
-
-def _stands_out(evidence: str, one: float, other: float) -> bool:
-    return one > _CLEAR[evidence] * other and one > _LEAST_CONTRAST[evidence]
+    def _stands_out(self, one: float, other: float) -> bool:
+        return one > _CLEAR[self.evidence] * other and one > _LEAST_CONTRAST[self.evidence]
 
 
 def compare_orientations(
-    board_type: BoardType,
-    placed: Floats,
-    turned: Floats,
-    scene: Scene,
-    motion: Motion,
+    board_type: BoardType, placed: Floats, turned: Floats, scene: Scene, motion: Motion
 ) -> Orientation | None:
     """Compare the edge contrast of the board as placed with that of the board turned by 180°.
 
-    Args:
-        board_type: board type, whose outline and components are used.
-        placed: C as found, (3, 3) from CAD to tester coordinates.
-        turned: C of the turned board on the same fiducials, (3, 3).
-        scene: the cameras and frames.
-        motion: motion of the rows.
-
-    Returns:
-        The first evidence that decides: the outline, else the components. If neither decides, the last evidence
-        that was measured. None if there was nothing to compare.
+    `placed` and `turned` are the two C, (3, 3). Returns the first evidence that decides, outline or components, else
+    the last that was measured; None if there was nothing to compare.
     """
-    best, frames = None, FrameArrays.of(scene, motion)
-    for evidence, lines in (("outline", outline_polygons), ("components", _footprints)):
-        pieces = straight_pieces(lines(board_type), board_type.mm_per_unit)
-        if not len(pieces):
+    best, frames = None, FrameIndex.of(scene, motion.rows_from_tester)
+    footprints = [board_type.footprint(c) for c in board_type.components]
+    for evidence, polygons in (("outline", outline_polygons(board_type)), ("components", footprints)):
+        pieces = straight_pieces(polygons, board_type.mm_per_unit)
+        # A board that is symmetric about its fiducials has the same edges in both orientations.
+        apart = pieces[_apart(pieces, placed, turned)] if len(pieces) else pieces
+        if len(apart) < _LEAST_PIECES:
             continue
-        apart = _apart(pieces, placed, turned)
-        if apart.sum() < _FEWEST_PIECES:
-            # A board that is symmetric about its fiducials has the same edges in both orientations.
-            continue
-        a = _contrasts(pieces[apart], placed, frames)
-        b = _contrasts(pieces[apart], turned, frames)
-        if min(len(a), len(b)) < _FEWEST_PIECES:
+        a, b = _contrasts(apart, placed, frames), _contrasts(apart, turned, frames)
+        if min(len(a), len(b)) < _LEAST_PIECES:
             continue
         # The median is used because texture and neighbouring components disturb single pieces.
         best = Orientation(evidence, float(np.median(a)), float(np.median(b)))
@@ -136,137 +198,34 @@ def measure_outline_contrast(
     board_type: BoardType, placed: Floats, scene: Scene, motion: Motion
 ) -> OutlineContrast | None:
     """Measure the contrast along the outline where C (`placed`) puts it; None if too little is in view."""
-    pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
-    pieces = pieces[subsample_pieces(len(pieces))]
-    steps = _contrasts(pieces, placed, FrameArrays.of(scene, motion)) if len(pieces) else np.zeros(0)
-    return OutlineContrast(float(np.median(steps)), len(steps)) if len(steps) >= _FEWEST_PIECES else None
-
-
-def subsample_pieces(pieces: int) -> NDArray[np.int_]:
-    """Choose pieces of an outline: return the indices of all of them or, if they are many, of an even subset."""
-    # 48 pieces give the position of the outline more precisely than boards are cut. More would only take more time.
-    return np.unique(np.linspace(0, pieces - 1, min(pieces, _MOST_PIECES)).round().astype(np.int_))
-
-
-def outline_polygons(board_type: BoardType) -> list[Floats]:
-    """Return the outline as a list of polygons (k, 2) in CAD coordinates: one polygon, or none if it is unknown."""
-    if board_type.outline is None:
-        return []
-    points = np.array(board_type.outline, dtype=np.float64)
-    if len(points) == 2:
-        low, high = points.min(0), points.max(0)
-        points = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-    return [points]
-
-
-def _footprints(board_type: BoardType) -> list[Floats]:
-    return [board_type.footprint(c) for c in board_type.components]
-
-
-def straight_pieces(polygons: list[Floats], mm_per_unit: float) -> Floats:
-    """Cut closed polygons into k straight pieces of a few mm, (k, 2, 2) start and end; shorter edges are not cut."""
-    if not polygons:
-        return np.zeros((0, 2, 2))
-    a, b = np.concatenate(polygons), np.concatenate([np.roll(p, -1, 0) for p in polygons])
-    count = np.maximum((np.hypot(*(b - a).T) * mm_per_unit / _PIECE_MM).astype(int), 1)
-    of, k = np.repeat(np.arange(len(a)), count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    ends = np.stack([k, k + 1], -1) / count[of, None]
-    return np.asarray(a[of, None] + ends[..., None] * (b - a)[of, None])
+    pieces = outline_pieces(board_type)
+    steps = _contrasts(pieces, placed, FrameIndex.of(scene, motion.rows_from_tester)) if len(pieces) else np.zeros(0)
+    return OutlineContrast(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
 
 
 def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
     """Return for each of k pieces whether it is far enough from all pieces of the other orientation to be compared."""
     a, b = apply(placed, pieces), apply(turned, pieces)
-    along = a[:, 1] - a[:, 0]
-    normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
-    middle_a, middle_b = a.mean(1), b.mean(1)
-    offset = np.abs(((middle_b[None] - middle_a[:, None]) * normal[:, None]).sum(-1))
-    length = np.abs(((middle_b[None] - middle_a[:, None]) * (normal[:, ::-1] * (1, -1))[:, None]).sum(-1))
-    beside = length < _PIECE_MM
-    nearest = np.where(beside, offset, np.inf).min(1)
-    return np.asarray(nearest > _APART_MM)
+    normal, way = _left_normals(a), b.mean(1)[None] - a.mean(1)[:, None]
+    offset = np.abs((way * normal[:, None]).sum(-1))
+    length = np.abs((way * (normal[:, ::-1] * (1, -1))[:, None]).sum(-1))
+    return np.asarray(np.where(length < _PIECE_MM, offset, np.inf).min(1) > _APART_MM)
 
 
-def _contrasts(pieces: Floats, cad_matrix: Floats, frames: FrameArrays) -> Floats:
+def _contrasts(pieces: Floats, cad_matrix: Floats, frames: FrameIndex) -> Floats:
     """Measure the contrast in grey levels across each piece (k, 2, 2); pieces that no frame shows are left out."""
     board = apply(cad_matrix, pieces)
-    number = frames.nearest(board.mean(1))
-    px = frames.project(number, _both_sides(board))
-    step = frames.read_samples(number, 1, lambda image, mine: _contrast(image, px[mine]))
+    number, normal = frames.nearest(board.mean(1)), _left_normals(board)
+    t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    line = (board[:, :1] + t[None, :, None] * (board[:, 1:] - board[:, :1]))[:, None, None]
+    off = np.array([[-1.0], [1.0]]) * np.linspace(_NEAR_MM, _FAR_MM, _DEPTHS)
+    points = line + off[None, :, :, None, None] * normal[:, None, None, None]
+    grey = frames.grey(number, frames.project(number, points.reshape(len(board), -1, 2)))
+    step = np.abs(np.subtract(*(side.mean(1) for side in np.split(grey, 2, axis=1))))
     return np.asarray(step[np.isfinite(step)])
 
 
-@compiled
-def _contrast(image: NDArray[np.uint8], px: Floats) -> Floats:
-    """Compute k contrasts (k, 1) from s sample points each, at raw pixels `px` (k, s, 2) of an image.
-
-    A contrast is the absolute difference between the mean grey level of the first and of the second half of the points.
-    It is NaN if one of the points lies outside the image.
-    """
-    h, w = image.shape
-    count = px.shape[1]
-    out = np.empty((len(px), 1))
-    for k in range(len(px)):
-        total = 0.0
-        for s in range(count):
-            x, y = px[k, s, 0], px[k, s, 1]
-            if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
-                total = np.nan
-                break
-            j, i = min(int(x), w - 2), min(int(y), h - 2)
-            u, v = x - j, y - i
-            above = image[i, j] * (1 - u) + image[i, j + 1] * u
-            below = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
-            grey = above * (1 - v) + below * v
-            total += grey if 2 * s < count else -grey
-        out[k, 0] = 2 * abs(total) / count
-    return out
-
-
-def _both_sides(board: Floats) -> Floats:
-    """Lay s sample points along both sides of each straight piece (k, 2, 2): (k, s, 2), all of one side first."""
-    along = board[:, 1] - board[:, 0]
-    normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
-    t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    line = (board[:, :1] + t[None, :, None] * along[:, None])[:, None, None]
-    off = np.array([[-1.0], [1.0]]) * np.linspace(_NEAR_MM, _FAR_MM, _DEPTHS)
-    points = line + off[None, :, :, None, None] * normal[:, None, None, None]
-    return np.asarray(points.reshape(len(board), -1, 2))
-
-
-_STEP_MM, _REACH = 0.05, 70
-"""Distance between samples across a piece of the outline, and number of samples on either side of it."""
-_ALONG = 12
-"""Number of samples along a piece that are averaged."""
-_GAP, _SIDE = 1, 6
-"""A step of grey level is the difference of two means of `_SIDE` samples, one on each side of the edge.
-
-The samples begin `_GAP` samples away from the edge."""
-_MOST_STEP = 40.0
-"""Largest weight of a step in the histogram, in grey levels: one bright pad must not outweigh the board's edge."""
-_LEAST_STEP = 6.0
-_VOTE_MM, _VOTES = 0.1, 30
-"""Distance between the shifts in the histogram, and number of shifts on either side of zero, along each axis."""
-_MOVED_MM = 0.3
-"""Displacement of a piece across itself from which it distinguishes a shift from none."""
-_CLEARLY, _OPPOSED = 1.2, 0.7
-"""Least ratio of the support for a shift to the support for none, over all such pieces, and over those of one side."""
-_NEAR = 8
-"""Half width, in samples, of the range in which the edge of a piece is searched around the most supported shift."""
-_LEAST_PIECES = 6
-_PRIOR = np.array([3.0, 3.0, 0.02, 0.2])
-"""Prior standard deviations: shift x and y (mm), turn (rad), and excess size of the outline on all sides (mm).
-
-The excess size is what a cutter leaves on all sides. With it as an unknown, one side alone determines the shift less
-well than two opposite sides do."""
-_PIECE_SIGMA_MM, _MACHINED_MM = 0.05, 0.1
-"""Least scatter of single pieces of the outline, mm, and error of the cut outline as a whole against the copper (1
-σ)."""
-_KNEE, _ROUNDS = 2.0, 6
-_LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
-"""Largest accepted shift, largest accepted turn (displacement of the board's ends), and both in standard deviations.
-
-Cutting errors shift an outline more often than they turn it, so the limit of the turn is lower."""
+# The position
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,9 +235,7 @@ class OutlineShift:
     mm: Floats
     """(2,) shift in tester coordinates; 0 in a direction that no piece determines."""
     covariance: Floats
-    """(2, 2) covariance of the shift, mm².
-
-    In a direction in which no piece determines the shift, it is the covariance of the prior."""
+    """(2, 2) covariance of the shift, mm²; in a direction that no piece determines, that of the prior."""
     turn_rad: float
     turn_sigma_rad: float
     arm_mm: float
@@ -312,24 +269,11 @@ class OutlineShift:
 def measure_outline_shift(
     board_type: BoardType, cad_matrix: Floats, scene: Scene, motion: Motion
 ) -> OutlineShift | None:
-    """Measure the shift of the outline against the position that C predicts.
-
-    Args:
-        board_type: board type, whose outline is used.
-        cad_matrix: C from the fiducials, (3, 3) from CAD to tester coordinates.
-        scene: the cameras and frames.
-        motion: motion of the rows.
-
-    Returns:
-        The shift; None where too little of the outline shows an edge.
-    """
-    pieces = straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)
-    if len(pieces) < _LEAST_PIECES:
+    """Measure the shift of the outline against the position by C; None where too little of it shows an edge."""
+    if len(straight_pieces(outline_polygons(board_type), board_type.mm_per_unit)) < _LEAST_PIECES:
         return None
-    board = apply(cad_matrix, pieces)
-    normal, some = _outward(board), subsample_pieces(len(pieces))
-    board, normal = board[some], normal[some]
-    steps = _steps(_profiles(board, normal, scene, motion))
+    board = apply(cad_matrix, outline_pieces(board_type))
+    _, normal, steps = edge_profiles(board, scene, motion)
     shown = (steps >= _LEAST_STEP).any(1)
     if shown.sum() < _LEAST_PIECES:
         return None
@@ -338,50 +282,33 @@ def measure_outline_shift(
 
 
 def edge_profiles(board: Floats, scene: Scene, motion: Motion) -> tuple[float, Floats, Floats]:
-    """Measure the steps of grey level across the k pieces (k, 2, 2), start and end in mm, of a closed polygon.
+    """Measure the steps of grey level across k pieces (k, 2, 2), start and end in mm, of a closed polygon.
 
     Returns:
         The distance of samples in mm, the outward normals (k, 2), and the height of the step at each sample
         (k, samples), from inside to outside; 0 where no frame shows it.
     """
-    normal = _outward(board)
-    return _STEP_MM, normal, _steps(_profiles(board, normal, scene, motion))
-
-
-def _outward(board: Floats) -> Floats:
-    """Compute unit normals (k, 2), pointing away from the board, of the pieces (k, 2, 2) of a closed polygon."""
-    along = board[:, 1] - board[:, 0]
-    normal = np.stack([along[:, 1], -along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
     # The sign of the area gives the direction in which the polygon runs, and so the side on which the board lies.
-    area = (board[:, 0, 0] * board[:, 1, 1] - board[:, 1, 0] * board[:, 0, 1]).sum()
-    return np.asarray(normal * np.sign(area))
-
-
-def _profiles(board: Floats, normal: Floats, scene: Scene, motion: Motion) -> Floats:
-    """Sample grey levels (k, samples) across each piece, averaged along the piece; NaN where no frame shows it."""
-    frames = FrameArrays.of(scene, motion)
-    number = frames.nearest(board.mean(1))
-    reach, samples = _REACH * _STEP_MM * normal, 2 * _REACH + 1
+    a, b = np.moveaxis(board - board.mean((0, 1)), 1, 0)
+    area = (a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]).sum()
+    normal = -_left_normals(board) * np.sign(area)
+    frames = FrameIndex.of(scene, motion.rows_from_tester)
+    number, reach, samples = frames.nearest(board.mean(1)), _REACH * _STEP_MM * normal, 2 * _REACH + 1
+    # Within a piece the picture is taken as straight: three of its corners give the pixels of all samples.
     px = frames.project(number, np.stack([board[:, 0] - reach, board[:, 1] - reach, board[:, 0] + reach], 1))
     along, across = (px[:, 1] - px[:, 0]) / _ALONG, (px[:, 2] - px[:, 0]) / (samples - 1)
     start = px[:, 0] + along / 2
-    return frames.read_samples(
-        number, samples, lambda image, mine: _sampled(image, start[mine], along[mine], across[mine], _ALONG, samples)
+    profiles = frames.read_samples(
+        number, samples, lambda image, mine: _sampled(image, start[mine], along[mine], across[mine], samples)
     )
+    return _STEP_MM, normal, _steps(profiles)
 
 
 @compiled
-def _sampled(
-    image: NDArray[np.uint8],
-    start: NDArray[np.float64],
-    along: NDArray[np.float64],
-    across: NDArray[np.float64],
-    count: int,
-    samples: int,
-) -> NDArray[np.float64]:
+def _sampled(image: NDArray[np.uint8], start: Floats, along: Floats, across: Floats, samples: int) -> Floats:
     """Sample a profile of averaged grey levels for each of k pieces: (k, samples).
 
-    Sample s of piece k is the mean over `count` points, which begin at `start[k] + s · across[k]` and are `along[k]`
+    Sample s of piece k is the mean over `_ALONG` points, which begin at `start[k] + s · across[k]` and are `along[k]`
     apart (all in raw pixels). It is NaN if one of the points lies outside the image.
     """
     out = np.empty((len(start), samples))
@@ -390,29 +317,30 @@ def _sampled(
         ax, ay = along[k, 0], along[k, 1]
         for s in range(samples):
             x, y = start[k, 0] + s * across[k, 0], start[k, 1] + s * across[k, 1]
-            last_x, last_y = x + (count - 1) * ax, y + (count - 1) * ay
+            last_x, last_y = x + (_ALONG - 1) * ax, y + (_ALONG - 1) * ay
             if min(x, y, last_x, last_y) < 0 or max(x, last_x) >= width - 1 or max(y, last_y) >= height - 1:
                 out[k, s] = np.nan
                 continue
             total = 0.0
-            for n in range(count):
+            for n in range(_ALONG):
                 px, py = x + n * ax, y + n * ay
                 j, i = int(px), int(py)
                 u, v = px - j, py - i
                 above = image[i, j] * (1 - u) + image[i, j + 1] * u
                 below = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
                 total += above * (1 - v) + below * v
-            out[k, s] = total / count
+            out[k, s] = total / _ALONG
     return out
 
 
 def _steps(profiles: Floats) -> Floats:
     """Compute the height of the grey-level step at each sample of k profiles, (k, samples); 0 where it is unknown."""
-    samples = profiles.shape[1]
-    at = np.arange(_GAP + _SIDE, samples - _GAP - _SIDE)
+    at = np.arange(_GAP + _SIDE, profiles.shape[1] - _GAP - _SIDE)
     # Prefix sums give the means on both sides of every sample in one pass.
-    sums = np.concatenate([np.zeros((len(profiles), 1)), np.cumsum(np.nan_to_num(profiles), 1)], 1)
-    blind = np.concatenate([np.zeros((len(profiles), 1)), np.cumsum(np.isnan(profiles), 1)], 1)
+    sums, blind = (
+        np.concatenate([np.zeros((len(profiles), 1)), np.cumsum(values, 1)], 1)
+        for values in (np.nan_to_num(profiles), np.isnan(profiles))
+    )
     far, near = at + _GAP + 1 + _SIDE, at - _GAP - _SIDE
     step = np.abs(sums[:, far] - sums[:, far - _SIDE] - sums[:, near + _SIDE] + sums[:, near]) / _SIDE
     out = np.zeros(profiles.shape)
@@ -430,8 +358,7 @@ def _voted(steps: Floats, normal: Floats) -> Floats:
     weight, grid = np.minimum(steps, _MOST_STEP), np.asarray(tries, np.float64)
     votes = _vote_histogram(weight, normal, grid, _STEP_MM)
     i, j = np.unravel_index(int(votes.argmax()), votes.shape)
-    shift = np.array([tries[j], tries[i]])
-    near = np.abs(tries) <= _LIMIT_MM + _VOTE_MM / 2
+    shift, near = np.array([tries[j], tries[i]]), np.abs(tries) <= _LIMIT_MM + _VOTE_MM / 2
     if near[i] and near[j]:
         return shift
     # Only pieces that the shift moves across themselves distinguish it from none.
@@ -449,17 +376,8 @@ def _voted(steps: Floats, normal: Floats) -> Floats:
 
 
 @compiled
-def _vote_histogram(
-    steps: NDArray[np.float64], normal: NDArray[np.float64], tries: NDArray[np.float64], step_mm: float
-) -> NDArray[np.float64]:
-    """Sum the steps of all pieces for every shift: (t, t), shifts along y by shifts along x.
-
-    Args:
-        steps: (k, samples) step heights across each piece, `step_mm` apart.
-        normal: (k, 2) outward normals of the pieces.
-        tries: (t,) shifts in mm that are tried along each axis.
-        step_mm: distance of samples.
-    """
+def _vote_histogram(steps: Floats, normal: Floats, tries: Floats, step_mm: float) -> Floats:
+    """Sum the steps (k, samples) of all pieces for every shift: (t, t), shifts along y by shifts along x."""
     count, samples = len(tries), steps.shape[1]
     # Samples are added at the ends of the line, so that no shift reads beyond it and the inner loop needs no test.
     out, far = np.zeros((count, count)), int(2 * np.abs(tries).max() / step_mm) + 1
@@ -475,13 +393,9 @@ def _vote_histogram(
 
 
 def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> OutlineShift | None:
-    """Estimate shift, turn and excess size of the outline by robust least squares over the edges near `shift`.
+    """Estimate shift, turn and excess size of the outline by robust least squares over the edges near `shift` (2,).
 
-    Args:
-        middle: (k, 2) centres of the pieces, mm in tester coordinates.
-        normal: (k, 2) outward normals of the pieces.
-        steps: (k, samples) step heights across each piece.
-        shift: (2,) mm, initial value of the shift.
+    `middle` (k, 2) are the centres of the pieces, `normal` (k, 2) their outward normals, `steps` (k, samples).
     """
     offset, height = _edges(steps, normal @ shift / _STEP_MM + _REACH)
     use = height >= _LEAST_STEP
@@ -516,33 +430,7 @@ def _edges(steps: Floats, expected: Floats) -> tuple[Floats, Floats]:
     return at + np.clip(off, -0.5, 0.5), top
 
 
-MOST_BESIDE = 0.03
-"""Largest share of links beside the board that need not be left out: the robust loss copes with them."""
-_MOST_AT_EDGE = 0.1
-"""Largest share of links outside the outline in one pair of frames that need not be left out."""
-_MARGIN_MM = 1.0
-"""Links outside the outline by more than this lie beside the board; errors of C and of cutting are smaller."""
-HALF_PATCH_PX = 12.0
-"""Links on the board that are nearer to the outline than this measure a mixture of board and surroundings."""
-_EDGE_NEAR_MM = 0.5
-"""Largest distance between a side's edge in the pictures and its position by C, due to cutting and fiducials."""
-_QUANTILE = 0.25
-"""The step of grey level of a side is this quantile of the steps of its pieces.
-
-The edge of a board runs along all pieces of a side; a row of pads runs along only some of them. Where components hide
-more than the other pieces, nothing is known of a line."""
-_LEAST_EDGE = 4.0
-"""Smallest step of grey level at the edge of a side."""
-_STANDS_OUT = 1.15
-"""A side of the outline stands out only if its step at the edge exceeds other steps by this factor.
-
-The other steps are those more than twice `_EDGE_NEAR_MM` away from the expected edge."""
-_PART_MM = 0.35
-"""Distance from a component, with solder and silkscreen, up to which a step of grey level contains its edge.
-
-A connector along a side shows a stronger edge than the board, which is no reason to doubt the outline."""
-_FEWEST_OF_SIDE = 2
-"""Least number of pieces of a side in view; with fewer, the side is not checked."""
+# The board's own texture
 
 
 class LeftOut(NamedTuple):
@@ -621,41 +509,38 @@ def without_links_beside(
 
 def outline_confirmed(plane: BoardPlane, cad_matrix: Floats, scene: Scene, motion: Motion) -> bool:
     """Return whether every side of the outline that is in view shows its edge where C (`cad_matrix`) puts it."""
-    pieces = straight_pieces(outline_polygons(plane.board_type), plane.board_type.mm_per_unit)
+    pieces = outline_pieces(plane.board_type)
     if not len(pieces):
         return False
-    board = apply(cad_matrix, pieces[subsample_pieces(len(pieces))])
+    board = apply(cad_matrix, pieces)
     step_mm, normal, steps = edge_profiles(board, scene, motion)
     offset = (np.arange(steps.shape[1]) - steps.shape[1] // 2) * step_mm
     at_edge, seen = np.abs(offset) <= _EDGE_NEAR_MM, (steps > 0).mean(1) > 0.5
     others = other_steps(plane, cad_matrix, board, normal[:, None] * offset[:, None], steps, 2 * _EDGE_NEAR_MM)
     side = np.rint(np.arctan2(normal[:, 1], normal[:, 0]) / (np.pi / 4)).astype(int) % 8
-    sides = 0
-    for one in np.unique(side[seen]).tolist():
-        mine = np.flatnonzero(seen & (side == one))
-        if len(mine) < _FEWEST_OF_SIDE:
-            continue
-        if strongest_line(steps[mine][:, at_edge]) < max(_LEAST_EDGE, _STANDS_OUT * strongest_line(others[mine])):
-            return False
-        sides += 1
-    return sides > 0
+    every = [np.flatnonzero(seen & (side == one)) for one in np.unique(side[seen])]
+    sides = [mine for mine in every if len(mine) >= _PIECES_OF_SIDE]
+    limits = [max(_LEAST_EDGE, _STANDS_OUT * strongest_line(others[mine])) for mine in sides]
+    return bool(sides) and all(
+        strongest_line(steps[mine][:, at_edge]) >= least for mine, least in zip(sides, limits, strict=True)
+    )
 
 
 def other_steps(
     plane: BoardPlane, cad_matrix: Floats, board_mm: Floats, offset_mm: Floats, steps: Floats, beyond_mm: float
 ) -> Floats:
-    """Return the steps across pieces of the outline without those at its edge and at the edges of components, as NaN.
+    """Return the steps (k, samples) across pieces without those at its edge and at the edges of components, as NaN.
 
-    Args:
-        plane: plane of the board type.
-        cad_matrix: C, (3, 3).
-        board_mm: (k, 2, 2) start and end of the pieces, tester coordinates.
-        offset_mm: (k, samples, 2) displacements at which the steps were measured.
-        steps: (k, samples) the steps of grey level.
-        beyond_mm: steps up to this distance from a piece belong to its edge.
+    The pieces (k, 2, 2) are in tester coordinates, and `offset_mm` (k, samples, 2) are the displacements at which the
+    steps were measured. Steps up to `beyond_mm` from a piece belong to its edge.
     """
+    along = np.stack([board_mm[:, 0], board_mm.mean(1), board_mm[:, 1]], 1)
+    points = along[:, :, None] + offset_mm[:, None]
+    cad_from_board = np.asarray(np.linalg.inv(cad_matrix), np.float64)
+    found = plane.components.widened(_PART_MM).find(cad_from_board, points.reshape(-1, 2))
+    shows_part = (found >= 0).reshape(points.shape[:3]).any(1)
     away = np.hypot(offset_mm[..., 0], offset_mm[..., 1]) > beyond_mm
-    return np.where(away & ~_shows_part(plane, cad_matrix, board_mm, offset_mm), steps, np.nan)
+    return np.where(away & ~shows_part, steps, np.nan)
 
 
 def strongest_line(steps: Floats) -> float:
@@ -663,28 +548,11 @@ def strongest_line(steps: Floats) -> float:
 
     Between components that hide most of a line, a single pad or marking would count as a line: such lines are left out.
     """
-    shown = np.isfinite(steps).mean(0) >= _QUANTILE
-    return float(_quantile_of_known(steps[:, shown]).max(initial=0.0))
-
-
-def _quantile_of_known(values: Floats) -> Floats:
-    """Return the `_QUANTILE` of every column (n,) of values (k, n) without those that are NaN; each has one at least.
-
-    `numpy.nanquantile` gives the same, but takes more than a hundred times as long.
-    """
+    values = steps[:, np.isfinite(steps).mean(0) >= _QUANTILE]
     if not values.size:
-        return np.zeros(values.shape[1])
+        return 0.0
+    # `numpy.nanquantile` gives the same, but takes more than a hundred times as long. NaN is sorted behind all numbers.
     at = _QUANTILE * (np.isfinite(values).sum(0) - 1)
-    # NaN is sorted behind all numbers.
     ascending, low, column = np.sort(values, axis=0), np.floor(at).astype(np.int_), np.arange(values.shape[1])
     below, above = ascending[low, column], ascending[np.ceil(at).astype(np.int_), column]
-    return np.asarray(below + (at - low) * (above - below))
-
-
-def _shows_part(plane: BoardPlane, cad_matrix: Floats, board_mm: Floats, offset_mm: Floats) -> NDArray[np.bool_]:
-    """Return whether pieces of the outline (k, 2, 2), displaced by (k, samples, 2), reach a component, (k, samples)."""
-    along = np.stack([board_mm[:, 0], board_mm.mean(1), board_mm[:, 1]], 1)
-    points = along[:, :, None] + offset_mm[:, None]
-    cad_from_board = np.asarray(np.linalg.inv(cad_matrix), np.float64)
-    found = plane.components.widened(_PART_MM).find(cad_from_board, points.reshape(-1, 2))
-    return np.asarray((found >= 0).reshape(points.shape[:3]).any(1))
+    return float((below + (at - low) * (above - below)).max(initial=0.0))

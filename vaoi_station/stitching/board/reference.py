@@ -13,7 +13,7 @@ coordinates, as the detection of a fiducial does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -28,7 +28,7 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import HALF_PATCH_PX, beside_in_cad
-from vaoi_station.stitching.geometry import FrameArrays
+from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 from vaoi_station.stitching.matching.frames import Scene
 
@@ -73,43 +73,32 @@ def cad_points(
     The reference run gives the CAD coordinates of each linked point. Points beside the board are left out: a bed, a
     belt or a carrier is not at the same place for every board.
     """
-    rows, ground, lean, cad, places, sigma, resolution, seen_by = [], [], [], [], [], [], [], []
-    for e in links:
-        if not len(e.a_px) or e.task.b is None:
-            continue
-        camera, row = cameras[e.task.a[0]], e.task.a[1]
-        here = camera.ground(e.a_px)
-        there = _on_board(e.b_px, camera, reference.stitch, e.task.b)
-        own = ~beside_in_cad(plane.board_type, there, -HALF_PATCH_PX / camera.px_per_mm)
-        here, there = here[own], there[own]
-        px = np.sqrt(np.maximum(np.trace(np.linalg.inv(e.information[own]), axis1=1, axis2=2) / 2, 0))
-        # The mean of a frame's n links has the variance σ²/n + shared². Each link carries a part of the shared error.
-        single = np.hypot(px, _SCATTER_PX) * np.sqrt(1 + len(px) * (_SHARED_PX / _SCATTER_PX) ** 2)
-        rows.append(np.full(len(here), row))
-        seen_by.append(np.full(len(here), e.task.a[0]))
-        ground.append(here)
-        lean.append(camera.parallax(here))
-        places.append(there)
-        cad.append(plane.flat(there))
-        sigma.append(single / camera.px_per_mm)
-        resolution.append(np.full(len(here), camera.px_per_mm))
-    if not rows:
+    each = [_points_of(e, cameras[e.task.a[0]], plane, reference) for e in links if len(e.a_px)]
+    if not each:
         return FiducialPoints.empty()
-    sigma_mm = np.concatenate(sigma)
+    points = FiducialPoints.joined(each)
     # Parts are placed anew on every board. Each of n links on a part carries a share of the error of its place, in all
     # frames together: the mean of them has the variance σ²/n + placed².
-    part = plane.components.find(np.eye(3), np.concatenate(places))
+    part, sigma_mm = plane.components.find(np.eye(3), plane.cad(points.cad)), points.sigma_mm.copy()
     on, count = part >= 0, np.bincount(part[part >= 0])
     sigma_mm[on] = np.hypot(sigma_mm[on], _PLACED_MM * np.sqrt(count[part[on]]))
+    return replace(points, sigma_mm=sigma_mm)
+
+
+def _points_of(e: Links, camera: Camera, plane: BoardPlane, reference: Reference) -> FiducialPoints:
+    """Return the linked points of one frame, without those beside the board."""
+    (i, row), key = e.task.a, e.task.b
+    assert key is not None
+    there = _on_board(e.b_px, camera, reference.stitch, key)
+    own = np.flatnonzero(~beside_in_cad(plane.board_type, there, -HALF_PATCH_PX / camera.px_per_mm))
+    k, here = len(own), camera.ground(e.a_px[own])
+    px = np.sqrt(np.maximum(np.trace(np.linalg.inv(e.information[own]), axis1=1, axis2=2) / 2, 0))
+    # The mean of a frame's n links has the variance σ²/n + shared². Each link carries a part of the shared error.
+    single = np.hypot(px, _SCATTER_PX) * np.sqrt(1 + k * (_SHARED_PX / _SCATTER_PX) ** 2)
+    resolution, which = np.full(k, camera.px_per_mm), np.full(k, REFERENCE)
+    row_of, cad = np.full(k, row), plane.flat(there[own])
     return FiducialPoints(
-        np.concatenate(rows),
-        np.concatenate(ground),
-        np.concatenate(lean),
-        np.concatenate(cad),
-        sigma_mm,
-        np.concatenate(resolution),
-        np.full(sum(map(len, rows)), REFERENCE),
-        np.concatenate(seen_by),
+        row_of, here, camera.parallax(here), cad, single / resolution, resolution, which, np.full(k, i)
     )
 
 
@@ -154,7 +143,6 @@ def disagreeing_reference(points: FiducialPoints, residual_px: Floats) -> Failur
     """Return a failure if only the reference places the board and its points do not agree on one position.
 
     Args:
-        points: the k points with known CAD coordinates.
         residual_px: (k, 2) their residuals in the adjustment.
     """
     if not len(points.which) or (points.which != REFERENCE).any():
@@ -230,22 +218,19 @@ def compare_with_reference(
     """Compare the frames of a run, in both orientations of its board, with those of the reference.
 
     Args:
-        board_type: board type, whose extent is used.
         rivals: C as found, and C of the board turned by 180° on the same fiducials.
-        scene: the cameras and frames of the run.
-        motion: motion of the run's rows.
         reference: the reference, whose orientation is known.
     """
     c = reference.stitch.cad_matrix
     assert c is not None
-    run = FrameArrays.of(scene, motion)
+    run = FrameIndex.of(scene, motion.rows_from_tester)
     placed, turned = [], []
     for key in _spread(reference.scene.present):
         cad = _patches(board_type, key, reference)
         if not len(cad):
             continue
         one = Scene(reference.scene.cameras, (key,), reference.scene.prepared)
-        theirs = FrameArrays.of_rows(one, np.array(reference.stitch.row_motion))
+        theirs = FrameIndex.of(one, np.array(reference.stitch.row_motion))
         r, a, b = (
             _read(frames, apply(m, cad)) for frames, m in ((theirs, c), (run, rivals.placed), (run, rivals.turned))
         )
@@ -290,7 +275,7 @@ def _patches(board_type: BoardType, key: FrameKey, reference: ReferenceScene) ->
     return np.asarray(centres + np.stack(np.meshgrid(step, step), -1).reshape(1, -1, 2))
 
 
-def _read(frames: FrameArrays, board_mm: Floats) -> Floats:
+def _read(frames: FrameIndex, board_mm: Floats) -> Floats:
     """Read the grey levels of k patches of s samples (k, s, 2), board mm; NaN where no frame shows a whole patch."""
     number = frames.nearest(board_mm.mean(1))
     px = frames.project(number, board_mm)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, OtherMark, Reason, ReasonCode, Surface
 from vaoi_station.model.board_marks import Look
-from vaoi_station.stitching.components.places import BoardPlace
-from vaoi_station.stitching.geometry import FootprintViews
+from vaoi_station.stitching.components.places import OwnPlace
+from vaoi_station.stitching.geometry import FootprintViews, FrameIndex
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.frames import Scene
 
@@ -79,8 +79,6 @@ def read_bad_marks(panel: MarkedPanel, scene: Scene, confirmed: Collection[Frame
     """Read the bad-board marks of all boards of a panel; return the boards' states by position.
 
     Args:
-        panel: the panel with its position.
-        scene: cameras and frames.
         confirmed: the frames that may be read.
     """
     marks = [mark for mark in panel.board_type.other_marks or () if mark.read]
@@ -89,7 +87,7 @@ def read_bad_marks(panel: MarkedPanel, scene: Scene, confirmed: Collection[Frame
     back = np.linalg.inv(panel.cad_matrix)
     own = [back @ panel.of_boards.get(str(mark.panel), panel.cad_matrix) for mark in marks]
     at = np.array([apply(move, np.array([mark.x, mark.y])) for move, mark in zip(own, marks, strict=True)])
-    views = FootprintViews.of(at, panel.cad_matrix, scene.cameras, panel.rows, panel.surface)
+    views = FrameIndex(scene.cameras, panel.rows, surface=panel.surface).views(at, panel.cad_matrix)
     found: dict[str, list[MarkReading]] = {}
     for n, mark in enumerate(marks):
         size_mm = mark.diameter * panel.board_type.mm_per_unit
@@ -103,7 +101,6 @@ def look_of(grey: NDArray[np.uint8], px: Floats, size_px: float) -> dict[str, fl
     None if the frame does not show it with this ring, or too small, too dark or saturated.
 
     Args:
-        grey: (h, w) the frame.
         px: (2,) centre of the mark, raw pixels.
         size_px: its diameter.
     """
@@ -174,12 +171,11 @@ _LIMIT_PX = 0.3
 _MOST_NAMED = 4
 
 
-def board_reasons(places: Mapping[str, BoardPlace], px_per_mm: float, *, searched: bool = True) -> Iterator[Reason]:
+def board_reasons(places: Mapping[str, OwnPlace], px_per_mm: float, *, searched: bool = True) -> Iterator[Reason]:
     """Yield the reasons for boards of a panel that their fiducials do not place, or not well.
 
     Args:
         places: the boards' places, by position.
-        px_per_mm: resolution of the station.
         searched: whether the method of the run uses fiducials.
     """
     check = "check these fiducials on the board and in the CAD data"

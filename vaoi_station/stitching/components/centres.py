@@ -71,10 +71,6 @@ def central_views(
     """Return one view for each of up to `_MOST` components, frame by frame: the view nearest to the frame's centre.
 
     Args:
-        plane: plane of the board type.
-        cad_matrix: C, (3, 3) from CAD to tester coordinates.
-        scene: the cameras and frames.
-        motion: motion of the rows.
         views: views of the components' centres.
     """
     if not plane.components.addresses:
@@ -152,10 +148,8 @@ def centre_of_symmetry(
     """Return how far the centre of symmetry of a component lies from its predicted place, px.
 
     Args:
-        grey: (h, w) the frame.
         px: (2,) the predicted place of the component's centre, raw pixels.
         half_px: (2,) half the extent of its footprint along the image's axes.
-        px_per_mm: resolution.
 
     Returns:
         The distance along x and y; None if the component is too large, too near to the border, or not symmetric.
@@ -246,13 +240,6 @@ def measure_component_shift(
 ) -> ComponentShift | None:
     """Measure the shift of the components against the places where C puts them.
 
-    Args:
-        plane: plane of the board type.
-        cad_matrix: C, (3, 3) from CAD to tester coordinates.
-        scene: the cameras and frames.
-        motion: motion of the rows.
-        views: one view of each component.
-
     Returns:
         The shift; None if the centres of too few components can be measured.
     """
@@ -327,7 +314,6 @@ def _fitted(seen: _Seen, prior: tuple[float, float]) -> ComponentShift | None:
     """Estimate the common shift of k components; wrong centres and kinds lose their weight.
 
     Args:
-        seen: the components' centres.
         prior: mean and standard deviation of the height factor.
     """
     board_mm, off_mm = seen.board_mm, seen.off_mm
@@ -395,12 +381,7 @@ class FiducialError(NamedTuple):
 
 
 def two_that_place(plane: BoardPlane, points: FiducialPoints | None) -> Ints | None:
-    """Return the numbers (2,) of the two fiducials that alone determine C; None if more points do.
-
-    Args:
-        plane: plane of the board type.
-        points: the points of the adjustment.
-    """
+    """Return the numbers (2,) of the two fiducials that alone determine C; None if more points do."""
     if points is None or (points.which < 0).any():
         return None
     found = set(points.which.tolist())
@@ -413,7 +394,6 @@ def likely_errors(shift: ComponentShift, fiducials_mm: Floats) -> list[FiducialE
     """Return the errors of one of two fiducials that the components show, the likeliest first; none if both fit.
 
     Args:
-        shift: what the components show.
         fiducials_mm: (2, 2) places of the fiducials by C, tester coordinates, mm.
     """
     weight, out = _information(shift), []
@@ -461,15 +441,7 @@ def component_reasons(
     points: FiducialPoints | None,
     px_per_mm: float,
 ) -> list[Reason]:
-    """Return a reason if the pictures of the components are centred elsewhere than C puts them.
-
-    Args:
-        shift: what the components show; None if they show nothing.
-        plane: plane of the board type.
-        adjusted: solution of the adjustment.
-        points: fiducial points of that adjustment.
-        px_per_mm: resolution of the station.
-    """
+    """Return a reason if the pictures of the components are centred elsewhere than C puts them."""
     if shift is None or adjusted.similarity is None:
         return []
     places = apply(plane.matrix(adjusted.similarity), plane.cad(plane.fiducials))

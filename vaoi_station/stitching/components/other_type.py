@@ -60,8 +60,6 @@ def shown_by_points(plane: BoardPlane, points: FiducialPoints | None, residual_p
     """Return whether points of the reference that fit lie on enough components that these need no comparison.
 
     Args:
-        plane: plane of the board type.
-        points: the k points with known CAD coordinates.
         residual_px: (k, 2) their residuals in the adjustment.
     """
     if points is None:
@@ -75,9 +73,6 @@ def compare_components(plane: BoardPlane, views: list[PartView], scene: Scene, r
     """Compare components in the frames of a run with the same components in the same frames of the reference.
 
     Args:
-        plane: plane of the board type.
-        views: one view of each component.
-        scene: the cameras and frames of the run.
         reference: the reference, with its own views of the components.
     """
     theirs, scores = reference.stitch.components or {}, []
@@ -152,9 +147,7 @@ def find_unlisted_parts(plane: BoardPlane, problem: Problem, adjusted: Adjustmen
     """Find corners above the bare board, from links between rows away from components and from the outline.
 
     Args:
-        plane: plane of the board type.
         problem: the problem of the adjustment, with placed components.
-        adjusted: its solution.
     """
     o, motion, c = problem.links, adjusted.motion, adjusted.similarity
     nothing = UnlistedParts(0, 0, 0, np.zeros((0, 2)))
@@ -166,19 +159,8 @@ def find_unlisted_parts(plane: BoardPlane, problem: Problem, adjusted: Adjustmen
     on_board = links_on_board(plane, c, o, motion, float(np.median(o.px_per_mm)))
     bare = (problem.component < 0) & ~problem.reaches_component & (o.p != o.q)
     at = on_board[bare[on_board]]
-    surface_mm = (problem.surface.at_links[at] @ adjusted.surface_mm)[:, None]
-    lean = motion.turned(o.p[at], o.a_lean[at])
-    change = motion.turned(o.q[at], o.b_lean[at]) - lean
-    place = motion.board(o.p[at], o.a_mm[at]) + lean * surface_mm
-    residual = motion.board(o.q[at], o.b_mm[at]) - motion.board(o.p[at], o.a_mm[at]) + change * surface_mm
-    floor = (max(adjusted.floor_px, _LEAST_FLOOR_PX) / o.px_per_mm[at]) ** 2
-    weight = np.linalg.inv(o.noise_mm2[at] + floor[:, None, None] * np.eye(2))
-    # The height by each link, as in `quality/heights.py`.
-    weighted = np.einsum("kij,kj->ki", weight, change)
-    information = np.maximum((change * weighted).sum(1), 1e-9)
-    height, sigma = -(weighted * residual).sum(1) / information, 1 / np.sqrt(information)
-    rest = residual + change * height[:, None]
-    known = (sigma < _WORST_MM) & (np.einsum("ki,kij,kj->k", rest, weight, rest) < _ASIDE**2)
+    height, sigma, aside, place, _ = adjusted.link_heights(at, _LEAST_FLOOR_PX)
+    known = (sigma < _WORST_MM) & (aside < _ASIDE)
     limit = np.maximum(_HIGH_SIGMAS * sigma, _HIGH_MM)
     raised = known & (height > limit)
     squares = np.unique(np.floor(place[raised] / _PLACE_MM), axis=0)

@@ -29,7 +29,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.projection_kernels import transfer_points
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links
-from vaoi_station.stitching.matching.frames import MaskedFrame, PreparedFrame, resample
+from vaoi_station.stitching.matching.frames import PreparedFrame, resample
 from vaoi_station.stitching.matching.patches import inside_both, patch_centres
 from vaoi_station.stitching.matching.refinement import MARGIN_PX, WINDOW_PX
 
@@ -301,12 +301,12 @@ def in_one_grid(pair: FramePair, reach_px: float = 0.0) -> FramePair:
         part, origin = _resampled(pair.b, b_from_a, box, reach_px, pair.a.factor)
         b_from_grid = _shifted(b_from_a, origin)
         shown = _moved(_inverse(b_from_grid), _corners(pair.camera_b))
-        a, b = MaskedFrame(pair.a, polygon), MaskedFrame(part, shown)
+        a, b = pair.a.masked(polygon), part.masked(shown)
         return GridPair(a, b, pair.camera_a, pair.camera_b, pair.shift_mm, pair, b_from_grid=b_from_grid)
     in_b = _moved(b_from_a, polygon)
     a_from_b = _inverse(b_from_a)
     part, origin = _resampled(pair.a, a_from_b, np.array([in_b.min(0), in_b.max(0)]), 0.0, pair.b.factor)
-    a = MaskedFrame(part, in_b - origin)
+    a = part.masked(in_b - origin)
     a_from_grid = _shifted(a_from_b, origin)
     return GridPair(a, pair.b, pair.camera_a, pair.camera_b, pair.shift_mm, pair, a_from_grid=a_from_grid)
 
@@ -334,7 +334,6 @@ def _resampled(
     """Resample the part of a frame around a box, and return it with the grid position (2,) of its first pixel.
 
     Args:
-        frame: the frame.
         frame_from_grid: (2, 3) affine map from the grid to pixels of the frame.
         box: (2, 2) lowest and highest corner of the box in the grid.
         reach_px: by how much a search may exceed the box.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,9 +34,12 @@ class PreparedFrame:
     In a copy that is reduced by `factor`, the centre of pixel k lies at the coordinate (k + ½)·factor − ½ of the frame.
     """
 
-    def __init__(self, pixels: NDArray[Any]) -> None:
-        """Create it from the pixels of a grey frame (h, w) or a colour frame (h, w, 3), 8 bit or full-scale 16 bit."""
-        self._pixels = pixels
+    def __init__(self, pixels: NDArray[Any], part_px: Floats | None = None) -> None:
+        """Create it from the pixels of a grey frame (h, w) or a colour frame (h, w, 3), 8 bit or full-scale 16 bit.
+
+        `part_px` are the corners (k, 2) of the convex part that coarse searches use; None for all of it.
+        """
+        self._pixels, self._part_px = pixels, part_px
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
@@ -74,7 +78,13 @@ class PreparedFrame:
         """The grey frame reduced by `factor`, minus its local mean, which removes uneven light and vignetting."""
         small = downsampled(self, self.factor)
         wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
-        return np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
+        coarse = np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
+        if self._part_px is None:
+            return coarse
+        mask = np.zeros(coarse.shape, np.uint8)
+        corners = np.clip((self._part_px + 0.5) / self.factor - 0.5, -_FAR_PX, _FAR_PX)
+        cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 1)
+        return np.asarray(coarse * mask, dtype=np.float32)
 
     @cached_property
     def coarser(self) -> NDArray[np.float32]:
@@ -82,50 +92,18 @@ class PreparedFrame:
         return np.asarray(half_size(self.coarse))
 
     def with_grey(self, grey: NDArray[np.uint8]) -> PreparedFrame:
-        """Return a frame of the same size with other grey levels."""
-        return PreparedFrame(grey)
+        """Return a frame of the same size, and with the same part, with other grey levels."""
+        return PreparedFrame(grey, self._part_px)
 
-
-class MaskedFrame(PreparedFrame):
-    """A frame of which coarse searches use only a part. Outside this part `coarse` is 0, which means no texture."""
-
-    def __init__(self, frame: PreparedFrame, polygon_px: Floats) -> None:
-        """Create it from a frame and the corners (k, 2) of a convex part."""
-        super().__init__(frame.grey)
-        self._frame, self._polygon_px = frame, polygon_px
-
-    def with_grey(self, grey: NDArray[np.uint8]) -> PreparedFrame:
-        """Return a frame of the same size and with the same part, with other grey levels."""
-        return MaskedFrame(PreparedFrame(grey), self._polygon_px)
-
-    @cached_property
-    def grey(self) -> NDArray[np.uint8]:
-        """(h, w) 8-bit luminance of the whole frame."""
-        return self._frame.grey
-
-    @cached_property
-    def quarter(self) -> NDArray[np.uint8]:
-        """The whole frame reduced by 4."""
-        return self._frame.quarter
-
-    @cached_property
-    def copies(self) -> dict[int, NDArray[np.uint8]]:
-        """The cache of `downsampled` of the whole frame."""
-        return self._frame.copies
-
-    @cached_property
-    def factor(self) -> int:
-        """Factor by which `coarse` is reduced."""
-        return self._frame.factor
-
-    @cached_property
-    def coarse(self) -> NDArray[np.float32]:
-        """The copy `coarse` of the frame, set to 0 outside the selected part."""
-        whole = self._frame.coarse
-        mask = np.zeros(whole.shape, np.uint8)
-        corners = np.clip((self._polygon_px + 0.5) / self.factor - 0.5, -_FAR_PX, _FAR_PX)
-        cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 1)
-        return np.asarray(whole * mask, dtype=np.float32)
+    def masked(self, part_px: Floats) -> PreparedFrame:
+        """Return the frame for coarse searches in a convex part with corners (k, 2); outside `coarse` is 0."""
+        # They are read first, so that the copy shares what is computed once per frame.
+        _ = self.grey, self.copies, self.factor
+        out = copy.copy(self)
+        out._part_px = part_px
+        for searched in ("coarse", "coarser"):
+            out.__dict__.pop(searched, None)
+        return out
 
 
 def downsampled(frame: PreparedFrame, factor: int) -> NDArray[np.uint8]:

@@ -1,4 +1,10 @@
-"""Link two frames: find the coarse shift, choose well-textured corners, match their patches with sub-pixel accuracy."""
+"""Link two frames: find the coarse shift, choose well-textured corners, match their patches with sub-pixel accuracy.
+
+The coarse search correlates the overlap in reduced, high-passed copies of the frames at all shifts within a given
+range. `PreparedFrame` has two such copies: `coarse`, called full size here, and `coarser`, of half that size. A wide
+overlap is searched at half size only. A narrower one is searched at half size first; the search at full size is then
+limited to the surroundings of a few peaks.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +24,8 @@ from vaoi_station.stitching.matching.frames import PreparedFrame, downsampled
 from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
+Small = NDArray[np.float32]
+
 _REACH = 2
 """Number of pixels on each side that the texture of one pixel depends on: one for the sum over 3×3, one for Sobel."""
 _UNIT = 1 / (4 * 3 * 255)
@@ -28,19 +36,15 @@ _GOOD_SHARE, _WEAK, _LEAST = 0.9, 0.003, 1e-5
 
 The texture of a good corner is the quantile `_GOOD_SHARE` of the best texture of each cell."""
 
-_Plane = NDArray[np.float32]
-_Ints = NDArray[np.int64]
 
+def best_corners(
+    image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]
+) -> NDArray[np.int64]:
+    """Return the corners (k, 2), x and y in a reduced frame: the best pixel of each cell of a grid from (x0, y0) on.
 
-def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]) -> _Ints:
-    """Return the corners (k, 2), x and y in the image: the best pixel of each cell, without cells of weak texture.
-
-    Args:
-        image: (h, w) a reduced frame.
-        x0: first pixel column of the grid.
-        y0: first pixel line of the grid.
-        across: number of cells in x, and the width of a cell in pixels.
-        down: number of cells in y, and the height of a cell in pixels.
+    `across` and `down` are the number of cells and their size in pixels. Texture is the smaller eigenvalue of the
+    structure tensor (Shi and Tomasi, 1994). `cv2.cornerMinEigenVal` gives the same; with a selection by numpy that
+    takes 71 µs in place of 25 µs. Cells of weak texture have no corner.
     """
     best, at = _best_of_cells(image, x0, y0, across, down)
     # A high quantile over the cells is the texture of a good corner even if most cells show only the belt.
@@ -52,7 +56,7 @@ def best_corners(image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, 
 @compiled
 def _best_of_cells(
     image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]
-) -> tuple[_Plane, _Ints]:
+) -> tuple[Small, NDArray[np.int64]]:
     """Return the texture of the best pixel of each cell (n,), and its x and y (n, 2)."""
     nx, width = across
     ny, height = down
@@ -71,7 +75,7 @@ def _best_of_cells(
 
 
 @inlined
-def _corners(image: NDArray[np.uint8], x0: int, y0: int, score: _Plane) -> None:
+def _corners(image: NDArray[np.uint8], x0: int, y0: int, score: Small) -> None:
     """Write the smaller eigenvalue of the structure tensor to `score` (H, W), for the image pixels from (x0, y0) on.
 
     Pixels within `_REACH` of the image's border keep the value 0.
@@ -129,8 +133,6 @@ _DIRECT = 1_200_000
 faster."""
 _MIN_CONTRAST = 1.0
 """Contrast, rms of the high-passed grey levels, below which an overlap counts as empty."""
-
-Small = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

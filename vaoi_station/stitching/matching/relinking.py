@@ -191,7 +191,6 @@ def possible_motions(links: Sequence[Links], cameras: Sequence[Camera], nominal_
 
     Args:
         links: the links between the two rows, one entry per camera.
-        cameras: all cameras.
         nominal_mm: (2,) nominal motion between the two rows.
     """
     found: list[Floats] = []
@@ -422,9 +421,6 @@ def relink_rows(
     Args:
         links: all links of the run near the nominal motion, sorted by task; those between cameras are not changed.
         measured: the same links between rows, as motions on the conveyor's plane.
-        scene: cameras and frames.
-        velocity_mm_s: (2,) nominal velocity of the conveyor.
-        times_s: (m,) time of every row's pulse.
     """
     run = _Relinker(scene, velocity_mm_s, times_s, tuple(sorted({row for _, row in scene.present})))
     found = _find_steps(run, links, measured)

@@ -1,29 +1,12 @@
-"""Lights that stayed dark in a run: rows of a light that are black between rows that are bright.
-
-A row is a candidate if none of its frames fits the board's motion, since a black frame has no links. It counts as dark
-if all its frames are nearly without contrast, while the frames of the same cameras in the nearest sound rows before and
-after it have contrast. So neither a bare belt at the ends of a run nor one covered camera looks like a dark light.
-
-Which good frames are confirmed: their pictures show that they belong to the row in which they are.
+"""Which good frames are confirmed: their pictures show that they belong to the row in which they are.
 
 A frame that is black, covered, frozen or in a wrong row can be complete. It does not fit the board's motion, and no
-component counts as seen in it.
-
-Frames that show the end of the board where the motion puts it, although they show hardly anything else of the board.
-
-A frame at the end of a run may show a strip of the board without a corner that is found again. Corners on a bed beside
-the board prove nothing, since a bed looks the same at any time. But the edge of the board that lies across the motion
-is elsewhere in a picture of any other moment.
-
-Frames that show the moment of the frame before: a camera or driver sent it twice, with noise of its own.
-
-Links to the frame before and after such a frame fit where a board has equal parts at equal distances. If only few links
-of a frame fit, its pixels decide: a board that has moved shows its texture elsewhere, a repeated one in the same place.
+component counts as seen in it. Links on the board and points with CAD coordinates decide; where they are few, links
+beside the board, the edge of the board, and whether the frame repeats the picture of the frame before.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -31,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Observations
+from vaoi_station.stitching.adjustment.problem import REFERENCE, USED, AdjustmentResult, FiducialPoints, Observations
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import (
     HALF_PATCH_PX,
@@ -52,8 +34,6 @@ from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.matching.link import STATIC_PX, choose_corners, shows_patches
 from vaoi_station.stitching.matching.patches import patch_centres
 
-_USED = 0.1
-"""Weight above which a link counts as used."""
 _LEAST_FITTING, _LEAST_SHARE, _DECIDING = 3, 0.5, 5
 """Least number and share of a frame's links or points that must fit; number of them that decides it.
 
@@ -73,20 +53,31 @@ _ALIKE_MM = 0.05
 What lies beside the board is one plane, so that all residuals of a pair are alike: of sound frames of hostile drawings,
 0.98 and more. Along an edge of the carrier, links of a frame of another row fit by chance, but differ."""
 
+_EDGE_MM, _BEYOND_MM = 0.15, 0.6
+"""Largest distance of the edge from its place by C, and distance from it at which its step has ended.
 
-class _Fits(NamedTuple):
-    """Links of a frame, and those of them that fit the board's motion."""
+Rows are millimetres apart, boards are cut to 0.1 or 0.2 mm; steps are differences over 0.7 mm."""
+_LEAST_EDGE, _STANDS_OUT = 8.0, 3.0
+"""Least step of grey level at the edge, and least ratio to all other steps within 3.5 mm.
 
-    every: int = 0
-    fitting: int = 0
+In seven sound frames of the hostile suite that nothing else confirms, the edge has 24 to 52 grey levels, 6.5 to 7.2
+times as many as the next line. Of 714 frames that nothing else confirms, in drawings with frames of another moment, 80
+are confirmed, and all of these are of their moment (docs/measured/uncertainty.md)."""
+_ACROSS, _LEAST_PIECES = 0.9, 2
+"""Least cosine of the angle between the outward normal of a piece and the motion, and least number of such pieces."""
 
-    @property
-    def enough(self) -> bool:
-        """Whether as many links fit as a frame of this row must have."""
-        return self.fitting >= _LEAST_FITTING and self.fitting >= _LEAST_SHARE * self.every
+_LEAST_MOVED_PX, _LEAST_SAME, _MOST_MOVED = 4 * STATIC_PX, 5, 0.5
+"""Least motion of the board that two frames must show; least number of corners on it in the same place in a repeated
+frame, and largest number of corners, per such one, where the motion puts them.
 
-    def plus(self, every: int, fitting: int) -> _Fits:
-        return _Fits(self.every + every, self.fitting + fitting)
+A smear on the lens and a light spot stay in their place too, but then the board shows corners that moved."""
+
+_STEP_PX = 8
+"""Distance of the pixels by which the contrast of a frame is measured."""
+_NOISE_LEVELS, _DARK_SHARE, _SOUND_LEVELS = 8.0, 0.05, 40.0
+"""Contrast of a frame without light, at most: grey levels of noise, and share of that of the sound frames beside it;
+and least contrast of a frame by which one beside it can be called dark."""
+_MOST_NAMED = 12
 
 
 class CheckedFrames(NamedTuple):
@@ -110,6 +101,36 @@ class CheckedFrames(NamedTuple):
         return CheckedFrames(self.confirmed - repeated, self.refuted | repeated, self.sure, repeated)
 
 
+@dataclass(frozen=True)
+class Fits:
+    """For each frame that has any, the number of its links or points, and of those that fit the board's motion."""
+
+    frames: dict[FrameKey, tuple[int, int]]
+
+    @staticmethod
+    def of_links(links: Observations, fit: NDArray[np.bool_]) -> Fits:
+        """Count the links of every frame, and those that `fit` (k,)."""
+        count, frames = len(links.groups), dict[FrameKey, tuple[int, int]]()
+        every, fitting = np.bincount(links.group, minlength=count), np.bincount(links.group[fit], minlength=count)
+        for group, own, fits in zip(links.groups, every.tolist(), fitting.tolist(), strict=True):
+            for key in (group.task.a, group.task.b):
+                if key is not None:
+                    before = frames.get(key, (0, 0))
+                    frames[key] = before[0] + own, before[1] + fits
+        return Fits(frames)
+
+    @property
+    def enough(self) -> set[FrameKey]:
+        """The frames of which as many fit as a frame of this row must have."""
+        every = self.frames.items()
+        return {key for key, (n, fit) in every if fit >= _LEAST_FITTING and fit >= _LEAST_SHARE * n}
+
+    @property
+    def decided(self) -> set[FrameKey]:
+        """The frames with so many links or points that these decide."""
+        return {key for key, (n, _) in self.frames.items() if n >= _DECIDING}
+
+
 def check_frames(
     present: frozenset[FrameKey],
     copies: frozenset[FrameKey],
@@ -119,62 +140,39 @@ def check_frames(
 ) -> CheckedFrames:
     """Check what the good frames show against the board's motion.
 
-    Args:
-        present: the good frames.
-        copies: those that equal the frame before in every pixel.
-        method: the kinds of evidence that were used.
-        adjusted: the solution, with the problem that it solves.
-        beside: the links beside the board, which the adjustment left out; None if it left out none.
+    `copies` equal the frame before in every pixel; `beside` are the links beside the board, which the adjustment left
+    out, or None.
     """
-    points, possible = adjusted.problem.fiducials, present - copies
+    points, possible, links = adjusted.problem.fiducials, present - copies, adjusted.problem.links
     frames, decided = confirmed_by_points(points, adjusted.fiducial_px) if points is not None else (set(), set())
     sure = set(frames)
     if method.links:
-        sure |= _sure(adjusted.problem.links, adjusted.weight)
-        fitting, with_links = confirmed_by_links(adjusted.problem.links, adjusted.weight)
-        frames, decided = frames | fitting, decided | with_links
+        fits = Fits.of_links(links, adjusted.weight > USED)
+        sure |= {key for key, (_, fit) in fits.frames.items() if fit >= _SURE}
+        frames, decided = frames | fits.enough, decided | fits.decided
         if beside is not None:
             frames |= confirmed_beside(beside, adjusted.motion, possible - frames - decided)
     elif method.marks:
         # Marks are far apart: nothing could confirm a frame between two of them.
         return CheckedFrames(possible, copies & present, possible)
     confirmed = frozenset(frames & possible)
-    refuted = frozenset((copies | decided) & present - confirmed)
-    return CheckedFrames(confirmed, refuted, confirmed & sure)
+    return CheckedFrames(confirmed, frozenset((copies | decided) & present - confirmed), confirmed & sure)
 
 
-def confirmed_by_links(links: Observations, weight: NDArray[np.float64]) -> tuple[set[FrameKey], set[FrameKey]]:
-    """Return the frames that links on the board confirm, and those with enough links to decide it.
-
-    Args:
-        links: the k links on the board.
-        weight: (k,) their robust weights in the adjustment.
-    """
-    frames = _fits(links, weight > _USED)
-    return _enough(frames), _decided(frames)
-
-
-def confirmed_by_points(
-    points: FiducialPoints, residual_px: NDArray[np.float64]
-) -> tuple[set[FrameKey], set[FrameKey]]:
+def confirmed_by_points(points: FiducialPoints, residual_px: Floats) -> tuple[set[FrameKey], set[FrameKey]]:
     """Return the frames that points with CAD coordinates confirm, and those with enough of them to decide it.
 
-    One mark of the board confirms a frame, or points of the reference.
-
-    Args:
-        points: the k points.
-        residual_px: (k, 2) their residuals in the adjustment.
+    One mark of the board confirms a frame. Parts at equal distances let single points of the reference fit by chance.
     """
     fits, of_reference = inliers(points, residual_px), points.which == REFERENCE
-    frames: defaultdict[FrameKey, _Fits] = defaultdict(_Fits)
-    marked = set[FrameKey]()
+    frames, marked = dict[FrameKey, tuple[int, int]](), set[FrameKey]()
     for camera, row, fit, by_reference in np.column_stack([points.camera, points.row, fits, of_reference]).tolist():
         if by_reference:
-            frames[camera, row] = frames[camera, row].plus(1, fit)
+            n, fitting = frames.get((camera, row), (0, 0))
+            frames[camera, row] = n + 1, fitting + fit
         elif fit:
             marked.add((camera, row))
-    # Parts at equal distances let single points of the reference fit by chance.
-    return marked | _enough(frames), _decided(frames)
+    return marked | Fits(frames).enough, Fits(frames).decided
 
 
 def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection[FrameKey]) -> set[FrameKey]:
@@ -182,11 +180,6 @@ def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection
 
     A carrier moves with the board, and a belt nearly so. A frame at the end of a board may show little else: its few
     links on the board decide nothing then, but what lies beside the board shows that the frame is of its row.
-
-    Args:
-        beside: the links beside the board, which the adjustment left out.
-        motion: motion of the board.
-        undecided: frames with too few links on the board.
     """
     # The height of what lies beside the board is not known. It displaces links between cameras too far to compare them.
     links = beside.select(np.flatnonzero(beside.p != beside.q))
@@ -198,58 +191,14 @@ def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection
     for group in np.unique(links.group):
         mine = links.group == group
         fits[mine] &= np.hypot(*(apart_mm[mine] - np.median(apart_mm[mine], axis=0)).T) <= _ALIKE_MM
-    return {
-        key
-        for key, one in _fits(links, fits).items()
-        if key in undecided and one.fitting >= _DECIDING and one.fitting >= _BESIDE_SHARE * one.every
-    }
+    counts = Fits.of_links(links, fits).frames.items()
+    return {key for key, (n, fit) in counts if key in undecided and fit >= _DECIDING and fit >= _BESIDE_SHARE * n}
 
 
-def linked_to_before(links: Observations, weight: NDArray[np.float64]) -> set[FrameKey]:
+def linked_to_before(links: Observations, weight: Floats) -> set[FrameKey]:
     """Return the frames of which a used link leads to the frame before; `weight` (k,) are the links' robust weights."""
-    used = {links.groups[n].task for n in np.unique(links.group[weight > _USED]).tolist()}
+    used = {links.groups[n].task for n in np.unique(links.group[weight > USED]).tolist()}
     return {t.b for t in used if t.b is not None and t.kind == "rows" and t.b == (t.a[0], t.a[1] + 1)}
-
-
-def _sure(links: Observations, weight: NDArray[np.float64]) -> set[FrameKey]:
-    """Return the frames of which more links fit than may fit by chance."""
-    return {key for key, one in _fits(links, weight > _USED).items() if one.fitting >= _SURE}
-
-
-def _enough(frames: Mapping[FrameKey, _Fits]) -> set[FrameKey]:
-    return {key for key, one in frames.items() if one.enough}
-
-
-def _decided(frames: Mapping[FrameKey, _Fits]) -> set[FrameKey]:
-    return {key for key, one in frames.items() if one.every >= _DECIDING}
-
-
-def _fits(links: Observations, fit: NDArray[np.bool_]) -> dict[FrameKey, _Fits]:
-    """Count the links of every frame, and those that fit."""
-    count = len(links.groups)
-    every, fitting = np.bincount(links.group, minlength=count), np.bincount(links.group[fit], minlength=count)
-    frames: defaultdict[FrameKey, _Fits] = defaultdict(_Fits)
-    for group, own, fits in zip(links.groups, every.tolist(), fitting.tolist(), strict=True):
-        for key in (group.task.a, group.task.b):
-            if key is not None:
-                frames[key] = frames[key].plus(own, fits)
-    return frames
-
-
-_NEAR_MM = 0.15
-"""Largest distance of the edge from its place by C. Rows are millimetres apart, boards are cut to 0.1 or 0.2 mm."""
-_BEYOND_MM = 0.6
-"""Distance from the edge at which its step has ended: steps are differences over 0.7 mm."""
-_LEAST_EDGE, _STANDS_OUT = 8.0, 3.0
-"""Least step of grey level at the edge, and least ratio to all other steps within 3.5 mm.
-
-In seven sound frames of the hostile suite that nothing else confirms, the edge has 24 to 52 grey levels, 6.5 to 7.2
-times as many as the next line. Of 714 frames that nothing else confirms, in drawings with frames of another moment, 80
-are confirmed, and all of these are of their moment (docs/measured/uncertainty.md)."""
-_ACROSS = 0.9
-"""Least cosine of the angle between the outward normal of a piece and the motion."""
-_LEAST_PIECES = 2
-"""Least number of pieces of one end of the board that must be in view."""
 
 
 def frames_with_edge(
@@ -262,24 +211,33 @@ def frames_with_edge(
 ) -> frozenset[FrameKey]:
     """Return those of the frames that show an end of the board where C and the motion put it; none without an outline.
 
-    Args:
-        frames: camera and row of the frames to examine.
-        plane: plane of the board type.
-        cad_matrix: C, (3, 3).
-        scene: the cameras and the good frames.
-        motion: motion of the board.
-        velocity_mm_s: (2,) nominal velocity of the belt, of which the direction is used.
+    A frame at the end of a run may show a strip of the board without a corner that is found again. Corners on a bed
+    beside the board prove nothing, since a bed looks the same at any time. But the edge of the board that lies across
+    the motion is elsewhere in a picture of any other moment.
     """
     pieces = straight_pieces(outline_polygons(plane.board_type), plane.board_type.mm_per_unit)
     # A board type with fixture marks describes its carrier, whose edge nothing is known of.
     if not len(pieces) or plane.board_type.fixture_marks:
         return frozenset()
-    board, way = apply(cad_matrix, pieces), velocity_mm_s / np.hypot(*velocity_mm_s)
-    there = set(scene.present)
+    board, way, there = apply(cad_matrix, pieces), velocity_mm_s / np.hypot(*velocity_mm_s), set(scene.present)
 
     def shows_end(key: FrameKey, picture: FrameKey) -> bool:
+        """Return whether a picture, taken as that of a frame, shows one of the board's two ends in its place."""
         alone = replace(scene, present=(key,), prepared=lambda _: scene.prepared(picture))
-        return _shows_end(plane, cad_matrix, board, alone, motion, way)
+        step_mm, normal, steps = edge_profiles(board, alone, motion)
+        offset = (np.arange(steps.shape[1]) - steps.shape[1] // 2) * step_mm
+        known, at_edge, along = steps > 0, np.abs(offset) <= _EDGE_MM + step_mm / 2, normal @ way
+        in_view = (np.abs(along) >= _ACROSS) & known[:, at_edge].all(1)
+        for end in (along > 0, along < 0):
+            mine = np.flatnonzero(in_view & end)
+            if len(mine) < _LEAST_PIECES:
+                continue
+            seen = np.where(known, steps, np.nan)[mine]
+            others = other_steps(plane, cad_matrix, board[mine], normal[mine, None] * offset[:, None], seen, _BEYOND_MM)
+            edge, around = strongest_line(seen[:, at_edge]), strongest_line(seen[:, np.abs(offset) <= _BEYOND_MM])
+            if edge >= max(_LEAST_EDGE, _STANDS_OUT * strongest_line(others), around):
+                return True
+        return False
 
     def is_repeated(key: FrameKey) -> bool:
         # A picture of the moment before shows what it shows in the same pixels. On a carrier, another edge than the
@@ -290,92 +248,38 @@ def frames_with_edge(
     return frozenset(key for key in frames if shows_end(key, key) and not is_repeated(key))
 
 
-def _shows_end(plane: BoardPlane, cad_matrix: Floats, board: Floats, scene: Scene, motion: Motion, way: Floats) -> bool:
-    """Return whether the single frame of a scene shows one of the board's two ends in its place.
-
-    `board` (k, 2, 2) are the pieces of the outline in tester coordinates, `way` (2,) is the direction of the motion.
-    """
-    step_mm, normal, steps = edge_profiles(board, scene, motion)
-    offset = (np.arange(steps.shape[1]) - steps.shape[1] // 2) * step_mm
-    known, at_edge, along = steps > 0, np.abs(offset) <= _NEAR_MM + step_mm / 2, normal @ way
-    in_view = (np.abs(along) >= _ACROSS) & known[:, at_edge].all(1)
-    for end in (along > 0, along < 0):
-        mine = np.flatnonzero(in_view & end)
-        if len(mine) < _LEAST_PIECES:
-            continue
-        seen = np.where(known, steps, np.nan)[mine]
-        others = other_steps(plane, cad_matrix, board[mine], normal[mine, None] * offset[:, None], seen, _BEYOND_MM)
-        edge, around = strongest_line(seen[:, at_edge]), strongest_line(seen[:, np.abs(offset) <= _BEYOND_MM])
-        if edge >= max(_LEAST_EDGE, _STANDS_OUT * strongest_line(others), around):
-            return True
-    return False
-
-
-_LEAST_MOVED_PX = 4 * STATIC_PX
-"""Least motion of the board that two frames must show; a board at rest looks the same twice."""
-_LEAST_SAME = 5
-"""Least number of corners on the board that must appear in the same place in a repeated frame."""
-_MOST_MOVED = 0.5
-"""Largest number of corners that appear where the motion puts them, per corner in the same place.
-
-A smear on the lens and a light spot stay in their place too, but then the board shows corners that moved."""
-
-
 def repeated_frames(
     frames: Iterable[FrameKey], plane: BoardPlane, c: Floats, scene: Scene, motion: Motion
 ) -> frozenset[FrameKey]:
     """Return those of the frames that show the board where the frame before shows it; none without an outline.
 
-    Args:
-        frames: camera and row of the frames to examine.
-        plane: the CAD plane of the board.
-        c: parameters of C (a, b, x, y).
-        scene: the cameras and the good frames.
-        motion: motion of the board.
+    A camera or driver sent it twice, with noise of its own. Links to the frame before and after fit where a board has
+    equal parts at equal distances. If only few links of a frame fit, its pixels decide: a board that has moved shows
+    its texture elsewhere, a repeated one in the same place.
     """
     # Without an outline, a bed that stands still beside the board would count as the board.
     if not outline_polygons(plane.board_type) or plane.board_type.fixture_marks:
         return frozenset()
     there = set(scene.present)
-    return frozenset(
-        (camera, row)
-        for camera, row in frames
-        if (camera, row - 1) in there and _repeated(camera, row, plane, c, scene, motion)
-    )
 
+    def is_repeated(camera: int, row: int) -> bool:
+        lens, before = scene.cameras[camera], scene.prepared((camera, row - 1))
+        height, width = before.grey.shape
+        px = patch_centres(choose_corners(before, (0, 0, width, height)))
+        if not len(px):
+            return False
+        board_mm = motion.board(np.full(len(px), row - 1), lens.ground(px))
+        on_board = ~beside(plane, c, board_mm, -HALF_PATCH_PX / lens.px_per_mm)
+        px, now_px = px[on_board], lens.project(apply(motion.rows_from_tester[row], board_mm[on_board]))
+        if len(px) < _LEAST_SAME or np.hypot(*(now_px - px).T).min() < _LEAST_MOVED_PX:
+            return False
+        grey, now = before.grey, scene.prepared((camera, row)).grey
+        same = int(shows_patches(grey, now, px, px, STATIC_PX)[0].sum())
+        if same < _LEAST_SAME:
+            return False
+        return int(shows_patches(grey, now, px, now_px, STATIC_PX)[0].sum()) < _MOST_MOVED * same
 
-def _repeated(camera: int, row: int, plane: BoardPlane, c: Floats, scene: Scene, motion: Motion) -> bool:
-    lens, before = scene.cameras[camera], scene.prepared((camera, row - 1))
-    height, width = before.grey.shape
-    px = patch_centres(choose_corners(before, (0, 0, width, height)))
-    if not len(px):
-        return False
-    board_mm = motion.board(np.full(len(px), row - 1), lens.ground(px))
-    on_board = ~beside(plane, c, board_mm, -HALF_PATCH_PX / lens.px_per_mm)
-    px, now_px = px[on_board], _seen_in(lens, row, board_mm[on_board], motion)
-    if len(px) < _LEAST_SAME or np.hypot(*(now_px - px).T).min() < _LEAST_MOVED_PX:
-        return False
-    grey, now = before.grey, scene.prepared((camera, row)).grey
-    same = int(shows_patches(grey, now, px, px, STATIC_PX)[0].sum())
-    if same < _LEAST_SAME:
-        return False
-    return int(shows_patches(grey, now, px, now_px, STATIC_PX)[0].sum()) < _MOST_MOVED * same
-
-
-def _seen_in(camera: Camera, row: int, board_mm: Floats, motion: Motion) -> Floats:
-    """Return the pixels (k, 2) at which a camera shows points (k, 2) of the board, mm, in a row."""
-    return camera.project(apply(motion.rows_from_tester[row], board_mm))
-
-
-_STEP_PX = 8
-"""Distance of the pixels by which the contrast of a frame is measured."""
-_NOISE_LEVELS = 8.0
-"""Contrast of a frame without light, at most, in grey levels of 8 bits: noise and fixed pattern."""
-_DARK_SHARE = 0.05
-"""Largest contrast of a dark frame, as a share of that of the sound frames beside it: stray light."""
-_SOUND_LEVELS = 40.0
-"""Least contrast of a frame by which a frame beside it can be called dark, in grey levels."""
-_MOST_NAMED = 12
+    return frozenset((i, j) for i, j in frames if (i, j - 1) in there and is_repeated(i, j))
 
 
 @dataclass(frozen=True)
@@ -401,25 +305,44 @@ class DarkLight:
 
 
 def dark_lights(scene: Scene, lights: RowLights, confirmed: Collection[FrameKey]) -> tuple[DarkLight, ...]:
-    """Return the lights with dark rows, in the order of their first one; empty if lights have no names.
+    """Return the lights with rows that are black between bright ones, in the order of their first one.
 
-    Args:
-        scene: the good frames of the run.
-        lights: the lights of the rows.
-        confirmed: the frames that fit the board's motion.
+    A row is a candidate if none of its frames is `confirmed`. It counts as dark if all its frames are nearly without
+    contrast, while the frames of the same cameras in the nearest sound rows before and after it have contrast. So
+    neither a bare belt at the ends of a run nor one covered camera looks like a dark light.
     """
     sound = sorted({row for _, row in confirmed})
     if not lights.names or not sound:
         return ()
-    contrasts: dict[FrameKey, float] = {}
-    found: dict[str, list[int]] = {}
+    present, contrasts = set(scene.present), dict[FrameKey, float]()
+
+    def contrast(key: FrameKey) -> float:
+        """Return the difference between bright and dark pixels of a frame, in grey levels."""
+        if key not in contrasts:
+            low, high = np.percentile(scene.prepared(key).grey[::_STEP_PX, ::_STEP_PX], (1, 99))
+            contrasts[key] = float(high - low)
+        return contrasts[key]
+
+    def is_dark(row: int) -> bool:
+        """Return whether all frames of a row are black beside the nearest sound rows before and after it."""
+        beside = [near for near in sound if near < row][-1:] + [near for near in sound if near > row][:1]
+        compared = 0
+        for camera in {i for i, j in present if j == row}:
+            bright = min((contrast((camera, near)) for near in beside if (camera, near) in present), default=0.0)
+            if bright >= _SOUND_LEVELS:
+                if contrast((camera, row)) > max(_NOISE_LEVELS, _DARK_SHARE * bright):
+                    return False
+                compared += 1
+        return compared > 0
+
+    dark: dict[str, list[int]] = {}
     # One row beyond the sound ones may still show the board. Farther away it may have left the view.
-    for row in range(sound[0] - 1, min(sound[-1] + 2, len(lights.names))):
-        if row >= 0 and row not in sound and _is_dark(scene, row, sound, contrasts):
-            found.setdefault(lights.names[row], []).append(row)
+    for row in range(max(sound[0] - 1, 0), min(sound[-1] + 2, len(lights.names))):
+        if row not in sound and is_dark(row):
+            dark.setdefault(lights.names[row], []).append(row)
     return tuple(
         DarkLight(name, tuple(rows), lights.names.count(name), lights.channels.get(name, ()))
-        for name, rows in found.items()
+        for name, rows in dark.items()
         if rows[0] < sound[-1] and rows[-1] > sound[0]
     )
 
@@ -436,29 +359,3 @@ def dark_light_reasons(dark: Sequence[DarkLight]) -> Iterator[Reason]:
             f"light {light.name}: {subject} dark ({len(light.rows)} of its {light.of_rows} rows), while the rows "
             f"beside are bright: check lamp, driver and cable{output}, and film the board again",
         )
-
-
-def _is_dark(scene: Scene, row: int, sound: list[int], contrasts: dict[FrameKey, float]) -> bool:
-    """Return whether all frames of a row are black beside the nearest sound rows before and after it."""
-    beside = (
-        [near for near in sound if near < row][-1:],
-        [near for near in sound if near > row][:1],
-    )
-    present, compared = set(scene.present), 0
-    for camera in {i for i, j in present if j == row}:
-        keys = [(camera, near) for rows in beside for near in rows if (camera, near) in present]
-        bright = min((_contrast(scene, key, contrasts) for key in keys), default=0.0)
-        if bright < _SOUND_LEVELS:
-            continue
-        if _contrast(scene, (camera, row), contrasts) > max(_NOISE_LEVELS, _DARK_SHARE * bright):
-            return False
-        compared += 1
-    return compared > 0
-
-
-def _contrast(scene: Scene, key: FrameKey, known: dict[FrameKey, float]) -> float:
-    """Return the difference between bright and dark pixels of a frame, in grey levels."""
-    if key not in known:
-        low, high = np.percentile(scene.prepared(key).grey[::_STEP_PX, ::_STEP_PX], (1, 99))
-        known[key] = float(high - low)
-    return known[key]

@@ -13,7 +13,7 @@ from vaoi_station.geometry.displacement import rms_displacement_px
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, Surface, Visibility
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, to_surface
+from vaoi_station.stitching.adjustment.problem import USED, AdjustmentResult, FiducialPoints, Problem, to_surface
 from vaoi_station.stitching.adjustment.row_motion import connected_rows
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
@@ -28,7 +28,7 @@ from vaoi_station.stitching.components.places import (
     placed_parts,
 )
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.geometry import FootprintViews, frames_of_marks
+from vaoi_station.stitching.geometry import FootprintViews, FrameIndex, frames_of_marks
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Method
 from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.quality.confirmation import (
@@ -48,14 +48,9 @@ from vaoi_station.stitching.quality.uncertainty import (
     predict_sigma,
     reference_share,
     seam_sigma_px,
-    with_camera_errors,
-    with_common_error,
-    with_component_errors,
 )
-from vaoi_station.stitching.quality.visibility import FilmedBoard, SeenFrames, UnseenComponent, find_unseen
+from vaoi_station.stitching.quality.visibility import FilmedBoard, UnseenComponent, find_unseen, required_visibility
 
-_USED = 0.1
-"""Weight above which a link counts as used."""
 SEAM_LIMIT_PX = 0.30
 """Largest accepted disagreement of two cameras at their seam, px."""
 DISPLACED_PX = 0.20
@@ -123,9 +118,15 @@ class Findings:
         """Predicted standard deviations of component positions, and of the rows."""
         predicted = predict_sigma(self.scene, self.plane, self.adjusted, self.views)
         share = reference_share(self.problem.fiducials, self.adjusted.fiducial_px) * self.reference_sigma_px
-        predicted = with_common_error(predicted, share) if share > 0 else predicted
-        predicted = with_component_errors(predicted, self.own_places.sigma_mm, self.scene.cameras, self.skipped_parts)
-        return with_camera_errors(predicted, position_errors_px(self.lens_errors, len(self.calibrated)))
+        predicted, camera = predicted.with_common_error(share), predicted.seen_in[:, 0]
+        if self.own_places.sigma_mm:
+            # Of fiducials that place a component, or the board of a panel on which it is.
+            names, px_per_mm = predicted.names, np.array([c.px_per_mm for c in self.scene.cameras])[camera]
+            own_mm = np.array([self.own_places.sigma_mm.get(name, 0.0) for name in names])[predicted.part]
+            demanded = np.array([name not in self.skipped_parts for name in names], np.bool_)[predicted.part]
+            predicted = predicted.with_errors(own_mm * px_per_mm, demanded)
+        of_lenses = position_errors_px(self.lens_errors, len(self.calibrated))
+        return predicted.with_errors(np.array([of_lenses.get(i, 0.0) for i in range(len(self.calibrated))])[camera])
 
     @cached_property
     def lens_errors(self) -> dict[int, LensError]:
@@ -155,6 +156,12 @@ class Findings:
         return own_places(self.plane, self.adjusted, self.problem.fiducials, self.cad_matrix)
 
     @cached_property
+    def _frames(self) -> FrameIndex:
+        """The good frames, with the poses that the adjustment estimated."""
+        scene = self.scene
+        return FrameIndex(scene.cameras, self.adjusted.motion.rows_from_tester, scene.present, self.surface, scene)
+
+    @cached_property
     def views(self) -> FootprintViews | None:
         """Views of the components, or of two corners of the board if it has none, in frames that may show them."""
         return self._every_view and self._every_view.without_frames(self._misplaced)
@@ -164,9 +171,8 @@ class Findings:
         """The views in all frames with a position, whatever they show; None without C."""
         if self.plane is None or self.cad_matrix is None:
             return None
-        rows, cameras = self.adjusted.motion.rows_from_tester, self.scene.cameras
         cad = placed_landmarks(self.plane, self.cad_matrix, self.own_places.matrices)
-        return FootprintViews.of(cad, self.cad_matrix, cameras, rows, self.surface).without_rows(self.unplaced)
+        return self._frames.views(cad, self.cad_matrix).without_rows(self.unplaced)
 
     @cached_property
     def bad_marks(self) -> dict[str, BoardMarks]:
@@ -203,8 +209,7 @@ class Findings:
         """One confirmed frame for each fiducial that a frame shows with its bare rim, by number; empty without C."""
         if self.plane is None or self.cad_matrix is None:
             return {}
-        rows, marks = self.adjusted.motion.rows_from_tester, self.plane.cad(self.plane.fiducials)
-        views = FootprintViews.of(marks, self.cad_matrix, self.scene.cameras, rows, self.surface)
+        views = self._frames.views(self.plane.cad(self.plane.fiducials), self.cad_matrix)
         return frames_of_marks(self.plane.board_type, views, self.scene.cameras, self.checked.confirmed)
 
     @cached_property
@@ -239,10 +244,10 @@ class Findings:
         """The components of which the good frames show less than is asked for; empty without C."""
         if self.plane is None or self.cad_matrix is None:
             return ()
-        rows, frames = self.adjusted.motion.rows_from_tester, SeenFrames(self.scene.present, self.checked.confirmed)
         parts = placed_parts(self.plane, self.cad_matrix, self.own_places.matrices)
-        board = FilmedBoard(self.plane.board_type, parts, self.cad_matrix, self.scene.cameras, rows, self.surface)
-        unseen = find_unseen(board, frames, self.problem.velocity_mm_s, self.visibility)
+        board = FilmedBoard(parts, self.cad_matrix, self._frames)
+        required = required_visibility(self.plane.board_type, self.visibility)
+        unseen = find_unseen(board, self.checked.confirmed, self.problem.velocity_mm_s, required)
         return tuple(part for part in unseen if part.address not in self.skipped_parts)
 
     @cached_property
@@ -283,7 +288,7 @@ class Findings:
     @cached_property
     def _used_between_rows(self) -> np.ndarray:
         """Which links are between rows and have a weight in the adjustment, (k,)."""
-        return np.asarray((self.adjusted.weight > _USED) & (self.problem.links.p != self.problem.links.q))
+        return np.asarray((self.adjusted.weight > USED) & (self.problem.links.p != self.problem.links.q))
 
     @cached_property
     def unknown_rows(self) -> tuple[int, ...]:

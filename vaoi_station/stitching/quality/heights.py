@@ -1,14 +1,24 @@
-"""Heights of components above the board, computed from the links on their bodies.
+"""Heights of components above the board, from the links on their bodies.
 
-The adjustment estimates a height for every component, so that links on components do not disturb the other unknowns.
-For that purpose, a link may lie on the body, on a lead, or on the board between leads. The height of the body, however,
-must come from links on the body. With the adjusted motion and surface, each link on a component gives one estimate h of
-the height, with variance σ²:
+The adjustment estimates a height for every component, so that links on it do not disturb the other unknowns; they may
+lie on the body, on a lead, or on the board between leads. The height of the body must come from links on the body.
+The footprint covers its body, its leads, pads and bare board, and how much of it the body covers is not known.
+Therefore many hypotheses are compared. Each hypothesis
+states the *extent* of the body, a rectangle inside the footprint, and its height H. The extent sorts the links:
 
-    h = −(l·W·r) / (l·W·l),    σ² = 1 / (l·W·l),
+- *inside*: the link's patch lies wholly in the extent. The link measures H. In rare cases it measures a place below the
+  top, such as an opening in a connector.
+- *outside*: the patch lies wholly beside the extent. The link measures the board. In rare cases it measures a lead, at
+  a height between 0 and H.
+- *across*: the patch lies on an edge of the extent. The link measures a mixture of body and board: any value from 0 to
+  H. Several links on the same edge give similar mixtures, so their agreement is no evidence of a height. Their
+  likelihood is therefore the same for all values from 0 to H.
 
-where r is the residual that the link has on the board's surface, l the change of r per mm of height, and W the inverse
-covariance of r. `body_heights.py` then decides which links lie on the body.
+Each link may also be an outlier. Three kinds of H are compared: 0 (the component has no body), each height on which
+several links agree, and "none of these" (a height that no link measures). The evidence for an H is the sum of the
+likelihoods of all its extents. Divided by the sum for all H, it is the probability of H. A height is reported only if
+its probability is at least `_SURE`. Otherwise the height is unknown. So a component is reported as without body only if
+links that are inside every probable extent measure the level of the board.
 """
 
 from __future__ import annotations
@@ -18,80 +28,59 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
-from vaoi_station.geometry.transforms import Floats
+from vaoi_station.compiled import compiled, inlined
+from vaoi_station.geometry.body_extents import EXTENTS
+from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Ints, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.refinement import WINDOW_PX
-from vaoi_station.stitching.quality.body_heights import BodyLinks, body_heights
 
-_WORST_MM = 0.5
-"""Links whose height has a standard deviation of more than this are left out."""
-_ASIDE = 3.5
-"""Links with a larger residual than this in the direction that no height explains are left out; in standard
-deviations."""
-_SHARED_PX, _SHARED_FLOOR = (0.004, 0.015), (0.5, 1.0)
+_WORST_MM, _ASIDE = 0.5, 3.5
+"""Links whose height has a larger standard deviation are left out, and those with a larger residual in the direction
+that no height explains, in standard deviations."""
+_SHARED_PX, _SHARED_FLOOR = np.array([0.004, 0.015]), np.array([0.5, 1.0])
 """Error that all links of one pair of frames on one component have in common, because neighbouring links err alike.
 
 It is the larger of a constant, `_SHARED_PX`, and of a multiple, `_SHARED_FLOOR`, of the run's noise floor. Each has two
 values: for two rows of one camera, and for two cameras."""
 _PATCH_PX = WINDOW_PX / 2 + 1
 """Distance from the centre of a patch to its edge. Its blur extends further, but with little weight."""
+_OUTLIER, _INSIDE, _WIDE, _BELOW = 0.05, 0.84, 0.03, 0.05
+"""Prior probabilities for a link: that it is an outlier, and three for links inside the extent of the body.
 
+These three are: that the link measures the body's height H with its stated error, that it measures H with three times
+that error, and that it measures a place below the top."""
+_OUTSIDE, _LEAD, _ACROSS = 0.85, 0.10, 0.5
+"""Prior probabilities that a link outside the extent measures the board, or a lead; likelihood of links across an edge.
 
-class LinkArrays(NamedTuple):
-    """The n links that lie on components, together with arrays over all k links of the problem."""
+The likelihood is relative to the largest likelihood of a link that measures a height. 0.5 is about the mean likelihood
+of a link that measures the body's height."""
+_FLAT_PRIOR, _RANGE_MM, _WIDTH_MM = 0.1, 5.0, 0.05
+"""Prior probability of no body; range over which all other heights are equally probable; width of one height.
 
-    number: Ints
-    """(n,) index of each of these links among the k links."""
-    place_mm: Floats
-    """(n, 2) position on the board of a point in the calibrated plane, tester coordinates."""
-    place_lean: Floats
-    """(n, 2) change of `place_mm` per mm of height."""
-    residual_mm: Floats
-    """(n, 2) residual that the link has on a flat board in the calibrated plane."""
-    lean: Floats
-    """(n, 2) change of the residual per mm of height."""
-    surface_mm: Floats
-    """(k,) height of the board's surface at each link."""
-    noise_mm2: Floats
-    """(k, 2, 2) covariance of the residual by image noise."""
-    px_per_mm: Floats
-    """(k,) resolution at each link."""
-    component: Ints
-    """(k,) number of the component on which each link lies; −1 for none."""
-    across: NDArray[np.bool_]
-    """(k,) whether each link connects two cameras; otherwise it connects two rows."""
+Two heights that differ by less than `_WIDTH_MM` count as the same height."""
+_FLAT_MM = 0.06
+"""Heights below this count as 0, mm."""
+_AGREE = 2.5
+"""Two heights agree if they differ by at most this, in standard deviations of their difference."""
+_SCATTER_MM = 0.006
+"""Standard deviation of the height from place to place on one body: bodies are not exactly flat."""
+_MOST_HEIGHTS = 8
+"""Largest number of heights that are compared for one component; the height 0 is one of them."""
+_SURE = 0.99
+"""Least probability of a height that is reported."""
+_LEAST_LINKS = 2
+"""Least number of links on a body; with fewer, its height is unknown."""
+_ELSEWHERE_MM = 1.0
+"""Assumed error of the estimated height if "none of these" is true.
 
+Its square, times the probability of "none of these", is added to the variance."""
+_SCALE = 0.002
+"""Relative standard deviation of the working distance: 1 mm at 483 mm.
 
-class FootprintArrays(NamedTuple):
-    """The footprints of c components, in CAD units and axes."""
-
-    center: Floats
-    """(c, 2) centres of the footprints."""
-    angle_rad: Floats
-    """(c,) rotations of the footprints."""
-    mm_per_unit: float
-
-
-class LinkHeights(NamedTuple):
-    """The height of a component by each of n links, with the errors of these heights."""
-
-    mm: Floats
-    """(n,) height of the component above the board's surface by each link."""
-    sigma_mm: Floats
-    """(n,) standard deviation of the height by each link."""
-    shared_mm: Floats
-    """(n,) part of the height's standard deviation that all links of one pair of frames have in common."""
-    aside: Floats
-    """(n,) length of the part of the residual that no height explains, in standard deviations."""
-    place_mm: Floats
-    """(n, 2) centre of the patch at this height, relative to the centre of the footprint, along its width and
-    height."""
-    reach_mm: Floats
-    """(n,) distance from the centre of the patch to its edge, mm, along the width and height of the footprint."""
+All heights are proportional to the working distance, so they have the same relative error."""
+_PEAK = math.sqrt(2 * math.pi)
 
 
 @dataclass(frozen=True)
@@ -105,93 +94,298 @@ class Height:
 
 def component_heights(plane: BoardPlane, problem: Problem, adjusted: AdjustmentResult) -> dict[str, Height]:
     """Estimate the heights of components, by address. Components of unknown height are left out."""
-    c, addresses = adjusted.similarity, plane.components.addresses
-    if problem.surface is None or c is None or not len(problem.links):
+    c, index, o = adjusted.similarity, plane.components, problem.links
+    if problem.surface is None or c is None or not len(o):
         return {}
-    o, motion, index = problem.links, adjusted.motion, plane.components
     near = np.flatnonzero(problem.component >= 0)
-    surface_mm = problem.surface.at_links @ adjusted.surface_mm
-    a_mm, b_mm = motion.board(o.p[near], o.a_mm[near]), motion.board(o.q[near], o.b_mm[near])
-    a_lean, b_lean = motion.turned(o.p[near], o.a_lean[near]), motion.turned(o.q[near], o.b_lean[near])
-    links = LinkArrays(
-        near,
-        a_mm,
-        a_lean,
-        b_mm - a_mm,
-        b_lean - a_lean,
-        surface_mm,
-        o.noise_mm2,
-        o.px_per_mm,
-        problem.component,
-        o.p == o.q,
-    )
-    footprints = FootprintArrays(index.center, index.angle_rad, index.mm_per_unit)
-    cad_from_board = np.asarray(np.linalg.inv(plane.matrix(c)), np.float64)
-    found = per_link_heights(links, footprints, cad_from_board, adjusted.floor_px)
-    good = np.flatnonzero((found.sigma_mm < _WORST_MM) & (found.aside < _ASIDE))
-    number = problem.component[near[good]]
+    by_link, across = adjusted.link_heights(near), (o.p == o.q)[near]
+    good = np.flatnonzero((by_link.sigma_mm < _WORST_MM) & (by_link.aside < _ASIDE))
     # Two cameras see a component under the same light and angles in every row: all their links have one error in
     # common.
-    pair = np.where(links.across, -1, o.group)[near[good]]
-    order = np.lexsort((pair, number))
-    good, pair = good[order], pair[order]
-    ends = np.cumsum(np.bincount(number, minlength=len(addresses)))
-    on = BodyLinks(
-        found.mm[good],
-        found.sigma_mm[good],
-        found.shared_mm[good],
-        pair,
-        found.place_mm[good],
-        found.reach_mm[good],
+    number, pair = problem.component[near], np.where(across, -1, o.group[near])
+    good = good[np.lexsort((pair[good], number[good]))]
+    part, px_per_mm, kind = number[good], o.px_per_mm[near[good]], across[good].astype(np.int_)
+    shared_px = np.maximum(_SHARED_PX, _SHARED_FLOOR * adjusted.floor_px)[kind]
+    cad_from_board = np.linalg.inv(plane.matrix(c))
+    # along the axes of the footprint
+    cos, sin = np.cos(index.angle_rad[part]), np.sin(index.angle_rad[part])
+    turn = np.moveaxis(np.array([[cos, sin], [-sin, cos]]), 2, 0)
+    off = (apply(cad_from_board, by_link.place_mm[good]) - index.center[part]) * index.mm_per_unit
+    # The patch is a square along the tester axes. Its corners extend furthest in a footprint that is turned by 45°.
+    reach = _PATCH_PX / px_per_mm * index.mm_per_unit * np.abs(turn[:, 0] @ cad_from_board[:2, :2]).sum(1)
+    links = BodyLinks(
+        by_link.mm[good],
+        by_link.sigma_mm[good],
+        shared_px / px_per_mm / np.maximum(by_link.lean[good], 1e-9),
+        pair[good],
+        np.ascontiguousarray((turn @ off[:, :, None])[:, :, 0]),
+        reach,
     )
-    bodies = body_heights(ends, on, index.size * (index.mm_per_unit / 2))
-    each = zip(addresses, *(values.tolist() for values in bodies), strict=True)
-    return {address: Height(mm, sigma_mm, links) for address, mm, sigma_mm, links in each if links}
+    ends = np.cumsum(np.bincount(part, minlength=len(index.addresses)))
+    bodies = body_heights(ends, links, index.size * (index.mm_per_unit / 2))
+    each = zip(index.addresses, *(values.tolist() for values in bodies), strict=True)
+    return {address: Height(mm, sigma_mm, count) for address, mm, sigma_mm, count in each if count}
+
+
+class BodyLinks(NamedTuple):
+    """The k links on components, ordered by component, then by pair of frames."""
+
+    mm: Floats
+    """(k,) height above the board's surface that each link measures."""
+    sigma_mm: Floats
+    """(k,) standard deviation of the height."""
+    shared_mm: Floats
+    """(k,) part of the height's standard deviation that all links of one pair of frames have in common."""
+    pair: Ints
+    """(k,) index of the pair of frames. It is −1 for pairs of frames of two cameras, which have one error in all
+    rows."""
+    place_mm: Floats
+    """(k, 2) centre of the patch relative to the centre of the footprint, along the footprint's width and height."""
+    reach_mm: Floats
+    """(k,) distance from the centre of the patch to its edge, mm, along the width and height of the footprint."""
 
 
 @compiled
-def per_link_heights(
-    links: LinkArrays, footprints: FootprintArrays, cad_from_board: Floats, floor_px: float
-) -> LinkHeights:
-    """Estimate the height of a component from each link on it.
+def body_heights(ends: Ints, links: BodyLinks, half_mm: Floats) -> tuple[Floats, Floats, Ints]:
+    """Estimate the heights of the bodies of n components.
 
     Args:
-        links: links on components.
-        footprints: footprints of the components.
-        cad_from_board: (3, 3) affine matrix, the inverse of C.
-        floor_px: scatter of single links in addition to image noise.
+        ends: (n,) for each component, the index after its last link.
+        half_mm: (n, 2) half the width and half the height of the footprints.
+
+    Returns:
+        Height (n,) in mm, its standard deviation (n,), and the number of links on the body (n,). All three are 0 for a
+        component whose height is unknown.
     """
-    number, place_mm, residual_mm, lean = links.number, links.place_mm, links.residual_mm, links.lean
-    surface_mm, noise_mm2, px_per_mm, component = links.surface_mm, links.noise_mm2, links.px_per_mm, links.component
-    center, angle_rad, mm_per_unit = footprints.center, footprints.angle_rad, footprints.mm_per_unit
-    count, m = len(number), cad_from_board
-    height, sigma, sole, aside = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
-    place, reach = np.zeros((count, 2)), np.zeros(count)
-    for i in range(count):
-        n = number[i]
-        part, resolution = component[n], px_per_mm[n]
-        lx, ly = lean[i, 0], lean[i, 1]
-        rx, ry = residual_mm[i, 0] + lx * surface_mm[n], residual_mm[i, 1] + ly * surface_mm[n]
-        floor = (floor_px / resolution) ** 2
-        a, b, d = noise_mm2[n, 0, 0] + floor, noise_mm2[n, 0, 1], noise_mm2[n, 1, 1] + floor
-        det = a * d - b * b
-        ax, ay = (d * lx - b * ly) / det, (a * ly - b * lx) / det
-        # If both frames see the body under the same angle, l is almost 0. The large sigma then exceeds `_WORST_MM`.
-        information = max(ax * lx + ay * ly, 1e-12)
-        height[i] = -(ax * rx + ay * ry) / information
-        rx, ry = rx + lx * height[i], ry + ly * height[i]
-        aside[i] = math.sqrt(max((d * rx * rx - 2 * b * rx * ry + a * ry * ry) / det, 0.0))
-        sigma[i] = 1 / math.sqrt(information)
-        kind = 1 if links.across[n] else 0
-        shared_px = max(_SHARED_PX[kind], _SHARED_FLOOR[kind] * floor_px)
-        sole[i] = shared_px / resolution / max(math.hypot(lx, ly), 1e-9)
-        above = surface_mm[n] + height[i]
-        px, py = place_mm[i, 0] + links.place_lean[i, 0] * above, place_mm[i, 1] + links.place_lean[i, 1] * above
-        x = (m[0, 0] * px + m[0, 1] * py + m[0, 2] - center[part, 0]) * mm_per_unit
-        y = (m[1, 0] * px + m[1, 1] * py + m[1, 2] - center[part, 1]) * mm_per_unit
-        cos, sin = math.cos(angle_rad[part]), math.sin(angle_rad[part])
-        place[i, 0], place[i, 1] = cos * x + sin * y, cos * y - sin * x
-        # The patch is a square along the tester axes. Its corners extend furthest in a footprint that is turned by 45°.
-        gx, gy = cos * m[0, 0] + sin * m[1, 0], cos * m[0, 1] + sin * m[1, 1]
-        reach[i] = _PATCH_PX / resolution * mm_per_unit * (abs(gx) + abs(gy))
-    return LinkHeights(height, sigma, sole, aside, place, reach)
+    # Loops in place of expressions of arrays: Numba needs ten times as long to compile such expressions.
+    mm, spread, count = np.zeros(len(ends)), np.zeros(len(ends)), np.zeros(len(ends), np.int64)
+    first = 0
+    for part in range(len(ends)):
+        begin, first = first, ends[part]
+        n = first - begin
+        if n < _LEAST_LINKS:
+            continue
+        h, pair, shared = links.mm[begin:first], links.pair[begin:first], links.shared_mm[begin:first]
+        place, reach = links.place_mm[begin:first], links.reach_mm[begin:first]
+        noise, s, side = np.empty(n), np.empty(n), np.empty((2, len(EXTENTS), n), np.int64)
+        for i in range(n):
+            noise[i] = math.hypot(links.sigma_mm[begin + i], _SCATTER_MM)
+            s[i] = math.hypot(noise[i], shared[i])
+        for axis in range(2):
+            _sort_along(place, reach, half_mm, part, axis, side)
+        heights = np.zeros(_MOST_HEIGHTS)
+        m = _agreed_heights(h, s, heights)
+        probability, on_body = np.zeros(m + 1), np.zeros((m + 1, n))
+        # The first round sorts the links. The second round repeats this with heights from the links on the body only.
+        for _ in range(2):
+            _compare(h, s, heights, side, probability, on_body)
+            _move(h, noise, heights, on_body)
+        _unite(heights, probability, on_body)
+        c = 0
+        for k in range(m + 1):
+            c = k if probability[k] > probability[c] else c
+        if c == m or probability[c] < _SURE:
+            continue
+        weight, total, used = np.empty(n), 0.0, 0
+        for i in range(n):
+            weight[i] = on_body[c, i] / noise[i] ** 2
+            total, used = total + weight[i], used + (on_body[c, i] > 0.5)
+        if used < _LEAST_LINKS:
+            continue
+        for i in range(n):
+            weight[i] /= total
+            mm[part] += weight[i] * h[i]
+        variance = _variance(h, mm[part], noise, weight, pair, shared, place, reach) + (_SCALE * mm[part]) ** 2
+        for k in range(m):
+            variance += probability[k] * (heights[k] - mm[part]) ** 2 if k != c else 0.0
+        spread[part], count[part] = math.sqrt(variance + probability[m] * _ELSEWHERE_MM**2), used
+    return mm, spread, count
+
+
+@inlined
+def _sort_along(place: Floats, reach: Floats, half_mm: Floats, part: int, axis: int, side: Ints) -> None:
+    """Sort the n patches of a component by each of k extents along one axis (0: width, 1: height of the footprint).
+
+    The result is written to `side` (2, k, n), at the index of the axis: 0 outside, 1 across an edge, 2 inside the
+    extent.
+    """
+    for e in range(len(EXTENTS)):
+        low, high = -EXTENTS[e, 0] * half_mm[part, axis], EXTENTS[e, 1] * half_mm[part, axis]
+        for i in range(len(place)):
+            a, b = place[i, axis] - reach[i], place[i, axis] + reach[i]
+            side[axis, e, i] = 2 if a >= low and b <= high else 0 if b <= low or a >= high else 1
+
+
+@inlined
+def _agreed_heights(h: Floats, s: Floats, heights: Floats) -> int:
+    """Find the heights on which links agree, write them to `heights`, and return their number.
+
+    The first one is 0; links near 0 or below it agree with 0. The others follow, those with most links first.
+    """
+    free, m = np.ones(len(h), np.bool_), 1
+    for i in range(len(h)):
+        free[i] = h[i] > max(_AGREE * s[i], _FLAT_MM)
+    while m < len(heights):
+        best, at = 0, -1
+        for i in range(len(h)):
+            agree = 0
+            for j in range(len(h)):
+                agree += free[i] and free[j] and abs(h[j] - h[i]) <= _AGREE * math.hypot(s[i], s[j])
+            if agree > best:
+                best, at = agree, i
+        if at < 0:
+            break
+        middle, weight, total = h[at], 0.0, 0.0
+        for j in range(len(h)):
+            if free[j] and abs(h[j] - middle) <= _AGREE * math.hypot(s[at], s[j]):
+                weight, total, free[j] = weight + 1 / s[j] ** 2, total + h[j] / s[j] ** 2, False
+        heights[m] = total / weight
+        m += 1
+    return m
+
+
+@inlined
+def _compare(h: Floats, s: Floats, heights: Floats, side: Ints, probability: Floats, on_body: Floats) -> None:
+    """Compute the probability of each height, and for each height the probability that each link lies on the body.
+
+    Args:
+        h: (n,) the heights that the links measure.
+        s: (n,) their standard deviations.
+        heights: its first m entries are the heights that are compared.
+        side: (2, k, n) whether the links lie outside, across or inside k extents, as `_sort_along` writes it.
+        probability: (m + 1,) output; the last entry belongs to "none of these".
+        on_body: (m + 1, n) output; 0 for "none of these".
+    """
+    m, n, k = len(on_body) - 1, len(h), len(EXTENTS)
+    log, fit, evidence, best = np.zeros((3, n)), np.zeros(n), np.zeros((k, k)), -np.inf
+    scale = np.zeros(m + 1)
+    for c in range(m + 1):
+        none = c == m
+        _link_likelihoods(h, s, _RANGE_MM if none else heights[c], none, log, fit)
+        prior = _FLAT_PRIOR if c == 0 else 1 - _FLAT_PRIOR if none else _PEAK * _WIDTH_MM / _RANGE_MM
+        highest = -np.inf
+        for a in range(k):
+            for b in range(k):
+                total = math.log(prior * EXTENTS[a, 2] * EXTENTS[b, 2])
+                for i in range(n):
+                    # a patch is outside if it is outside along one axis, and inside if it is inside along both
+                    total += log[min(side[0, a, i], side[1, b, i]), i]
+                evidence[a, b] = total
+                highest = max(highest, total)
+        probability[c], scale[c], best = 0.0, highest, max(best, highest)
+        for i in range(n):
+            on_body[c, i] = 0.0
+        for a in range(k):
+            for b in range(k):
+                share = math.exp(evidence[a, b] - highest)
+                probability[c] += share
+                for i in range(n):
+                    if side[0, a, i] == 2 and side[1, b, i] == 2:
+                        on_body[c, i] += share * fit[i]
+        for i in range(n):
+            on_body[c, i] /= probability[c]
+    total = 0.0
+    for c in range(m + 1):
+        probability[c] *= math.exp(scale[c] - best)
+        total += probability[c]
+    for c in range(m + 1):
+        probability[c] /= total
+
+
+@inlined
+def _link_likelihoods(h: Floats, s: Floats, top: float, none: bool, log: Floats, fit: Floats) -> None:
+    """Compute the likelihood of each link if the body has the height `top`.
+
+    Likelihoods are relative to the largest likelihood of a link that measures a height.
+
+    Args:
+        h: (n,) the heights that the links measure.
+        s: (n,) their standard deviations.
+        top: height of the body. If no link measures it, the largest possible height.
+        none: whether no link measures the height of the body.
+        log: (3, n) output: logarithm of the likelihood of a link that lies outside, across an edge, or inside.
+        fit: (n,) output: probability that a link inside measures the height of the body.
+    """
+    for i in range(len(h)):
+        below, above = -h[i] / s[i], (h[i] - top) / s[i]
+        outlier, between = _OUTLIER * _PEAK * s[i] / _RANGE_MM, 0.0
+        if below < 2 and above < 2:
+            between = _PEAK * s[i] / max(top, 3 * s[i])
+        match = 0.0
+        if not none:
+            match = _INSIDE * math.exp(-above * above / 2) + _WIDE * math.exp(-above * above / 18)
+        inside = match + (0.0 if none else _BELOW * between) + outlier
+        beyond = max(0.0, below, above)
+        log[0, i] = math.log(_OUTSIDE * math.exp(-below * below / 2) + _LEAD * between + outlier)
+        log[1, i] = math.log(_ACROSS * math.exp(-beyond * beyond / 2) + outlier)
+        log[2, i], fit[i] = math.log(inside), match / inside
+
+
+@inlined
+def _move(h: Floats, noise: Floats, heights: Floats, on_body: Floats) -> None:
+    """Replace each height but 0 by the weighted mean of the links that lie on the body if that height is true."""
+    for c in range(1, len(on_body) - 1):
+        weight, total = 1e-9, heights[c] * 1e-9
+        for i in range(len(h)):
+            weight += on_body[c, i] / noise[i] ** 2
+            total += on_body[c, i] * h[i] / noise[i] ** 2
+        heights[c] = total / weight
+
+
+@inlined
+def _unite(heights: Floats, probability: Floats, on_body: Floats) -> None:
+    """Merge heights that differ by less than `_WIDTH_MM` into one, whose probability is the sum of theirs."""
+    for c in range(len(on_body) - 1):
+        for k in range(len(on_body) - 1):
+            if k != c and 0 < probability[k] <= probability[c] and abs(heights[k] - heights[c]) < _WIDTH_MM:
+                both = probability[c] + probability[k]
+                for i in range(on_body.shape[1]):
+                    on_body[c, i] = (probability[c] * on_body[c, i] + probability[k] * on_body[k, i]) / both
+                probability[c], probability[k] = both, 0.0
+
+
+@inlined
+def _variance(
+    h: Floats,
+    mean: float,
+    noise: Floats,
+    weight: Floats,
+    pair: Ints,
+    shared: Floats,
+    place: Floats,
+    reach: Floats,
+) -> float:
+    """Return the variance (mm²) of the weighted mean of the heights that n links measure.
+
+    The links of one pair of frames have a part of their error in common. Links whose patches overlap have a part of
+    their noise in common.
+
+    Args:
+        h: (n,) heights that the links measure.
+        mean: their weighted mean.
+        noise: (n,) standard deviations without the part that a pair of frames has in common.
+        weight: (n,) weights; their sum is 1.
+        pair: (n,) index of the pair of frames; links of one pair are adjacent.
+        shared: (n,) standard deviation of the part that a pair of frames has in common.
+        place: (n, 2) centres of the patches, mm.
+        reach: (n,) distance from the centre of each patch to its edge, mm.
+    """
+    squares, expected, largest = 0.0, 0.0, 0.0
+    common, own, group, worst = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(h)):
+        squares, expected = squares + weight[i] * (h[i] - mean) ** 2, expected + weight[i] * noise[i] ** 2
+        largest = max(largest, weight[i] * noise[i] ** 2)
+        group, worst = group + weight[i], max(worst, shared[i])
+        if i + 1 == len(h) or pair[i + 1] != pair[i]:
+            common += (group * worst) ** 2
+            group = worst = 0.0
+        for j in range(len(h)):
+            if pair[i] == pair[j]:
+                # The correlation of the noise of two patches is the share of their area that overlaps.
+                x, y = abs(place[i, 0] - place[j, 0]), abs(place[i, 1] - place[j, 1])
+                overlap = max(0.0, 1 - x / (2 * reach[i])) * max(0.0, 1 - y / (2 * reach[i]))
+                own += overlap * weight[i] * noise[i] * weight[j] * noise[j]
+    # If the links scatter more than their noise explains, the mean is less accurate too. The scatter is compared with
+    # the noise of all links but one, because the mean itself is estimated from the links.
+    freedom = max(expected - largest, largest)
+    return common + own * max(1.0, squares / max(freedom, 1e-12))

@@ -1,16 +1,4 @@
-"""Blur of the cameras' pictures, measured at the edges of fiducials.
-
-In blurred pictures the patches of corners near the board's edge show the edge and what lies beyond it, and a last row
-that few corners place is off by up to 1.5 px (seed 111791), beyond its σ. Such pictures serve no inspection either.
-
-Estimate lens distortion that the calibration does not contain, from the links of a run.
-
-If a calibration leaves out a distortion and states no covariance, positions are wrong and no other check notices it.
-The links of one camera from row to row show the distortion: a point of the board appears at two places of the picture,
-and the distortion displaces it differently at each. The radial error of every camera is estimated from the residuals of
-these links. Before that, everything in each pair of frames that the adjustment can explain is removed: the shift and
-the turn of the row, and the tilt of the board.
-"""
+"""Faults of the cameras' pictures: distortion that the calibration does not contain, and blur."""
 
 from __future__ import annotations
 
@@ -18,25 +6,18 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
-from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks.blur import BLUR_LIMIT_PX, measure_blur_px
 from vaoi_station.model import Reason, ReasonCode
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Ints, LinkArrays, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, group_begins
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.frames import Scene
 
 _LEAST_LINKS, _LEAST_WEIGHT = 40, 0.1
 """Least number of links by which the distortion of a camera is estimated, and least robust weight of each."""
-_NUISANCES = 5
-"""Number of unknowns of a pair of frames that are eliminated: shift x and y, turn, and tilt along x and y."""
 _STABLE = 1e-9
-"""Share of the normal matrix's trace that is added to its diagonal, so that the matrix can always be inverted.
-
-Otherwise it could not be inverted if all links lie in one line, because such links do not determine the turn."""
+"""Share of the normal matrix's trace that is added to its diagonal: links in one line do not determine a turn."""
 _SHARE = 0.2
 """Rms error of a position, per axis, divided by the radial error at the corner.
 
@@ -66,54 +47,50 @@ class LensError(NamedTuple):
         return self.corner_px**2 - 4 * self.sigma_px**2
 
 
-class _Radial(NamedTuple):
-    """Ground positions of the pictures of n cameras, from which their radial errors are counted."""
-
-    centre_mm: Floats
-    """(n, 2) ground point in the middle of each picture."""
-    radius_mm: Floats
-    """(n,) distance of a corner of the picture from that point."""
-
-
-class _Noise(NamedTuple):
-    """The noise of k links, in the form that compiled functions take."""
-
-    robust: Floats
-    """(k,) robust weights of the links, 0 to 1."""
-    floor_px: float
-    """Noise floor of the links, px."""
-    raised: NDArray[np.bool_]
-    """(k,) whether each link may lie on a component, whose unknown height displaces the link along its lean."""
-
-
 def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Camera, ...]) -> dict[int, LensError]:
     """Estimate the radial error of every camera that has enough links from row to row.
 
-    Args:
-        problem: the adjustment problem, as the displaced cameras see it.
-        adjusted: its solution.
-        cameras: the cameras.
+    If a calibration leaves out a distortion and states no covariance, positions are wrong and no other check notices
+    it. A point of the board appears at two places of the picture, and the distortion displaces it differently at each.
+    Before that, what the adjustment can explain in each pair of frames is eliminated: shift and turn of the row, and
+    tilt of the board.
     """
     o = problem.links
     use = np.flatnonzero((o.p != o.q) & (adjusted.weight > _LEAST_WEIGHT))
-    raised = problem.reaches_component | (problem.component >= 0)
-    radial = _Radial(
-        np.array([c.ground(np.array([c.center_px]))[0] for c in cameras]),
-        np.array([float(np.hypot(*c.center_px)) / c.px_per_mm for c in cameras]),
+    if not len(use):
+        return {}
+    group, first = o.group[use], group_begins(o.group[use])
+    camera, pair = o.pairs.a[group], np.repeat(np.arange(len(first)), np.diff(first, append=len(use)))
+    centre_mm = np.array([c.ground(np.array([c.center_px]))[0] for c in cameras])[camera]
+    radius_mm = np.array([float(np.hypot(*c.center_px)) / c.px_per_mm for c in cameras])[camera, None]
+    a, b = (o.a_mm[use] - centre_mm) / radius_mm, (o.b_mm[use] - centre_mm) / radius_mm
+    off, lean = o.a_mm[use] - o.a_mm[use][first][pair], o.b_lean[use] - o.a_lean[use]
+    # Derivatives (k, 2, 6) by shift x and y, turn, tilt along x and y, and the error at the corner.
+    j = np.zeros((len(use), 2, 6))
+    j[:, 0, 0] = j[:, 1, 1] = 1.0
+    j[:, 0, 2], j[:, 1, 2], j[:, :, 3:5] = -off[:, 1], off[:, 0], lean[:, :, None] * off[:, None]
+    j[:, :, 5] = b * (b**2).sum(1)[:, None] - a * (a**2).sum(1)[:, None]
+    weight = adjusted.weight[use][:, None, None] * o.inverse_noise(use, adjusted.floor_px)
+    # On a component, the residual along the lean is explained by its height.
+    raised = (problem.reaches_component | (problem.component >= 0))[use]
+    pull = (weight @ lean[:, :, None])[:, :, 0]
+    along = (pull * lean).sum(1)
+    weight -= np.where(raised & (along > 0), 1 / np.where(along > 0, along, 1.0), 0.0)[:, None, None] * (
+        pull[:, :, None] * pull[:, None]
     )
-    camera = o.pairs.a[o.group]
-    residual_mm = adjusted.link_px / o.px_per_mm[:, None]
-    noise = _Noise(adjusted.weight, adjusted.floor_px, raised)
-    sums = _accumulate(o.arrays, use, camera, residual_mm, noise, radial)
-    count = np.bincount(camera[use], minlength=len(cameras))
-    found = {}
-    for i, c in enumerate(cameras):
-        information, product = sums[i].tolist()
-        if count[i] >= _LEAST_LINKS and information > 0:
-            # If a point appears too far out, the residual is positive where the second point is further out than the
-            # first.
-            found[i] = LensError(product / information * c.px_per_mm, information**-0.5 * c.px_per_mm)
-    return found
+    weighted, residual_mm = weight @ j, (adjusted.link_px / o.px_per_mm[:, None])[use]
+    square = np.add.reduceat(j.swapaxes(1, 2) @ weighted, first)
+    product = np.add.reduceat((residual_mm[:, None] @ weighted)[:, 0], first)
+    own = square[:, :5, :5] + _STABLE * np.trace(square[:, :5, :5], axis1=1, axis2=2)[:, None, None] * np.eye(5)
+    follow = np.linalg.solve(own, square[:, :5, 5:])[:, :, 0]
+    by_pair = square[:, 5, 5] - (follow * square[:, :5, 5]).sum(1), product[:, 5] - (follow * product[:, :5]).sum(1)
+    information, estimate = (np.bincount(camera[first], values, len(cameras)) for values in by_pair)
+    count = np.bincount(camera, minlength=len(cameras))
+    return {
+        i: LensError(float(estimate[i] / information[i]) * c.px_per_mm, float(information[i] ** -0.5) * c.px_per_mm)
+        for i, c in enumerate(cameras)
+        if count[i] >= _LEAST_LINKS and information[i] > 0
+    }
 
 
 def position_errors_px(errors: Mapping[int, LensError], cameras: int) -> dict[int, float]:
@@ -148,88 +125,13 @@ def lens_reasons(errors: Mapping[int, LensError]) -> Iterator[Reason]:
             )
 
 
-@compiled
-def _accumulate(links: LinkArrays, use: Ints, camera: Ints, residual: Floats, noise: _Noise, radial: _Radial) -> Floats:
-    """Return for each of n cameras the information about its radial error, and information times estimate: (n, 2).
-
-    The error is the one at a corner of the picture, in mm. Links of one pair of frames are adjacent; shift, turn and
-    tilt of each pair are eliminated.
-
-    Args:
-        links: all k links.
-        use: indices of the links that are used, ascending.
-        camera: (k,) camera of every link.
-        residual: (k, 2) residuals, mm.
-        noise: noise of the links.
-        radial: ground positions of the cameras' pictures.
-    """
-    size = _NUISANCES + 1
-    out, square, product = np.zeros((len(radial.radius_mm), 2)), np.zeros((size, size)), np.zeros(size)
-    x, y = np.empty(size), np.empty(size)
-    origin_x, origin_y = 0.0, 0.0
-    for at in range(len(use)):
-        n = use[at]
-        i = camera[n]
-        if at == 0 or links.group[use[at - 1]] != links.group[n]:
-            square[:], product[:] = 0.0, 0.0
-            origin_x, origin_y = links.a_mm[n, 0], links.a_mm[n, 1]
-        u, v = links.a_mm[n, 0] - origin_x, links.a_mm[n, 1] - origin_y
-        lean_x, lean_y = links.b_lean[n, 0] - links.a_lean[n, 0], links.b_lean[n, 1] - links.a_lean[n, 1]
-        radius, centre_x, centre_y = radial.radius_mm[i], radial.centre_mm[i, 0], radial.centre_mm[i, 1]
-        ax, ay = (links.a_mm[n, 0] - centre_x) / radius, (links.a_mm[n, 1] - centre_y) / radius
-        bx, by = (links.b_mm[n, 0] - centre_x) / radius, (links.b_mm[n, 1] - centre_y) / radius
-        in_a, in_b = ax * ax + ay * ay, bx * bx + by * by
-        x[0], x[1], x[2], x[3], x[4], x[5] = 1.0, 0.0, -v, lean_x * u, lean_x * v, bx * in_b - ax * in_a
-        y[0], y[1], y[2], y[3], y[4], y[5] = 0.0, 1.0, u, lean_y * u, lean_y * v, by * in_b - ay * in_a
-        floor = (noise.floor_px / links.px_per_mm[n]) ** 2
-        a, b, d = links.noise_mm2[n, 0, 0] + floor, links.noise_mm2[n, 0, 1], links.noise_mm2[n, 1, 1] + floor
-        share = noise.robust[n] / (a * d - b * b)
-        xx, xy, yy = share * d, -share * b, share * a
-        if noise.raised[n]:
-            # The residual along the lean is explained by the component's height.
-            lx, ly = xx * lean_x + xy * lean_y, xy * lean_x + yy * lean_y
-            along = lean_x * lx + lean_y * ly
-            if along > 0:
-                xx, xy, yy = xx - lx * lx / along, xy - lx * ly / along, yy - ly * ly / along
-        for k in range(size):
-            wx, wy = xx * x[k] + xy * y[k], xy * x[k] + yy * y[k]
-            product[k] += wx * residual[n, 0] + wy * residual[n, 1]
-            for m in range(k + 1):
-                square[k, m] += wx * x[m] + wy * y[m]
-        if at + 1 == len(use) or links.group[use[at + 1]] != links.group[n]:
-            _eliminate(square, product)
-            out[i, 0] += square[_NUISANCES, _NUISANCES]
-            out[i, 1] += product[_NUISANCES]
-    return out
-
-
-@compiled
-def _eliminate(square: Floats, product: Floats) -> None:
-    """Eliminate shift, turn and tilt from the normal equations of one pair of frames, in place; lower triangle only."""
-    small = 0.0
-    for k in range(_NUISANCES):
-        small += _STABLE * square[k, k]
-    for k in range(_NUISANCES):
-        pivot = square[k, k] + small
-        if pivot <= 0:
-            continue
-        for m in range(k + 1, len(product)):
-            share = square[m, k] / pivot
-            product[m] -= share * product[k]
-            for j in range(k + 1, m + 1):
-                square[m, j] -= share * square[j, k]
-
-
 def camera_blurs(plane: BoardPlane, scene: Scene, points: FiducialPoints) -> dict[int, float]:
     """Return for each camera that shows a fiducial the blur of the sharpest one, px (standard deviation of an edge).
 
-    Args:
-        plane: plane of the board type.
-        scene: the cameras and frames.
-        points: the observed points, of which the detections of fiducials are used.
+    In blurred pictures the patches of corners near the board's edge show the edge and what lies beyond it, and a last
+    row that few corners place is off by up to 1.5 px (seed 111791), beyond its σ.
     """
-    blurs = dict[int, float]()
-    board = plane.board_type
+    blurs, board = dict[int, float](), plane.board_type
     for n in np.flatnonzero(points.which >= 0).tolist():
         key = (int(points.camera[n]), int(points.row[n]))
         camera = scene.cameras[key[0]]
@@ -245,10 +147,8 @@ def blur_reasons(blurs: Mapping[int, float]) -> list[Reason]:
     if not blurred:
         return []
     which = ", ".join(f"camera {camera} by {px:.1f} px" for camera, px in blurred.items())
-    return [
-        Reason(
-            ReasonCode.PICTURES_BLURRED,
-            f"pictures are blurred at the edges of fiducials: {which} (standard deviation, limit {BLUR_LIMIT_PX} px); "
-            "focus the lens, lay the board at the height for which it was focused, or film it with a shorter exposure",
-        )
-    ]
+    text = (
+        f"pictures are blurred at the edges of fiducials: {which} (standard deviation, limit {BLUR_LIMIT_PX} px); "
+        "focus the lens, lay the board at the height for which it was focused, or film it with a shorter exposure"
+    )
+    return [Reason(ReasonCode.PICTURES_BLURRED, text)]

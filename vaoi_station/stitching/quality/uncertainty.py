@@ -22,7 +22,7 @@ position is computed as that of the residual that an exact detection of the comp
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -146,6 +146,30 @@ class PredictedSigma:
         each = zip(self.names, np.round(worst, _DIGITS).tolist(), (worst > 0).tolist(), strict=True)
         return {name: px for name, px, seen in each if seen}
 
+    def with_common_error(self, sigma_px: float) -> PredictedSigma:
+        """Return a prediction with an additional error that all component positions have in common, px per axis."""
+        if self.worst_px is None or not sigma_px:
+            return self
+        return replace(
+            self,
+            rows_px=tuple(float(np.hypot(v, sigma_px)) for v in self.rows_px),
+            worst_px=float(np.hypot(self.worst_px, sigma_px)),
+            covariance_px2=self.covariance_px2 + sigma_px**2 * np.eye(2),
+        )
+
+    def with_errors(self, sigma_px: Floats, demanded: NDArray[np.bool_] | bool = True) -> PredictedSigma:
+        """Return a prediction with an additional error (k,) of each view, px per axis.
+
+        The largest standard deviations contain those of the `demanded` views (k,) only.
+        """
+        if self.worst_px is None or not sigma_px.any():
+            return self
+        covariance = self.covariance_px2 + (sigma_px**2)[:, None, None] * np.eye(2)
+        length, rows = np.where(demanded, largest_sigma(covariance), 0.0), np.array(self.rows_px)
+        np.maximum.at(rows, self.seen_in[:, 1], length)
+        worst = max(float(length.max(initial=0)), self.worst_px)
+        return replace(self, rows_px=tuple(rows.tolist()), worst_px=worst, covariance_px2=covariance)
+
     def to_json(self) -> dict[str, list[list[float]]]:
         """Return for each component, by address, a list of its views [camera, row, xx, xy, yy].
 
@@ -162,15 +186,30 @@ class PredictedSigma:
         return {name: entries[a:b] for name, (a, b) in zip(self.names, pairwise(ends), strict=True) if b > a}
 
 
+def reference_share(points: FiducialPoints | None, residual_px: Floats) -> float:
+    """Return which share (0 to 1) of the information about C comes from the reference.
+
+    The CAD coordinates of all links to a reference come from its own CAD mapping, and have the error of that in common:
+    no residual shows it, and it does not average out.
+
+    Args:
+        residual_px: (k, 2) their residuals in the adjustment.
+    """
+    if points is None or not len(points.which):
+        return 0.0
+    sigma_px = points.sigma_mm * points.px_per_mm
+    weight = np.where(inliers(points, residual_px), sigma_px**-2.0, 0.0)
+    whole = float(weight.sum())
+    return float(weight[points.which == REFERENCE].sum()) / whole if whole > 0 else 0.0
+
+
 def predict_sigma(
     scene: Scene, plane: BoardPlane | None, adjusted: AdjustmentResult, views: FootprintViews | None
 ) -> PredictedSigma:
     """Predict the covariance of components' positions in every good frame that shows them.
 
     Args:
-        scene: the cameras and good frames.
         plane: plane of the board type; None if the board type is unknown.
-        adjusted: the solution of the adjustment.
         views: views of the plane's `landmarks`; None without C.
     """
     resolution = float(np.mean([camera.px_per_mm for camera in scene.cameras]))
@@ -267,7 +306,6 @@ def shape_covariances(cameras: Sequence[Camera], camera: Ints, raw_px: Floats) -
     states no covariance.
 
     Args:
-        cameras: the cameras.
         camera: (k,) number of the camera of each pixel.
         raw_px: (k, 2) raw pixels.
     """
@@ -435,73 +473,3 @@ def position_covariances(
                     yy += jc[1, c] * value * jc[1, b]
         out[k, 0, 0], out[k, 0, 1], out[k, 1, 0], out[k, 1, 1] = xx, xy, xy, yy
     return out
-
-
-def reference_share(points: FiducialPoints | None, residual_px: Floats) -> float:
-    """Return which share (0 to 1) of the information about C comes from the reference.
-
-    Args:
-        points: the k points with known CAD coordinates.
-        residual_px: (k, 2) their residuals in the adjustment.
-    """
-    if points is None or not len(points.which):
-        return 0.0
-    sigma_px = points.sigma_mm * points.px_per_mm
-    weight = np.where(inliers(points, residual_px), sigma_px**-2.0, 0.0)
-    whole = float(weight.sum())
-    return float(weight[points.which == REFERENCE].sum()) / whole if whole > 0 else 0.0
-
-
-def with_common_error(predicted: PredictedSigma, sigma_px: float) -> PredictedSigma:
-    """Return a prediction with an additional error that all component positions have in common, px per axis."""
-    if predicted.worst_px is None:
-        return predicted
-    return replace(
-        predicted,
-        rows_px=tuple(float(np.hypot(v, sigma_px)) for v in predicted.rows_px),
-        worst_px=float(np.hypot(predicted.worst_px, sigma_px)),
-        covariance_px2=predicted.covariance_px2 + sigma_px**2 * np.eye(2),
-    )
-
-
-def with_camera_errors(predicted: PredictedSigma, sigma_px: Mapping[int, float]) -> PredictedSigma:
-    """Return a prediction with an additional error for each camera, px per axis; none for cameras without an entry."""
-    if predicted.worst_px is None or not any(sigma_px.values()):
-        return predicted
-    camera = predicted.seen_in[:, 0]
-    added = np.zeros(int(camera.max(initial=0)) + 1)
-    for i, px in sigma_px.items():
-        if i < len(added):
-            added[i] = px
-    return _with_added(predicted, added[camera])
-
-
-def with_component_errors(
-    predicted: PredictedSigma, sigma_mm: Mapping[str, float], cameras: Sequence[Camera], skipped: Collection[str] = ()
-) -> PredictedSigma:
-    """Return a prediction with an additional error for each component, mm per axis, by address; none without an entry.
-
-    These are the errors of fiducials that place a component, or the board of a panel on which it is. The largest
-    standard deviations of rows and run do not contain those of `skipped` components.
-    """
-    if predicted.worst_px is None or not sigma_mm:
-        return predicted
-    camera = predicted.seen_in[:, 0]
-    px_per_mm = np.array([c.px_per_mm for c in cameras])[camera]
-    added = np.array([sigma_mm.get(name, 0.0) for name in predicted.names])[predicted.part] * px_per_mm
-    demanded = np.array([name not in skipped for name in predicted.names], np.bool_)[predicted.part]
-    return _with_added(predicted, added, demanded)
-
-
-def _with_added(
-    predicted: PredictedSigma, sigma_px: Floats, demanded: NDArray[np.bool_] | bool = True
-) -> PredictedSigma:
-    """Return a prediction with an additional error (k,) of each of k views, px per axis.
-
-    The largest standard deviations contain those of the `demanded` views (k,) only.
-    """
-    covariance = predicted.covariance_px2 + (sigma_px**2)[:, None, None] * np.eye(2)
-    length, rows = np.where(demanded, largest_sigma(covariance), 0.0), np.array(predicted.rows_px)
-    np.maximum.at(rows, predicted.seen_in[:, 1], length)
-    worst = max(float(length.max(initial=0)), predicted.worst_px or 0.0)
-    return replace(predicted, rows_px=tuple(rows.tolist()), worst_px=worst, covariance_px2=covariance)

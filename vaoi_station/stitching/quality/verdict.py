@@ -1,10 +1,8 @@
-"""The verdict on a stitch: ok, degraded or failed, with reasons in words and numbers.
+"""The verdict on a stitch, ok, degraded or failed, decided by a list of checks of its findings.
 
 A result is ok if every position has a standard deviation of at most 0.2 px, each component is seen as much as is asked
-for, and no check fails. It is degraded if it is usable but a check fails; the reasons name the check. It is failed if
-it contains no component positions.
-
-Reasons for rows that links do not connect well: there are none, they repeat, they disagree, or they scatter.
+for, and no check fails. It is degraded if it is usable but a check fails; the reasons name the check, in words and
+numbers. It is failed if it contains no component positions.
 """
 
 from __future__ import annotations
@@ -12,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode, Status
-from vaoi_station.stitching.adjustment.problem import FiducialPoints, Influence, Ints, median_noise_px
+from vaoi_station.stitching.adjustment.problem import USED, FiducialPoints, Influence, Ints, median_noise_px
 from vaoi_station.stitching.adjustment.row_motion import board_texture
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
@@ -53,8 +51,6 @@ _FLOOR_LIMIT_PX, _UNEXPLAINED_PX, _UNEXPLAINED = 0.30, 0.15, 3.0
 Scatter that noise does not explain comes from links that do not move with the board, for example on a belt as bright as
 the board (seed 108935). Of 3191 drawings that were `ok`, no other one had more than 0.15 px and three times the noise.
 """
-_USED = 0.1
-"""Weight above which a link counts as used."""
 
 
 def unconnected_rows(f: Findings) -> Iterator[Reason]:
@@ -158,7 +154,7 @@ def repeated_rows(f: Findings) -> Iterator[Reason]:
 def scattered_links(f: Findings) -> Iterator[Reason]:
     """Yield a reason if the links between rows scatter by more than noise explains."""
     links, floor = f.problem.links, f.adjusted.floor_px
-    noise = median_noise_px(links, np.flatnonzero((f.adjusted.weight > _USED) & (links.p != links.q)))
+    noise = median_noise_px(links, np.flatnonzero((f.adjusted.weight > USED) & (links.p != links.q)))
     if floor > _FLOOR_LIMIT_PX:
         scatter = f"links scatter by {floor:.2f} px (limit {_FLOOR_LIMIT_PX})"
         yield Reason(ReasonCode.LINKS_SCATTER, f"{scatter}: the board is not rigid or flat")
@@ -218,6 +214,29 @@ _ENOUGH_FIDUCIALS = 3
 """Least number of found fiducials for which an error of one fiducial leaves residuals."""
 
 
+_SEAM_CODES = "BOARD_OFF_PLANE OVERLAP_EXPOSURE OVERLAP_BLANK OVERLAP_REPETITIVE NOT_EXPLAINED"
+
+
+class Check(NamedTuple):
+    """A check of a stitched run. The verdict is made of the reasons that the checks find, and of nothing else."""
+
+    find: Callable[[Any], Iterable[Reason]]
+    """Yields a reason for each thing that is beyond the limit, from the findings or from those of a placed board."""
+    names: str
+    """Names of the codes of its reasons."""
+    limit: str
+    """What is still accepted."""
+    of_board: bool = False
+    """Whether it needs the position of the board."""
+    reads_pixels: bool = False
+    """Whether it costs milliseconds, because it reads frames; most read them only where something else is wrong."""
+
+    @property
+    def codes(self) -> frozenset[ReasonCode]:
+        """The codes of its reasons."""
+        return frozenset(ReasonCode[name] for name in self.names.split())
+
+
 class _Placed(NamedTuple):
     """The inputs of the checks of a board that was found."""
 
@@ -268,12 +287,14 @@ def _other_sizes(f: Findings, failure: ReasonCode) -> tuple[Reason, ...]:
 
 
 def _reasons(f: Findings) -> Iterator[Reason]:
-    for check in _RUN_CHECKS:
-        yield from check(f)
+    placed = None
     if f.plane is not None and f.mapping is not None and f.adjusted.similarity is not None:
-        board = _Placed(f, f.plane, f.mapping, f.adjusted.similarity)
-        for board_check in _BOARD_CHECKS:
-            yield from board_check(board)
+        placed = _Placed(f, f.plane, f.mapping, f.adjusted.similarity)
+    for check in CHECKS:
+        if not check.of_board:
+            yield from check.find(f)
+        elif placed is not None:
+            yield from check.find(placed)
 
 
 def _doubtful_frames(f: Findings) -> Iterable[Reason]:
@@ -511,36 +532,40 @@ def _blurred_pictures(b: _Placed) -> Iterable[Reason]:
 
 def _unseen_components(b: _Placed) -> Iterable[Reason]:
     f, total = b.findings, len(b.plane.board_type.components)
-    return unseen_reasons(f.unseen, total, len(f.scene.cameras), f.rows, f.scene.present, f.unplaced)
+    return unseen_reasons(f.unseen, total, f.scene, f.rows, f.unplaced)
 
 
-# A result lists the reasons in this order: checks of the run come first, then checks of the board.
-_RUN_CHECKS: tuple[Callable[[Findings], Iterable[Reason]], ...] = (
-    _doubtful_frames,
-    _no_texture,
-    _dark_lights,
-    unconnected_rows,
-    repeated_rows,
-    scattered_links,
-    _cameras_in_wrong_rows,
-    _disagreeing_cameras,
-    _displaced_cameras,
-    _non_overlapping_cameras,
+CHECKS = (
+    Check(_doubtful_frames, "TRIGGER_DOUBTFUL", "no doubt when the run was recorded"),
+    Check(_no_texture, "NO_TEXTURE", "one link"),
+    Check(_dark_lights, "LIGHT_DARK", "5 % of the contrast beside", reads_pixels=True),
+    Check(unconnected_rows, "ROWS_NOT_CONNECTED ROWS_LOST", "three links between rows"),
+    Check(repeated_rows, "ROWS_REPETITIVE", "a mark in every group of rows"),
+    Check(scattered_links, "LINKS_SCATTER", f"{_FLOOR_LIMIT_PX} px"),
+    Check(_cameras_in_wrong_rows, "WRONG_ROWS", "12 links, twice those without offset", reads_pixels=True),
+    Check(_disagreeing_cameras, _SEAM_CODES, f"{SEAM_LIMIT_PX} px", reads_pixels=True),
+    Check(_displaced_cameras, "CAMERA_DISPLACED OVERLAP_REPETITIVE", f"{DISPLACED_PX} px", reads_pixels=True),
+    Check(_non_overlapping_cameras, _SEAM_CODES, "12 links", reads_pixels=True),
+    Check(_missing_fiducials, "FIDUCIAL_MISSING", "three fiducials", of_board=True),
+    Check(_unusable_local_fiducials, "LOCAL_FIDUCIAL_UNUSABLE", "0.3 mm", of_board=True),
+    Check(_boards_of_panel, "BOARD_UNPLACED FIDUCIAL_OFF_PLACE BAD_BOARD_DOUBTFUL", "0.3 px", True, reads_pixels=True),
+    Check(
+        _disagreeing_fiducials,
+        "FIDUCIAL_OFF_PLACE SCALE_WRONG SURFACE_UNLIKELY FIDUCIAL_WRONG REFERENCE_CONTRADICTS",
+        "0.3 px, 0.05 %, 4 standard deviations",
+        of_board=True,
+    ),
+    Check(_shifted_board, "OUTLINE_SHIFTED OUTLINE_TURNED COMPONENTS_SHIFTED", "0.5 mm", True, reads_pixels=True),
+    Check(_unlike_reference, "REFERENCE_CONTRADICTS", "30 % of the components", of_board=True, reads_pixels=True),
+    Check(_unlisted_parts, "UNLISTED_PARTS", "3 % of the bare board", of_board=True),
+    Check(_ambiguous_orientation, "ORIENTATION_AMBIGUOUS", "evidence for one orientation", of_board=True),
+    Check(_invisible_outline, "OUTLINE_INVISIBLE", "3 grey levels", of_board=True),
+    Check(_texture_off_the_board, "TEXTURE_OFF_BOARD", f"{_OUTSIDE_LIMIT:.0%} of the links", of_board=True),
+    Check(_distorted_pictures, "LENS_DIFFERS", "0.4 px at a corner", of_board=True),
+    Check(_blurred_pictures, "PICTURES_BLURRED", "the blur of an edge", of_board=True, reads_pixels=True),
+    Check(_uncertain_positions, "POSITIONS_UNCERTAIN", f"{OK_SIGMA_PX} px", of_board=True),
+    Check(_unconfirmed_frames, "FRAMES_UNCONFIRMED", "half of the links of a frame", of_board=True, reads_pixels=True),
+    Check(_unseen_components, "COMPONENTS_UNSEEN", "`visibility`", of_board=True),
 )
-_BOARD_CHECKS: tuple[Callable[[_Placed], Iterable[Reason]], ...] = (
-    _missing_fiducials,
-    _unusable_local_fiducials,
-    _boards_of_panel,
-    _disagreeing_fiducials,
-    _shifted_board,
-    _unlike_reference,
-    _unlisted_parts,
-    _ambiguous_orientation,
-    _invisible_outline,
-    _texture_off_the_board,
-    _distorted_pictures,
-    _blurred_pictures,
-    _uncertain_positions,
-    _unconfirmed_frames,
-    _unseen_components,
-)
+"""All checks, in the order in which a result lists their reasons: those of the run, then those of a board in its place.
+"""

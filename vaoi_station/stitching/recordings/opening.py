@@ -54,7 +54,6 @@ def open_run(
     """Open a recording for stitching.
 
     Args:
-        case: directory of the recording.
         calibration: file of the calibration; by default that in the recording.
         board: file of the board type; by default that in the recording, if there is one.
         reference: directory of a reference, made by `vaoi teach`.

@@ -50,14 +50,7 @@ _LEAST_SHARE = 0.05
 def select_reference_frames(
     stitch: Stitch, cameras: Sequence[Camera], board_type: BoardType, present: Collection[FrameKey]
 ) -> frozenset[FrameKey]:
-    """Select the frames that a reference keeps: at most `MOST_PER_ROW` of each row, spread evenly over the cameras.
-
-    Args:
-        stitch: result of the run; its CAD mapping gives the frames that show the board.
-        cameras: cameras of the run.
-        board_type: board type of the run.
-        present: keys (camera, row) of the good frames.
-    """
+    """Select the frames that a reference keeps: at most `MOST_PER_ROW` of each row, spread evenly over the cameras."""
     c = stitch.cad_matrix
     assert c is not None, "only a run with a CAD mapping can be a reference"
     low, high = board_type.extent()
@@ -116,9 +109,6 @@ def teach(
     """Stitch a recording and store it as a reference in the new directory `out`.
 
     Args:
-        case: directory of the recording.
-        calibration: file of the calibration.
-        board: file of the board type.
         out: directory to create.
         confirm_orientation: whether a person has confirmed that the board lies as the board type expects it.
         rotation_deg: expected rotation of the board, which the reference keeps; by default that of the recording.
@@ -177,12 +167,8 @@ def write_reference(
     """Write a stitched run as a reference. The directory appears complete or not at all.
 
     Args:
-        directory: directory to create; it must not exist.
         head: head of the run, in which frames that are not kept are listed as `missing`.
         frames: the frames to keep: camera, row and pixels of each.
-        calibration: calibration with which the run was stitched.
-        board_type: board type of the run.
-        stitch: result of the run.
     """
     with new_directory(directory) as draft:
         write_calibration(draft / "calibration.json", calibration)
