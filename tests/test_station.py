@@ -18,9 +18,9 @@ from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateErr
 from vaoi_station.files import write_calibration
 from vaoi_station.line_config import Line
 from vaoi_station.model import Calibration
-from vaoi_station.runs.host.start_wait import PASSING
+from vaoi_station.runs.host.service import PASSING
 from vaoi_station.runs.states.schemas import StationSnapshot
-from vaoi_station.runs.workers.forking.fork_server_link import ForkServerLink
+from vaoi_station.runs.workers.fork_server_link import ForkServerLink
 from vaoi_station.station import DATABASE, Station, serve
 
 

@@ -31,22 +31,17 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import Housekeeping
 from vaoi_station.runs.archive.retention import Retention
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawn_launcher
+from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import MakeOrder, StationCoordinator
 from vaoi_station.runs.control.core import Parts
-from vaoi_station.runs.control.reasons import thread_reasons
 from vaoi_station.runs.handover.handover import Handover
-from vaoi_station.runs.host.gc_policy import no_collections
-from vaoi_station.runs.host.mount_view import RemountWatch
-from vaoi_station.runs.host.start_wait import StartWait
-from vaoi_station.runs.host.stop_request import StopRequest
-from vaoi_station.runs.host.supervisor import Supervisor
-from vaoi_station.runs.host.systemd import StatusNotice, notify, notify_watchdog
-from vaoi_station.runs.run.bay_grants import BayGrants
-from vaoi_station.runs.run.order import OrderFactory
+from vaoi_station.runs.host.machine import RemountWatch
+from vaoi_station.runs.host.processes import no_collections
+from vaoi_station.runs.host.service import StartWait, StatusNotice, StopRequest, Supervisor, notify, notify_watchdog
+from vaoi_station.runs.run.memory import BayGrants
+from vaoi_station.runs.run.order import OrderFactory, StandingOrder
 from vaoi_station.runs.run.reference_store import ReferenceStore
-from vaoi_station.runs.run.salvage import camera_heads
-from vaoi_station.runs.run.standing_order import StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.workers.pool import WorkerPool
@@ -191,7 +186,7 @@ class Station:
                 make_order,
                 shelf,
                 lambda: (link.status(), workers.fork_server.status(), *workers.status()),
-                lambda: thread_reasons(supervisor.faults()),
+                lambda: tuple(map(_reason_of, supervisor.faults())),
                 StatusNotice(),
             )
             if (remount := self._remount) is not None:
@@ -206,9 +201,9 @@ class Station:
             parts.callback(grants.stop)
             grants.start()
             parts.callback(workers.stop)
-            workers.start(coordinator.process_events)
+            workers.start(coordinator.worker_ended, coordinator.workers_ready)
             parts.callback(link.stop)
-            link.start(coordinator.process_events, workers.warm)
+            link.start(coordinator.acquisition_message, coordinator.acquisition_ended, workers.warm)
             parts.callback(housekeeping.stop)
             housekeeping.start()
             if ring.lock_note:
@@ -289,6 +284,11 @@ def _calibration(config: StationConfig) -> tuple[Calibration, StateError | None]
 
 def _refuse_order(refusal: StateError, *_: object) -> NoReturn:
     raise refusal
+
+
+def _reason_of(fault: ThreadFault) -> Reason:
+    action = "The station ends and is started again by systemd."
+    return Reason(code="thread-lost", message=str(fault), action=action)
 
 
 def _housekeeping(config: StationConfig, store: Store, events: EventLog) -> Housekeeping:

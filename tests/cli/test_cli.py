@@ -10,7 +10,7 @@ import pytest
 from tests.cli.conftest import Result
 from vaoi_station import __version__
 from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
-from vaoi_station.runs.host.journal import STREAM_VARIABLE
+from vaoi_station.runs.host.logs import STREAM_VARIABLE
 
 
 def test_version_is_printed(vaoi: Callable[..., Result]) -> None:

@@ -41,23 +41,22 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import acquisition_link
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink
+from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
-from vaoi_station.runs.run.bay_grants import BayGrants
-from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.run.memory import Bay, BayGrants
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.reference_store import ReferenceStore
-from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Job, Linked, LinkJob, OpenRun, Reply
-from vaoi_station.runs.workers.worker_events import WorkerEvents
-from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Job, LinkJob, OpenRun, Reply
+from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
 WIDTH, HEIGHT, PX_PER_MM = 64, 48, 2.0
 PERIOD_S, SPEED_MM_S = 0.1, 100.0
+Done = Callable[[Reply], object]
 
 
 def a_board_type() -> BoardType:
@@ -134,7 +133,6 @@ class ScriptedWorkers:
     """Performs jobs at once, or when the test asks for it if `keep` is set; concludes with `result`."""
 
     keep: bool = False
-    events: WorkerEvents | None = None
     kept: list[Job] = field(default_factory=list)
     done: list[Job] = field(default_factory=list)
     opened: list[OpenRun] = field(default_factory=list)
@@ -142,32 +140,31 @@ class ScriptedWorkers:
     result: Callable[[RecordingHead], Stitch] = a_stitch
     displacement_px: float = 0.0
     """By which camera 1 shows itself displaced along y."""
+    receivers: dict[int, Done] = field(default_factory=dict)
+    """What gets the reply of a job, by the identity of the job: two may be equal."""
 
-    def start(self, events: WorkerEvents) -> None:
-        self.events = events
-
-    def submit(self, job: Job) -> None:
+    def submit(self, job: Job, done: Done) -> None:
+        self.receivers[id(job)] = done
         if self.keep:
             self.kept.append(job)
         else:
             self.perform(job)
 
-    def answer(self, job: Job, answer: Reply) -> None:
-        assert self.events is not None
-        self.events.worker_reply(job, answer)
+    def answer(self, job: Job, reply: Reply) -> None:
+        self.receivers[id(job)](reply)
 
     def perform(self, job: Job) -> None:
         self.done.append(job)
-        if isinstance(job, LinkJob):
-            linked = tuple(Linked.of(Links.empty(task, "scripted"), 0.001) for task in job.tasks)
-            self.answer(job, Reply(linked, None, 0.001))
-        elif isinstance(job, ConcludeJob):
-            stitch = self.result(job.head)
-            self.answer(job, Reply(Concluded(without_components(stitch), stitch_text(stitch)), None, 0.002))
-            if job.check is not None:
-                self.answer(job.check, self.check_reply(job.check))
-        else:
-            self.answer(job, Reply(b"picture", None, 0.001))
+        match job:
+            case LinkJob():
+                self.answer(job, Reply((0.001,) * len(job.tasks), None, 0.001))
+            case ConcludeJob():
+                stitch = self.result(job.head)
+                self.answer(job, Reply(Concluded(without_components(stitch), stitch_text(stitch)), None, 0.002))
+            case CheckJob():
+                self.answer(job, self.check_reply(job))
+            case _:
+                self.answer(job, Reply(b"picture", None, 0.001))
 
     def check_reply(self, job: CheckJob) -> Reply:
         return Reply(self.check(job.run), None, 0.003)
@@ -373,8 +370,7 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         ends.append(grants.stop)
         grants.start()
         ends.append(lambda: end_link(link, peer))
-        workers.start(coordinator.process_events)
-        link.start(coordinator.process_events)
+        link.start(coordinator.acquisition_message, coordinator.acquisition_ended)
         return Rig(config, coordinator, ring, peer, workers, link, store, archive)
 
     yield make

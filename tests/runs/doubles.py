@@ -49,7 +49,7 @@ class Workers:
     def busy(self) -> bool:
         return False
 
-    def submit(self, job: Any) -> None:
+    def submit(self, job: Any, done: Any) -> None:
         self.jobs.append(job)
 
     def open_run(self, opening: OpenRun) -> None:

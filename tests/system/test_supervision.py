@@ -22,7 +22,7 @@ from tests.test_supervised_thread import kill
 from vaoi_station import station as station_module
 from vaoi_station.config import StationConfig
 from vaoi_station.model import Status
-from vaoi_station.runs.workers.forking.fork_server_link import ForkServerLink
+from vaoi_station.runs.workers.fork_server_link import ForkServerLink
 from vaoi_station.station import Station
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -215,7 +215,7 @@ def test_no_board_is_lost_without_the_fork_server(
         began, victim = arm_until_filming(coordinator)
         os.kill(pid_of(coordinator, "fork server"), number)
         with monkeypatch.context() as impatient:  # only now: the next one may start slowly
-            impatient.setattr("vaoi_station.runs.workers.forking.fork_server_link.REPLY_LIMIT_S", 1.0)
+            impatient.setattr("vaoi_station.runs.workers.fork_server_link.REPLY_LIMIT_S", 1.0)
             run = result_of(coordinator, victim, began)
             assert (run.state, run.verdict) == ("ready", Status.OK), run.reasons
             ended = list[str]()

@@ -18,8 +18,8 @@ from vaoi_station.files.atomic_directory import remove_directory
 from vaoi_station.files.directory_walk import files_below
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.run.reference_store import ReferenceStore
-from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.store import Database, Store
 from vaoi_station.transfer import backup
 from vaoi_station.transfer.backup import back_up, restore

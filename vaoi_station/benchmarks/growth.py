@@ -17,7 +17,7 @@ from vaoi_station.benchmarks.process_usage import private_memory_bytes
 from vaoi_station.benchmarks.station_pace import PrerenderedRun, prerender
 from vaoi_station.benchmarks.tables import table
 from vaoi_station.errors import InternalError
-from vaoi_station.runs.host.process_setup import set_up_process
+from vaoi_station.runs.host.processes import set_up_process
 from vaoi_station.simulation import Scenario
 
 ROWS = (4, 10, 33, 100, 333)

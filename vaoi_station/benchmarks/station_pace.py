@@ -41,7 +41,7 @@ from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.runs.control.acquisition_link import Launch, Process
 from vaoi_station.runs.control.coordinator import StationCoordinator
-from vaoi_station.runs.host.process_setup import set_up_process
+from vaoi_station.runs.host.processes import set_up_process
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.simulation import Passage, Scenario, Twin

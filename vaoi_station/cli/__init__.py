@@ -138,7 +138,7 @@ def main() -> None:
 
 def _end(message: str, code: int) -> NoReturn:
     """End the program with a message and an exit code."""
-    from vaoi_station.runs.host.journal import is_journal, with_priority
+    from vaoi_station.runs.host.logs import is_journal, with_priority
 
     text = f"vaoi: {message}"
     # `journalctl -p warning` shows why a service has ended: without a priority the journal counts it as information.

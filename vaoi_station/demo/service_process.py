@@ -17,7 +17,7 @@ def main(config: str, port: str) -> int:
     """Serve until SIGTERM, or until standard input ends."""
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     # Imported here: each child process of the station imports this module anew, but none of these.
-    from vaoi_station.runs.host.gc_policy import no_collections
+    from vaoi_station.runs.host.processes import no_collections
 
     with no_collections():
         from vaoi_station.config import read_config

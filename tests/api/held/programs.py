@@ -10,7 +10,7 @@ from vaoi_station.acquisition.cameras.interface import CameraHealth, CameraLimit
 from vaoi_station.acquisition.controller.interface import ControllerLimits, FirmwareLimits
 from vaoi_station.acquisition.process.messages import Health
 from vaoi_station.config import StationConfig
-from vaoi_station.runs.lighting.program_check import LightPrograms
+from vaoi_station.runs.lighting.programs import LightPrograms
 
 FIRMWARE = FirmwareLimits("1.3.0", 16, 4, 50.0, (1000.0, 1000.0, 500.0, 500.0), 16, 10_000.0)
 LIMITS = CameraLimits((20.0, 30_000.0), (0.0, 24.0))

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from tests.api.held_station import HeldStation
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.model import BoardType, Status
-from vaoi_station.runs.workers.board_check_job import CheckedBoard
+from vaoi_station.runs.workers.picture_jobs import CheckedBoard
 
 TYPES = "/api/v1/board-types"
 U1 = {"ref": "U1", "center": [1, 2], "width": 3, "height": 4}

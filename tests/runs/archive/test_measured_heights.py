@@ -20,8 +20,8 @@ from vaoi_station.heights.estimates import PartMeasure
 from vaoi_station.model import CameraHead
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
-from vaoi_station.runs.workers.heights_job import HeightsJob
 from vaoi_station.runs.workers.jobs import Priority
+from vaoi_station.runs.workers.picture_jobs import HeightsJob
 
 PARTS = {"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5), "U2": ((4.0, 0.0, 3.0, 2.5), 1.0, 0.8)}
 CONTENT = json.dumps({"heights": {"U1": {"height_mm": 1.5, "sigma_mm": 0.02, "views": 2}, "U2": {"views": 1}}}).encode()

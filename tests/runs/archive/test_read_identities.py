@@ -19,8 +19,8 @@ from vaoi_station.runs.archive.read_identities import ReadIdentities
 from vaoi_station.runs.archive.stored_documents import identity_row
 from vaoi_station.runs.states.schemas import RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import RunState
-from vaoi_station.runs.workers.identity_job import IdentitySlice
 from vaoi_station.runs.workers.jobs import Priority
+from vaoi_station.runs.workers.picture_jobs import IdentitySlice
 from vaoi_station.store.history.identities import IdentityRow
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))

@@ -14,7 +14,7 @@ import pytest
 from vaoi_station.acquisition.process.messages import Disarm, Ready, Shutdown, Trouble
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.runs.control import acquisition_link as module
-from vaoi_station.runs.control.acquisition_link import AcquisitionLink, longest_pause_s
+from vaoi_station.runs.control.acquisition_link import AcquisitionLink
 from vaoi_station.runs.states.schemas import STARTING, WAITING
 
 PATIENCE_S = 20.0
@@ -27,17 +27,6 @@ class Recorded:
     def __init__(self) -> None:
         self.messages: queue.Queue[Any] = queue.Queue()
         self.ends: queue.Queue[str] = queue.Queue()
-
-    def acquisition_message(self, message: Any) -> None:
-        self.messages.put(message)
-
-    def acquisition_ended(self, description: str) -> None:
-        self.ends.put(description)
-
-    def worker_reply(self, *_: object) -> None:
-        raise AssertionError("the link has no workers")
-
-    worker_ended = workers_ready = worker_reply
 
 
 @pytest.fixture
@@ -62,7 +51,7 @@ def unstarted(peer: Any) -> Iterator[AcquisitionLink]:
 
 @pytest.fixture
 def link(unstarted: AcquisitionLink, peer: Any, events: Recorded) -> AcquisitionLink:
-    unstarted.start(events)
+    unstarted.start(events.messages.put, events.ends.put)
     peer.wait_for_start(1)
     return unstarted
 
@@ -81,7 +70,7 @@ def test_status_states_that_the_first_start_waits_for_the_workers(
     unstarted: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
     warm = threading.Event()
-    unstarted.start(events, warm.is_set)
+    unstarted.start(events.messages.put, events.ends.put, warm.is_set)
     status = unstarted.status()
     assert (status.doing, status.pid, status.alive) == (WAITING, None, False)
     warm.set()
@@ -138,7 +127,7 @@ def start_link(peer: Any, events: Recorded) -> Iterator[Callable[[Backoff], Acqu
     def start(backoff: Backoff) -> AcquisitionLink:
         made = AcquisitionLink(peer.launch, backoff)
         started.append(made)
-        made.start(events)
+        made.start(events.messages.put, events.ends.put)
         return made
 
     yield start
@@ -194,11 +183,6 @@ def test_status_states_when_the_process_is_started_again(
     assert status.next_try is not None
     failed = datetime.fromisoformat(status.next_try) - timedelta(seconds=60)
     assert before - ROUNDED < failed < datetime.now(UTC) + ROUNDED
-
-
-def test_absent_devices_are_retried_within_seconds_and_refused_settings_slowly() -> None:
-    assert longest_pause_s("port-absent") == longest_pause_s("camera-in-use") == 6
-    assert longest_pause_s("invalid-input") == longest_pause_s("setting-refused") == longest_pause_s("") == 60
 
 
 def test_a_process_without_heartbeat_is_killed(

@@ -1,4 +1,4 @@
-"""Runs under way: which jobs are submitted, and the order in which runs end."""
+"""Runs under way: which jobs are submitted, in which order runs end, and what becomes of one that was cut short."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import pytest
 
 from tests.runs.doubles import Workers
 from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported, RunFinished
+from vaoi_station.config import StationConfig
 from vaoi_station.errors import InternalError
 from vaoi_station.files.results import without_components
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Status, Stitch, Verdict
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.control.active_runs import ActiveRuns
+from vaoi_station.runs.control.active_runs import CAUSE, ActiveRuns, salvage_recording
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState
-from vaoi_station.runs.workers.jobs import Concluded, ConcludeJob, Linked, LinkJob, Reply
-from vaoi_station.stitching.matching.evidence import Links
+from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, LinkJob, Reply
 from vaoi_station.store import Store
 
 
@@ -36,7 +36,7 @@ def archive(store: Store) -> Archive:
 
 @pytest.fixture
 def runs(workers: Workers, archive: Archive, store: Store) -> ActiveRuns:
-    return ActiveRuns(workers, archive, EventLog(store))
+    return ActiveRuns(workers, workers.jobs.append, archive, EventLog(store))
 
 
 @pytest.fixture
@@ -60,8 +60,7 @@ def film(runs: ActiveRuns, progress: Progress, make_head: Callable[[int], Record
 def reply_links(runs: ActiveRuns, workers: Workers, run: str) -> list[Progress]:
     ended = []
     for job in [job for job in workers.jobs if isinstance(job, LinkJob) and job.run == run]:
-        linked = tuple(Linked.of(Links.empty(task, "scripted"), 0.1) for task in job.tasks)
-        ended += runs.linked(job, Reply(linked, None, 0.1), 53.0)
+        ended += runs.linked(job, Reply((0.1,) * len(job.tasks), None, 0.1), 53.0)
     return ended
 
 
@@ -85,6 +84,8 @@ def test_a_run_is_concluded_after_its_last_link_and_ends_with_the_stitchs_verdic
     assert conclude(runs, workers, "r1", make_stitch(make_head(1), status)) == [progress]
     assert progress.state is state
     assert (runs.active, workers.open) == ({}, [])
+    checks = sum(isinstance(job, CheckJob) for job in workers.jobs)
+    assert checks == (status is not Status.FAILED), "a failed result is no evidence of drift"
 
 
 def test_an_early_result_waits_for_the_run_before_it(
@@ -125,3 +126,39 @@ def test_reports_of_unknown_runs_are_ignored(runs: ActiveRuns, workers: Workers,
     runs.settle(FrameSettled("never", FrameRecord(camera=0, row=0, verdict=Verdict.OK, slot=0), 1.0))
     assert runs.filmed(RunFinished("never", 0, make_head(1), (), 1.0, "clear")) == []
     assert workers.jobs == []
+
+
+def test_rows_with_a_certain_time_are_kept_and_the_rest_is_missing(config: StationConfig, progress: Progress) -> None:
+    for index, time_s in ((0, 9.0), (1, 9.1000000004), (3, 9.3)):
+        progress.pulses[PulseReported("r1", Pulse(index=index, time_s=time_s)).pulse.index] = Pulse(
+            index=index, time_s=time_s
+        )
+    for camera, row, at in ((0, 0, 51.0), (1, 0, 51.5), (0, 1, 52.0), (0, 3, 53.0)):
+        record = FrameRecord(camera=camera, row=row, verdict=Verdict.OK, slot=row)
+        progress.settle(FrameSettled("r1", record, at))
+    film = salvage_recording(progress, config)
+    assert film is not None
+    assert film.head.rows == 2
+    assert film.head.trigger_times_s == (0.0, 0.1)
+    assert film.head.missing == ((1, 1),)
+    assert [(f.camera, f.row, f.verdict) for f in film.frames] == [
+        (0, 0, Verdict.OK),
+        (0, 1, Verdict.OK),
+        (1, 0, Verdict.OK),
+        (1, 1, Verdict.MISSING),
+    ]
+    assert film.frames[-1].cause == CAUSE
+    assert (film.bay, film.reason) == (1, "acquisition lost")
+    progress.filmed(film)
+    for task in progress.canonical_tasks:
+        progress.add_links(LinkJob(progress.context, task.a[0], (task,), {}), Reply((0.1,), None, 0.1), 60.0)
+    conclusion = progress.conclude_job()
+    assert conclusion is not None
+    left_out = {*progress.requested_s} - {*conclusion.tasks}
+    assert left_out == {task for task in progress.requested_s if task.a[1] == 3} != set(), "also unanswered ones"
+
+
+def test_without_a_pulse_there_is_no_recording(config: StationConfig, progress: Progress) -> None:
+    assert salvage_recording(progress, config) is None
+    progress.pulses[1] = Pulse(index=1, time_s=3.0)
+    assert salvage_recording(progress, config) is None

@@ -15,7 +15,7 @@ from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control import calibration_watch
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Reply
+from vaoi_station.runs.workers.jobs import CheckJob, Reply
 from vaoi_station.store import RunRow, Store
 from vaoi_station.store.history import calibration_checks
 
@@ -172,21 +172,20 @@ def test_another_calibration_begins_anew(rig: Any, calibration: Any) -> None:
     assert (anew.warnings(), anew.status().runs) == ((), 0)
 
 
-def test_every_conclusion_asks_for_a_check_with_its_digests(rig: Any) -> None:
-    rig.board(rig.arm())
+def test_every_conclusion_is_followed_by_a_check_with_its_digests(rig: Any) -> None:
+    grant = rig.arm()
+    rig.board(grant)
     rig.wait_for(lambda: rig.coordinator.calibration().runs == 1, "the check")
-    (job,) = (job for job in rig.workers.done if isinstance(job, ConcludeJob))
-    assert isinstance(job.check, CheckJob)
-    assert (job.check.run, job.check.calibration) == (job.run, rig.coordinator.calibration().digest)
+    (job,) = (job for job in rig.workers.done if isinstance(job, CheckJob))
+    assert (job.run, job.calibration) == (grant.run, rig.coordinator.calibration().digest)
 
 
 def test_a_check_of_another_calibration_is_kept_and_changes_nothing(rig: Any) -> None:
     rig.workers.displacement_px = 3.0
     film(rig, rig.arm())
     other = rig.store.keep_document("calibration", '{"n": 1}', "2026-01-01T00:00:00Z")
-    (job,) = (job.check for job in rig.workers.done if isinstance(job, ConcludeJob))
-    assert job is not None
-    rig.workers.answer(dataclasses.replace(job, calibration=other), rig.workers.check_reply(job))
+    (job,) = (job for job in rig.workers.done if isinstance(job, CheckJob))
+    rig.coordinator._core.worker_reply(dataclasses.replace(job, calibration=other), rig.workers.check_reply(job), 0.0)
     rig.wait_for(lambda: rig.store.checks.count(other) == 1, "the check")
     assert rig.coordinator.calibration().runs == 1
 

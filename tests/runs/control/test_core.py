@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,11 +16,11 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.core import Core, Parts
+from vaoi_station.runs.control.line_control import Completion
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.run.waiting_orders import Completion
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.workers.jobs import LinkJob, RenderJob, Reply
+from vaoi_station.runs.workers.jobs import LinkJob, Reply
 from vaoi_station.store import Store
 
 
@@ -137,11 +136,8 @@ def test_expired_leases_are_published(station: Station) -> None:
     assert station.events("lease") == ["The hold of tester 3 (AOI) expired."]
 
 
-def test_events_of_the_workers_are_logged_and_an_unexpected_reply_is_our_fault(station: Station) -> None:
+def test_events_of_the_workers_are_logged(station: Station) -> None:
     station.core.worker_ended("Worker 0 ended with code -9.")
     station.core.workers_ready()
     assert station.events("process") == ["Worker 0 ended with code -9."]
     assert station.events("workers") == ["The workers are ready: results come at once."]
-    view: Any = SimpleNamespace(camera=0, row=0)
-    with pytest.raises(InternalError, match="No part of the station expects"):
-        station.core.worker_reply(RenderJob("r1", 0, 1, 2, view, "png"), Reply(b"", None, 0.0), 1.0)

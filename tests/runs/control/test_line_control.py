@@ -16,14 +16,12 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, DeviceError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.control.line_control import LineControl
-from vaoi_station.runs.control.station_state import StationStateMachine
-from vaoi_station.runs.run import standing_order
-from vaoi_station.runs.run.leases import Leases
-from vaoi_station.runs.run.memory import Memory
+from vaoi_station.runs.control import line_control
+from vaoi_station.runs.control.line_control import Completion, LineControl
+from vaoi_station.runs.control.reasons import StationStateMachine
+from vaoi_station.runs.run.memory import Leases, Memory
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.run.waiting_orders import Completion
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.tables import StationStep
 from vaoi_station.store import Store
@@ -270,7 +268,7 @@ def test_a_disarm_ends_the_order_that_waits_for_memory(line: Line) -> None:
 def test_an_order_survives_a_trouble_while_the_line_is_armed_again(
     config: StationConfig, store: Store, progress: Progress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(standing_order, "PACE", BackoffPolicy(first_s=0.0, longest_s=0.0, proven_s=1.0))
+    monkeypatch.setattr(line_control, "PACE", BackoffPolicy(first_s=0.0, longest_s=0.0, proven_s=1.0))
     line = Line(config, store, progress.order)
     line.armed()
     line.control.on_acquisition_ended("the acquisition process ended")

@@ -13,7 +13,7 @@ import pytest
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.runs.control import pictures
 from vaoi_station.runs.control.pictures import frame_record
-from vaoi_station.runs.host import gc_policy
+from vaoi_station.runs.host import processes
 from vaoi_station.runs.mosaics.picture_names import PictureName
 
 
@@ -69,7 +69,7 @@ def fetch_tile(coordinator: Any, run: str) -> None:
 def test_no_full_garbage_collection_delays_a_caller_who_fetches(
     rig: Any, monkeypatch: pytest.MonkeyPatch, fetch: Callable[[Any, str], None]
 ) -> None:
-    monkeypatch.setattr(gc_policy, "IDLE_S", 0.0)
+    monkeypatch.setattr(processes, "IDLE_S", 0.0)
     monkeypatch.setattr(pictures, "FETCHING_S", math.inf)
     grant = rig.arm()
     rig.board(grant)

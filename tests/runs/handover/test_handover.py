@@ -29,8 +29,8 @@ from vaoi_station.runs.archive.recordings import FOR_ARCHIVE_FILE, Recordings
 from vaoi_station.runs.handover.adder import serve
 from vaoi_station.runs.handover.handover import SILENCE_S, Handover
 from vaoi_station.runs.states.schemas import RunDetail
-from vaoi_station.runs.workers.identity_job import IdentityJob, IdentitySlice
 from vaoi_station.runs.workers.jobs import Reply
+from vaoi_station.runs.workers.picture_jobs import IdentityJob, IdentitySlice
 
 
 class Helper(threading.Thread):

@@ -19,11 +19,11 @@ from vaoi_station.acquisition.process.messages import RunStarted
 from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.reference_store import ReferenceStore
-from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.tables import RUN, RunState, RunStep
 from vaoi_station.runs.workers.jobs import Concluded

@@ -6,8 +6,6 @@ import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -30,14 +28,13 @@ from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.model import FrameRecord, Pulse, Verdict
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.control import line_control
+from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.core import Core, Parts
-from vaoi_station.runs.run import standing_order
-from vaoi_station.runs.run.order import Order, OrderFactory
+from vaoi_station.runs.control.line_control import Completion
+from vaoi_station.runs.run.order import Order, OrderFactory, Resumed
 from vaoi_station.runs.run.reference_store import ReferenceStore
-from vaoi_station.runs.run.salvage import camera_heads
-from vaoi_station.runs.run.standing_order import Resumed
-from vaoi_station.runs.run.waiting_orders import Completion
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.store import Store
 
@@ -106,7 +103,7 @@ def orders(tmp_path: Path, store: Store) -> tuple[Order, Order]:
 def test_no_order_is_lost_and_no_bay_leaks(
     tmp_path: Path, store: Store, orders: tuple[Order, Order], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(standing_order, "PACE", BackoffPolicy(first_s=0.0, longest_s=0.0, proven_s=1.0))
+    monkeypatch.setattr(line_control, "PACE", BackoffPolicy(first_s=0.0, longest_s=0.0, proven_s=1.0))
     config = a_config(tmp_path, runs=BAYS)
 
     class LineMachine(RuleBasedStateMachine):
@@ -125,7 +122,6 @@ def test_no_order_is_lost_and_no_bay_leaks(
                     watch, resumed=taken,
                 )
             )  # fmt: skip
-            self.workers.start(SimpleNamespace(worker_reply=self._worker_reply))
             self.announced: deque[tuple[str, float]] = deque()
             archive.on_announced = lambda run, until_s: self.announced.append((run, until_s))
             self.waiting: list[Completion] = []
@@ -133,9 +129,6 @@ def test_no_order_is_lost_and_no_bay_leaks(
             self.intended = resumed
             """Whether boards are to be filmed: armed without a limit, and not cancelled since."""
             self.held: deque[str] = deque()
-
-        def _worker_reply(self, job: Any, reply: Any) -> None:
-            self.core.worker_reply(job, reply, time.monotonic())
 
         def _report(self, report: messages.Report | None) -> None:
             if report is not None:

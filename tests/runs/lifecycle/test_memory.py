@@ -13,7 +13,7 @@ from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
 from vaoi_station.model import Status, Verdict
 from vaoi_station.rendering import ImageRequest
-from vaoi_station.runs.workers.jobs import RenderJob
+from vaoi_station.runs.workers.picture_jobs import RenderJob
 
 
 def test_frames_are_copies_of_the_ring_and_holes_are_refused(rig: Any) -> None:

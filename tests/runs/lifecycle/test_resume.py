@@ -8,8 +8,8 @@ import pytest
 
 from vaoi_station.acquisition.process import messages
 from vaoi_station.runs.control.core import Core, Parts
-from vaoi_station.runs.control.station_state import StationStateMachine
-from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
+from vaoi_station.runs.control.reasons import StationStateMachine
+from vaoi_station.runs.run.order import Resumed, StandingOrder
 from vaoi_station.runs.states.schemas import Reason
 
 

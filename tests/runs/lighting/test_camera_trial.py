@@ -10,9 +10,8 @@ import pytest
 from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, DeviceError, StateError
-from vaoi_station.runs.lighting.camera_trial import TRIAL_S, CameraTrial, TrialShot
-from vaoi_station.runs.run.leases import Leases
-from vaoi_station.runs.run.memory import Memory
+from vaoi_station.runs.lighting.trials import TRIAL_S, CameraTrial, TrialShot
+from vaoi_station.runs.run.memory import Leases, Memory
 from vaoi_station.runs.states.tables import StationState
 
 WANTED = messages.FireTrial(messages.Grant("", 0), (CameraExposure((900.0,), 6.0),), "ring", 80.0)

@@ -13,7 +13,7 @@ from vaoi_station.acquisition.cameras.interface import CameraExposure, CameraHea
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.model import FrameRecord, Verdict
-from vaoi_station.runs.lighting.lighting import Lighting, TrialSettings
+from vaoi_station.runs.lighting.trials import Lighting, TrialSettings
 
 
 def shot(rig: Any, verdict: Verdict = Verdict.OK, cause: str = "") -> messages.FireTrial:
@@ -51,7 +51,8 @@ def test_a_trial_gives_the_frame_of_its_camera_and_leaves_nothing_behind(make_ri
         lighting.end_trial()
         assert rig.peer.expect(messages.EndTrial)
         assert all(bay.use == "free" for bay in rig.coordinator.snapshot().ring.bays)
-        impatient = Lighting(rig.config, (), rig.ring, rig.coordinator._inbox, rig.coordinator._core, shot_s=0.01)
+        core = rig.coordinator._core
+        impatient = Lighting(rig.config, (), rig.ring, rig.coordinator._inbox, core.trial, core.devices, shot_s=0.01)
         with pytest.raises(DeviceError, match=r"gave no frames within 0\.01 s"):
             impatient.try_settings(1, TrialSettings())
         shot(rig)

@@ -18,7 +18,7 @@ from vaoi_station.photometry.flat_fields import FlatFieldDocument, write_flat_fi
 from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.merging.merged_pictures import MergedAccess
 from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.runs.workers.merge_job import MergeJob, RowLevelsJob, merge
+from vaoi_station.runs.workers.picture_jobs import MergeJob, RowLevelsJob
 
 EXPOSURES_US = (200.0, 20.0)
 RADIANCE = 0.5
@@ -92,7 +92,7 @@ class Merging:
             return job.perform(self.pixels.__getitem__)
         assert isinstance(job, MergeJob)
         self.jobs.append(job)
-        return merge(job, self.pixels.__getitem__)
+        return job.perform(self.pixels.__getitem__)
 
 
 def even_fields(directory: Path, cameras: tuple[Camera, ...]) -> Path:

@@ -20,7 +20,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.runs.merging.merged_pictures import MergeRequest
 from vaoi_station.runs.merging.row_brightness import RowBrightness
 from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.runs.workers.merge_job import RowLevelsJob
+from vaoi_station.runs.workers.picture_jobs import RowLevelsJob
 
 WANTED = MergeRequest(region=(5, 5, 45, 35), px_per_mm=2)
 

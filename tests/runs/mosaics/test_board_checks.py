@@ -13,7 +13,7 @@ from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.errors import StateError
 from vaoi_station.model import BoardType
 from vaoi_station.runs.mosaics.board_checks import MOST_KEPT, BoardChecks
-from vaoi_station.runs.workers.board_check_job import BoardCheckJob, CheckedBoard
+from vaoi_station.runs.workers.picture_jobs import BoardCheckJob, CheckedBoard
 
 BOARD = BoardType.model_validate({"name": "b", "outline": [[0, 0], [9, 9]]})
 

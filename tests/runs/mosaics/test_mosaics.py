@@ -28,9 +28,9 @@ from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, w
 from vaoi_station.runs.mosaics.mosaics import Download, Mosaics
 from vaoi_station.runs.mosaics.opened_mosaics import MOST_PLANS
 from vaoi_station.runs.mosaics.picture_names import PictureName, parse_name
-from vaoi_station.runs.workers import mosaic_jobs
+from vaoi_station.runs.workers import picture_jobs
 from vaoi_station.runs.workers.jobs import Priority
-from vaoi_station.runs.workers.mosaic_jobs import PlanJob, PlannedPicture, TileJob
+from vaoi_station.runs.workers.picture_jobs import PlanJob, PlannedPicture, TileJob
 
 __all__ = ["board", "film"]
 
@@ -140,7 +140,7 @@ def test_measured_heights_make_new_plans_where_bodies_are_raised(film: Film) -> 
 def test_a_tile_is_rendered_without_a_worker_where_this_process_can(
     board: Filmed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mosaic_jobs, "OVERVIEW_PX", 20_000)
+    monkeypatch.setattr(picture_jobs, "OVERVIEW_PX", 20_000)
     jobs, own = list[Any](), list[TileJob]()
     mosaics = mosaics_of(board, jobs, own=lambda job: own.append(job) or b"own")  # type: ignore[func-returns-value]
     assert mosaics.tile("r1", PictureName(), 1, (0, 0, 8, 8), "png") == b"own"
@@ -288,7 +288,7 @@ def test_reduced_tiles_are_cut_from_the_overview(
     run = film(dtype=dtype, channels=channels)
     mosaics = mosaics_of(run, jobs)
     name, whole = PictureName(), mosaics.grid("r1", PictureName())
-    monkeypatch.setattr(mosaic_jobs, "OVERVIEW_PX", whole.width * whole.height // finest**2)
+    monkeypatch.setattr(picture_jobs, "OVERVIEW_PX", whole.width * whole.height // finest**2)
     grid, unit = whole.reduced(reduction), 1 if dtype == np.uint8 else 257
     box = 0, 0, grid.width, grid.height
     largest = decoded(mosaics.tile("r1", name, 1, (0, 0, whole.width, whole.height), "png"))
@@ -309,7 +309,7 @@ def test_reduced_tiles_are_cut_from_the_overview(
 
 
 def test_finer_levels_and_hdr_are_rendered_from_frames(film: Film, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mosaic_jobs, "OVERVIEW_PX", 20_000)
+    monkeypatch.setattr(picture_jobs, "OVERVIEW_PX", 20_000)
     jobs: list[Any] = []
     mosaics = mosaics_of(film(exposures=(250.0, 50.0)), jobs)
     for name, reduction, tiles in (

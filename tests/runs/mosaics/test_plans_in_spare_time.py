@@ -15,7 +15,7 @@ from tests.runs.mosaics.test_mosaics import mosaics_of, spare
 from vaoi_station.errors import GoneError
 from vaoi_station.runs.mosaics.picture_names import PictureName
 from vaoi_station.runs.workers.jobs import Priority
-from vaoi_station.runs.workers.mosaic_jobs import PlanJob
+from vaoi_station.runs.workers.picture_jobs import PlanJob
 
 __all__ = ["board", "film"]
 

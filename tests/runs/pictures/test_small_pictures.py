@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import GoneError
+from vaoi_station.errors import DeviceError, GoneError
 from vaoi_station.files.images import decode
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.rendering import ImageRequest
+from vaoi_station.runs.control import pictures
 from vaoi_station.runs.control.pictures import SMALL_PX
 from vaoi_station.runs.pictures import small_pictures as module
 from vaoi_station.runs.pictures.small_pictures import LARGEST_PX, SEATS
-from vaoi_station.runs.workers.jobs import RenderJob, Reply
-from vaoi_station.runs.workers.mosaic_jobs import TileJob
-from vaoi_station.runs.workers.worker_runtime import WorkerRuntime, render_picture
+from vaoi_station.runs.workers.evidence_log import EvidenceLog, shared_memory
+from vaoi_station.runs.workers.jobs import Numbered, Reply
+from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
+from vaoi_station.runs.workers.worker import WorkerRuntime, perform_with_frames
 
 MEDIUM = ImageRequest.of({"px_per_mm": 200})
 FINE = ImageRequest.of({"px_per_mm": 277})
@@ -51,8 +53,8 @@ def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any) -> Non
     rig.coordinator._frames.small.loaded.clear()
     assert rig.coordinator.image(run, "U1", 0, format=format) == b"picture", "until it is loaded, workers render"
     [job] = jobs(rig)
-    with WorkerRuntime(str(rig.ring.path)) as worker:
-        [reply] = worker.replies(job)
+    with WorkerRuntime(str(rig.ring.path), 0, [EvidenceLog(shared_memory(1), 0)]) as worker:
+        reply = worker.reply(Numbered(1, job))
     assert isinstance(reply, Reply)
     assert reply.value == own
 
@@ -82,8 +84,8 @@ def tile_of(rig: Any, run: str, **changes: Any) -> TileJob:
 def test_the_bytes_of_a_tile_are_those_of_a_worker(rig: Any, run: str) -> None:
     job = tile_of(rig, run)
     own = rig.coordinator._frames.small.render(job)
-    with WorkerRuntime(str(rig.ring.path)) as worker:
-        [reply] = worker.replies(job)
+    with WorkerRuntime(str(rig.ring.path), 0, [EvidenceLog(shared_memory(1), 0)]) as worker:
+        reply = worker.reply(Numbered(1, job))
     assert isinstance(reply, Reply)
     assert own is not None
     assert reply.value == own
@@ -112,12 +114,12 @@ def test_a_tile_of_memory_that_a_later_board_has_is_left_to_the_ordinary_way(rig
 def test_no_more_than_its_seats_are_rendered_at_a_time(rig: Any, run: str, monkeypatch: pytest.MonkeyPatch) -> None:
     began, go_on = threading.Semaphore(0), threading.Event()
 
-    def slow(job: Any, ring: Any) -> bytes:
+    def slow(job: Any, ring: Any) -> Any:
         began.release()
         assert go_on.wait(60)
-        return render_picture(job, ring)
+        return perform_with_frames(job, ring)
 
-    monkeypatch.setattr(module, "render_picture", slow)
+    monkeypatch.setattr(module, "perform_with_frames", slow)
     with ThreadPoolExecutor(SEATS) as callers:
         drawn = [callers.submit(rig.coordinator.image, run, "U1", 0) for _ in range(SEATS)]
         for _ in drawn:
@@ -136,3 +138,29 @@ def test_frames_that_were_released_give_no_picture(rig: Any, run: str) -> None:
 def test_memory_that_a_later_board_has_is_left_to_the_ordinary_way(rig: Any, run: str) -> None:
     rig.ring.renew(rig.coordinator.run(run).bay)
     assert rig.coordinator.image(run, "U1", 0) == b"picture", "a worker finds out by itself, or reads a recording"
+
+
+def test_each_of_two_callers_gets_its_own_reply_whatever_their_order(rig: Any, run: str) -> None:
+    rig.coordinator._frames.small.loaded.clear()
+    rig.workers.keep = True
+    with ThreadPoolExecutor(2) as callers:
+        waiting = [callers.submit(rig.coordinator.image, run, "U1", k) for k in (0, 0)]
+        rig.wait_for(lambda: len(rig.workers.kept) == 2, "both jobs")
+        for number, job in enumerate(reversed(rig.workers.kept)):
+            rig.workers.answer(job, Reply(b"%d" % number, None, 0.0))
+        assert {w.result(20) for w in waiting} == {b"0", b"1"}
+
+
+def test_a_refusal_of_the_worker_is_raised_and_a_late_reply_ignored(
+    rig: Any, run: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.coordinator._frames.small.loaded.clear()
+    monkeypatch.setattr(rig.workers, "submit", lambda job, done: done(Reply.refused(GoneError("it is gone"))))
+    with pytest.raises(GoneError, match="it is gone"):
+        rig.coordinator.image(run, "U1", 0)
+    late: list[Any] = []
+    monkeypatch.setattr(rig.workers, "submit", lambda job, done: late.append(done))
+    monkeypatch.setattr(pictures, "RENDER_LIMIT_S", 0.01)
+    with pytest.raises(DeviceError, match="No worker rendered image U1/0"):
+        rig.coordinator.image(run, "U1", 0)
+    late[0](Reply(b"late", None, 0.0))

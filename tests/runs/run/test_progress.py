@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished
 from vaoi_station.errors import InternalError, StateError
-from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Verdict
+from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Stitch, Verdict
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep
-from vaoi_station.runs.workers.jobs import ConcludeJob, Linked, LinkJob, Reply
-from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.runs.workers.jobs import CheckJob, Concluded, LinkJob, Reply
+from vaoi_station.stitching.matching.evidence import Task
 
 ROWS = 3
 KEYS = [(camera, row) for row in range(ROWS) for camera in (0, 1)]
@@ -32,18 +32,19 @@ def pulse(progress: Progress, row: int) -> None:
     progress.pulses[row] = Pulse(index=row, time_s=100 + 0.1 * row)
 
 
-def concluded(progress: Progress, head: RecordingHead, reason: str) -> ConcludeJob:
-    """Film a run whose pulses ended for a reason, and return its conclude job."""
+def check_of(progress: Progress, head: RecordingHead, reason: str, stitch: Stitch) -> CheckJob | None:
+    """Film and conclude a run whose pulses ended for a reason, and return the check that follows."""
     jobs = []
     for row in range(ROWS):
         pulse(progress, row)
         jobs += [job for camera in (0, 1) for job in settle(progress, camera, row)]
     jobs += progress.filmed(replace(report(progress, head), reason=reason))
     for job in jobs:
-        progress.add_evidence(job, found(job), 56.0)
-    conclude = progress.conclude_job()
-    assert conclude is not None
-    return conclude
+        progress.add_links(job, found(job), 56.0)
+    assert progress.check_job() is None
+    assert progress.conclude_job() is not None
+    progress.add_result(Reply(Concluded(stitch, ""), None, 0.1), 57.0)
+    return progress.check_job()
 
 
 def tasks_of(jobs: list[LinkJob]) -> list[Task]:
@@ -56,7 +57,7 @@ def report(progress: Progress, head: RecordingHead) -> RunFinished:
 
 
 def found(job: LinkJob) -> Reply:
-    return Reply(tuple(Linked.of(Links.empty(task, "scripted"), 0.5) for task in job.tasks), None, 0.5)
+    return Reply((0.5,) * len(job.tasks), None, 0.5)
 
 
 def filmed(progress: Progress, head: RecordingHead) -> list[LinkJob]:
@@ -70,13 +71,13 @@ def filmed(progress: Progress, head: RecordingHead) -> list[LinkJob]:
 
 @pytest.mark.parametrize("reason", ["disarmed", "acquisition lost", "max-rows", "the controller stopped reporting"])
 def test_a_run_that_was_cut_short_is_no_evidence_of_drift(
-    progress: Progress, make_head: Callable[..., RecordingHead], reason: str
+    progress: Progress, make_head: Callable[..., RecordingHead], make_stitch: Any, reason: str
 ) -> None:
-    assert concluded(progress, make_head(ROWS), reason).check is None
+    assert check_of(progress, make_head(ROWS), reason, make_stitch(make_head(ROWS))) is None
 
 
-def test_a_whole_run_is_evidence_of_drift(progress: Progress, make_head: Callable[..., RecordingHead]) -> None:
-    check = concluded(progress, make_head(ROWS), "clear").check
+def test_a_whole_run_is_evidence_of_drift(progress: Progress, make_head: Any, make_stitch: Any) -> None:
+    check = check_of(progress, make_head(ROWS), "clear", make_stitch(make_head(ROWS)))
     assert check is not None
     assert check.run == "r1"
     assert check.board_type == progress.order.board_type.filmed_digest()
@@ -120,11 +121,10 @@ def test_the_conclusion_follows_the_last_canonical_evidence(progress: Progress, 
     jobs = filmed(progress, make_head(ROWS))
     for job in jobs:
         assert progress.conclude_job() is None
-        progress.add_evidence(job, found(job), 60.0)
+        progress.add_links(job, found(job), 60.0)
     conclusion = progress.conclude_job()
     assert conclusion is not None
-    assert {*conclusion.linked} == {*progress.canonical_tasks} == {*tasks_of(jobs)}
-    assert conclusion.excluded == frozenset()
+    assert {*conclusion.tasks} == {*progress.canonical_tasks} == {*tasks_of(jobs)}
     assert conclusion.slots == {(camera, row): 10 * camera + row for camera, row in KEYS}
     assert progress.conclude_job() is None, "it is submitted once"
     assert [t.done_s for t in progress.timings] == [10.0] * len(progress.timings)
@@ -132,12 +132,13 @@ def test_the_conclusion_follows_the_last_canonical_evidence(progress: Progress, 
 
 def test_a_failed_job_is_a_fault_and_one_that_killed_workers_ends_the_run(progress: Progress, make_head: Any) -> None:
     first, second, *rest = filmed(progress, make_head(ROWS))
-    progress.add_evidence(first, Reply(None, InternalError("the link broke"), 0.0), 60.0)
+    progress.add_links(first, Reply(None, InternalError("the link broke"), 0.0), 60.0)
     assert ([f.message for f in progress.faults], progress.unstitchable) == (["the link broke"], False)
-    progress.add_evidence(second, Reply(None, InternalError("it died", code="worker-lost"), 0.0), 60.0)
+    assert progress.failed == {*first.tasks}
+    progress.add_links(second, Reply(None, InternalError("it died", code="worker-lost"), 0.0), 60.0)
     assert progress.unstitchable
     for job in rest:
-        progress.add_evidence(job, found(job), 60.0)
+        progress.add_links(job, found(job), 60.0)
     assert progress.conclude_job() is None
 
 

@@ -9,8 +9,8 @@ import pytest
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.model import BoardType, Calibration
+from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.run.reference_store import KEEP, ReferenceStore
-from vaoi_station.runs.run.salvage import camera_heads
 from vaoi_station.runs.states.stitching_schemas import ReferenceRecord
 from vaoi_station.store import Database, Store
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import pytest
 from tests.runs.workers.plant import BoardPlant, Plant
 from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
 from vaoi_station.model import RecordingHead
-from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Linked, LinkJob, OpenRun, RunContext
+from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, LinkJob, OpenRun, RunContext
 from vaoi_station.simulation import Twin, read_scenario
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.quality.findings import Findings
@@ -43,14 +43,14 @@ class RingBoard:
     def link(self, *tasks: Task) -> LinkJob:
         return LinkJob(self.context, tasks[0].a[0], tasks, self.slots)
 
-    def findings(self, linked: dict[Task, Linked]) -> Findings:
-        """Conclude the run outside a worker, from the same evidence."""
+    def findings(self) -> Findings:
+        """Conclude the run outside a worker."""
         runner = TaskRunner(self.setup, lambda i, j: self.ring.frame(self.ring.slot(0, i, j)))
-        evidence = [found.evidence for found in linked.values()]
+        evidence = [runner.perform(task) for task in self.tasks]
         return runner.conclude_with_findings(self.head.row_times_s(), tuple(self.slots), evidence)[1]
 
-    def conclusion(self, linked: dict[Task, Linked], check: CheckJob | None = None) -> ConcludeJob:
-        return ConcludeJob(self.context, self.head, self.slots, linked, check=check)
+    def conclusion(self, tasks: Sequence[Task] | None = None) -> ConcludeJob:
+        return ConcludeJob(self.context, self.head, self.slots, self.tasks if tasks is None else tuple(tasks))
 
 
 @pytest.fixture(scope="session")

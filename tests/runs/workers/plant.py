@@ -13,8 +13,9 @@ import numpy as np
 from tests.runs.conftest import a_board_type, a_calibration, a_config
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.rendering import compute_views
-from vaoi_station.runs.run.salvage import camera_heads
-from vaoi_station.runs.workers.jobs import ConcludeJob, Job, Linked, LinkJob, OpenRun, RenderJob, Reply, RunContext
+from vaoi_station.runs.control.active_runs import camera_heads
+from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, Reply, RunContext
+from vaoi_station.runs.workers.picture_jobs import RenderJob
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.work import StitchSetup
@@ -45,10 +46,8 @@ class Plant:
         self.news = threading.Condition()
         self.waited = 0.0
         self.on_reply: Callable[[Job], object] = lambda _: None
-        self._pending: dict[int, Pending] = {}
-        """Awaited replies by the identity of their job: two jobs may be equal."""
         self.pool = WorkerPool(2, self.ring.path)
-        self.pool.start(self)
+        self.pool.start(self.worker_ended, self.workers_ready)
         self.open_run()
 
     def open_run(self) -> None:
@@ -59,7 +58,6 @@ class Plant:
         self.pool.open_run(OpenRun(self.context, self.setup))
         self.on_reply = lambda _: None
         self.waited = 0.0
-        self._pending.clear()
         self.lost.clear()
         self._restarts = [w.restarts for w in self.pool.status()]
 
@@ -72,12 +70,6 @@ class Plant:
     def restarts(self) -> list[int]:
         """The restarts of each worker in this test."""
         return [w.restarts - before for w, before in zip(self.pool.status(), self._restarts, strict=True)]
-
-    def worker_reply(self, job: Job, answer: Reply) -> None:
-        self.on_reply(job)
-        with self.news:
-            pending = self._pending.pop(id(job))
-        pending.take(answer)
 
     def worker_ended(self, description: str) -> None:
         with self.news:
@@ -116,13 +108,14 @@ class Plant:
         slot = self.ring.slot(0, view.camera, view.row)
         return RenderJob("r1", 0, self.generation, slot, view, "png")
 
-    def expect(self, job: Job) -> Pending:
-        with self.news:
-            return self._pending.setdefault(id(job), Pending())
-
     def submit(self, job: Job) -> Pending:
-        pending = self.expect(job)
-        self.pool.submit(job)
+        pending = Pending()
+
+        def done(reply: Reply) -> None:
+            self.on_reply(job)
+            pending.take(reply)
+
+        self.pool.submit(job, done)
         return pending
 
     def close(self) -> None:
@@ -142,10 +135,9 @@ class BoardPlant(Plant):
         """Return the context of the film, which stays in its bay."""
         return self._board
 
-    def linked(self, jobs: list[LinkJob]) -> dict[Task, Linked]:
-        """Perform link jobs of one task each, and return their outcomes by task."""
-        pending = [self.submit(job) for job in jobs]
-        return {job.tasks[0]: answer.get().value[0] for job, answer in zip(jobs, pending, strict=True)}
+    def link_all(self, jobs: list[LinkJob]) -> None:
+        """Perform link jobs."""
+        assert all(answer.get().error is None for answer in [self.submit(job) for job in jobs])
 
     def close(self) -> None:
         self.pool.stop()
@@ -167,10 +159,9 @@ class Pending:
         return self.answers[0]
 
 
-def conclusion(plant: Plant, head: Any, jobs: list[LinkJob], answers: list[Reply]) -> ConcludeJob:
+def conclusion(plant: Plant, head: Any, jobs: list[LinkJob]) -> ConcludeJob:
     slots = {(camera, row): plant.ring.slot(0, camera, row) for camera in range(2) for row in range(3)}
-    linked = {job.tasks[0]: answer.value[0] for job, answer in zip(jobs, answers, strict=True)}
-    return ConcludeJob(plant.context, head, slots, linked)
+    return ConcludeJob(plant.context, head, slots, tuple(task for job in jobs for task in job.tasks))
 
 
 def numbers(answer: Reply) -> Any:

@@ -1,7 +1,8 @@
-"""The pool with real worker processes: jobs survive the death of a worker."""
+"""The pool with real worker processes: jobs survive workers that die or hang."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import signal
@@ -12,22 +13,24 @@ from typing import Any
 
 import pytest
 
-from tests.runs.workers.conftest import RingBoard
+from tests.runs.workers.conftest import CHECK, RingBoard
 from tests.runs.workers.plant import BoardPlant, Pending, Plant, conclusion, numbers
+from tests.runs.workers.served import few_files
+from vaoi_station.benchmarks.process_usage import cpu_s
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.errors import GoneError, InternalError, StateError
+from vaoi_station.errors import BusyError, GoneError, InternalError, StateError
+from vaoi_station.runs.workers import fork_server_link
 from vaoi_station.runs.workers import pool as module
-from vaoi_station.runs.workers import worker as worker_module
-from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, FramesJob, LinkJob, Priority, SteppedJob
+from vaoi_station.runs.workers import queues as queues_module
+from vaoi_station.runs.workers.jobs import ConcludeJob, LinkJob, PictureJob, Priority, SteppedJob
+from vaoi_station.runs.workers.queues import MAX_PICTURES
 from vaoi_station.steps import Steps
-from vaoi_station.stitching.matching.evidence import Links
 
 
 def test_links_and_pictures_are_made(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
     answer = plant.submit(plant.link()).get()
     assert answer.error is None, answer.error
-    assert isinstance(answer.value[0].evidence, Links)
-    assert answer.worker_s > 0
+    assert answer.worker_s > answer.value[0] > 0
     picture = plant.submit(plant.picture(make_stitch, make_head(3))).get()
     assert picture.value[:4] == b"\x89PNG"
 
@@ -54,7 +57,7 @@ def test_jobs_of_a_killed_worker_are_repeated(plant: Plant) -> None:
     assert "rows of (0, 0)" in plant.pool.status()[0].doing
     os.kill(victim, signal.SIGKILL)
     answers = [p.get() for p in pending]
-    assert all(isinstance(answer.value[0].evidence, Links) for answer in answers)
+    assert all(answer.error is None for answer in answers)
     plant.until(lambda: len(plant.lost) == 1)
     assert "Worker 0 ended with code -9 while doing rows of (0, 0)" in plant.lost[0]
     plant.all_idle()
@@ -114,65 +117,57 @@ def test_a_worker_that_hangs_is_replaced(plant: Plant, monkeypatch: pytest.Monke
     plant.until(lambda: plant.complete > before)
 
 
-def test_the_concluding_worker_has_gathered_the_evidence_of_others(plant: Plant, make_head: Any) -> None:
+def test_a_new_owner_concludes_from_the_evidence_of_all(plant: Plant, make_head: Any) -> None:
+    """The owner of the run dies with all that it has gathered."""
     plant.all_idle()
     jobs = [plant.link(camera, row) for row in range(2) for camera in (0, 1)]
-    replies = [plant.submit(job).get() for job in jobs]
-    plant.all_idle()
-    whole = conclusion(plant, make_head(3), jobs, replies)
-    gathered = numbers(plant.submit(dataclasses.replace(whole, linked={})).get())
+    assert all(plant.submit(job).get().error is None for job in jobs)
+    whole = conclusion(plant, make_head(3), jobs)
+    gathered = numbers(plant.submit(whole).get())
     assert len(gathered["quality"]["unlinked"]) == 4, "equal frames do not move, but each pair was evaluated"
     os.kill(plant.pid(1), signal.SIGKILL)
     plant.until(lambda: len(plant.lost) == 1)
     plant.all_idle()
-    assert numbers(plant.submit(whole).get()) == gathered, "a restarted worker receives all evidence again"
+    assert numbers(plant.submit(whole).get()) == gathered
 
 
-def test_a_check_is_a_second_reply_of_the_same_worker(board_plant: BoardPlant, ring_board: RingBoard) -> None:
-    linked = board_plant.linked([ring_board.link(task) for task in ring_board.tasks])
-    board_plant.all_idle()
-    check = CheckJob("r1", "2026-01-01T00:00:00Z", "board-type", "calibration")
-    checked = board_plant.expect(check)
-    result = board_plant.submit(ring_board.conclusion(linked, check))
-    assert result.get().error is None
+def test_the_worker_that_has_concluded_checks_the_calibration(board_plant: BoardPlant, ring_board: RingBoard) -> None:
+    board_plant.link_all([ring_board.link(task) for task in ring_board.tasks])
+    assert board_plant.submit(ring_board.conclusion()).get().error is None
     board_plant.pool.close_run("r1")
-    assert isinstance(checked.get().value, RunCheck), "a run that is closed meanwhile is checked first"
-    board_plant.all_idle()
+    checked = board_plant.submit(CHECK).get()
+    assert isinstance(checked.value, RunCheck), "also after the run was closed"
+    assert checked.value.cameras
+    assert isinstance(board_plant.submit(CHECK).get().error, InternalError), "once"
 
 
-def test_a_check_whose_worker_dies_is_given_up(board_plant: BoardPlant, ring_board: RingBoard) -> None:
-    linked = board_plant.linked([ring_board.link(task) for task in ring_board.tasks])
-    board_plant.all_idle()
-    check = CheckJob("r1", "2026-01-01T00:00:00Z", "board-type", "calibration")
-    checked = board_plant.expect(check)
+def test_a_check_whose_worker_has_died_is_refused(board_plant: BoardPlant, ring_board: RingBoard) -> None:
+    board_plant.link_all([ring_board.link(task) for task in ring_board.tasks])
     pid = board_plant.pid(1)
     board_plant.on_reply = lambda job: os.kill(pid, signal.SIGKILL) if isinstance(job, ConcludeJob) else None
-    board_plant.submit(ring_board.conclusion(linked, check)).get()
-    outcome = checked.get()
-    if outcome.error is not None:  # otherwise the check was faster than the signal
-        assert outcome.error.code == "worker-lost"
-    board_plant.all_idle()
+    board_plant.submit(ring_board.conclusion()).get()
+    board_plant.until(lambda: len(board_plant.lost) == 1)
+    refused = board_plant.submit(CHECK).get()
+    assert refused.error is not None
+    assert "the worker that concluded the run has ended" in refused.error.message
     assert board_plant.submit(ring_board.link(ring_board.tasks[0])).get().error is None
 
 
-def test_excluded_tasks_are_not_in_the_result(plant: Plant, make_head: Any) -> None:
-    plant.all_idle()
+def test_only_the_given_tasks_are_in_the_result(plant: Plant, make_head: Any) -> None:
     jobs = [plant.link(0, row) for row in range(2)]
-    answers = [plant.submit(job).get() for job in jobs]
-    plant.all_idle()
-    job = conclusion(plant, make_head(3), jobs, answers)
-    assert len(numbers(plant.submit(job).get())["quality"]["unlinked"]) == 2
-    less = dataclasses.replace(job, linked={}, excluded=frozenset(jobs[1].tasks))
-    assert [u["a"] for u in numbers(plant.submit(less).get())["quality"]["unlinked"]] == [[0, 0]]
+    assert all(plant.submit(job).get().error is None for job in jobs)
+    for chosen, rows in ((jobs, [[0, 0], [0, 1]]), (jobs[:1], [[0, 0]])):
+        result = numbers(plant.submit(conclusion(plant, make_head(3), chosen)).get())
+        assert [u["a"] for u in result["quality"]["unlinked"]] == rows
 
 
 def test_a_conclusion_whose_worker_dies_is_repeated_by_another(plant: Plant, make_head: Any) -> None:
     plant.all_idle()
     jobs = [plant.link(camera) for camera in (0, 1)]
-    answers = [plant.submit(job).get() for job in jobs]
+    assert all(plant.submit(job).get().error is None for job in jobs)
     plant.all_idle()
     os.kill(plant.pid(1), signal.SIGSTOP)
-    job = conclusion(plant, make_head(3), jobs, answers)
+    job = conclusion(plant, make_head(3), jobs)
     pending = plant.submit(job)
     assert "the conclusion of run r1" in plant.pool.status()[1].doing
     os.kill(plant.pid(1), signal.SIGKILL)
@@ -225,11 +220,6 @@ def test_stopping_reports_every_job_and_leaves_no_process(tmp_path: Path) -> Non
 class Walk(SteppedJob):
     """A job whose steps end when the first pixel of slot 0 is 1; the reply's value is its process."""
 
-    run: str
-    bay: int
-    generation: int
-    request: int = 1
-
     def steps(self, frame: Callable[[int], Any]) -> Steps[int]:
         while frame(0)[0, 0] != 1:
             yield
@@ -237,13 +227,8 @@ class Walk(SteppedJob):
 
 
 @dataclasses.dataclass(frozen=True)
-class Glance(FramesJob):
+class Glance(PictureJob):
     """A picture job whose reply's value is its process."""
-
-    run: str
-    bay: int
-    generation: int
-    request: int = 2
 
     def perform(self, frame: Callable[[int], Any]) -> int:
         return os.getpid()
@@ -253,7 +238,7 @@ class Glance(FramesJob):
 def walk(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pending]:
     """A job under way in the first worker: the other one, which concludes, takes no pictures while a run is open."""
     # Before its first step the worker imports this module, which may take seconds.
-    monkeypatch.setitem(worker_module.OVERDUE_S, Priority.RENDER, 60.0)
+    monkeypatch.setitem(queues_module.OVERDUE_S, Priority.RENDER, 60.0)
     plant.all_idle()
     plant.ring.frame(0)[0, 0] = 0
     pending = plant.submit(Walk("r1", 0, plant.generation))
@@ -275,7 +260,7 @@ def test_a_worker_makes_pictures_between_the_steps_of_a_long_job(plant: Plant, w
 class Spare(Walk):
     """A job in spare time; those of the run "soon" end at once."""
 
-    priority: Priority = Priority.HEIGHTS
+    priority: Priority = dataclasses.field(default=Priority.HEIGHTS, kw_only=True)
 
     def steps(self, frame: Callable[[int], Any]) -> Steps[int]:
         if self.run != "soon":
@@ -288,8 +273,8 @@ def test_a_job_in_spare_time_that_a_caller_waits_for_overtakes_others(plant: Pla
     plant.ring.frame(0)[0, 0] = 1
     walk.get()
     plant.ring.frame(0)[0, 0] = 0
-    first = plant.submit(Spare("r0", 0, plant.generation, request=3))
-    soon = plant.submit(Spare("soon", 0, plant.generation, request=4))
+    first = plant.submit(Spare("r0", 0, plant.generation))
+    soon = plant.submit(Spare("soon", 0, plant.generation))
     with plant.pool.hastened(Spare, "soon"):
         assert soon.get().value == plant.pid(0)
     assert not first.answers
@@ -309,3 +294,125 @@ def test_a_paused_job_begins_anew_when_its_worker_dies(plant: Plant, walk: Pendi
 def test_a_paused_job_ends_when_its_frames_are_overwritten(plant: Plant, walk: Pending) -> None:
     plant.next_context()
     assert isinstance(walk.get().error, GoneError)
+
+
+def test_the_job_of_a_worker_that_hangs_is_repeated_at_once(plant: Plant) -> None:
+    plant.all_idle()
+    victim = plant.pid(0)
+    os.kill(victim, signal.SIGSTOP)
+    try:
+        pending = [plant.submit(plant.link(0, row)) for row in (0, 1, 0)]
+        assert all(p.get().error is None for p in pending)
+        assert plant.lost == [], "no worker had to be killed for it"
+    finally:
+        os.kill(victim, signal.SIGCONT)
+    plant.all_idle()
+    assert all(len(p.answers) == 1 for p in pending), "the late replies of the worker that hung are dropped"
+    assert plant.submit(plant.link()).get().error is None
+
+
+def test_a_worker_that_another_has_outrun_is_replaced_soon(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "REPEATED_LIMIT_S", 1.5)
+    plant.all_idle()
+    victim = plant.pid(0)
+    os.kill(victim, signal.SIGSTOP)
+    assert plant.submit(plant.link()).get().error is None
+    plant.until(lambda: len(plant.lost) == 1)
+    assert "Worker 0 did not answer for 1.5 s" in plant.lost[0]
+    plant.all_idle()
+    assert plant.pid(0) != victim
+
+
+def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(board_plant: BoardPlant, ring_board: RingBoard) -> None:
+    board_plant.link_all([ring_board.link(task) for task in ring_board.tasks])
+    board_plant.all_idle()
+    victim = board_plant.pid(1)
+    os.kill(victim, signal.SIGSTOP)
+    try:
+        result = board_plant.submit(ring_board.conclusion())
+        assert result.get().error is None
+        checked = board_plant.submit(CHECK)
+        assert isinstance(checked.get().value, RunCheck), "by the worker that has concluded"
+    finally:
+        with contextlib.suppress(ProcessLookupError):  # a worker that was outrun is killed after some seconds
+            os.kill(victim, signal.SIGCONT)
+    board_plant.all_idle()
+    assert [len(p.answers) for p in (result, checked)] == [1, 1], "result and check of the slower worker are dropped"
+
+
+def test_a_conclusion_of_a_closed_run_is_not_repeated(plant: Plant, make_head: Any) -> None:
+    """Its worker dies after the run was closed: the pool goes on."""
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    plant.submit(conclusion(plant, make_head(3), []))
+    plant.pool.close_run("r1")
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGKILL)
+    plant.until(lambda: len(plant.lost) == 2)
+    refused = plant.submit(plant.link()).get()
+    assert isinstance(refused.error, StateError)
+    assert "after the run was closed" in refused.error.message
+    plant.open_run()
+    assert plant.submit(plant.link()).get().error is None
+    assert plant.pool.thread.fault() is None
+
+
+def test_waiting_pictures_are_limited(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
+    plant.all_idle()
+    for worker in (0, 1):
+        os.kill(plant.pid(worker), signal.SIGSTOP)
+    try:
+        pending = [plant.submit(plant.picture(make_stitch, make_head(3))) for _ in range(MAX_PICTURES + 1)]
+        refused = plant.submit(plant.picture(make_stitch, make_head(3))).get()
+    finally:
+        for worker in (0, 1):
+            os.kill(plant.pid(worker), signal.SIGCONT)
+    assert isinstance(refused.error, BusyError)
+    assert refused.error.code == "pictures-busy"
+    assert all(p.get().error is None for p in pending)
+
+
+def test_a_worker_that_cannot_be_started_is_tried_again(plant: Plant) -> None:
+    plant.all_idle()
+    server = plant.pool.fork_server.status().pid
+    assert server is not None
+    with few_files(server, 0):
+        os.kill(plant.pid(0), signal.SIGKILL)
+        plant.until(lambda: len(plant.lost) == 2)
+        assert "Worker 0 could not be started (the fork server has too many open files)" in plant.lost[1]
+    plant.all_idle()
+    assert plant.submit(plant.link()).get().error is None
+
+
+def test_a_killed_worker_has_a_successor_that_imports_nothing(plant: Plant) -> None:
+    plant.all_idle()
+    os.kill(plant.pid(0), signal.SIGKILL)
+    plant.until(lambda: len(plant.lost) == 1)
+    plant.all_idle()
+    assert cpu_s(plant.pid(0)) < 0.3, "a start by itself takes seconds"
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_workers_go_on_without_the_fork_server(
+    plant: Plant, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """A worker that dies meanwhile is replaced by the next fork server; its exit code remains unknown."""
+    plant.all_idle()
+    server, workers = plant.pool.fork_server.status().pid, [plant.pid(0), plant.pid(1)]
+    assert server is not None
+    os.kill(server, number)
+    os.kill(workers[0], signal.SIGKILL)
+    pending = [plant.submit(plant.link(camera, row)) for row in range(2) for camera in (0, 1)]
+    assert all(p.get().error is None for p in pending)
+    with monkeypatch.context() as impatient:  # only now: the next server may start slowly
+        impatient.setattr(fork_server_link, "REPLY_LIMIT_S", 1.0)
+        plant.until(lambda: any("The fork server" in words for words in plant.lost))
+    plant.all_idle()
+    how = "ended with code -9" if number == signal.SIGKILL else "did not answer for 1 s, so that the station ended it"
+    assert f"The fork server {how}; it is restarted. Workers that run go on." in plant.lost
+    assert plant.pid(0) != workers[0]
+    assert plant.pid(1) == workers[1]
+    assert plant.pool.fork_server.status().pid != server
+    assert plant.submit(plant.link()).get().error is None
+    assert plant.pool.thread.fault() is None

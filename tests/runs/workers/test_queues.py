@@ -12,38 +12,33 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.runs.workers.conftest import CHECK, RingBoard
-from vaoi_station.errors import GoneError, InternalError
 from vaoi_station.runs.batches.batch_job import BatchJob
 from vaoi_station.runs.workers.jobs import (
+    CheckJob,
     ConcludeJob,
-    GatherJob,
     Job,
-    Linked,
     LinkJob,
     OpenRun,
     Priority,
-    RenderJob,
-    Reply,
     RunContext,
     SteppedJob,
 )
-from vaoi_station.runs.workers.queues import JobQueues
-from vaoi_station.runs.workers.worker import Queued, Worker
+from vaoi_station.runs.workers.picture_jobs import RenderJob
+from vaoi_station.runs.workers.queues import OVERDUE_S, PING_OVERDUE_S, JobQueues, Queued, Worker
 from vaoi_station.steps import Steps
-from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.stitching.matching.evidence import Task
 
 
 @dataclass(frozen=True)
 class LongJob(SteppedJob):
     """A job in steps, of which none is performed here."""
 
-    run: str
-    bay: int
-    generation: int
-    request: int = 0
-
     def steps(self, frame: Callable[[int], Any]) -> Steps[None]:
         yield
+
+
+def queued(job: Job, deaths: int = 0) -> Queued:
+    return Queued(job, lambda _: None, deaths=deaths)
 
 
 class Hall:
@@ -64,17 +59,13 @@ class Hall:
 
     def add(self, *jobs: Job) -> None:
         for job in jobs:
-            self.queues.add(Queued(job))
+            self.queues.add(queued(job))
 
     def choose(self, worker: int) -> Job | None:
         queued = self.queues.choose(self.workers[worker])
         if queued is not None:
             self.workers[worker].jobs.append(queued)
         return None if queued is None else queued.job
-
-    def reply(self, worker: int, job: LinkJob, error: GoneError | None = None) -> None:
-        value = tuple(Linked.of(Links.empty(task, ""), 0.0) for task in job.tasks)
-        self.queues.share_evidence(self.workers[worker], job, Reply(None if error else value, error, 0.0))
 
 
 @pytest.fixture
@@ -94,16 +85,6 @@ def test_one_waiting_job_is_left_to_its_worker_and_a_second_one_is_not(hall: Hal
     assert hall.choose(1) == hall.link(0, 0)
 
 
-def test_evidence_that_a_worker_could_not_take_over_is_not_its_own(hall: Hall) -> None:
-    worker, task = hall.workers[0], hall.board.tasks[0]
-    worker.evidence["r1"] = {task}
-    job = GatherJob(hall.board.context, {task: None})  # type: ignore[dict-item]
-    hall.queues.share_evidence(worker, job, Reply(None, None, 0.1))
-    assert worker.evidence["r1"] == {task}
-    hall.queues.share_evidence(worker, job, Reply.refused(InternalError("no memory.")))
-    assert worker.evidence["r1"] == set()
-
-
 def test_jobs_of_a_worker_that_is_not_ready_go_to_others(hall: Hall) -> None:
     hall.workers[0].ready = False
     hall.add(hall.link(0))
@@ -111,51 +92,44 @@ def test_jobs_of_a_worker_that_is_not_ready_go_to_others(hall: Hall) -> None:
 
 
 def test_urgent_jobs_are_chosen_first(hall: Hall) -> None:
-    conclusion = hall.board.conclusion({})
-    gather = GatherJob(hall.board.context, {})
-    hall.add(hall.picture(), gather, hall.link(2), conclusion)
+    conclusion = hall.board.conclusion()
+    hall.add(hall.picture(), hall.link(2), conclusion)
     chosen = []
-    for worker in (2, 2, 2, 0):
+    for worker in (2, 2, 0):
         chosen.append(hall.choose(worker))
         hall.workers[worker].jobs.clear()
-    assert chosen == [conclusion, hall.link(2), gather, hall.picture()]
+    assert chosen == [conclusion, hall.link(2), hall.picture()]
 
 
 def test_a_conclusion_goes_to_the_worker_with_the_evidence(hall: Hall) -> None:
-    hall.add(hall.board.conclusion({}))
+    hall.add(hall.board.conclusion())
     assert hall.choose(0) is None
     assert isinstance(hall.choose(2), ConcludeJob)
 
 
 @pytest.mark.parametrize("busy_with", ["picture", "check"])
 def test_a_conclusion_does_not_wait_for_a_picture_or_a_check(hall: Hall, busy_with: str) -> None:
-    hall.workers[2].jobs = deque([Queued(hall.picture() if busy_with == "picture" else CHECK)])
-    hall.add(hall.board.conclusion({}))
+    hall.workers[2].jobs = deque([queued(hall.picture() if busy_with == "picture" else CHECK)])
+    hall.add(hall.board.conclusion())
     assert isinstance(hall.choose(0), ConcludeJob)
 
 
 def test_a_conclusion_waits_for_links_of_its_worker(hall: Hall) -> None:
-    hall.workers[2].jobs = deque([Queued(hall.link(2))])
-    hall.add(hall.board.conclusion({}))
+    hall.workers[2].jobs = deque([queued(hall.link(2))])
+    hall.add(hall.board.conclusion())
     assert hall.choose(0) is None
 
 
 def test_links_of_the_next_board_do_not_wait_for_a_check(hall: Hall) -> None:
-    hall.workers[2].jobs = deque([Queued(CHECK)])
+    hall.workers[2].jobs = deque([queued(CHECK)])
     hall.add(hall.link(2, 0))
     assert hall.queues.next_link(hall.workers[2]) is None
     assert hall.choose(0) == hall.link(2, 0)
 
 
-def test_gathered_evidence_waits_for_its_worker_even_during_a_check(hall: Hall) -> None:
-    hall.workers[2].jobs = deque([Queued(CHECK)])
-    hall.add(GatherJob(hall.board.context, {}))
-    assert hall.choose(0) is None
-
-
 def test_a_busy_worker_gets_its_next_link_if_the_run_is_open_there(hall: Hall) -> None:
     worker = hall.workers[0]
-    worker.jobs.append(Queued(hall.link(0)))
+    worker.jobs.append(queued(hall.link(0)))
     hall.add(hall.link(0, 1))
     assert hall.queues.next_link(worker) is None
     worker.opened.add("r1")
@@ -167,40 +141,17 @@ def test_a_busy_worker_gets_its_next_link_if_the_run_is_open_there(hall: Hall) -
 
 def test_no_second_job_while_a_conclusion_waits(hall: Hall) -> None:
     worker = hall.workers[0]
-    worker.jobs.append(Queued(hall.link(0)))
+    worker.jobs.append(queued(hall.link(0)))
     worker.opened.add("r1")
-    hall.add(hall.link(0, 1), hall.board.conclusion({}))
+    hall.add(hall.link(0, 1), hall.board.conclusion())
     assert hall.queues.next_link(worker) is None
 
 
-def test_evidence_is_sent_ahead_to_the_concluding_worker(hall: Hall) -> None:
-    job = hall.link(0)
-    hall.reply(0, job)
-    assert hall.workers[0].evidence == {"r1": set(job.tasks)}
-    gather = hall.choose(2)
-    assert isinstance(gather, GatherJob)
-    assert set(gather.linked) == set(job.tasks)
-
-
-def test_its_own_evidence_is_not_gathered(hall: Hall) -> None:
-    hall.reply(2, hall.link(2))
-    assert hall.workers[2].evidence["r1"]
-    assert hall.choose(2) is None
-
-
-def test_failed_links_and_closed_runs_leave_no_evidence(hall: Hall) -> None:
-    hall.reply(0, hall.link(0), GoneError("gone."))
-    hall.queues.forget("r1")
-    hall.reply(0, hall.link(0))
-    assert hall.workers[0].evidence == {}
-    assert hall.queues.emptied() == []
-
-
-def test_closing_a_run_drops_its_links_and_keeps_its_pictures(hall: Hall) -> None:
+def test_closing_a_run_drops_its_links_and_keeps_its_check_and_pictures(hall: Hall) -> None:
     hall.queues.runs["r2"] = OpenRun(replace(hall.board.context, run="r2"), hall.board.setup)
-    hall.add(hall.link(0), GatherJob(hall.board.context, {}), hall.link(0, run="r2"), hall.picture())
+    hall.add(hall.link(0), hall.link(0, run="r2"), hall.picture(), CHECK)
     hall.queues.forget("r1")
-    assert [q.job for q in hall.queues.emptied()] == [hall.link(0, run="r2"), hall.picture()]
+    assert [q.job for q in hall.queues.emptied()] == [hall.link(0, run="r2"), CHECK, hall.picture()]
     assert set(hall.queues.runs) == {"r2"}
 
 
@@ -208,20 +159,14 @@ def test_a_job_of_a_closed_run_is_not_put_back(hall: Hall) -> None:
     """The worker died after the run was closed: nothing needs the job, and its set-up is gone."""
     job = hall.link(0, 0)
     hall.queues.forget(job.run)
-    hall.queues.put_back(Queued(job, deaths=1))
+    hall.queues.put_back(queued(job, deaths=1))
     assert hall.queues.emptied() == []
 
 
 def test_a_job_that_is_put_back_is_the_next_one(hall: Hall) -> None:
     hall.add(hall.link(0, 1))
-    hall.queues.put_back(Queued(hall.link(0, 0), deaths=1))
+    hall.queues.put_back(queued(hall.link(0, 0), deaths=1))
     assert hall.choose(0) == hall.link(0, 0)
-
-
-def test_a_worker_is_idle_when_it_is_ready_without_a_job(hall: Hall) -> None:
-    job = Queued(hall.link(0))
-    found = [(w.idle, w.job) for w in (Worker(0), Worker(0, ready=True), Worker(0, ready=True, jobs=deque([job])))]
-    assert found == [(False, None), (True, None), (False, job)]
 
 
 @settings(max_examples=60, deadline=None)
@@ -249,7 +194,7 @@ def test_every_job_is_given_out_exactly_once(
 def test_a_picture_leaves_one_worker_free_for_a_conclusion(hall: Hall) -> None:
     hall.add(*(hall.picture() for _ in range(5)))
     assert [hall.choose(k) is not None for k in (2, 1, 0)] == [False, True, True], "the one with the evidence"
-    hall.add(hall.board.conclusion({}))
+    hall.add(hall.board.conclusion())
     assert isinstance(hall.choose(2), ConcludeJob)
 
 
@@ -269,7 +214,8 @@ def test_small_pictures_and_links_take_turns_on_the_workers_that_do_not_conclude
         chosen.append(hall.choose(0))
         assert hall.queues.next_link(hall.workers[0]) is None or len(chosen) == 4, "the small one is next"
         hall.workers[0].jobs.clear()
-    assert [job.priority for job in chosen if job] == [1, 3, 1, 3]
+    p = Priority
+    assert [job.priority for job in chosen if job] == [p.LINK, p.SMALL_RENDER] * 2
     hall.add(small)
     for _ in range(3):
         assert isinstance(hall.choose(1), LinkJob)
@@ -281,7 +227,7 @@ def test_a_small_picture_never_delays_a_conclusion_or_waits_for_large_ones(hall:
     hall.add(hall.picture(), hall.picture(), small)
     assert hall.choose(0) == small
     hall.workers[0].jobs.clear()
-    hall.add(small, hall.board.conclusion({}))
+    hall.add(small, hall.board.conclusion())
     assert isinstance(hall.choose(2), ConcludeJob)
 
 
@@ -318,17 +264,17 @@ def test_a_conclusion_never_waits_behind_pictures(
     hall = Hall(ring_board, count)
     for step, k in steps:
         if step == "finish":
-            finished = [queued.job for queued in hall.workers[k % count].jobs]
-            checks = [Queued(job.check) for job in finished if isinstance(job, ConcludeJob) and job.check is not None]
-            hall.workers[k % count].jobs = deque(checks)
+            if any(isinstance(q.job, ConcludeJob) for q in hall.workers[k % count].jobs):
+                hall.queues.concluded("r1", hall.workers[k % count])
+                hall.add(CHECK)
+            hall.workers[k % count].jobs.clear()
         elif step == "conclude":
-            hall.add(hall.board.conclusion({}, check=CHECK))
+            hall.add(hall.board.conclusion())
         else:
             hall.add(hall.link(k % 3) if step == "link" else hall.picture())
         begun = [hall.choose(worker) for worker in range(count) if hall.workers[worker].idle]
-        late = [worker.job for worker in hall.workers if worker.job and worker.job.job.priority > Priority.GATHER]
-        assert sum(isinstance(queued.job, RenderJob) for queued in late) < count
-        assert len(late) < count or not any(isinstance(job, RenderJob) for job in begun)
+        late = [worker.job for worker in hall.workers if worker.job and worker.job.job.priority > Priority.LINK]
+        assert len(late) < count or not any(isinstance(job, RenderJob | CheckJob) for job in begun)
 
 
 def test_a_job_in_spare_time_is_as_urgent_as_pictures_while_a_caller_waits_for_it(hall: Hall) -> None:
@@ -363,7 +309,7 @@ def test_spare_time_begins_no_job_while_a_caller_waits(ring_board: RingBoard) ->
     hall = Hall(ring_board, 2)
     hall.queues.runs.clear()
     long = LongJob("r1", 0, 1)
-    hall.queues.pause(Queued(long), hall.workers[1])
+    hall.queues.pause(queued(long), hall.workers[1])
     spare = [replace(hall.picture(), priority=p) for p in (Priority.HEIGHTS, Priority.OVERVIEW, Priority.IDENTITY)]
     hall.add(*spare)
     assert hall.choose(0) is None
@@ -391,3 +337,38 @@ def test_parts_of_batches_leave_one_worker_free_while_a_run_is_open(hall: Hall) 
     hall.add(part_of_a_batch(), part_of_a_batch(), part_of_a_batch())
     assert [hall.choose(k) for k in (0, 1)] == [part_of_a_batch()] * 2
     assert hall.choose(2) is None
+
+
+def test_a_worker_is_overdue_when_its_job_or_its_reply_to_a_ping_takes_much_longer_than_usual(hall: Hall) -> None:
+    worker = Worker(0, ready=True, jobs=deque([queued(hall.link(0))]), since_s=10.0)
+    assert worker.due_s() == 10.0 + OVERDUE_S[Priority.LINK]
+    for now_s, overdue in ((10.5, False), (12.0, True)):
+        worker.update(now_s)
+        assert worker.overdue is overdue
+    assert Worker(0, ready=True).due_s() is None
+    assert Worker(0, ready=True, pinged_s=10.0).due_s() == 10.0 + PING_OVERDUE_S
+    assert Worker(0, since_s=0.0).due_s() is None, "a worker that starts is not overdue"
+
+
+def test_links_are_repeated_and_checks_and_answered_jobs_are_not(hall: Hall) -> None:
+    link, answered = queued(hall.link(0)), queued(hall.link(0))
+    answered.answered = True
+    assert [q.repeatable for q in (link, answered, queued(CHECK), queued(LongJob("r1", 0, 1)))] == [True] + 3 * [False]
+
+
+def test_a_check_goes_to_the_worker_that_has_concluded_and_leaves_another_one_free(hall: Hall) -> None:
+    hall.queues.concluded("r1", hall.workers[1])
+    hall.add(CHECK, hall.picture())
+    assert [hall.choose(k) for k in (0, 2)] == [None, None], "no picture is begun before it"
+    assert hall.choose(1) == CHECK
+    assert hall.choose(0) == hall.picture()
+    hall.workers[1].jobs.clear()
+    hall.workers[2].jobs.append(queued(hall.picture()))
+    hall.add(CHECK)
+    assert hall.choose(1) is None
+
+
+def test_pictures_do_not_wait_for_the_check_of_a_worker_that_hangs(hall: Hall) -> None:
+    hall.workers[2].overdue = True
+    hall.add(CHECK, hall.picture())
+    assert hall.choose(0) == hall.picture()

@@ -1,48 +1,241 @@
-"""When a worker is overdue."""
+"""The work of one worker, without a process: jobs on a real ring with a board of the twin."""
 
 from __future__ import annotations
 
-from collections import deque
+import dataclasses
+import io
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
+import cv2
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from tests.runs.workers.conftest import CHECK
-from vaoi_station.runs.workers.jobs import LinkJob, Priority, RunContext
-from vaoi_station.runs.workers.worker import OVERDUE_S, PING_OVERDUE_S, Queued, Worker
-
-LINK = LinkJob(RunContext("r1", 0, 1), 0, (), {})
-
-
-def test_a_worker_is_overdue_when_its_job_takes_much_longer_than_usual() -> None:
-    worker = Worker(0, ready=True, jobs=deque([Queued(LINK)]), since_s=10.0)
-    assert worker.due_s() == 10.0 + OVERDUE_S[Priority.LINK]
-    for now_s, overdue in ((10.5, False), (12.0, True)):
-        worker.update(now_s)
-        assert worker.overdue is overdue
-
-
-def test_a_worker_is_overdue_when_it_does_not_answer() -> None:
-    worker = Worker(0, ready=True)
-    assert worker.due_s() is None
-    worker.pinged_s = 10.0
-    assert worker.due_s() == 10.0 + PING_OVERDUE_S
+from tests.runs.workers.conftest import CHECK, RingBoard
+from vaoi_station.drift.check_run import check_run
+from vaoi_station.drift.checks import RunCheck
+from vaoi_station.drift.lamps import is_comparable
+from vaoi_station.errors import GoneError, InternalError
+from vaoi_station.files.images import write_image
+from vaoi_station.model import Status
+from vaoi_station.rendering import compute_views
+from vaoi_station.runs.states.schemas import ImageFormat
+from vaoi_station.runs.workers import evidence_log
+from vaoi_station.runs.workers import worker as module
+from vaoi_station.runs.workers.evidence_log import EvidenceLog, shared_memory
+from vaoi_station.runs.workers.jobs import CloseRun, Job, Numbered, Reply
+from vaoi_station.runs.workers.picture_jobs import RenderJob, encode
+from vaoi_station.runs.workers.worker import WorkerRuntime
+from vaoi_station.stitching.work import TaskRunner
 
 
-def test_a_worker_that_starts_is_not_overdue() -> None:
-    worker = Worker(0, since_s=0.0)
-    worker.update(100.0)
-    assert not worker.overdue
+@pytest.fixture
+def logs() -> list[EvidenceLog]:
+    memory = shared_memory(2)
+    return [EvidenceLog(memory, k) for k in range(2)]
 
 
-@pytest.mark.parametrize(("queued", "repeatable"), [
-    (Queued(LINK), True), (Queued(LINK, done=True), False), (Queued(CHECK), False),
-])  # fmt: skip
-def test_what_may_be_repeated(queued: Queued, repeatable: bool) -> None:
-    assert queued.repeatable is repeatable
+@contextmanager
+def running(board: RingBoard, logs: list[EvidenceLog], index: int = 1) -> Iterator[WorkerRuntime]:
+    """A worker with the run open; worker 1 is its owner."""
+    with WorkerRuntime(str(board.ring.path), index, logs) as made:
+        assert made.reply(dataclasses.replace(board.opening, owned=index == 1)) is None
+        yield made
 
 
-def test_a_worker_without_a_process_has_nothing_to_end() -> None:
-    worker = Worker(0)
-    worker.kill()
-    worker.end()
-    assert worker.process is None
+@pytest.fixture
+def runtime(ring_board: RingBoard, logs: list[EvidenceLog]) -> Iterator[WorkerRuntime]:
+    with running(ring_board, logs) as made:
+        yield made
+
+
+def only(runtime: WorkerRuntime, job: Job) -> Reply:
+    reply = runtime.reply(Numbered(1, job))
+    assert isinstance(reply, Reply)
+    return reply
+
+
+def matrices(reply: Reply) -> Any:
+    assert reply.error is None, reply.error
+    return json.loads(reply.value.document)["image_matrices"]
+
+
+@pytest.fixture(scope="module")
+def expected(ring_board: RingBoard) -> Any:
+    """The matrices of the run, by one worker that finds all evidence itself when it concludes."""
+    with running(ring_board, [EvidenceLog(shared_memory(2), 0)], 0) as alone:
+        return matrices(only(alone, ring_board.conclusion()))
+
+
+def test_a_result_does_not_depend_on_the_worker_that_found_the_evidence(
+    ring_board: RingBoard, expected: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory, half = shared_memory(2), len(ring_board.tasks) // 2
+    with (
+        running(ring_board, [EvidenceLog(memory, k) for k in range(2)], 0) as helper,
+        running(ring_board, [EvidenceLog(memory, k) for k in range(2)]) as owner,
+    ):
+        assert len(only(helper, ring_board.link(*ring_board.tasks[half:])).value) == len(ring_board.tasks) - half
+        only(owner, ring_board.link(*ring_board.tasks[:half]))
+        monkeypatch.setattr(TaskRunner, "perform", lambda *_: pytest.fail("all evidence is there"))
+        assert matrices(only(owner, ring_board.conclusion())) == expected
+        with running(ring_board, [EvidenceLog(memory, k) for k in range(2)]) as successor:
+            assert matrices(only(successor, ring_board.conclusion())) == expected, "the owner has died"
+
+
+def test_a_new_owner_finds_again_what_was_overwritten(
+    ring_board: RingBoard, expected: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evidence_log, "LOG_BYTES", 40_000)
+    memory = shared_memory(2)
+    with running(ring_board, [EvidenceLog(memory, k) for k in range(2)], 0) as helper:
+        for task in ring_board.tasks:
+            only(helper, ring_board.link(task))
+    with running(ring_board, [EvidenceLog(memory, k) for k in range(2)]) as owner:
+        assert matrices(only(owner, ring_board.conclusion())) == expected
+
+
+def test_records_of_a_log_are_read_once_and_in_order_whatever_is_overwritten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evidence_log, "LOG_BYTES", 1000)
+    memory = shared_memory(2)
+    writer, reader = EvidenceLog(memory, 1), EvidenceLog(memory, 1)
+    seen: list[int] = []
+    for number in range(200):
+        writer.write((number % 7 * "x", number, []))
+        if number % 3 == 0:
+            seen += [generation for _, generation, _ in reader.new_records()]
+    assert seen == list(range(199))
+    for number in range(200, 400):
+        writer.write(("", number, []))
+    late = [generation for _, generation, _ in reader.new_records()]
+    assert late == list(range(late[0], 400)), "what a slow reader finds is whole"
+    assert 200 < late[0] < 400
+    assert [generation for _, generation, _ in EvidenceLog(memory, 1).new_records()] == late
+    assert list(writer.new_records()) == list(reader.new_records()) == []
+    assert list(EvidenceLog(memory, 0).new_records()) == [], "logs do not touch each other"
+    writer.write(("x" * 2000, 0, []))
+    assert list(reader.new_records()) == [], "it is too large for the log"
+
+
+def test_a_record_that_is_not_whole_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = shared_memory(1)
+    writer, reader = EvidenceLog(memory, 0), EvidenceLog(memory, 0)
+    writer.write(("broken", 1, []))
+    memory[30] ^= 255
+    assert list(reader.new_records()) == []
+    writer.write(("whole", 2, []))
+    assert list(reader.new_records()) == [("whole", 2, [])]
+
+
+def test_only_the_given_tasks_are_used(runtime: WorkerRuntime, ring_board: RingBoard, expected: Any) -> None:
+    only(runtime, ring_board.link(*ring_board.tasks))
+    assert matrices(only(runtime, ring_board.conclusion(ring_board.tasks[3:]))) != expected
+    assert only(runtime, ring_board.conclusion(())).value.without_components.status is Status.FAILED
+
+
+def test_a_check_equals_one_made_offline(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
+    only(runtime, ring_board.conclusion())
+    assert runtime.reply(CloseRun("r1")) is None
+    checked = only(runtime, CHECK).value
+    assert isinstance(checked, RunCheck)
+    assert checked == check_run("r1", CHECK.time, CHECK.board_type, ring_board.findings(), checked.lamps)
+    assert [(lamp.camera, lamp.light) for lamp in checked.lamps] == [
+        (i, ring_board.head.light(0) or "") for i in range(3)
+    ]
+    assert all(is_comparable(lamp) for lamp in checked.lamps)
+    assert all(camera.links > 0 for camera in checked.cameras)
+
+
+def test_frames_that_were_overwritten_give_no_brightness(
+    runtime: WorkerRuntime, ring_board: RingBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: Any) -> None:
+        raise GoneError("a later run has this memory.")
+
+    only(runtime, ring_board.conclusion())
+    monkeypatch.setattr(module, "measure_lamps", gone)
+    checked = only(runtime, CHECK).value
+    assert (checked.lamps, bool(checked.cameras)) == ((), True)
+
+
+def test_a_job_that_fails_is_an_internal_error_and_one_of_a_later_board_is_gone(
+    runtime: WorkerRuntime, ring_board: RingBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    later = dataclasses.replace(ring_board.context, generation=ring_board.context.generation + 1)
+    assert isinstance(only(runtime, dataclasses.replace(ring_board.conclusion(), context=later)).error, GoneError)
+    only(runtime, ring_board.conclusion())
+    monkeypatch.setattr(module, "check_run", lambda *_: 1 // 0)
+    error = only(runtime, CHECK).error
+    assert isinstance(error, InternalError)
+    assert "the calibration check of run r1 failed: ZeroDivisionError" in error.message
+    for _ in range(2):
+        assert runtime.reply(CloseRun("r1")) is None
+    assert isinstance(only(runtime, ring_board.link(ring_board.tasks[0])).error, InternalError), "it was forgotten"
+
+
+def render_jobs(runtime: WorkerRuntime, ring_board: RingBoard) -> list[RenderJob]:
+    """Conclude the run; return a job for every view of its first component."""
+    stitch = only(runtime, ring_board.conclusion()).value.without_components
+    board_type, context = ring_board.setup.board_type, ring_board.context
+    assert board_type is not None
+    views = compute_views(board_type.components[0], board_type, stitch, ring_board.setup.cameras)
+    return [
+        RenderJob("r1", 0, context.generation, ring_board.slots[view.camera, view.row], view, "png") for view in views
+    ]
+
+
+def test_a_picture_is_rendered_from_its_slot(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
+    job = render_jobs(runtime, ring_board)[0]
+    assert decoded(only(runtime, job).value).shape[:2] == (job.view.height, job.view.width)
+    stale = dataclasses.replace(job, generation=job.generation + 1)
+    assert isinstance(only(runtime, stale).error, GoneError)
+
+
+def test_a_picture_from_a_recording_equals_that_from_the_ring(
+    runtime: WorkerRuntime, ring_board: RingBoard, tmp_path: Path
+) -> None:
+    job = render_jobs(runtime, ring_board)[0]
+    write_image(tmp_path / "frame.tiff", runtime._ring.frame(job.slot))
+    kept = dataclasses.replace(job, generation=0, slot=0, file=tmp_path / "frame.tiff")
+    assert only(runtime, kept).value == only(runtime, job).value
+    (tmp_path / "frame.tiff").unlink()
+    assert isinstance(only(runtime, kept).error, GoneError)
+
+
+def test_a_difference_is_made_from_two_slots(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
+    a, b = render_jobs(runtime, ring_board)[:2]
+    same = dataclasses.replace(a, minus=a)
+    assert (decoded(only(runtime, same).value) == 128).all()
+    pictures = [decoded(only(runtime, job).value).astype(float) for job in (a, b)]
+    halved = decoded(only(runtime, dataclasses.replace(a, minus=b, ratio=0.5)).value)
+    assert np.abs(halved - (128 + (pictures[0] - 0.5 * pictures[1]) / 2)).max() <= 0.5
+
+
+def decoded(content: bytes) -> NDArray[Any]:
+    return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))
+
+
+@pytest.mark.parametrize("format", ["png", "tiff", "npy"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_lossless_formats_keep_every_pixel(format: ImageFormat, dtype: type) -> None:
+    image: NDArray[Any] = np.arange(35, dtype=dtype).reshape(5, 7) * 3
+    content = encode(image, format)
+    back = np.load(io.BytesIO(content)) if format == "npy" else decoded(content)
+    assert back.dtype == dtype
+    assert np.array_equal(back, image)
+
+
+def test_jpeg_is_close_to_the_picture() -> None:
+    image = np.full((64, 64), 120, np.uint8)
+    back = decoded(encode(image, "jpeg"))
+    assert np.abs(back.astype(int) - image).max() <= 2
+
+
+def test_colours_of_npy_are_red_green_blue() -> None:
+    blue = np.zeros((2, 3, 3), np.uint8)
+    blue[..., 0] = 9  # OpenCV's first channel
+    assert np.load(io.BytesIO(encode(blue, "npy")))[0, 0].tolist() == [0, 0, 9]

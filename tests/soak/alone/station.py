@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
+from tests.runs.conftest import Done, ScriptedWorkers, a_board_type, a_calibration, a_config
 from tests.runs.conftest import Rig as ScriptedLine
-from tests.runs.conftest import ScriptedWorkers, a_board_type, a_calibration, a_config
 from tests.runs.peer import PATIENCE_S, Peer
 from tests.soak.alone.memory import database_mb, heaps_mb, objects, trimmed_mb
 from vaoi_station import station as station_module
@@ -35,9 +35,8 @@ from vaoi_station.errors import GoneError
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.runs.control import acquisition_link
 from vaoi_station.runs.states.schemas import ProcessStatus
-from vaoi_station.runs.workers.forking.fork_server_link import ForkServerLink
+from vaoi_station.runs.workers.fork_server_link import ForkServerLink
 from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, Reply
-from vaoi_station.runs.workers.worker_events import WorkerEvents
 from vaoi_station.station import Station
 from vaoi_station.supervised_queue import SupervisedQueue
 
@@ -72,12 +71,11 @@ class ThreadedWorkers(ScriptedWorkers):
 
     def __init__(self, *_: object) -> None:
         super().__init__()
-        self._queue: SupervisedQueue[Job] = SupervisedQueue(self.perform, "workers", 1000)
+        self._queue: SupervisedQueue[tuple[Job, Done]] = SupervisedQueue(self._perform, "workers", 1000)
         self.thread = self._queue.thread
-        self.fork_server = ForkServerLink(print)
+        self.fork_server = ForkServerLink(print, 1)
 
-    def start(self, events: WorkerEvents) -> None:
-        super().start(events)
+    def start(self, *_: object) -> None:
         self._queue.start()
 
     def stop(self) -> None:
@@ -89,19 +87,18 @@ class ThreadedWorkers(ScriptedWorkers):
     def status(self) -> tuple[ProcessStatus, ...]:
         return ()
 
-    def submit(self, job: Job) -> None:
-        self._queue.put(job)
+    def submit(self, job: Job, done: Done) -> None:
+        self._queue.put((job, done))
 
-    def perform(self, job: Job) -> None:
+    def _perform(self, item: tuple[Job, Done]) -> None:
+        job, done = pickle.loads(pickle.dumps(item[0])), item[1]
+        self.receivers = {id(job): lambda reply: done(pickle.loads(pickle.dumps(reply)))}
         if isinstance(job, LinkJob | ConcludeJob):
-            super().perform(job)
+            self.perform(job)
         else:
-            self.answer(job, Reply.refused(GoneError("There are no frames.", action="None.", code="frames-gone")))
+            done(Reply.refused(GoneError("There are no frames.", action="None.", code="frames-gone")))
         # What a test compares later would be kept for ever here.
         self.done.clear()
-
-    def answer(self, job: Job, answer: Reply) -> None:
-        super().answer(*pickle.loads(pickle.dumps((job, answer))))
 
     def open_run(self, opening: object) -> None:
         pass

@@ -15,8 +15,7 @@ from vaoi_station.files.images import Image, encode_jpeg
 from vaoi_station.model import FrameRecord, Strict
 from vaoi_station.photometry.image_quality import full_scale, histogram, measure_quality
 from vaoi_station.runs.control.coordinator import StationCoordinator
-from vaoi_station.runs.lighting.camera_trial import TRIAL_S
-from vaoi_station.runs.lighting.lighting import TrialSettings
+from vaoi_station.runs.lighting.trials import TRIAL_S, TrialSettings
 from vaoi_station.runs.states.schemas import RunDetail
 
 LARGEST_PX = 960

@@ -17,14 +17,14 @@ def serve(
     log_json: Annotated[bool, typer.Option("--log-json", help="Log JSON objects, one per line.")] = False,
 ) -> None:
     """Film boards, stitch them, and serve results by REST, until Ctrl-C or SIGTERM."""
-    from vaoi_station.runs.host.gc_policy import no_collections
+    from vaoi_station.runs.host.processes import no_collections
 
     with no_collections():
         from vaoi_station import station
         from vaoi_station.acquisition.process.backends import check_backends
         from vaoi_station.config import read_config
         from vaoi_station.runs.host.logs import configure_logging
-        from vaoi_station.runs.host.process_title import set_process_title
+        from vaoi_station.runs.host.processes import set_process_title
 
     settings = read_config(config)
     # Checked before processes start: a wrong scenario gives one error here, but would give endless restarts later.

@@ -23,8 +23,8 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import RunDetail
-from vaoi_station.runs.workers.heights_job import CombineHeightsJob, HeightsJob
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
+from vaoi_station.runs.workers.picture_jobs import CombineHeightsJob, HeightsJob
 from vaoi_station.supervised_queue import SupervisedQueue
 
 _log = logging.getLogger(__name__)

@@ -25,8 +25,8 @@ from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.stored_documents import identity_row, with_identity
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import RunDetail, RunSummary
-from vaoi_station.runs.workers.identity_job import IdentityJob, IdentitySlice
 from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.runs.workers.picture_jobs import IdentityJob, IdentitySlice
 from vaoi_station.supervised_queue import SupervisedQueue
 
 _log = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -33,8 +33,8 @@ from vaoi_station.rendering import (
 from vaoi_station.rendering.description import describe
 from vaoi_station.runs.batches.containers import ContainerName, Member, Packed, pack
 from vaoi_station.runs.states.schemas import ImageFormat
-from vaoi_station.runs.workers.jobs import FramesJob, Priority
-from vaoi_station.runs.workers.worker_runtime import encode
+from vaoi_station.runs.workers.jobs import PictureJob, Priority
+from vaoi_station.runs.workers.picture_jobs import encode
 from vaoi_station.stitching.matching.evidence import FrameKey
 
 PART_BYTES = 1_500_000
@@ -105,12 +105,9 @@ class CutPart(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BatchJob(FramesJob):
+class BatchJob(PictureJob):
     """Cut the pictures of some components; the reply's value is a `CutPart`."""
 
-    run: str
-    bay: int
-    generation: int
     setup: bytes
     """Pickled `BatchSetup`."""
     components: tuple[Component, ...]
@@ -118,9 +115,7 @@ class BatchJob(FramesJob):
     """The entries of the result's quality for these components."""
     start: Resume = _BEGIN
     recorded: bool = False
-    request: int = 0
-
-    priority = Priority.BATCH
+    priority: Priority = field(default=Priority.BATCH, kw_only=True)
 
     def perform(self, frame: Callable[[int], NDArray[Any]]) -> CutPart:
         """Cut pictures until the part is large or has taken long; `frame` returns the pixels of a slot."""

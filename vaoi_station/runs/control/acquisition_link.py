@@ -15,16 +15,14 @@ from typing import Any, Protocol
 from vaoi_station.acquisition.process.messages import Command, Ready, Report, Shutdown, Trouble
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import StationConfig
-from vaoi_station.runs.control.station_events import StationEvents
 from vaoi_station.runs.host.message_pipe import MessagePipe, PipeEndedError, wait_for
-from vaoi_station.runs.host.process_setup import acquire
+from vaoi_station.runs.host.processes import acquire
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, WAITING, ProcessStatus
 from vaoi_station.supervised_thread import SupervisedThread
 
 HEARTBEAT_LIMIT_S = 10.0
-"""Longest silence of the running process. After it, the process is killed. Normally it sends two heartbeats per
-second."""
+"""Longest silence of the running process, which sends two heartbeats per second. After it, the process is killed."""
 START_LIMIT_S = 60.0
 """Longest silence of a process before its first message: opening cameras, or rendering a scenario, takes time."""
 WARM_POLL_S = 0.1
@@ -34,26 +32,19 @@ EXIT_S = 2.0
 PACE = BackoffPolicy(first_s=0.5, longest_s=60.0, proven_s=30.0)
 """Pauses between restarts of the acquisition process."""
 PLUGGED_S = 6.0
-"""Longest pause between restarts while a device is absent or in use.
-
-It is short, so that a device is used soon after it is plugged in. After other failures (refused settings, wrong input,
-a crash), earlier retries would not help."""
+"""Longest pause between restarts while a device is absent or in use, so that it is used soon after it is plugged in."""
 _ABSENT = frozenset(
     {
-        "camera-absent",
-        "camera-in-use",
-        "camera-lost",
-        "port-absent",
-        "port-in-use",
-        "port-forbidden",
+        "camera-absent", "camera-in-use", "camera-lost", "port-absent", "port-in-use", "port-forbidden",
         "controller-silent",
     }
-)
-"""Codes of troubles that end when a device is plugged in or switched on, or when another program releases it."""
+)  # fmt: skip
+"""Codes of troubles that end when a device is plugged in or switched on, or when another program releases it. After
+others (refused settings, wrong input, a crash), earlier retries would not help."""
 
 
 class Process(Protocol):
-    """The part of `multiprocessing.Process` that `AcquisitionLink` uses; tests replace it by a scripted process."""
+    """The part of `multiprocessing.Process` that is used; tests replace it by a scripted process."""
 
     @property
     def pid(self) -> int | None:
@@ -61,7 +52,7 @@ class Process(Protocol):
 
     @property
     def sentinel(self) -> int:
-        """The file descriptor that `multiprocessing.connection.wait` reports as ready when the process has ended."""
+        """The file descriptor that is readable when the process has ended."""
 
     @property
     def exitcode(self) -> int | None:
@@ -110,39 +101,18 @@ class _Attempt:
 
     @property
     def silence_s(self) -> float:
-        """Time since the last message of the process, or since its start if there was no message."""
         return time.monotonic() - self.last_message_s
 
     def record(self, report: Report) -> None:
-        """Record that a message has arrived now, and which trouble or readiness of the process it states."""
         self.last_message_s, self.has_reported = time.monotonic(), True
         if isinstance(report, Ready):
             self.ready = True
         elif isinstance(report, Trouble) and not self.ready:
             self.cause = report.code
 
-    def describe_end(self, how: str, code: int | None) -> str:
-        """Return a phrase that describes how the process ended, for messages.
-
-        A process that reported a trouble during its start and exited with code 0 could not start; it did not crash.
-
-        Args:
-            how: phrase for an end of any other kind.
-            code: exit code of the process.
-        """
-        return "the acquisition process could not start" if self.cause and code == 0 else f"{how} (code {code})"
-
-
-def longest_pause_s(cause: str) -> float:
-    """Return the longest pause before a restart. `cause` is the code of the last trouble; "" means none."""
-    return PLUGGED_S if cause in _ABSENT else PACE.longest_s
-
 
 class AcquisitionLink:
-    """Starts and restarts the acquisition process, and reports its messages and its ends to a `StationEvents`.
-
-    A separate thread listens to the pipe.
-    """
+    """Starts and restarts the acquisition process, and reports its messages and its ends, in a thread of its own."""
 
     def __init__(self, launch: Launch, backoff: Backoff | None = None) -> None:
         """Prepare a link. The process is not started before `start` is called.
@@ -152,7 +122,8 @@ class AcquisitionLink:
             backoff: pauses between restarts; None for those of `PACE`.
         """
         self._launch = launch
-        self._events: StationEvents | None = None
+        self._on_message: Callable[[Report], object] = lambda _: None
+        self._on_end: Callable[[str], object] = lambda _: None
         self._warm: Callable[[], bool] = lambda: True
         self._lock = threading.Lock()
         self._attempt: _Attempt | None = None
@@ -162,23 +133,29 @@ class AcquisitionLink:
         self._stopping = threading.Event()
         self.thread = SupervisedThread(self._run, "acquisition-link")
 
-    def start(self, events: StationEvents, warm: Callable[[], bool] = lambda: True) -> None:
+    def start(
+        self,
+        on_message: Callable[[Report], object],
+        on_end: Callable[[str], object],
+        warm: Callable[[], bool] = lambda: True,
+    ) -> None:
         """Start the process once `warm` returns True, that is, the workers are ready.
 
-        Until then, however long it takes, the state of the station is "starting", and it accepts no board. Messages of
-        the process are reported to `events`.
+        Until then, however long it takes, the state of the station is "starting", and it accepts no board.
+
+        Args:
+            on_message: gets each message of the process.
+            on_end: gets a description when the process has ended; it is restarted.
+            warm: whether the process may start.
         """
-        self._events, self._warm = events, warm
+        self._on_message, self._on_end, self._warm = on_message, on_end, warm
         # The process ignores SIGTERM (`set_up_process`), which is all that multiprocessing's exit handler sends before
         # it waits: without this call an interpreter that exits early would hang.
         atexit.register(self.stop, 0.0)
         self.thread.start()
 
     def send(self, command: Command) -> None:
-        """Send a command to the process.
-
-        If the process has ended, the command is lost; `StationEvents.acquisition_ended` reports the end.
-        """
+        """Send a command to the process. If it has ended, the command is lost; `on_end` reports the end."""
         with self._lock:
             if self._attempt is not None:
                 self._attempt.pipe.send(command)
@@ -186,21 +163,19 @@ class AcquisitionLink:
     def status(self) -> ProcessStatus:
         """Return the state of the acquisition process, for `GET station` and the page."""
         with self._lock:
-            attempt = self._attempt
+            attempt, due_s = self._attempt, self._backoff.due_s
+            doing = "" if self._started or self._stopping.is_set() else WAITING
+            if attempt is not None:
+                doing = "" if attempt.has_reported else STARTING
             return ProcessStatus(
                 name="acquisition",
                 pid=attempt.process.pid if attempt else None,
                 alive=attempt is not None and attempt.process.exitcode is None,
                 restarts=self._restarts,
                 heartbeat_age_s=attempt.silence_s if attempt else None,
-                doing=self._activity(),
-                next_try=None if (due_s := self._backoff.due_s) is None else utc_of_host(due_s),
+                doing=doing,
+                next_try=None if due_s is None else utc_of_host(due_s),
             )
-
-    def _activity(self) -> str:
-        if self._attempt is not None:
-            return "" if self._attempt.has_reported else STARTING
-        return "" if self._started or self._stopping.is_set() else WAITING
 
     def stop(self, timeout_s: float = 5.0) -> None:
         """Let the process close its devices and end; kill it after `timeout_s`. A second call has no effect."""
@@ -214,13 +189,11 @@ class AcquisitionLink:
             return
         self.thread.join(timeout_s)
         with self._lock:
-            attempt = self._attempt
-            if attempt is not None:
-                attempt.process.kill()
+            if self._attempt is not None:
+                self._attempt.process.kill()
         self.thread.join(2 * EXIT_S)
 
     def _run(self) -> None:
-        assert self._events is not None, "start() sets it before it starts the thread"
         while not self._warm() and not self._stopping.wait(WARM_POLL_S):
             self.thread.beat()
         while not self._stopping.is_set():
@@ -230,30 +203,20 @@ class AcquisitionLink:
                 # There is too little memory, or there are too many processes or files. This may pass.
                 self._pause(PACE.longest_s, f"the acquisition process could not be started ({fault})")
                 continue
-            how = self._listen(attempt, self._events)
-            with self._lock:
-                self._attempt = None
-            # The pipe closes before the process ends. The process gets time to end by itself, because a killed process
-            # does not return the exit code that shows whether it crashed.
-            attempt.process.join(EXIT_S)
-            if attempt.process.exitcode is None:
-                attempt.process.kill()
-                attempt.process.join(EXIT_S)
-            # A killed process may still wait for a device in the kernel. It is left alone; the next process reports the
-            # device as in use.
-            if (code := attempt.process.exitcode) is not None:
-                attempt.process.close()
-            attempt.pipe.close()
+            how = self._listen(attempt)
+            code = self._collect(attempt)
             if self._stopping.is_set():
                 return
             self._restarts += 1
-            self._pause(longest_pause_s(attempt.cause), attempt.describe_end(how, code))
+            # A process that reported a trouble during its start and exited with code 0 did not crash.
+            gave_up = attempt.cause and code == 0
+            description = "the acquisition process could not start" if gave_up else f"{how} (code {code})"
+            self._pause(PLUGGED_S if attempt.cause in _ABSENT else PACE.longest_s, description)
 
     def _pause(self, longest_s: float, description: str) -> None:
         """Report that the process has ended or was not started, and wait until the next attempt is due."""
-        assert self._events is not None, "start() sets it before it starts the thread"
         self._backoff.record_failure(longest_s)
-        self._events.acquisition_ended(description)
+        self._on_end(description)
         self.thread.rest()
         self._stopping.wait(self._backoff.remaining_s())
         self.thread.beat()
@@ -268,7 +231,7 @@ class AcquisitionLink:
                 self._attempt.pipe.send(Shutdown())
             return self._attempt
 
-    def _listen(self, attempt: _Attempt, events: StationEvents) -> str:
+    def _listen(self, attempt: _Attempt) -> str:
         """Report the messages of the process until it ends or hangs, and return a phrase that describes its end."""
         ended = "the acquisition process ended"
         while True:
@@ -287,9 +250,25 @@ class AcquisitionLink:
                 # counts as a first one again, with the shortest pause.
                 if attempt.ready:
                     self._backoff.record_success()
-                events.acquisition_message(report)
+                self._on_message(report)
             if not reports and attempt.process.sentinel in ready:
                 return ended
             if attempt.silence_s > (HEARTBEAT_LIMIT_S if attempt.has_reported else START_LIMIT_S):
                 attempt.process.kill()
                 return f"the acquisition process sent no heartbeat for {attempt.silence_s:.0f} s"
+
+    def _collect(self, attempt: _Attempt) -> int | None:
+        """Wait for the end of a process whose pipe has closed, at last kill it; return its exit code."""
+        with self._lock:
+            self._attempt = None
+        # It gets time to end by itself: a killed process does not return the exit code that shows whether it crashed.
+        attempt.process.join(EXIT_S)
+        if attempt.process.exitcode is None:
+            attempt.process.kill()
+            attempt.process.join(EXIT_S)
+        # A killed process may still wait for a device in the kernel. It is left alone; the next process reports the
+        # device as in use.
+        if (code := attempt.process.exitcode) is not None:
+            attempt.process.close()
+        attempt.pipe.close()
+        return code

@@ -14,6 +14,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, StateError
@@ -25,16 +26,13 @@ from vaoi_station.runs.archive.kept_runs import KeptRuns
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.core import Core, Parts
-from vaoi_station.runs.control.inbox import Inbox
-from vaoi_station.runs.control.inbox_events import InboxEvents
 from vaoi_station.runs.control.pictures import FrameAccess, ViewRequest
-from vaoi_station.runs.control.station_events import StationEvents
 from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
-from vaoi_station.runs.control.teaching import BoardTypeService, ReferenceTeaching
-from vaoi_station.runs.host.gc_policy import GcPolicy
-from vaoi_station.runs.lighting.lighting import Lighting
-from vaoi_station.runs.pictures.picture_requests import PictureRequests
-from vaoi_station.runs.run.leases import OWN
+from vaoi_station.runs.control.teaching import BoardTypeService
+from vaoi_station.runs.host.processes import GcPolicy
+from vaoi_station.runs.lighting.trials import Lighting
+from vaoi_station.runs.run.inbox import Inbox
+from vaoi_station.runs.run.memory import OWN
 from vaoi_station.runs.run.order import Order, Passing
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.run_views import detail_of
@@ -98,24 +96,38 @@ class StationCoordinator:
         self._inbox = Inbox(self._tick, after=lambda: renew_permit(self._core, parts, processes, self.faults()))
         self.thread = self._inbox.thread
         """The coordinator's thread."""
-        self._gc_policy, self._core, self.storage = GcPolicy(), Core(parts), parts.archive.storage
+        self._gc_policy, self._core, self.storage = GcPolicy(), Core(parts, self._inbox.post), parts.archive.storage
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
-        requests = PictureRequests(parts.workers.submit)
-        access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, requests)
-        common, fields = (parts.archive, access.lease, requests.render), parts.config.flat_fields
+        access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, parts.workers)
+        common, fields = (parts.archive, access.lease, access.render), parts.config.flat_fields
         self.heights = MeasuredHeights(*common, access.bay_of, parts.events, fields)
         self.mosaics = access.mosaics(parts.config, self.heights.known, parts.workers.hastened)
         made = self.heights, access.kept_mosaics(parts.config, self.mosaics, parts.events)
-        self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, *made, requests.render)
+        self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, *made, access.render)
         access.heights, parts.watch.on_checked = self.heights.known, self.kept.trends.checked
         access.recorded, self.merged = self.kept.recordings.frame_file, access.merged(parts.config)
         self.batches = access.batches(self.merged, self.kept.shown)
-        teaching = ReferenceTeaching(references, parts.config.method)
-        self._board_types = BoardTypeService(board_types, teaching, parts, self._core, self._inbox, access)
-        self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core)
+        self._board_types = BoardTypeService(board_types, references, parts, self._core, self._inbox, access)
+        self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core.trial, self._core.devices)
         self.board_type_history = BoardTypeHistory(board_types, self._board_types.put)
-        self.process_events: StationEvents = InboxEvents(self._inbox, self._core, requests)
-        """Receiver of the reports of the acquisition process and the workers."""
+
+    # --- reports of processes, in any thread
+
+    def acquisition_message(self, message: Report) -> None:
+        """Pass a message of the acquisition process to the coordinator's thread."""
+        self._inbox.post(self._core.acquisition_message, message)
+
+    def acquisition_ended(self, description: str) -> None:
+        """Let the coordinator's thread conclude the runs that were filmed when the acquisition process ended."""
+        self._inbox.post(self._core.acquisition_ended, description)
+
+    def worker_ended(self, description: str) -> None:
+        """Let the coordinator's thread publish that a worker has ended."""
+        self._inbox.post(self._core.worker_ended, description)
+
+    def workers_ready(self) -> None:
+        """Let the coordinator's thread publish that all workers are ready."""
+        self._inbox.post(self._core.workers_ready)
 
     # --- start and stop
 

@@ -10,30 +10,25 @@ from typing import assert_never
 
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InternalError, StateError, VaoiError
+from vaoi_station.errors import StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
-from vaoi_station.runs.control.active_runs import ActiveRuns, Workers
+from vaoi_station.runs.control.active_runs import ActiveRuns, Workers, early_end_reason, salvage_recording
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.control.line_control import Acquisition, LineControl
-from vaoi_station.runs.control.reasons import sentence
-from vaoi_station.runs.control.station_state import StationStateMachine
-from vaoi_station.runs.lighting.camera_trial import CameraTrial
-from vaoi_station.runs.run.board_account import UNWATCHED, BoardAccount
-from vaoi_station.runs.run.leases import Leases
-from vaoi_station.runs.run.line_permit import LinePermit
-from vaoi_station.runs.run.memory import BayRing, Memory
-from vaoi_station.runs.run.order import Order, Passing
+from vaoi_station.runs.control.line_control import Acquisition, Completion, LineControl
+from vaoi_station.runs.control.readiness import LinePermit
+from vaoi_station.runs.control.reasons import StationStateMachine, sentence
+from vaoi_station.runs.lighting.trials import CameraTrial
+from vaoi_station.runs.run.boards import UNWATCHED, BoardAccount
+from vaoi_station.runs.run.memory import BayRing, Leases, Memory
+from vaoi_station.runs.run.order import Order, Passing, Resumed, StandingOrder
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.run.salvage import early_end_reason, salvage_recording
-from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
 from vaoi_station.runs.run.trigger_watch import TriggerWatch
-from vaoi_station.runs.run.waiting_orders import Completion
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
-from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Job, LinkJob, Reply
+from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, LinkJob, Reply
 
 
 @dataclass(frozen=True)
@@ -61,10 +56,12 @@ class Parts:
 class Core:
     """Decides how the station reacts to requests, reports of processes and ticks.
 
-    It is used by the coordinator's thread only, to which `InboxEvents` passes the reports from other threads.
+    It is used by the coordinator's thread only, to which reports and replies of other threads are posted.
     """
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Parts, post: Callable[..., object] = lambda work, *args: work(*args)) -> None:
+        """Connect the parts. `post` lets the coordinator's thread call a function with arguments."""
+        self._post = post
         self._parts, self.watch, self.storage = parts, parts.watch, parts.archive.storage
         self._config, self._events, self._archive = parts.config, parts.events, parts.archive
         self.receiver_warnings = parts.receiver_warnings
@@ -86,7 +83,11 @@ class Core:
             self.line.resume(parts.resumed)
         self.boards = BoardAccount(parts.config.line, self.line.orders, parts.events.add)
         self.runs = ActiveRuns(
-            parts.workers, parts.archive, parts.events, lambda run: self.boards.end(run, time.monotonic())
+            parts.workers,
+            self._submit,
+            parts.archive,
+            parts.events,
+            lambda run: self.boards.end(run, time.monotonic()),
         )
         self.health: messages.Health | None = None
         self.trigger = TriggerWatch([camera.label for camera in parts.config.cameras])
@@ -186,7 +187,7 @@ class Core:
 
     # --- reports of the workers
 
-    def worker_reply(self, job: Job, reply: Reply, at_s: float) -> None:
+    def worker_reply(self, job: LinkJob | ConcludeJob | CheckJob, reply: Reply, at_s: float) -> None:
         """Give a worker's reply to the run of its job. `at_s` is the time of its arrival by time.monotonic()."""
         match job:
             case LinkJob():
@@ -195,8 +196,14 @@ class Core:
                 self._after_runs(self.runs.concluded(job, reply, at_s))
             case CheckJob():
                 self.watch.checked(job, reply)
-            case _:
-                raise InternalError(f"No part of the station expects the answer of {job}.")
+
+    def _submit(self, job: LinkJob | ConcludeJob | CheckJob) -> None:
+        """Queue a job; its reply comes to `worker_reply`."""
+
+        def done(reply: Reply) -> None:
+            self._post(self.worker_reply, job, reply, time.monotonic())
+
+        self._parts.workers.submit(job, done)
 
     def worker_ended(self, description: str) -> None:
         """Publish that a worker process has ended. The pool then restarts the process."""

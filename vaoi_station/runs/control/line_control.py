@@ -4,41 +4,99 @@ from __future__ import annotations
 
 import logging
 import time
-from typing import Protocol
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
+from typing import NamedTuple, Protocol
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.process import messages
+from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, DeviceError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
-from vaoi_station.runs.control.station_state import StationStateMachine
+from vaoi_station.runs.control.reasons import StationStateMachine
 from vaoi_station.runs.run.memory import Memory
-from vaoi_station.runs.run.order import Order, Orders
-from vaoi_station.runs.run.standing_order import Rearming, Resumed, StandingOrder
-from vaoi_station.runs.run.waiting_orders import Completion, WaitingOrders, WaitingRequest
+from vaoi_station.runs.run.order import Order, Orders, Resumed, StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import ArmedWith, Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
 
 _log = logging.getLogger(__name__)
 
+PACE = BackoffPolicy(first_s=2.0, longest_s=30.0, proven_s=30.0)
+"""Pauses between attempts of the station to arm the line again by itself."""
+_ARMED_WHEN_FREE = "Release runs, or wait: the line is armed again as soon as memory is free."
+_S = StationState
+_ARMED_STATES = frozenset({_S.ARMING, _S.ARMED, _S.FILMING, _S.BLOCKED})
+"""States in which the acquisition process has an Arm command in force."""
+_WITH_PLAN = frozenset({_S.ARMED, _S.BLOCKED})
+"""States in which the controller waits for a board with the plan that was armed."""
+_TAKING_BOARDS = frozenset({_S.ARMED, _S.FILMING, _S.BLOCKED})
+"""States in which the next board is filmed if memory is free for it."""
+
+Completion = Future[None]
+"""A future that is set when a request has taken effect, or carries the refusal of the request."""
+
 
 class Acquisition(Protocol):
-    """The methods by which line control commands the acquisition process."""
+    """The acquisition process, to which commands are sent."""
 
     def send(self, command: messages.Command) -> None:
-        """Send a command to the acquisition process, without waiting for its effect."""
+        """Send a command, without waiting for its effect."""
 
     def forget(self) -> None:
         """Give up the commands that were not sent yet, because the process has ended."""
 
 
+class WaitingRequest(NamedTuple):
+    """A request to arm; `runs` is the number of boards to film, None for no limit."""
+
+    order: Order
+    runs: int | None
+    completion: Completion
+
+
+class Rearming:
+    """When the station tries again to arm the line by itself, and why it could not so far. Used by one thread."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._pace = Backoff(PACE, clock)
+        self.why: Reason | None = None
+        """Why the line is not armed again after a restart or a fault; None if it was not armed before, or was armed or
+        disarmed since."""
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next attempt may begin."""
+        return self._pace.remaining_s() == 0
+
+    def wait(self, why: str, action: str) -> None:
+        """Record what must end before the next attempt."""
+        message = f"The line was armed before and could not be armed again: {why}"
+        action = f"{action} The station tries again by itself.".strip()
+        self.why = Reason(code="not-armed-again", message=message, action=action)
+
+    def fail(self, why: str, action: str) -> None:
+        """Record that an attempt failed. The next one is due after a pause."""
+        self.wait(why, action)
+        self._pace.record_failure()
+
+    def succeed(self) -> bool:
+        """Record that the line is armed. Return whether something was against it before."""
+        self._pace.reset()
+        before, self.why = self.why, None
+        return before is not None
+
+
 class LineControl:
     """Arms and disarms the line. Used by the coordinator's thread only.
 
-    While the line is armed, the cameras hold a bay for the next board, unless no bay is free.
+    While the line is armed, the cameras hold a bay for the next board, unless no bay is free. Of several requests that
+    wait for the same, the newest order is put in force, and their callers receive the same reply: if each was put in
+    force in turn, the order of a board that is already at the barrier would be forgotten.
     """
 
     def __init__(
@@ -60,7 +118,10 @@ class LineControl:
         """Numbers of the bays that the cameras hold for coming runs, by run id."""
         self._arming: list[Completion] = []
         self._disarming: list[Completion] = []
-        self._waiting = WaitingOrders()
+        self._after_board: list[WaitingRequest] = []
+        """Requests that wait until the board that passes, which keeps the order before, has left."""
+        self._after_disarm: list[WaitingRequest] = []
+        """Requests that wait until the line is disarmed, because the Disarm under way would undo them."""
         self._disarm_sent = False
         self.plan: TriggerPlan | None = None
         """The trigger plan of the newest Arm command."""
@@ -88,22 +149,25 @@ class LineControl:
 
         `runs` is the number of boards to film; None for no limit.
         """
-        # While a Disarm is not confirmed, a new request to arm waits, because that Disarm would undo it.
+        request = WaitingRequest(order, runs, completion)
         if self._disarm_sent and self._machine.state in _ARMED_STATES:
-            self._waiting.wait_for_disarm(WaitingRequest(order, runs, completion))
+            self._after_disarm.append(request)
             return
         if self._machine.state is StationState.FILMING:
-            self._waiting.wait_for_board(WaitingRequest(order, runs, completion))
+            self._after_board.append(request)
             return
         try:
             if self._machine.state in _WITH_PLAN and self._plan_of(order) != self.plan:
                 self._require_cameras(order, health)
                 # Cameras and controller take another plan only when they are disarmed. If they end meanwhile, the order
                 # in force is armed again.
-                self._waiting.wait_for_disarm(WaitingRequest(order, runs, completion))
+                self._after_disarm.append(request)
                 self._send_disarm()
                 return
-            self._unblock()
+            if self._machine.state is StationState.BLOCKED:
+                self._grant()
+                self._machine.reasons.drop("ring-full")
+                self._machine.advance(StationStep.MEMORY_FREED)
             self._machine.require(StationStep.ARM)
             self._require_cameras(order, health)
             # Memory is granted before the cameras are armed, so that a full ring refuses the caller at once.
@@ -123,32 +187,29 @@ class LineControl:
             self._arming.append(completion)
             self._send_arm()
 
-    def _require_cameras(self, order: Order, health: messages.Health | None) -> None:
-        """Raise DeviceError if a camera is lost that the order needs."""
-        if not order.despite_lost_cameras:
-            readiness.require(health, self._config.cameras)
-
     def withdraw(self, completion: Completion) -> bool:
         """Withdraw a request to arm that waits until a board has passed. Return False if it does not wait any more."""
-        return self._waiting.withdraw(completion)
+        kept = [request for request in self._after_board if request.completion is not completion]
+        waited, self._after_board = len(kept) < len(self._after_board), kept
+        return waited
 
     def board_left(self, health: messages.Health | None) -> None:
         """Serve the requests to arm that waited until the boards at the barrier had passed."""
-        self._serve(self._waiting.board_left(), health)
-
-    def _serve(self, request: WaitingRequest | None, health: messages.Health | None) -> None:
-        if request is not None:
-            self.arm(request.order, request.runs, health, request.completion)
+        waiting, self._after_board = self._after_board, []
+        self._serve(waiting, health)
 
     @property
     def next_order(self) -> ArmedWith | None:
         """The order that takes effect when the board that passes has left; None if there is none."""
-        return self._waiting.next_order
+        newest = self._after_board[-1] if self._after_board else None
+        return None if newest is None else newest.order.shown(newest.runs)
 
     def disarm(self, completion: Completion) -> None:
         """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
         # An order that was given before the disarm must not arm the line after it.
-        self._waiting.refuse(StateError("The line was disarmed before it was armed."))
+        for request in [*self._after_board, *self._after_disarm]:
+            request.completion.set_exception(StateError("The line was disarmed before it was armed."))
+        self._after_board, self._after_disarm = [], []
         self.orders.cancel(time.monotonic())
         self._keep_order()
         if self._machine.state in _ARMED_STATES:
@@ -194,11 +255,7 @@ class LineControl:
             self.keep_memory_granted()
 
     def on_disarmed(self, report: messages.Disarmed, health: messages.Health | None) -> None:
-        """Handle the report that the line is disarmed.
-
-        Unused memory is taken back and requests to disarm are completed. Then the requests to arm that waited for this
-        are served.
-        """
+        """Handle the report that the line is disarmed: take unused memory back, and complete the requests."""
         for grant in report.unused:
             self._memory.free(grant.run)
             self._granted.pop(grant.run, None)
@@ -217,9 +274,8 @@ class LineControl:
             # No caller waits: the station itself is arming the line again. The order stays in force.
             self._rearming.fail(trouble.message, trouble.action)
         for completion in self._arming:
-            completion.set_exception(
-                DeviceError(f"Arming failed: {trouble.message}", action=trouble.action, code=trouble.code)
-            )
+            message = f"Arming failed: {trouble.message}"
+            completion.set_exception(DeviceError(message, action=trouble.action, code=trouble.code))
         self._arming = []
         # The cameras keep granted memory until they confirm the Disarm: the Disarmed message lists the bays not used.
         self._send_disarm()
@@ -231,14 +287,13 @@ class LineControl:
             self._memory.free(run)
         self._granted.clear()
         self._machine.advance_if_allowed(StationStep.FAULT)
-        self._close_requests(
-            DeviceError(f"Arming failed: {description}.", action="The station retries automatically."), None
-        )
+        refusal = DeviceError(f"Arming failed: {description}.", action="The station retries automatically.")
+        self._close_requests(refusal, None)
 
     def take_grant(self, run: str, barrier_s: float) -> Order | None:
-        """Return the order of a run that has started; None if no memory was granted to the run.
+        """Consume the grant of a run that has started; return its order, None if no memory was granted to the run.
 
-        The grant is consumed. `barrier_s` is the time at which the board interrupted the barrier.
+        `barrier_s` is the time at which the board interrupted the barrier.
         """
         granted = self._granted.pop(run, None)
         order = self.orders.take(barrier_s)
@@ -286,44 +341,16 @@ class LineControl:
 
     def warnings(self) -> tuple[Reason, ...]:
         """Return warnings about the next board: memory that callers hold, a doubtful board id, a draft."""
-        found = [self._rearming.why, self._memory.warning() if self._machine.state in _TAKING_BOARDS else None]
-        found.append(self.orders.order.draft if self.orders.order is not None else None)
-        if (why := self.orders.present_doubt) is not None and self.orders.order is not None:
-            found.append(
-                Reason(
-                    code="board-id-uncertain",
-                    message=f"The next run gets no board id: {self.orders.order.board_id!r} was armed, but {why}.",
-                    action="Arm again with the id of the next board.",
-                )
+        order, doubt = self.orders.order, None
+        if order is not None and (why := self.orders.present_doubt) is not None:
+            doubt = Reason(
+                code="board-id-uncertain",
+                message=f"The next run gets no board id: {order.board_id!r} was armed, but {why}.",
+                action="Arm again with the id of the next board.",
             )
-        return tuple(warning for warning in found if warning is not None)
-
-    def _keep_order(self) -> None:
-        """Store the order in force for the next start of the station; without an order, delete the stored one."""
-        self._rearming.why = None
-        if self._standing is None:
-            return
-        if self.orders.order is None:
-            self._standing.drop()
-        else:
-            self._standing.keep(self.orders.order, self.orders.runs_left)
-
-    def _unblock(self) -> None:
-        """Leave the state BLOCKED by granting a bay. Raise BusyError, which names the holders, if no bay is free."""
-        if self._machine.state is StationState.BLOCKED:
-            self._grant()
-            self._machine.reasons.drop("ring-full")
-            self._machine.advance(StationStep.MEMORY_FREED)
-
-    def _grant(self) -> None:
-        """Grant a bay for a coming run, unless the cameras hold one. Raise BusyError if no bay is free."""
-        if self._granted:
-            return
-        granted = self._memory.grant(run := self._run_ids.next())
-        self._granted[run] = granted.bay.number
-        self._acquisition.send(messages.Grant(run, granted.bay.number))
-        if granted.evicted is not None:
-            self.evicted(granted.evicted)
+        short = self._memory.warning() if self._machine.state in _TAKING_BOARDS else None
+        draft = order.draft if order is not None else None
+        return tuple(warning for warning in (self._rearming.why, short, draft, doubt) if warning is not None)
 
     def evicted(self, run: str, room_for: str = "the next board") -> None:
         """Record that the frames of a finished run were given up for the next board, or for something else."""
@@ -346,6 +373,27 @@ class LineControl:
             return
         if self._rearming.is_due:
             self._rearm()
+
+    def _require_cameras(self, order: Order, health: messages.Health | None) -> None:
+        """Raise DeviceError if a camera is lost that the order needs."""
+        if not order.despite_lost_cameras:
+            readiness.require(health, self._config.cameras)
+
+    def _keep_order(self) -> None:
+        """Store the order in force for the next start of the station; without an order, delete the stored one."""
+        self._rearming.why = None
+        if self._standing is not None:
+            self._standing.keep(self.orders.order, self.orders.runs_left)
+
+    def _grant(self) -> None:
+        """Grant a bay for a coming run, unless the cameras hold one. Raise BusyError if no bay is free."""
+        if self._granted:
+            return
+        granted = self._memory.grant(run := self._run_ids.next())
+        self._granted[run] = granted.bay.number
+        self._acquisition.send(messages.Grant(run, granted.bay.number))
+        if granted.evicted is not None:
+            self.evicted(granted.evicted)
 
     def _rearm(self) -> None:
         reasons = self._machine.reasons
@@ -375,11 +423,7 @@ class LineControl:
             self._acquisition.send(messages.Disarm())
 
     def _close_requests(self, refusal: StateError | DeviceError, health: messages.Health | None) -> None:
-        """Finish the requests of callers now that the line is disarmed.
-
-        Requests to arm that were under way are refused, requests to disarm are completed, and requests to arm that
-        waited for the Disarm are served.
-        """
+        """Finish the requests of callers now that the line is disarmed, and serve those that waited for it."""
         self._disarm_sent = False
         arming, disarming = self._arming, self._disarming
         self._arming, self._disarming = [], []
@@ -387,14 +431,23 @@ class LineControl:
             completion.set_exception(refusal)
         for completion in disarming:
             completion.set_result(None)
-        self._serve(self._waiting.disarmed(), health)
+        waiting = [*self._after_board, *self._after_disarm]
+        self._after_board, self._after_disarm = [], []
+        self._serve(waiting, health)
+
+    def _serve(self, waiting: list[WaitingRequest], health: messages.Health | None) -> None:
+        """Arm for the newest of the requests that waited, on whose completion that of the others depends."""
+        if not waiting:
+            return
+        *replaced, newest = waiting
+        for request in replaced:
+            newest.completion.add_done_callback(partial(_follow, request.completion))
+        self.arm(newest.order, newest.runs, health, newest.completion)
 
 
-_ARMED_WHEN_FREE = "Release runs, or wait: the line is armed again as soon as memory is free."
-_S = StationState
-_ARMED_STATES = frozenset({_S.ARMING, _S.ARMED, _S.FILMING, _S.BLOCKED})
-"""States in which the acquisition process has an Arm command in force."""
-_WITH_PLAN = frozenset({_S.ARMED, _S.BLOCKED})
-"""States in which the controller waits for a board with the plan that was armed."""
-_TAKING_BOARDS = frozenset({_S.ARMED, _S.FILMING, _S.BLOCKED})
-"""States in which the next board is filmed if memory is free for it."""
+def _follow(other: Completion, done: Completion) -> None:
+    """Complete a request as another one was completed."""
+    if (refusal := done.exception()) is None:
+        other.set_result(None)
+    else:
+        other.set_exception(refusal)

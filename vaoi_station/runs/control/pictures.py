@@ -10,6 +10,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import GoneError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
 from vaoi_station.files.images import read_kept_image
 from vaoi_station.model import FrameRecord
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, Measures, View, measure
@@ -26,23 +27,24 @@ from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.batches.batches import BatchAccess
+from vaoi_station.runs.control.active_runs import Workers
 from vaoi_station.runs.control.core import Core
-from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.merging.merged_pictures import MergedAccess
 from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
 from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
 from vaoi_station.runs.mosaics.mosaics import Hastened, KnownHeights, Mosaics
-from vaoi_station.runs.pictures.picture_requests import PictureRequests
 from vaoi_station.runs.pictures.small_pictures import SmallPictures
-from vaoi_station.runs.run.leases import OWN, Lease
-from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.run.inbox import Inbox
+from vaoi_station.runs.run.memory import OWN, Bay, Lease
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
-from vaoi_station.runs.workers.jobs import Priority, RenderJob
-from vaoi_station.runs.workers.mosaic_jobs import TileJob
+from vaoi_station.runs.workers.jobs import PictureJob, Priority, Reply
+from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
 
 SMALL_PX = 400_000
 """Largest number of pixels of a picture that a worker makes between two links: it takes no longer than these."""
+RENDER_LIMIT_S = 60.0
+"""Longest wait of a caller for a picture that a worker makes."""
 FETCHING_S = 1.0
 """Time for which a caller that has fetched a picture, frame or tile is likely to fetch the next one."""
 
@@ -58,9 +60,9 @@ class ViewRequest(NamedTuple):
 class FrameAccess:
     """Reads frames and temporary images of runs; each access takes a lease. Methods may be called from any thread."""
 
-    def __init__(self, inbox: Inbox, core: Core, ring: Ring, archive: Archive, requests: PictureRequests) -> None:
+    def __init__(self, inbox: Inbox, core: Core, ring: Ring, archive: Archive, workers: Workers) -> None:
         self._inbox, self._core, self._ring = inbox, core, ring
-        self._archive, self._requests = archive, requests
+        self._archive, self._workers = archive, workers
         self.small = SmallPictures(ring)
         """The pictures that the station process renders itself."""
         self.recorded: Callable[[str, int, int], Path | None] = lambda _run, _camera, _row: None
@@ -69,6 +71,27 @@ class FrameAccess:
         self.heights: Callable[[str], Mapping[str, tuple[float, float]] | None] = lambda _run: None
         """Function that returns the measured heights of a run by address, with their standard deviations, mm."""
         self._uses, self._fetched_s = itertools.count(1), -math.inf
+
+    def render(self, job: PictureJob, name: str) -> Any:
+        """Have a worker perform a job, wait for its reply, and return its value: of most jobs an encoded picture.
+
+        Raises:
+            DeviceError: no worker has made `name` within `RENDER_LIMIT_S`.
+            VaoiError: the worker refused the job.
+        """
+        # The reply goes from the pool's thread to this one: it need not wait in the inbox behind messages about frames.
+        answer: Future[Reply] = Future()
+        self._workers.submit(job, answer.set_result)
+        try:
+            reply = answer.result(RENDER_LIMIT_S)
+        except TimeoutError:
+            raise DeviceError(
+                f"No worker rendered image {name} within {RENDER_LIMIT_S:.0f} s.",
+                action="Check the state of the workers.",
+            ) from None
+        if reply.error is not None:
+            raise reply.error
+        return reply.value
 
     def frame(
         self, detail: RunDetail, camera: int, row: int, allow_incomplete: bool
@@ -101,7 +124,7 @@ class FrameAccess:
         try:
             with self.lease(detail.id, f"image {name}") as bay:
                 job = _job(finished, choice, format, (bay.number, bay.generation))
-                picture: bytes = self._requests.render(job, name)
+                picture: bytes = self.render(job, name)
                 return picture
         except GoneError:
             # A difference needs both of its frames.
@@ -109,7 +132,7 @@ class FrameAccess:
             files = [self.recorded(detail.id, view.camera, view.row) for view in needed]
             if None in files:
                 raise
-        recorded: bytes = self._requests.render(_job(finished, choice, format, (0, 0), files), name)
+        recorded: bytes = self.render(_job(finished, choice, format, (0, 0), files), name)
         return recorded
 
     def images(self, detail: RunDetail, ref: str, wanted: ImageRequest) -> ChosenImages:
@@ -151,9 +174,7 @@ class FrameAccess:
         def recorded(run: str, camera: int, row: int) -> Path | None:
             return self.recorded(run, camera, row)
 
-        return MergedAccess(
-            self._archive.get, self.lease, recorded, self._requests.render, config.flat_fields, self.heights
-        )
+        return MergedAccess(self._archive.get, self.lease, recorded, self.render, config.flat_fields, self.heights)
 
     def batches(self, merged: MergedAccess, published: Callable[[RunDetail], RunDetail]) -> BatchAccess:
         """Return the access to batches of pictures.
@@ -162,12 +183,12 @@ class FrameAccess:
             merged: makes those pictures that are merged.
             published: returns the document of a run as callers see it.
         """
-        pixels = self._archive.get, self.lease, self.recorded, self._requests.render
+        pixels = self._archive.get, self.lease, self.recorded, self.render
         return BatchAccess(*pixels, merged, self.heights, published)
 
     def mosaics(self, config: StationConfig, heights: KnownHeights, hastened: Hastened) -> Mosaics:
         """Return the access to mosaics of whole boards, whose small tiles this process renders itself."""
-        access = self._archive, self.lease, self._requests.render
+        access = self._archive, self.lease, self.render
         return Mosaics(*access, config.flat_fields, heights, hastened, self.note_fetch, self.tile)
 
     def tile(self, job: TileJob) -> bytes | None:

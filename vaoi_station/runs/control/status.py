@@ -12,7 +12,7 @@ from vaoi_station.errors import DeviceError
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.core import Core, Parts
-from vaoi_station.runs.host.addresses import is_present
+from vaoi_station.runs.host.machine import is_present
 from vaoi_station.runs.merging.flat_field_warnings import flat_field_warnings
 from vaoi_station.runs.run.run_views import versions
 from vaoi_station.runs.states.run_ids import utc_of_host

@@ -12,8 +12,8 @@ from vaoi_station.files.images import Image
 from vaoi_station.model import BoardType, Calibration, Status, Stitch
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.control.core import Core, Parts
-from vaoi_station.runs.control.inbox import Inbox
 from vaoi_station.runs.control.pictures import FrameAccess
+from vaoi_station.runs.run.inbox import Inbox
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import BoardTypeSummary, Reason
@@ -54,98 +54,6 @@ def board_type_summary(stem: str, board_type: BoardType | None, fault: VaoiError
     )
 
 
-class ReferenceTeaching:
-    """Teaches and removes the references of board types, and sets their methods. Usable from any thread."""
-
-    def __init__(self, store: ReferenceStore, method: MethodName) -> None:
-        """Prepare teaching.
-
-        Args:
-            store: keeps the references and methods.
-            method: the station's method, which applies to board types for which no method was set.
-        """
-        self._store, self._method = store, method
-        self._teaching = threading.Lock()
-
-    def status(self, board_type: BoardType) -> ReferenceStatus:
-        """Return the reference of a board type, and whether it is usable. Raise NotFoundError if there is none."""
-        record = self._store.record(board_type.name)
-        if record is None:
-            raise _no_reference(board_type.name)
-        fault = None
-        try:
-            self._store.open(board_type)
-        except VaoiError as error:
-            fault = Reason.of(error)
-        return ReferenceStatus(**record.model_dump(), board_type=board_type.name, usable=fault is None, fault=fault)
-
-    def teach(
-        self,
-        board_type: BoardType,
-        finished: FinishedRun,
-        calibration: Calibration,
-        pixels: Pixels,
-        *,
-        confirm_orientation: bool = False,
-    ) -> bool:
-        """Make a finished run the reference of its board type; return True if there was no reference before.
-
-        Args:
-            board_type: the board type as it is now.
-            finished: the run.
-            calibration: the calibration with which the run was stitched.
-            pixels: function that copies a frame of the run, given its slot.
-            confirm_orientation: whether a person has confirmed that the board lies as the board type expects it.
-
-        Raises:
-            InputError: the run shows another board type, or the board type has changed since the run.
-            StateError: the verdict of the run is not ok.
-            DeviceError: the disk refuses the files.
-        """
-        stitch = with_confirmed_orientation(finished.result) if confirm_orientation else finished.result
-        _check(board_type.name, finished, stitch)
-        run = finished.detail.id
-        # One call at a time: two calls for the same run would write to the same directory.
-        with self._teaching:
-            path = self._store.path_of(run)
-            if not path.exists():
-                _write(path, finished, stitch, calibration, pixels)
-            self._store.load(run, board_type)
-            new = not self._store.has(board_type.name)
-            self._store.keep(board_type.name, _record_of(path, finished))
-            self._store.open(board_type)  # It is read now and cached, so that arming does not wait for the disk.
-        return new
-
-    def forget(self, board_type: str) -> None:
-        """Remove the reference of a board type. Raise NotFoundError if it has none."""
-        if not self._store.has(board_type):
-            raise _no_reference(board_type)
-        self._store.drop(board_type)
-
-    def method(self, board_type: str) -> StitchingMethod:
-        """Return the method by which runs of a board type are stitched."""
-        own = self._store.method(board_type)
-        return StitchingMethod(method=own or self._method, chosen="board-type" if own else "station")
-
-    def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
-        """Set the stitching method of a board type; None selects the station's method."""
-        self._store.set_method(board_type, method)
-        return self.method(board_type)
-
-    def forget_board_type(self, board_type: str) -> None:
-        """Remove the reference and the method of a board type that was deleted."""
-        self._store.drop(board_type)
-        self._store.set_method(board_type, None)
-
-    def sweep(self, in_use: set[str]) -> None:
-        """Delete the files of references that no board type uses.
-
-        `in_use` contains the ids of reference runs against which boards may still be placed; their files are kept.
-        """
-        with self._teaching:
-            self._store.sweep(in_use)
-
-
 class BoardTypeService:
     """Serves the requests about board types, their references and methods. Changes are published as events.
 
@@ -155,16 +63,16 @@ class BoardTypeService:
     def __init__(
         self,
         directory: BoardTypeDirectory,
-        references: ReferenceTeaching,
+        references: ReferenceStore,
         parts: Parts,
         core: Core,
         inbox: Inbox,
         frames: FrameAccess,
     ) -> None:
-        self._directory, self._references = directory, references
+        self._directory, self._references, self._method = directory, references, parts.config.method
         self._archive, self._events = parts.archive, parts.events
         self._core, self._inbox, self._frames = core, inbox, frames
-        self._changing = threading.Lock()
+        self._changing, self._teaching = threading.Lock(), threading.Lock()
         self._summaries: dict[Path, tuple[tuple[int, ...], BoardTypeSummary]] = {}
         """For each file: its modification time, size and inode when it was read, and its entry in the list."""
 
@@ -212,39 +120,70 @@ class BoardTypeService:
             raise StateError(f"The line is armed for board type {name!r}.", action="Disarm first.")
         with self._changing:
             self._directory.delete(name)
-            self._references.forget_board_type(name)
+            self._references.drop(name)
+            self._references.set_method(name, None)
         self.sweep()
         self._events.add("board-type", f"Board type {name!r} was deleted.")
 
     def reference(self, board_type: str) -> ReferenceStatus:
         """Return the reference of a board type and whether it is usable; `NotFoundError` if there is no reference."""
-        return self._references.status(self.get(board_type))
+        known = self.get(board_type)
+        record, fault = self._references.record(known.name), None
+        if record is None:
+            raise _no_reference(board_type)
+        try:
+            self._references.open(known)
+        except VaoiError as error:
+            fault = Reason.of(error)
+        return ReferenceStatus(**record.model_dump(), board_type=known.name, usable=fault is None, fault=fault)
 
     def teach_reference(self, board_type: str, run: str, *, confirm_orientation: bool = False) -> bool:
-        """Make a finished run the reference of its board type; return True if there was no reference before."""
-        known, finished = self.get(board_type), self._archive.get(run)
+        """Make a finished run the reference of its board type; return True if there was no reference before.
+
+        With `confirm_orientation`, a person has confirmed that the board lies as the board type expects it.
+
+        Raises:
+            NotFoundError: there is no such run or board type.
+            InputError: the run shows another board type, or the board type has changed since the run.
+            StateError: the run has no result yet, or its verdict is not ok.
+            GoneError: the frames of the run are no longer in memory.
+            DeviceError: the disk refuses the files.
+        """
+        known, finished, store = self.get(board_type), self._archive.get(run), self._references
         calibration = self._archive.calibration_of(finished)
         with self._frames.lease(run, "taught as the reference") as bay:
-            new = self._references.teach(
-                known, finished, calibration, self._frames.copier(bay), confirm_orientation=confirm_orientation
-            )
+            stitch = with_confirmed_orientation(finished.result) if confirm_orientation else finished.result
+            _check(known.name, finished, stitch)
+            # One call at a time: two calls for the same run would write to the same directory.
+            with self._teaching:
+                path = store.path_of(run)
+                if not path.exists():
+                    _write(path, finished, stitch, calibration, self._frames.copier(bay))
+                store.load(run, known)
+                new = not store.has(known.name)
+                store.keep(known.name, _record_of(path, finished))
+                store.open(known)  # It is read now and cached, so that arming does not wait for the disk.
         self.sweep()
         self._events.add("reference", f"Run {run} is now the reference of board type {board_type!r}.", run=run)
         return new
 
     def forget_reference(self, board_type: str) -> None:
         """Remove the reference of a board type; `NotFoundError` if there is no reference."""
-        self._references.forget(self.get(board_type).name)
+        if not self._references.has(self.get(board_type).name):
+            raise _no_reference(board_type)
+        self._references.drop(board_type)
         self.sweep()
         self._events.add("reference", f"The reference of board type {board_type!r} was removed.")
 
     def method(self, board_type: str) -> StitchingMethod:
         """Return the method by which runs of a board type are stitched."""
-        return self._references.method(self.get(board_type).name)
+        own = self._references.method(self.get(board_type).name)
+        return StitchingMethod(method=own or self._method, chosen="board-type" if own else "station")
 
     def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
         """Set the stitching method of a board type; None selects the station's method."""
-        return self._references.set_method(self.get(board_type).name, method)
+        self._references.set_method(self.get(board_type).name, method)
+        return self.method(board_type)
 
     def sweep(self) -> None:
         """Delete the files of references that are used by no board type, no unfinished run and no order.
@@ -256,7 +195,8 @@ class BoardTypeService:
             under_way = {p.order.reference.run for p in self._core.runs.active.values() if p.order.reference}
             return under_way | self._core.line.orders.references
 
-        self._references.sweep(self._inbox.ask(in_use))
+        with self._teaching:
+            self._references.sweep(self._inbox.ask(in_use))
 
 
 def _no_reference(board_type: str) -> NotFoundError:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
-from vaoi_station.runs.host.process_setup import set_up_process
+from vaoi_station.runs.host.processes import set_up_process
 
 LOWEST_PRIORITY = 19
 

@@ -1,38 +1,43 @@
-"""Logging to standard output, as text or as one JSON object per line. All processes of the station log in this way."""
+"""Logging of all processes of the station: to systemd's journal with fields, or to standard output as text or JSON.
+
+The journal's native protocol is one datagram per record (systemd.io/JOURNAL_NATIVE_PROTOCOL). With the fields beside
+the message, a reader can select records: `journalctl VAOI_RUN=… VAOI_CAMERA=…`.
+"""
 
 from __future__ import annotations
 
 import json
 import logging
 import os
+import socket
 import sys
-
-from vaoi_station.runs.host.journal import JournalHandler, PriorityPrefix, fields_of, is_journal
-from vaoi_station.runs.host.log_repeats import RepeatLimit
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import islice
 
 IDENTIFIER = "vaoi"
 """Name of the program in the journal."""
 TEXT = "%(levelname)s %(processName)s %(name)s: %(message)s"
 JSON_VARIABLE = "VAOI_LOG_JSON"
 """Environment variable that selects JSON if it is not empty; child processes inherit it."""
-
-
-class JsonLines(logging.Formatter):
-    """Formatter that writes each log record as one JSON object on one line."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the record as a JSON object: time, level, logger, process, message, fields and, if any, exception."""
-        entry = {
-            "time": self.formatTime(record, "%Y-%m-%dT%H:%M:%S") + f".{int(record.msecs):03d}",
-            "level": record.levelname.lower(),
-            "logger": record.name.removeprefix("vaoi_station."),
-            "process": record.processName,
-            "message": record.getMessage(),
-            **fields_of(record),
-        }
-        if record.exc_info:
-            entry["exception"] = self.formatException(record.exc_info)
-        return json.dumps(entry, ensure_ascii=False)
+SOCKET = "/run/systemd/journal/socket"
+STREAM_VARIABLE = "JOURNAL_STREAM"
+"""Environment variable with device and inode of the stream that systemd connected to the journal."""
+FIELDS = ("run", "board", "camera", "event", "code")
+"""Attributes of a log record, given as `extra`, that become fields of the journal and keys of JSON."""
+LONGEST_BYTES = 48_000
+"""Longest text of one field; a datagram must fit the socket's buffer."""
+_PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
+WINDOW_S = 60.0
+SAME_TEXT, SAME_TEMPLATE = 5, 100
+"""Largest numbers of records within `WINDOW_S` that are logged: of the same text, and of warnings that differ only in
+their values."""
+ENDED_AT_ONCE = 8
+"""Number of the oldest windows that are examined with each record, so that those that have ended do not pile up."""
+MOST_KEYS = 2000
+"""Largest number of windows in memory; beyond it, the oldest windows are closed first."""
 
 
 def configure_logging(as_json: bool | None = None) -> None:
@@ -58,3 +63,166 @@ def _handler(as_json: bool) -> logging.Handler:
         handler.setFormatter(PriorityPrefix(formatter) if journal else formatter)
     handler.addFilter(RepeatLimit())
     return handler
+
+
+def priority(level: int) -> int:
+    """Return the syslog priority for a logging level of Python: 2 critical, 3 error, 4 warning, 6 info, 7 debug."""
+    return next((number for least, number in _PRIORITIES if level >= least), 7)
+
+
+def is_journal(environment: Mapping[str, str], descriptor: int) -> bool:
+    """Return whether a file descriptor is the stream that systemd connected to the journal."""
+    try:
+        status = os.fstat(descriptor)
+    except OSError:
+        return False
+    # Child processes inherit the variable even if their output goes elsewhere, so the numbers must be compared.
+    return environment.get(STREAM_VARIABLE) == f"{status.st_dev}:{status.st_ino}"
+
+
+def with_priority(text: str, level: int) -> str:
+    """Return a text with the priority in front of every line, as sd-daemon(3) describes it: `<4>`."""
+    return "\n".join(f"<{priority(level)}>{line}" for line in text.splitlines())
+
+
+def _fields_of(record: logging.LogRecord) -> dict[str, str]:
+    return {name: str(value) for name in FIELDS if (value := getattr(record, name, None))}
+
+
+class JsonLines(logging.Formatter):
+    """Formatter that writes each log record as one JSON object on one line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the record as a JSON object: time, level, logger, process, message, fields and, if any, exception."""
+        entry = {
+            "time": self.formatTime(record, "%Y-%m-%dT%H:%M:%S") + f".{int(record.msecs):03d}",
+            "level": record.levelname.lower(),
+            "logger": record.name.removeprefix("vaoi_station."),
+            "process": record.processName,
+            "message": record.getMessage(),
+            **_fields_of(record),
+        }
+        if record.exc_info:
+            entry["exception"] = self.formatException(record.exc_info)
+        return json.dumps(entry, ensure_ascii=False)
+
+
+class PriorityPrefix(logging.Formatter):
+    """Formatter that puts the priority in front of every line of another one."""
+
+    def __init__(self, inner: logging.Formatter) -> None:
+        super().__init__()
+        self._inner = inner
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the lines of the inner formatter, each with the prefix."""
+        return with_priority(self._inner.format(record), record.levelno)
+
+
+class JournalHandler(logging.Handler):
+    """Handler that sends each record to the journal with its fields. If this fails, it writes a line to stdout."""
+
+    def __init__(self, identifier: str, path: str = SOCKET) -> None:
+        super().__init__()
+        self._identifier, self._path = identifier, path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        # A journal that does not read must not stop the station: after this time, the line goes to stdout.
+        self._socket.settimeout(1.0)
+        self._otherwise = logging.StreamHandler(sys.stdout)
+        self._otherwise.setFormatter(PriorityPrefix(logging.Formatter(TEXT)))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Send one log record to the journal."""
+        try:
+            self._socket.sendto(self._datagram(record), self._path)
+        except OSError:
+            self._otherwise.handle(record)
+
+    def _datagram(self, record: logging.LogRecord) -> bytes:
+        message = record.getMessage()
+        if record.exc_info:
+            message += "\n" + logging.Formatter().formatException(record.exc_info)
+        fields = {
+            "MESSAGE": message,
+            "PRIORITY": str(priority(record.levelno)),
+            "SYSLOG_IDENTIFIER": self._identifier,
+            "VAOI_PROCESS": str(record.processName),
+            "VAOI_LOGGER": record.name.removeprefix("vaoi_station."),
+            "CODE_FILE": record.pathname,
+            "CODE_LINE": str(record.lineno),
+        }
+        fields |= {f"VAOI_{name.upper()}": value for name, value in _fields_of(record).items()}
+        return b"".join(_journal_field(name, value) for name, value in fields.items())
+
+    def close(self) -> None:
+        """Close the socket to the journal."""
+        self._socket.close()
+        super().close()
+
+
+def _journal_field(name: str, value: str) -> bytes:
+    data = value.encode("utf-8", "replace")[:LONGEST_BYTES]
+    if b"\n" not in data:
+        return b"%s=%s\n" % (name.encode(), data)
+    # In front of a value with line breaks stands its length: 64 bits, least significant byte first.
+    return b"%s\n%s%s\n" % (name.encode(), len(data).to_bytes(8, "little"), data)
+
+
+_Key = tuple[str, int, str]
+
+
+@dataclass
+class _Window:
+    """The count of records with one key since the time at which the window began."""
+
+    since_s: float
+    count: int = 0
+    dropped: int = 0
+
+
+class RepeatLimit(logging.Filter):
+    """Filter that drops records that are logged too often, so that one fault cannot fill the log and hide the others.
+
+    The first record after a window states how many it dropped.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock, self._lock = clock, threading.Lock()
+        # Two tables, so that many different texts do not close the window of their common template.
+        self._texts: dict[_Key, _Window] = {}
+        self._templates: dict[_Key, _Window] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return False for a record over a limit."""
+        text = (record.name, record.levelno, record.getMessage())
+        template = (record.name, record.levelno, str(record.msg))
+        with self._lock:
+            now_s = self._clock()
+            dropped, is_open = _count(self._texts, text, now_s, SAME_TEXT)
+            if record.levelno >= logging.WARNING:
+                more, also = _count(self._templates, template, now_s, SAME_TEMPLATE)
+                # The same record must not be counted as dropped for both reasons.
+                dropped, is_open = max(dropped, more), is_open and also
+        if is_open and dropped:
+            record.msg = f"{record.getMessage()} [{dropped} more in {WINDOW_S:.0f} s were not logged]"
+            record.args = None
+        return is_open
+
+
+def _count(windows: dict[_Key, _Window], key: _Key, now_s: float, limit: int) -> tuple[int, bool]:
+    """Count a record; return how many the previous window dropped, and whether this record is within the limit."""
+    # Most texts name a run and never come again. A window that has dropped records stays: it is to state their number.
+    for old in list(islice(windows, ENDED_AT_ONCE)):
+        if old != key and not windows[old].dropped and now_s - windows[old].since_s >= WINDOW_S:
+            del windows[old]
+    window, dropped = windows.get(key), 0
+    if window is None or now_s - window.since_s >= WINDOW_S:
+        dropped = window.dropped if window else 0
+        windows.pop(key, None)  # A new entry goes to the end, because entries are ordered by age.
+        if len(windows) >= MOST_KEYS:
+            del windows[next(iter(windows))]
+        window = windows[key] = _Window(now_s)
+    window.count += 1
+    window.dropped += window.count > limit
+    return dropped, window.count <= limit

@@ -20,11 +20,8 @@ from typing import Any
 
 _CHUNK = 1 << 20
 """Largest number of bytes that one system call reads."""
-_SHORT, _LONG = struct.Struct("!i"), struct.Struct("!Q")
-"""Formats of the length in front of a message, as `Connection` writes it.
-
-From 2 GiB on, the short length is −1 and the long one follows."""
-_LONGEST_SHORT = 0x7FFFFFFF
+_LENGTH = struct.Struct("!i")
+"""Format of the length in front of a message, as `Connection` writes it for less than 2 GiB."""
 
 
 class PipeEndedError(Exception):
@@ -57,9 +54,8 @@ class MessagePipe:
         A message to a child that has ended is lost. `receive` and the sentinel of the process show that it has ended.
         """
         body = ForkingPickler.dumps(message)
-        size = len(body)
         with self._lock:
-            self._unsent += _SHORT.pack(size) if size <= _LONGEST_SHORT else _SHORT.pack(-1) + _LONG.pack(size)
+            self._unsent += _LENGTH.pack(len(body))
             self._unsent += body
             self._flush()
 
@@ -112,12 +108,14 @@ class MessagePipe:
     def _complete(self) -> list[Any]:
         messages, at = [], 0
         with memoryview(self._received) as received:
-            while (span := _span(received[at:])) is not None:
-                head, size = span
-                if len(received) < at + head + size:
+            while len(received) >= (begin := at + _LENGTH.size):
+                (size,) = _LENGTH.unpack_from(received, at)
+                if size < 0:
+                    raise PipeEndedError("a length that cannot be")
+                if len(received) < begin + size:
                     break
-                messages.append(_unpickled(received[at + head : at + head + size]))
-                at += head + size
+                messages.append(_unpickled(received[begin : begin + size]))
+                at = begin + size
         del self._received[:at]
         return messages
 
@@ -133,18 +131,6 @@ def wait_for(pipes: Sequence[MessagePipe], others: Sequence[int], timeout_s: flo
         for descriptor in others:
             selector.register(descriptor, EVENT_READ)
         return {key.fd for key, _ in selector.select(max(timeout_s, 0.0))}
-
-
-def _span(data: memoryview) -> tuple[int, int] | None:
-    """Return the sizes of length field and body of the message at the beginning of `data`; None if unknown yet."""
-    if len(data) < _SHORT.size:
-        return None
-    (size,) = _SHORT.unpack_from(data)
-    if size >= 0:
-        return _SHORT.size, size
-    if len(data) < _SHORT.size + _LONG.size:
-        return None
-    return _SHORT.size + _LONG.size, _LONG.unpack_from(data, _SHORT.size)[0]
 
 
 def _unpickled(body: memoryview) -> Any:

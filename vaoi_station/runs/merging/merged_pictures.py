@@ -31,7 +31,7 @@ from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.merging.row_brightness import RowBrightness
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.runs.workers.merge_job import MergedBody, MergedFrame, MergeJob
+from vaoi_station.runs.workers.picture_jobs import MergedBody, MergedFrame, MergeJob
 
 MOST_WORK = 400_000_000
 """Largest number of pixels times frames of one merged picture; it takes a worker about four seconds."""

@@ -20,7 +20,7 @@ from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.runs.workers.merge_job import LevelFrame, RowLevelsJob
+from vaoi_station.runs.workers.picture_jobs import LevelFrame, RowLevelsJob
 
 _log = logging.getLogger(__name__)
 MOST_KEPT = 16

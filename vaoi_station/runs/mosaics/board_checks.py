@@ -12,9 +12,8 @@ from vaoi_station.errors import StateError
 from vaoi_station.model import BoardType
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.workers.board_check_job import BoardCheckJob, CheckedBoard
 from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.runs.workers.mosaic_jobs import Slots
+from vaoi_station.runs.workers.picture_jobs import BoardCheckJob, CheckedBoard, Slots
 
 MOST_KEPT = 4
 """Number of replies that are kept: picture and correction are asked for after the report."""

@@ -33,7 +33,7 @@ from vaoi_station.runs.mosaics.picture_names import PictureName
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.overlay_schemas import RunOverlay
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
-from vaoi_station.runs.workers.mosaic_jobs import PlanJob, Slots, TileJob
+from vaoi_station.runs.workers.picture_jobs import PlanJob, Slots, TileJob
 
 KnownHeights = Callable[[str], Heights | None]
 """Function that returns the measured heights of a run; None while there are none."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TileRenderer
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.runs.mosaics.overview import Overview
-from vaoi_station.runs.workers.mosaic_jobs import Slots
+from vaoi_station.runs.workers.picture_jobs import Slots
 
 MOST_PLANS = 8
 """Number of plans that are kept; one of a board of 400 × 410 mm takes 2 MB per layer."""

@@ -13,9 +13,8 @@ import numpy as np
 
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.errors import GoneError
-from vaoi_station.runs.workers.jobs import RenderJob
-from vaoi_station.runs.workers.mosaic_jobs import TileJob
-from vaoi_station.runs.workers.worker_runtime import perform_with_frames, render_picture
+from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
+from vaoi_station.runs.workers.worker import perform_with_frames
 
 SEATS = 2
 """Largest number of pictures that the station process renders at a time; workers render the others."""
@@ -53,10 +52,8 @@ class SmallPictures:
         if not self._seats.acquire(blocking=False):
             return None
         try:
-            if isinstance(job, RenderJob):
-                return render_picture(job, self._ring)
-            tile: bytes = perform_with_frames(job, self._ring)
-            return tile
+            picture: bytes = perform_with_frames(job, self._ring)
+            return picture
         except GoneError:
             return None  # the frame may be in a recording, which the caller looks up
         finally:

@@ -1,4 +1,4 @@
-"""Assignment of the ring's bays to runs, and eviction of finished runs.
+"""The ring's bays: which run uses which, who holds its frames, and the grants of bays to coming runs.
 
 The next board gets a free bay. If no bay is free, the run that finished first is evicted. A run is not evicted while a
 caller holds it, before it is announced, and for a stated time after its announcement. A run that is filmed or stitched
@@ -9,25 +9,117 @@ is being made is evicted after all others: the picture is then given up.
 from __future__ import annotations
 
 import math
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 from numpy.typing import NDArray
 
+from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, GoneError
-from vaoi_station.runs.run.leases import Leases
 from vaoi_station.runs.states.schemas import BayStatus, Reason
+from vaoi_station.supervised_thread import SupervisedThread
 
 Use = Literal["free", "granted", "filming", "stitching", "finished"]
+MAX_HOLDERS = 32
+"""Largest number of holders of one run. More holders mean that a caller uses a new name for every call."""
+OWN = "rest "
+"""Prefix of the holder's name in short leases of the station itself, which do not count for `MAX_HOLDERS`."""
+_IN_WORDS = {
+    "granted": "reserved for the next board",
+    "filming": "being filmed",
+    "stitching": "being stitched",
+}
+_CHECK_S = 1.0
+"""Longest time between two signs of life of the thread of `BayGrants` while there is nothing to do."""
+
+
+@dataclass(frozen=True)
+class Lease:
+    """The right of one holder to the frames of one run, until `expires_s` by time.monotonic()."""
+
+    run: str
+    holder: str
+    purpose: str
+    expires_s: float
+
+    def __str__(self) -> str:
+        """Return the holder for messages, with the purpose if one was stated."""
+        return f"{self.holder} ({self.purpose})" if self.purpose else self.holder
+
+
+class Leases:
+    """The leases of all runs. A lease that is not renewed expires, so that a crashed holder cannot block the line."""
+
+    def __init__(self, lease_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self.lease_s = lease_s
+        self._clock = clock
+        self._leases: dict[tuple[str, str], Lease] = {}
+
+    def take(self, run: str, holder: str, purpose: str) -> Lease:
+        """Begin or renew a lease; `BusyError` if the run has `MAX_HOLDERS` other holders."""
+        others = [lease.holder for lease in self.of_callers(run) if lease.holder != holder]
+        if len(others) >= MAX_HOLDERS and not holder.startswith(OWN):
+            raise BusyError(
+                f"Run {run} has {len(others)} holders, which is the limit: {', '.join(others[:3])} …",
+                action="Renew a hold under the name it was taken by, and end those that are not needed.",
+                code="too-many-holders",
+            )
+        lease = Lease(run, holder, purpose, self._clock() + self.lease_s)
+        # An earlier lease of the same holder is replaced: a renewal does not add a second lease.
+        self._leases[run, holder] = lease
+        return lease
+
+    def end(self, run: str, holder: str) -> None:
+        """End the lease of a holder. Nothing happens if there is no such lease."""
+        self._leases.pop((run, holder), None)
+
+    def end_all(self, run: str) -> None:
+        """End all leases of a run whose memory is given up."""
+        self._leases = {key: lease for key, lease in self._leases.items() if lease.run != run}
+
+    def of(self, run: str) -> tuple[Lease, ...]:
+        """Return the leases of one run that have not expired."""
+        return tuple(lease for lease in self.all() if lease.run == run)
+
+    def of_callers(self, run: str) -> tuple[Lease, ...]:
+        """Return the leases of one run that callers hold, without the short ones of the station itself."""
+        return tuple(lease for lease in self.of(run) if not lease.holder.startswith(OWN))
+
+    def all(self) -> tuple[Lease, ...]:
+        """Return all leases that have not expired, sorted by the age of their runs, oldest first."""
+        now = self._clock()
+        return tuple(sorted((le for le in self._leases.values() if le.expires_s > now), key=lambda le: le.run))
+
+    def expire(self) -> tuple[Lease, ...]:
+        """Remove the leases that have expired, and return them."""
+        now = self._clock()
+        # An expired lease has no effect even before this call, because `all` skips it.
+        over = tuple(lease for lease in self._leases.values() if lease.expires_s <= now)
+        for lease in over:
+            del self._leases[lease.run, lease.holder]
+        return over
+
+    def remaining_s(self, lease: Lease) -> float:
+        """Return the time until a lease expires; 0 if it has expired."""
+        return max(0.0, lease.expires_s - self._clock())
 
 
 class BayRing(Protocol):
-    """The one method of the ring that is needed to assign bays."""
+    """The ring."""
 
     def renew(self, bay: int) -> int:
         """Raise the generation of a bay, and return it."""
+
+
+class Blackening(Protocol):
+    """The ring."""
+
+    def blacken(self, bay: int) -> None:
+        """Set all pixels of a bay to zero."""
 
 
 @dataclass(frozen=True)
@@ -215,8 +307,78 @@ class Memory:
         ]
 
 
-_IN_WORDS = {
-    "granted": "reserved for the next board",
-    "filming": "being filmed",
-    "stitching": "being stitched",
-}
+class Commands(Protocol):
+    """The link to the acquisition process."""
+
+    def send(self, command: messages.Command) -> None:
+        """Send a command to the acquisition process, without waiting for its effect."""
+
+
+class BayGrants:
+    """Passes commands to the acquisition process, and blackens each bay before its grant. Usable from any thread.
+
+    The coordinator raises the bay's generation, by which readers of the run before notice that its pixels are gone, and
+    goes on; commands after a grant wait until the bay is black. A bay is not blackened before it is granted, although
+    it may be free for long: a camera that was late may still write to a slot of a run that is over (`SlotQueue`).
+    """
+
+    def __init__(self, ring: Blackening, link: Commands) -> None:
+        self._ring, self._link = ring, link
+        self._changed = threading.Condition()
+        self._waiting: deque[messages.Command] = deque()
+        """Commands in their order. The first stays here until it was sent."""
+        self._ended = False
+        self.thread = SupervisedThread(self._run, "bays")
+
+    def start(self) -> None:
+        """Start the thread."""
+        self.thread.start()
+
+    def send(self, command: messages.Command) -> None:
+        """Send a command, behind those before it. Returns at once."""
+        with self._changed:
+            if self._waiting or _bay(command) is not None:
+                self._waiting.append(command)
+                self._changed.notify_all()
+            else:
+                self._link.send(command)
+
+    def forget(self) -> None:
+        """Give up the commands that were not sent yet: the acquisition process for which they were meant has ended."""
+        with self._changed:
+            self._waiting.clear()
+
+    def stop(self) -> None:
+        """End the thread; what was not sent is given up. A second call does nothing."""
+        with self._changed:
+            self._ended = True
+            self._waiting.clear()
+            self.thread.expect_end()
+            self._changed.notify_all()
+        if self.thread.is_alive():
+            self.thread.join()
+
+    def _run(self) -> None:
+        while (command := self._next()) is not None:
+            if (bay := _bay(command)) is not None:
+                self._ring.blacken(bay)
+            with self._changed:
+                # It was given up meanwhile if it is not the first one any more.
+                if self._waiting and self._waiting[0] is command:
+                    self._link.send(self._waiting.popleft())
+
+    def _next(self) -> messages.Command | None:
+        """Wait for a command and return it; None if the thread is to end."""
+        with self._changed:
+            while not self._waiting and not self._ended:
+                self.thread.beat()
+                self._changed.wait(_CHECK_S)
+            self.thread.beat()
+            return self._waiting[0] if self._waiting and not self._ended else None
+
+
+def _bay(command: messages.Command) -> int | None:
+    """Return the bay that a command grants; None if it grants none."""
+    if isinstance(command, messages.FireTrial):
+        return command.grant.bay
+    return command.bay if isinstance(command, messages.Grant) else None

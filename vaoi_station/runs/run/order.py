@@ -1,10 +1,16 @@
-"""Orders: board type and caller's ids for the next boards. A board keeps the order that was in force at the barrier."""
+"""Orders: board type and caller's ids for the next boards. A board keeps the order that was in force at the barrier.
+
+The order in force is stored: after a restart the line is armed again with it, or the reason why not is shown.
+"""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from vaoi_station.acquisition.controller.filming_plan import filming_plan, line_of_board
 from vaoi_station.acquisition.controller.interface import TriggerPlan
@@ -19,7 +25,9 @@ from vaoi_station.stitching.expectation import expectation_of, refuse_unplaceabl
 from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
+from vaoi_station.store.standing import StandingDocuments
 
+_KEY = "armed"
 _MOST_FORMER = 16
 """Number of former orders that are kept for boards that have interrupted the barrier, but have no pulse yet."""
 Passing = Literal["wait", "after", "refuse"]
@@ -304,3 +312,70 @@ class OrderFactory:
                 code="no-reference",
             )
         return reference, ()
+
+
+class _Armed(BaseModel):
+    """The order in the form in which it is stored."""
+
+    model_config = ConfigDict(frozen=True)
+
+    board_type: str
+    board_id: str | None = None
+    job_id: str | None = None
+    runs: int | None = None
+    allow_lost_cameras: bool = False
+
+
+@dataclass(frozen=True)
+class Resumed:
+    """The order that was in force before a restart, ready to be armed again, or the reason why it cannot be."""
+
+    order: Order | None
+    runs: int | None
+    fault: Reason | None = None
+
+
+class StandingOrder:
+    """Stores the order in force in the database. Callers do not wait for the disk."""
+
+    def __init__(self, documents: StandingDocuments) -> None:
+        self._documents = documents
+
+    def keep(self, order: Order | None, runs: int | None) -> None:
+        """Store an order, with the number of boards still to be filmed for it; None deletes the stored one."""
+        if order is None:
+            self._documents.set(_KEY, None)
+            return
+        armed = _Armed(
+            board_type=order.board_type.name,
+            board_id=order.board_id,
+            job_id=order.job_id,
+            runs=runs,
+            allow_lost_cameras=order.despite_lost_cameras,
+        )
+        self._documents.set(_KEY, armed.model_dump_json())
+
+    def resume(
+        self,
+        get_board_type: Callable[[str], BoardType],
+        make_order: Callable[[BoardType, str | None, str | None], Order],
+    ) -> Resumed | None:
+        """Make the order that was in force when the station ended again; None if the line was not armed."""
+        document = self._documents.get(_KEY)
+        if document is None:
+            return None
+        try:
+            armed = _Armed.model_validate_json(document)
+            order = make_order(get_board_type(armed.board_type), armed.board_id, armed.job_id)
+        except ValidationError:
+            return Resumed(None, None, _fault("the order cannot be read", "Arm the line."))
+        except VaoiError as error:
+            return Resumed(None, None, _fault(error.message, f"{error.action} Then arm the line.".strip()))
+        if armed.runs == 0:
+            return None
+        return Resumed(replace(order, despite_lost_cameras=armed.allow_lost_cameras), armed.runs)
+
+
+def _fault(why: str, action: str) -> Reason:
+    message = f"The line was armed before the restart and is not armed now: {why}"
+    return Reason(code="not-armed-again", message=message, action=action)

@@ -19,7 +19,7 @@ from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import FINISHED, RUN, RunState, RunStep
 from vaoi_station.runs.states.timeline_schemas import TaskTiming
-from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Linked, LinkJob, OpenRun, Reply, RunContext
+from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, LinkJob, OpenRun, Reply, RunContext
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks
 
@@ -42,8 +42,8 @@ class Progress:
     """Complete frames whose pulse was reported, so that they can be linked."""
     requested_s: dict[Task, float] = field(default_factory=dict)
     """Tasks for which a job was made; for each task, the time at which the last of its frames was settled."""
-    linked: dict[Task, Linked] = field(default_factory=dict)
-    """Evidence that the workers have sent, by task."""
+    failed: set[Task] = field(default_factory=set)
+    """Tasks that gave no evidence."""
     pending: set[Task] = field(default_factory=set)
     """Requested tasks whose reply has not arrived."""
     canonical_tasks: tuple[Task, ...] = ()
@@ -161,18 +161,17 @@ class Progress:
             return tuple(self.requested_s)
         return all_tasks(self.present, times_s, self.order.setup)
 
-    def add_evidence(self, job: LinkJob, reply: Reply, at_s: float) -> None:
-        """Add the evidence of a link job's reply to the run; for an error, a fault. It arrived at `at_s`."""
+    def add_links(self, job: LinkJob, reply: Reply, at_s: float) -> None:
+        """Record that the tasks of a link job are done; for an error, add a fault. The reply arrived at `at_s`."""
         self.pending.difference_update(job.tasks)
         self.pending_canonical.difference_update(job.tasks)
         if reply.error is not None:
+            self.failed.update(job.tasks)
             self._add_error(reply.error)
             return
-        for task, linked in zip(job.tasks, reply.value, strict=True):
-            self.linked[task] = linked
-            self.timings.append(self._timing(task, linked, at_s))
+        self.timings += [self._timing(task, s, at_s) for task, s in zip(job.tasks, reply.value, strict=True)]
 
-    def _timing(self, task: Task, linked: Linked, at_s: float) -> TaskTiming:
+    def _timing(self, task: Task, worker_s: float, at_s: float) -> TaskTiming:
         return TaskTiming(
             kind=task.kind,
             camera=task.a[0],
@@ -181,7 +180,7 @@ class Progress:
             other_row=task.b[1] if task.b else None,
             ready_s=self.requested_s[task] - self.barrier_s,
             done_s=at_s - self.barrier_s,
-            worker_ms=linked.worker_s * 1e3,
+            worker_ms=worker_s * 1e3,
         )
 
     def conclude_job(self) -> ConcludeJob | None:
@@ -192,27 +191,22 @@ class Progress:
         if self.recorded is None or self.concluding or self.unstitchable or self.pending_canonical:
             return None
         self.concluding = True
-        # All requested tasks that are not canonical are excluded, even pending ones: the concluding worker may hold
-        # their evidence by then.
-        excluded = frozenset(self.requested_s).difference(self.canonical_tasks)
-        slots = self._slots(self.present)
-        return ConcludeJob(self.context, self.recorded.head, slots, self.canonical_evidence, excluded, self._check())
+        tasks = tuple(task for task in self.canonical_tasks if task not in self.failed)
+        return ConcludeJob(self.context, self.recorded.head, self._slots(self.present), tasks)
 
-    def _check(self) -> CheckJob | None:
+    def check_job(self) -> CheckJob | None:
         """Return the calibration check that follows the conclusion; None if the run would give no evidence.
+
+        A failed result gives none about the cameras: its board was not found, or is hardly in the picture.
 
         A single camera has no neighbour that could show its displacement. A run that was cut short shows a part of its
         board: a solution that fits this part well may fit the cameras badly, which looks like a drift.
         """
-        assert self.recorded is not None, "a run is concluded after it was filmed"
-        if len(self.order.setup.cameras) < 2 or self.recorded.reason not in WHOLE:
+        if self.recorded is None or self.recorded.reason not in WHOLE or len(self.order.setup.cameras) < 2:
+            return None
+        if self.stitch is None or self.stitch.status is Status.FAILED:
             return None
         return CheckJob(self.run, utc(), self.order.filmed_digest, self.order.calibration_digest)
-
-    @property
-    def canonical_evidence(self) -> dict[Task, Linked]:
-        """The evidence of the canonical tasks that has arrived."""
-        return {task: self.linked[task] for task in self.canonical_tasks if task in self.linked}
 
     def add_result(self, reply: Reply, at_s: float) -> None:
         """Add the result of a conclude job's reply to the run; for an error, a fault. It arrived at `at_s`."""

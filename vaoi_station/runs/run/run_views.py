@@ -14,7 +14,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch, Verdict
 from vaoi_station.model.light_program import row_of
-from vaoi_station.runs.host.clock_state import clock_state
+from vaoi_station.runs.host.machine import clock_state
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.made_with import MadeWith

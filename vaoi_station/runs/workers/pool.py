@@ -1,13 +1,14 @@
-"""The worker pool: it gives jobs to worker processes, and restarts processes that die or hang.
+"""The worker pool: it gives jobs to worker processes, and replaces processes that die or hang.
 
-Jobs wait in the pool, not in the pipes to the workers. A worker has one job at a time. A worker that performs a link
-job may get a second link job, so that it need not wait for the pool in between. The pool detects the end of a worker at
-once by the pidfd of its process. The worker's jobs then go to another worker, and the process is restarted. If
-`MAX_ATTEMPTS` workers died during a job, the job is given up with an error. A job that takes much longer than usual
-(`worker.OVERDUE_S`) is repeated by an idle worker. The first worker is killed once it is certain that it hangs.
+What happens when a worker dies: the pool notices it by the pidfd of its process (`_supervise`) and reaps it (`_reap`).
+The job under way goes back to the front of its queue, for another worker; after `MAX_ATTEMPTS` deaths it is answered
+with an error (`worker-lost`). The second job goes back as well. A new process is requested of the fork server after a
+pause (`_run`). Evidence that the worker has found lies in its log, which outlives it. If it owned a run, another worker
+concludes the run.
 
-No call waits for a worker: a worker that hangs, or is stopped in the middle of an answer, blocks no thread of the
-station.
+A worker has one job at a time, and a second one if both are links, so that it need not wait for the pool. A job that
+takes much longer than usual is repeated by an idle worker (`OVERDUE_S`); the first worker is killed once it is certain
+that it hangs. No call waits for a worker, so that one that hangs blocks no thread of the station.
 """
 
 from __future__ import annotations
@@ -17,34 +18,31 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 
 from vaoi_station.errors import InternalError, StateError, VaoiError
-from vaoi_station.runs.host.message_pipe import PipeEndedError, wait_for
+from vaoi_station.runs.host.message_pipe import MessagePipe, PipeEndedError, wait_for
 from vaoi_station.runs.states.schemas import ProcessStatus
-from vaoi_station.runs.workers.forking.child_process import ChildProcess
-from vaoi_station.runs.workers.forking.fork_server_link import ForkServerLink
+from vaoi_station.runs.workers.fork_server_link import END_S, ChildProcess, ForkServerLink, describe_silence
 from vaoi_station.runs.workers.jobs import (
-    CheckJob,
     CloseRun,
     ConcludeJob,
-    GatherJob,
+    Continue,
     Job,
     LinkJob,
+    Numbered,
     OpenRun,
     Paused,
     PictureJob,
     Ping,
-    Priority,
     Reply,
     WorkerReady,
-    check_after,
 )
-from vaoi_station.runs.workers.queues import JobQueues
-from vaoi_station.runs.workers.worker import Queued, Worker, end_all
-from vaoi_station.runs.workers.worker_events import WorkerEvents
+from vaoi_station.runs.workers.queues import JobQueues, Queued, Worker
 from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
@@ -52,13 +50,13 @@ _log = logging.getLogger(__name__)
 JOB_LIMIT_S = 30.0
 """Longest time for one job. After this time, the worker counts as hung and is killed."""
 REPEATED_LIMIT_S = 5.0
-"""Longest time for a job that another worker has finished meanwhile, s.
-
-After it, the slower worker counts as hung."""
+"""Longest time for a job that another worker has finished meanwhile; after it, the slower one counts as hung."""
 PING_INTERVAL_S = 1.0
 """Time without a message after which an idle worker is pinged."""
 CHECK_PERIOD_S = 0.5
 """Longest time between two checks of the workers' liveness."""
+CODE_S = 0.5
+"""Longest wait for the exit code of a worker that has ended; the fork server reports it at once, unless it hangs."""
 STOP_S = 10.0
 """Longest wait for the pool's thread to end."""
 MAX_ATTEMPTS = 2
@@ -66,25 +64,30 @@ MAX_ATTEMPTS = 2
 
 
 class WorkerPool:
-    """The worker processes of the station. Its methods may be called from any thread.
-
-    It reports to the `WorkerEvents` given at the start, mostly in its own thread.
-    """
+    """The worker processes of the station. Its methods may be called from any thread."""
 
     def __init__(self, count: int, ring_path: Path) -> None:
         self._ring_path = ring_path
-        self._events: WorkerEvents | None = None
+        self._on_end: Callable[[str], object] = lambda _: None
+        self._on_ready: Callable[[], object] = lambda: None
         self._workers = [Worker(k) for k in range(count)]
         self._queues = JobQueues(self._workers)
         self._lock = threading.RLock()
-        self.fork_server = ForkServerLink(self._report_end)
+        self.fork_server = ForkServerLink(self._report_end, count)
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._stopping = False
         self.thread = SupervisedThread(self._run, "workers")
 
-    def start(self, events: WorkerEvents) -> None:
-        """Start the workers, and report to `events`. Jobs may be submitted before the workers are ready."""
-        self._events = events
+    def start(self, on_end: Callable[[str], object], on_ready: Callable[[], object]) -> None:
+        """Start the workers. Jobs may be submitted before they are ready.
+
+        Both functions are called in any thread and must return at once.
+
+        Args:
+            on_end: gets a sentence when a worker has ended unexpectedly; it is replaced.
+            on_ready: called when all workers are ready, and again when one that was replaced is ready.
+        """
+        self._on_end, self._on_ready = on_end, on_ready
         # Workers ignore SIGTERM and SIGINT. Without this exit handler, they would survive a station that exits by an
         # exception.
         atexit.register(self.stop, 0.0)
@@ -103,14 +106,17 @@ class WorkerPool:
         with self._lock:
             return any(w.ready for w in self._workers) and all(w.ready or w.restarts for w in self._workers)
 
-    def submit(self, job: Job) -> None:
-        """Queue a job; its reply is reported by `WorkerEvents.worker_reply`. A job of a closed run is refused."""
+    def submit(self, job: Job, done: Callable[[Reply], object]) -> None:
+        """Queue a job. `done` gets its reply once, in any thread, and must return at once.
+
+        It is not called for a link job or conclusion that still waits when its run is closed.
+        """
         with self._lock:
             refusal = self._refusal(job)
-            if refusal is None and self._queues.add(Queued(job)):
+            if refusal is None and self._queues.add(Queued(job, done)):
                 self._dispatch()
                 return
-        self._report(job, Reply.refused(refusal or StateError(f"{job} comes after the run was closed.")))
+        done(Reply.refused(refusal or StateError(f"{job} comes after the run was closed.")))
 
     def _refusal(self, job: Job) -> VaoiError | None:
         if self._stopping:
@@ -118,16 +124,18 @@ class WorkerPool:
         return self._queues.refusal(job)
 
     def open_run(self, opening: OpenRun) -> None:
-        """Announce a run to the pool, before its first job is submitted."""
+        """Announce a run, before its first job is submitted. Its owner takes over evidence from now on."""
         with self._lock:
             self._queues.runs[opening.context.run] = opening
+            owner = self._workers[self._queues.owner]
+            if owner.ready:
+                self._open(owner, opening.context.run)
 
     def close_run(self, run: str) -> None:
-        """Close a run: drop its waiting link and gather jobs, and make the workers discard what they hold for it."""
+        """Close a run: drop its waiting links and conclusion, and make the workers discard what they hold for it."""
         with self._lock:
             self._queues.forget(run)
             for worker in self._workers:
-                worker.evidence.pop(run, None)
                 if run in worker.opened:
                     worker.opened.discard(run)
                     self._send(worker, CloseRun(run))
@@ -149,7 +157,7 @@ class WorkerPool:
             return tuple(worker.status(self.fork_server.progress) for worker in self._workers)
 
     def stop(self, timeout_s: float = 5.0) -> None:
-        """End all worker processes, and report an error for every unfinished job. A second call does nothing.
+        """End all worker processes, and refuse every unfinished job. A second call does nothing.
 
         Workers that have not ended after `timeout_s` are killed.
         """
@@ -165,11 +173,23 @@ class WorkerPool:
         # All workers are asked to end before the first one is awaited, so that they end in parallel.
         for worker in self._workers:
             self._send(worker, None)
-        end_all(self._workers, timeout_s)
+        deadline_s = time.monotonic() + timeout_s
+        for worker in self._workers:
+            if worker.process is not None:
+                worker.process.has_ended(deadline_s - time.monotonic())
+            self._end(worker)
         self.fork_server.stop()
-        for queued in self._abandoned():
-            self._report(queued.job, Reply.refused(StateError("The station was stopped before this was done.")))
+        with self._lock:
+            # A job that is repeated is at two workers. It is refused only once.
+            under_way = {id(q): q for w in self._workers for q in w.jobs if not q.answered}.values()
+            left = [*under_way, *self._queues.emptied()]
+            for worker in self._workers:
+                worker.jobs.clear()
+        for queued in left:
+            queued.done(Reply.refused(StateError("The station was stopped before this was done.")))
         os.close(self._wake)
+
+    # --- the pool's thread
 
     def _run(self) -> None:
         """Start workers, receive their messages, and reap workers that have died, until the pool is stopped."""
@@ -177,7 +197,7 @@ class WorkerPool:
             self.thread.beat()
             for worker in self._absent():
                 if not worker.backoff.remaining_s():
-                    self._start_worker(worker)
+                    self._start(worker)
             running = [w for w in self._workers if w.process is not None and w.ended_s is None]
             pipes = {w.pipe.fileno(): w for w in running if w.pipe is not None}
             ends = (w.process.fileno() for w in running if w.process is not None)
@@ -206,12 +226,19 @@ class WorkerPool:
             due_s = [due_s - now_s for w in self._workers if not w.overdue and (due_s := w.due_s()) is not None]
         return max(min([CHECK_PERIOD_S, *restarts_s, *due_s]), 0.0)
 
-    def _start_worker(self, worker: Worker) -> None:
+    def _start(self, worker: Worker) -> None:
+        """Request a process for a worker of the fork server."""
+        worker.backoff.start_attempt()
         try:
-            with self._lock:
-                worker.request_process(self.fork_server, self._ring_path)
+            here, there = Pipe()
+            # The process gets a copy of its end. If it were kept open here, the pipe would outlive the process.
+            with there:
+                self.fork_server.request(worker.index, str(self._ring_path), there.fileno())
         except OSError as fault:
             self._complete_start(worker, str(fault))
+            return
+        with self._lock:
+            worker.pipe, worker.since_s = MessagePipe(here), time.monotonic()
 
     def _complete_start(self, worker: Worker, outcome: ChildProcess | str) -> None:
         """Take over the process of a worker, or report why it was not started."""
@@ -220,7 +247,7 @@ class WorkerPool:
                 worker.process = outcome
             return
         # There may be too little memory, or too many processes or files. This may pass.
-        worker.end()
+        self._end(worker)
         worker.backoff.record_failure()
         self._report_end(f"Worker {worker.index} could not be started ({outcome}); it is tried again.")
 
@@ -232,45 +259,42 @@ class WorkerPool:
             messages = worker.pipe.receive()
         except PipeEndedError:
             # A worker without its pipe is useless. After it was killed, `_supervise` reaps it.
-            worker.kill()
+            self._kill(worker)
             return
         for message in messages:
-            self._handle(worker, message)
+            worker.seen_s, worker.pinged_s = time.monotonic(), None
+            if isinstance(message, WorkerReady) and not worker.ready:  # later ones are replies to pings
+                self._handle_ready(worker)
+            elif isinstance(message, Reply) and worker.jobs:
+                self._handle_reply(worker, message)
 
-    def _handle(self, worker: Worker, message: object) -> None:
-        """Handle one message of a worker: that it is ready, or the reply to a job."""
-        worker.seen_s, worker.pinged_s = time.monotonic(), None
-        queued, complete, first = None, False, False
+    def _handle_ready(self, worker: Worker) -> None:
         with self._lock:
-            if isinstance(message, Reply) and worker.jobs:
-                queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
-                if isinstance(message.value, Paused):
-                    self._queues.pause(queued, worker)
-                    return
-                # A job that was repeated has two replies. The first one counts.
-                first, queued.done = not queued.done, True
-                if first:
-                    self._queues.share_evidence(worker, queued.job, message)
-                if (check := check_after(queued.job, message)) is not None:
-                    # The worker performs the check already. It is entered as the job under way, so that other jobs go
-                    # to free workers until the check's reply, and JOB_LIMIT_S limits its time.
-                    worker.jobs.appendleft(Queued(check, done=not first))
-            # The first WorkerReady ends the start; later ones are replies to pings.
-            if isinstance(message, WorkerReady) and not worker.ready:
-                worker.ready = True
-                worker.backoff.record_success()
-                complete = self.all_ready()
+            worker.ready = True
+            worker.backoff.record_success()
+            if worker.index == self._queues.owner:
+                for run in self._queues.runs:
+                    self._open(worker, run)
+            complete = self.all_ready()
             self._dispatch()
-        # Reports are made outside the lock: a receiver may call back into the pool.
-        if complete and self._events is not None:
-            self._events.workers_ready()
-        if isinstance(message, Reply) and queued is not None and first:
-            self._report(queued.job, message)
+        if complete:
+            self._on_ready()
 
-    def _report(self, job: Job, reply: Reply) -> None:
-        """Report the outcome of a job. Gather jobs are not reported, because only the pool submits them."""
-        if self._events is not None and not isinstance(job, GatherJob):
-            self._events.worker_reply(job, reply)
+    def _handle_reply(self, worker: Worker, reply: Reply) -> None:
+        with self._lock:
+            queued, worker.since_s = worker.jobs.popleft(), time.monotonic()
+            if isinstance(reply.value, Paused):
+                self._queues.pause(queued, worker)
+                self._dispatch()
+                return
+            # A job that was repeated has two replies. The first one counts.
+            first, queued.answered = not queued.answered, True
+            if first and isinstance(queued.job, ConcludeJob):
+                self._queues.concluded(queued.job.run, worker)
+            self._dispatch()
+        # Outside the lock: the receiver may call back into the pool.
+        if first:
+            queued.done(reply)
 
     def _supervise(self, worker: Worker) -> None:
         """Reap a worker that has died, and kill a worker that hangs."""
@@ -278,75 +302,89 @@ class WorkerPool:
             return
         if not worker.process.has_ended():
             self._check_liveness(worker)
-        elif not worker.awaits_code(self.fork_server):
+            return
+        now_s = time.monotonic()
+        worker.ended_s = worker.ended_s or now_s
+        if not self.fork_server.will_report(worker.process) or now_s - worker.ended_s >= CODE_S:
             # The worker may have sent a reply before it died. A finished job must not be repeated.
             self._receive(worker)
             self._reap(worker)
 
     def _check_liveness(self, worker: Worker) -> None:
         """Ping an idle worker, and kill a worker that exceeds its time limit."""
-        now = time.monotonic()
+        now_s = time.monotonic()
         with self._lock:
             busy = bool(worker.jobs) or not worker.ready
             # Another worker that began later has done all of it. So this worker does not merely wait for a busy
             # computer.
-            outrun = worker.ready and busy and all(queued.done for queued in worker.jobs)
+            outrun = worker.ready and busy and all(queued.answered for queued in worker.jobs)
             longest_s = (worker.job.longest_s if worker.job else None) or JOB_LIMIT_S
         since_s = worker.since_s if busy else worker.pinged_s
         limit_s = REPEATED_LIMIT_S if outrun else longest_s
-        if since_s is not None and now - since_s > limit_s:
-            worker.kill(limit_s)
-        elif not busy and worker.pinged_s is None and now - (worker.seen_s or now) > PING_INTERVAL_S:
-            worker.pinged_s = now
+        if since_s is not None and now_s - since_s > limit_s:
+            worker.silent_s = limit_s
+            self._kill(worker)
+        elif not busy and worker.pinged_s is None and now_s - (worker.seen_s or now_s) > PING_INTERVAL_S:
+            worker.pinged_s = now_s
             self._send(worker, Ping())
 
+    def _kill(self, worker: Worker) -> None:
+        if worker.process is not None:
+            worker.process.kill()
+
     def _reap(self, worker: Worker) -> None:
-        """Collect a worker process that has died, put its jobs back into the queues, and schedule its restart."""
-        ended = worker.describe_end()
+        """Collect a worker that has died, put its jobs back into the queues, and schedule its replacement."""
+        code = worker.process.exit_code if worker.process else None
+        how = f"ended with code {code}" if code is not None else "ended with an unknown code"
+        if worker.silent_s is not None:
+            how = describe_silence(worker.silent_s)
+        given_up: Queued | None = None
         with self._lock:
             self._queues.restart(worker)
-            queued = worker.job
-            waiting = [*worker.jobs][1:]
+            jobs = [*worker.jobs]
             worker.jobs.clear()
-            # Only the job under way can have caused the death, so the attempts of the second job are not counted.
-            for other in reversed(waiting):
-                if not other.done and not self._is_under_way(other):
-                    self._queues.put_back(other)
-            worker.end()
+            self._end(worker)
             worker.restarts += 1
             worker.backoff.record_failure()
-            given_up = queued is not None and not self._retry(queued)
-            if given_up and queued is not None:
-                queued.done = True
+            # Only the job under way can have caused the death, so the attempts of the second job are not counted. The
+            # last one comes first, because each goes to the front.
+            for queued in reversed([q for q in jobs if not q.answered]):
+                queued.deaths += queued is jobs[0]
+                queued.began = None
+                if any(queued in other.jobs for other in self._workers):
+                    continue  # another worker repeats it already
+                if queued.deaths >= MAX_ATTEMPTS:
+                    given_up, queued.answered = queued, True
+                else:
+                    self._queues.put_back(queued)
             self._dispatch()
-        repeated = f" while doing {queued.job}, which another worker repeats" if queued and not given_up else ""
-        self._report_end(f"Worker {worker.index} {ended}{repeated}; it is restarted.")
-        if queued is not None and given_up:
-            fault = f"{queued.job} was given up after {queued.deaths} attempt(s); its worker {ended}."
+        repeated = f" while doing {jobs[0].job}, which another worker repeats" if jobs and not given_up else ""
+        self._report_end(f"Worker {worker.index} {how}{repeated}; it is restarted.")
+        if given_up is not None:
+            fault = f"{given_up.job} was given up after {given_up.deaths} attempt(s); its worker {how}."
             action = "Ask once more. If it fails again, report it with a support bundle (vaoi bundle)."
-            self._report(queued.job, Reply.refused(InternalError(fault, action=action, code="worker-lost")))
+            given_up.done(Reply.refused(InternalError(fault, action=action, code="worker-lost")))
+
+    def _end(self, worker: Worker) -> None:
+        """Kill a worker's process if it still runs, wait for its end, close its handles, and forget what it held."""
+        with self._lock:
+            process, pipe = worker.process, worker.pipe
+            worker.process = worker.pipe = worker.silent_s = worker.ended_s = worker.pinged_s = None
+            worker.ready = False
+            worker.opened.clear()
+        if process is not None:
+            process.kill()
+            if not process.has_ended(END_S):
+                _log.error("process %s of worker %d cannot be ended; it is left alone", process.pid, worker.index)
+            process.close()
+        if pipe is not None:
+            pipe.close()
 
     def _report_end(self, sentence: str) -> None:
         _log.warning(sentence)
-        if self._events is not None:
-            self._events.worker_ended(sentence)
+        self._on_end(sentence)
 
-    def _retry(self, queued: Queued) -> bool:
-        """Put the job of a dead worker at the front of its queue. Return False if the job must be given up."""
-        if queued.done:
-            return True
-        queued.deaths, queued.began = queued.deaths + 1, None
-        if self._is_under_way(queued):
-            return True
-        # A check cannot be repeated: its evidence was lost with the worker. The next run is checked again.
-        if queued.deaths >= MAX_ATTEMPTS or isinstance(queued.job, CheckJob):
-            return False
-        self._queues.put_back(queued)
-        return True
-
-    def _is_under_way(self, queued: Queued) -> bool:
-        """Return whether any worker has the job at present."""
-        return any(queued in worker.jobs for worker in self._workers)
+    # --- giving jobs, under the lock
 
     def _dispatch(self) -> None:
         """Give each idle worker a job if one waits, and each worker that performs a link job a second link job."""
@@ -365,23 +403,18 @@ class WorkerPool:
         if not worker.jobs:
             worker.since_s = time.monotonic()
         job = queued.job
-        if isinstance(job, LinkJob | GatherJob | ConcludeJob):
-            # The set-up of a run is sent in the same pipe before the run's first job, so that it arrives first.
-            if job.run not in worker.opened:
-                opening = self._queues.runs.get(job.run)
-                if opening is None:
-                    return  # The run was closed while an overdue worker had the job. The job is no longer needed.
-                worker.opened.add(job.run)
-                self._send(worker, opening)
-            there = worker.evidence.setdefault(job.run, set())
-            if isinstance(job, GatherJob):
-                there.update(job.linked)
-            if isinstance(job, ConcludeJob):
-                # The conclude job contains all evidence that the worker lacks, so waiting gather jobs are not needed.
-                self._queues.drop(Priority.GATHER, job.run)
-                job = job.without(there)
+        if isinstance(job, LinkJob | ConcludeJob) and not self._open(worker, job.run):
+            return  # The run was closed while an overdue worker had the job. The job is no longer needed.
         worker.jobs.append(queued)
-        self._send(worker, job if queued.began is None else queued.continuation)
+        self._send(worker, Numbered(queued.number, job) if queued.began is None else Continue(queued.number))
+
+    def _open(self, worker: Worker, run: str) -> bool:
+        """Send a worker the set-up of a run unless it has it; return False if the run is not open."""
+        opening = self._queues.runs.get(run)
+        if opening is not None and run not in worker.opened:
+            worker.opened.add(run)
+            self._send(worker, replace(opening, owned=worker.index == self._queues.owner))
+        return opening is not None
 
     def _send(self, worker: Worker, message: object) -> None:
         """Send a message to a worker that runs; the pool's thread sends what the pipe has no room for."""
@@ -389,12 +422,3 @@ class WorkerPool:
             worker.pipe.send(message)
             if worker.pipe.unsent:
                 os.eventfd_write(self._wake, 1)
-
-    def _abandoned(self) -> list[Queued]:
-        with self._lock:
-            # A job that is repeated is at two workers. It is reported only once.
-            under_way = {id(q): q for w in self._workers for q in w.jobs if not q.done}.values()
-            left = [*under_way, *self._queues.emptied()]
-            for worker in self._workers:
-                worker.jobs.clear()
-            return left

@@ -1,21 +1,28 @@
-"""Queues of waiting jobs, and the choice of the worker for each job. Every call needs the pool's lock.
+"""Waiting jobs, and which worker gets which. Every call needs the pool's lock.
 
-Every queue has a bound. Link and gather jobs are at most those of the runs in the ring, and end with their run; each
-run has one conclude job; pictures are limited by `MAX_PICTURES`, parts of batches by the seats of their callers; checks
-are parts of conclude jobs and never wait; of codes and of heights after runs at most one job each waits. There is a
-separate queue for each assigned worker, so that the time for a choice does not depend on the number of waiting jobs.
+Every queue has a bound: link jobs are those of the runs in the ring and end with their run; each run has one conclusion
+and one check; pictures are limited by `MAX_PICTURES`, parts of batches by the seats of their callers; of codes and of
+heights after runs at most one job each waits. Each assigned worker has queues of its own, so that the time for a choice
+does not depend on the number of waiting jobs.
 """
 
 from __future__ import annotations
 
 import itertools
+import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
+from vaoi_station.backoff import Backoff
 from vaoi_station.errors import BusyError
+from vaoi_station.runs.host.message_pipe import MessagePipe
+from vaoi_station.runs.states.run_ids import utc_of_host
+from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
+from vaoi_station.runs.workers.fork_server_link import RESTART_POLICY, ChildProcess
 from vaoi_station.runs.workers.jobs import (
+    CheckJob,
     ConcludeJob,
-    GatherJob,
     Job,
     LinkJob,
     OpenRun,
@@ -24,14 +31,119 @@ from vaoi_station.runs.workers.jobs import (
     Reply,
     SteppedJob,
 )
-from vaoi_station.runs.workers.worker import Queued, Worker
 
 MAX_PICTURES = 64
-"""Largest number of waiting render jobs. The station renders only a few at a time; further requests are refused."""
+"""Largest number of waiting single pictures; further requests are refused."""
+OVERDUE_S: Mapping[Priority, float] = {
+    Priority.LINK: 1.0, Priority.CONCLUDE: 3.0, Priority.SMALL_RENDER: 3.0, Priority.RENDER: 3.0, Priority.BATCH: 3.0,
+    Priority.CHECK: 5.0, Priority.IDENTITY: 5.0, Priority.OVERVIEW: 5.0, Priority.HEIGHTS: 5.0,
+}  # fmt: skip
+"""Time after which a job is overdue: other workers take the jobs that wait for its worker, and an idle one repeats it.
+
+This is many times the usual time of a job. A worker that was only slow finishes its job as well; the first reply
+counts."""
+PING_OVERDUE_S = 1.0
+"""Time after which an unanswered ping makes an idle worker overdue, so that no job is given to it."""
+_SINGLE = Priority.SMALL_RENDER, Priority.RENDER
+_CALLERS = (*_SINGLE, Priority.BATCH)
+"""Priorities of what callers wait for; those after them are of work in spare time."""
 _TURN_OF_PICTURES = sorted(Priority, key=lambda p: 0.5 if p is Priority.SMALL_RENDER else p)
 """Order of priorities for a worker that has just made a link."""
-_CALLERS = Priority.SMALL_RENDER, Priority.RENDER, Priority.BATCH
-"""Priorities of what callers wait for; those after them are of work in spare time."""
+
+
+@dataclass(eq=False)
+class Queued:
+    """A job that was submitted, until it is answered."""
+
+    job: Job
+    done: Callable[[Reply], object]
+    """Function that gets the reply."""
+    number: int = 0
+    """Number that names the job in messages."""
+    position: int = 0
+    """Position in the order in which jobs were queued; a paused job comes after those that wait already."""
+    deaths: int = 0
+    """Number of workers that have died while they performed it."""
+    answered: bool = False
+    """Whether it was answered. A second worker that repeats it, or a slow one, may still answer it again."""
+    began: int | None = None
+    """Index of the worker that holds what a paused job has computed so far; None for other jobs."""
+
+    @property
+    def repeatable(self) -> bool:
+        """Whether another worker may perform the job while its worker is overdue."""
+        able = self.job.repeatable if isinstance(self.job, PictureJob) else not isinstance(self.job, CheckJob)
+        return able and not self.answered
+
+    @property
+    def longest_s(self) -> float | None:
+        """Longest time for the job; None: the limit of all jobs."""
+        return self.job.longest_s if isinstance(self.job, PictureJob) else None
+
+
+@dataclass
+class Worker:
+    """One worker: its process, and the jobs that were given to it. It is kept over restarts."""
+
+    index: int
+    process: ChildProcess | None = None
+    pipe: MessagePipe | None = None
+    """The station's end of the pipe to the process; it exists from the time at which the process is requested."""
+    ended_s: float | None = None
+    """Time at which the end of the process was noticed, by time.monotonic(); None while it runs."""
+    ready: bool = False
+    jobs: deque[Queued] = field(default_factory=deque)
+    """Jobs that were given to the worker: the job under way, and possibly the next one."""
+    since_s: float = 0.0
+    """Time at which the job under way was started, or the process if there was no job, by time.monotonic()."""
+    opened: set[str] = field(default_factory=set)
+    """Ids of the runs whose set-up was sent to the worker."""
+    restarts: int = 0
+    backoff: Backoff = field(default_factory=lambda: Backoff(RESTART_POLICY))
+    seen_s: float | None = None
+    """Time of the worker's latest message; None before the first message."""
+    pinged_s: float | None = None
+    """Time of a ping that was not answered yet; None if there is none."""
+    overdue: bool = False
+    """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
+    linked_last: bool = False
+    """Whether the last job that was chosen for it is a link."""
+    silent_s: float | None = None
+    """Time without a reply after which the station has killed the process; None if it has not."""
+
+    @property
+    def idle(self) -> bool:
+        """Whether the worker is ready and has no job."""
+        return self.ready and not self.jobs
+
+    @property
+    def job(self) -> Queued | None:
+        """The job under way; None if the worker has no job."""
+        return self.jobs[0] if self.jobs else None
+
+    def status(self, progress: str) -> ProcessStatus:
+        """Return the state of the worker, for `GET station` and the page; `progress` is that of the fork server."""
+        return ProcessStatus(
+            name=f"worker {self.index}",
+            pid=self.process.pid if self.process else None,
+            alive=self.process is not None and self.ended_s is None,
+            restarts=self.restarts,
+            heartbeat_age_s=None if self.seen_s is None else time.monotonic() - self.seen_s,
+            doing=str(self.job.job) if self.job else "idle" if self.ready else STARTING,
+            progress="" if self.ready else progress,
+            next_try=None if self.backoff.due_s is None else utc_of_host(self.backoff.due_s),
+        )
+
+    def due_s(self) -> float | None:
+        """Return the time at which the worker becomes overdue; None while it starts, or is idle and not pinged."""
+        if self.ready and self.jobs:
+            return self.since_s + OVERDUE_S[self.jobs[0].job.priority]
+        return self.pinged_s + PING_OVERDUE_S if self.ready and self.pinged_s is not None else None
+
+    def update(self, now_s: float) -> None:
+        """Set `overdue` to whether the worker is overdue at a time by time.monotonic()."""
+        due_s = self.due_s()
+        self.overdue = due_s is not None and now_s >= due_s
 
 
 class JobQueues:
@@ -45,17 +157,17 @@ class JobQueues:
         """Number of callers who wait for the spare-time jobs of a kind and a run."""
         self.runs: dict[str, OpenRun] = {}
         """Announcements of the open runs, by run id."""
-        self.concluder = len(workers) - 1
-        """Index of the worker that gathers the evidence of all runs, and concludes them if it is free."""
+        self.owner = len(workers) - 1
+        """Index of the worker that owns all runs: it holds their evidence, and concludes them if it is free."""
+        self._concluded_by: dict[str, int] = {}
 
     def waiting(self, priority: Priority) -> int:
         """Return the number of waiting jobs of one priority."""
-        return sum(len(queue) for queue in self._queues[priority].values())
+        return sum(map(len, self._queues[priority].values()))
 
     def refusal(self, job: Job) -> BusyError | None:
         """Return why a job is not taken: too many pictures wait. None if it is taken."""
-        single = (Priority.SMALL_RENDER, Priority.RENDER)
-        if job.priority not in single or sum(map(self.waiting, single)) < MAX_PICTURES:
+        if job.priority not in _SINGLE or sum(map(self.waiting, _SINGLE)) < MAX_PICTURES:
             return None
         return BusyError(
             f"{MAX_PICTURES} pictures wait for a worker already, which is the limit.",
@@ -67,20 +179,26 @@ class JobQueues:
         """Append a job to its queue. Return False if the job is of a run that is not open."""
         if self._is_closed(queued.job):
             return False
-        queued.number = next(self._numbers)
+        queued.number = queued.position = next(self._numbers)
         self._queue_of(queued).append(queued)
         return True
 
     def put_back(self, queued: Queued) -> None:
-        """Put a job whose worker has died back at the front of its queue, unless the job's run was closed meanwhile."""
+        """Put a job whose worker has died at the front of its queue, unless its run was closed meanwhile."""
         # The job of a closed run is not needed, and the set-up that a worker needs for it is no longer there.
         if not self._is_closed(queued.job):
             self._queue_of(queued).appendleft(queued)
 
     def pause(self, queued: Queued, worker: Worker) -> None:
         """Queue a stepped job that is to go on in its worker: before younger ones like it, after what waits already."""
-        queued.began, queued.number = worker.index, next(self._numbers)
+        queued.began, queued.position = worker.index, next(self._numbers)
         self._queue_of(queued).appendleft(queued)
+
+    def concluded(self, run: str, worker: Worker) -> None:
+        """Remember which worker has concluded a run, for its check; of the last two runs, as workers do."""
+        self._concluded_by[run] = worker.index
+        for former in [*self._concluded_by][:-2]:
+            del self._concluded_by[former]
 
     def hasten(self, kind: type[PictureJob], run: str, callers: int) -> None:
         """Count callers, fewer if negative, who wait for the spare-time jobs of a kind and a run."""
@@ -102,10 +220,12 @@ class JobQueues:
                 queued.began = None
 
     def forget(self, run: str) -> None:
-        """Drop the waiting jobs of a closed run, except its pictures."""
+        """Drop the waiting jobs of a closed run, except its check and its pictures."""
         self.runs.pop(run, None)
-        for priority in (Priority.LINK, Priority.GATHER, Priority.CONCLUDE):
-            self.drop(priority, run)
+        for priority in (Priority.LINK, Priority.CONCLUDE):
+            homes = self._queues[priority]
+            for home, queue in homes.items():
+                homes[home] = deque(q for q in queue if q.job.run != run)
 
     def emptied(self) -> list[Queued]:
         """Remove all waiting jobs from the queues and return them."""
@@ -127,42 +247,24 @@ class JobQueues:
         # The set-up of a run is large. A worker without it receives it when it is idle.
         return mine.popleft() if mine and not worker.overdue and mine[0].job.run in worker.opened else None
 
-    def share_evidence(self, worker: Worker, job: Job, reply: Reply) -> None:
-        """Record that a worker holds the evidence of its link job, and queue a gather job for the concluding worker.
-
-        If that worker could not take it over, the conclude job brings it along.
-        """
-        if isinstance(job, GatherJob) and reply.error is not None:
-            worker.evidence.get(job.run, set()).difference_update(job.linked)
-        # A reply that arrives after the run was closed must not add an entry for the run, which would never be removed.
-        if not isinstance(job, LinkJob) or reply.error is not None or job.run not in self.runs:
-            return
-        worker.evidence.setdefault(job.run, set()).update(job.tasks)
-        if worker.index != self.concluder:
-            linked = dict(zip(job.tasks, reply.value, strict=True))
-            self.add(Queued(GatherJob(job.context, linked)))
-
-    def drop(self, priority: Priority, run: str) -> None:
-        """Drop the waiting jobs of one run and one priority."""
-        homes = self._queues[priority]
-        for home, queue in homes.items():
-            homes[home] = deque(q for q in queue if q.job.run != run)
-
     def choose(self, worker: Worker) -> Queued | None:
         """Take the most urgent job for an idle worker out of its queue and return it; None if there is none.
 
         Within a priority, jobs that are assigned to this worker, or to no worker, come first. After a link, a small
         picture comes before the next one: the links of a row, which arrive together, would delay it by tens of
-        milliseconds, while it delays them by no more than another link. One worker, the one that concludes, keeps to
-        links, so that many callers cannot hold up a fast line. Work in spare time is not begun while a caller waits:
-        this worker would not be free of it when another one, which has begun the caller's job, is to go on with it.
+        milliseconds, while it delays them by no more than another link. One worker, the owner, keeps to links, so that
+        many callers cannot hold up a fast line. No picture is begun while a check waits, whose worker needs another one
+        to be free of pictures, and no work in spare time while a caller waits: this worker would not be free of it when
+        another one, which has begun the caller's job, is to go on with it.
         """
-        has_turn = worker.linked_last and (worker.index != self.concluder or len(self._workers) == 1)
+        has_turn = worker.linked_last and (worker.index != self.owner or len(self._workers) == 1)
         for priority in _TURN_OF_PICTURES if has_turn else Priority:
             homes = self._queues[priority]
-            if priority > Priority.CHECK and any(map(self.waiting, _CALLERS)):
+            if priority > Priority.BATCH and any(map(self.waiting, _CALLERS)):
                 return None
-            if priority >= Priority.RENDER and not self.may_render(worker, priority):
+            if priority > Priority.CHECK and self._check_is_next():
+                return None
+            if priority >= Priority.CHECK and not self.may_begin(worker, priority):
                 continue
             mine = min((homes[h] for h in (None, worker.index) if homes[h]), key=_front, default=None)
             chosen = mine or min(self._of_others(homes, worker), key=_front, default=None)
@@ -178,28 +280,33 @@ class JobQueues:
             for worker in self._workers
             if worker.overdue
             for q in worker.jobs
-            if q.repeatable and (not isinstance(q.job, PictureJob) or self.may_render(idle, q.job.priority))
+            if q.repeatable and (not isinstance(q.job, PictureJob) or self.may_begin(idle, q.job.priority))
         )
         return next((q for q in candidates if sum(q in w.jobs for w in self._workers) == 1), None)
 
-    def may_render(self, worker: Worker, priority: Priority = Priority.RENDER) -> bool:
-        """Return whether a worker may begin a picture: another sound one must stay free of pictures and checks.
+    def may_begin(self, worker: Worker, priority: Priority = Priority.RENDER) -> bool:
+        """Return whether a worker may begin a picture or check: another sound one must stay free of them.
 
-        A conclusion that comes meanwhile thus never waits for a picture. While a run is open, the worker that gathers
-        its evidence stays free: another one would have to receive all of it first. The only sound worker renders too:
-        it would make no pictures at all otherwise, and a conclusion waits for at most the one under way. Overviews
-        and heights take seconds, so there they wait until no run is open. Small pictures are no longer than links.
-        Parts of batches may take all workers while no run is open: they are short, and the conclusion of a board that
-        comes now is seconds away.
+        A conclusion that comes meanwhile thus never waits for a picture. While a run is open, its owner makes none:
+        another worker would have to read all evidence first. The only sound worker renders too: it would make no
+        pictures at all otherwise, and a conclusion waits for at most the one under way. Overviews and heights take
+        seconds, so there they wait until no run is open. Small pictures are no longer than links. Parts of batches may
+        take all workers while no run is open: they are short, and the conclusion of a board that comes now is seconds
+        away.
         """
         if priority is Priority.SMALL_RENDER or (priority is Priority.BATCH and not self.runs):
             return True
         others = [other for other in self._workers if other is not worker and other.ready and not other.overdue]
         if not others and self.runs and priority >= Priority.OVERVIEW:
             return False
-        if others and self.runs and worker.index == self.concluder:
+        if others and self.runs and worker.index == self.owner and priority is not Priority.CHECK:
             return False
-        return not others or any(not _with_picture_or_check(other) for other in others)
+        return not others or any(all(q.job.priority <= Priority.SMALL_RENDER for q in w.jobs) for w in others)
+
+    def _check_is_next(self) -> bool:
+        """Return whether a check waits for a worker that answers."""
+        homes = self._queues[Priority.CHECK].items()
+        return any(q and h is not None and self._workers[h].ready and not self._workers[h].overdue for h, q in homes)
 
     def _of_others(self, homes: defaultdict[int | None, deque[Queued]], worker: Worker) -> Iterator[deque[Queued]]:
         """Yield the queues of other workers from which a worker may take a job."""
@@ -208,7 +315,7 @@ class JobQueues:
                 yield queue
 
     def _is_closed(self, job: Job) -> bool:
-        return isinstance(job, LinkJob | GatherJob | ConcludeJob) and job.run not in self.runs
+        return isinstance(job, LinkJob | ConcludeJob) and job.run not in self.runs
 
     def _queue_of(self, queued: Queued) -> deque[Queued]:
         home = self._home(queued.job) if queued.began is None else queued.began
@@ -223,48 +330,41 @@ class JobQueues:
     def _home(self, job: Job) -> int | None:
         """Return the index of the worker to which a job is assigned; None if any worker may perform it.
 
-        Link jobs are assigned by camera: each worker serves a block of neighbouring cameras. So a frame is prepared by
-        one worker, and only frames at the border between two blocks are prepared by two.
+        Each worker serves a block of neighbouring cameras. So a frame is prepared by one worker, and only frames at the
+        border between two blocks are prepared by two.
         """
-        opening = self.runs.get(job.run)
-        if isinstance(job, GatherJob | ConcludeJob):
-            return self.concluder
-        if isinstance(job, SteppedJob):
-            # It goes on between the jobs of the next board, of which the concluding worker takes no pictures.
-            return max(self.concluder - 1, 0)
-        if job.affinity is None or opening is None:
-            return None
-        return job.affinity * len(self._workers) // len(opening.setup.cameras)
+        match job:
+            case ConcludeJob():
+                return self.owner
+            case CheckJob():
+                return self._concluded_by.get(job.run, self.owner)
+            case SteppedJob():
+                # It goes on between the jobs of the next board, of which the owner takes no pictures.
+                return max(self.owner - 1, 0)
+            case LinkJob():
+                return job.camera * len(self._workers) // len(self.runs[job.run].setup.cameras)
+        return None
 
     def _may_take(self, queue: deque[Queued], home: int) -> bool:
-        """Return whether a worker other than the assigned one may take the first job of a queue.
-
-        Args:
-            queue: the waiting jobs that are assigned to the worker `home`, at least one.
-            home: index of that worker.
-        """
+        """Return whether a worker other than the assigned one, `home`, may take the first job of its queue."""
         job, own = queue[0].job, self._workers[home]
         away = not own.ready or own.overdue
-        if isinstance(job, ConcludeJob):
-            # Another worker must first receive all evidence. This takes less time than waiting until the assigned
-            # worker has finished a picture or a check, but more than waiting for a link or gather job.
-            return away or (own.job is not None and own.job.job.priority > Priority.SMALL_RENDER)
-        if isinstance(job, GatherJob):
-            return False
-        if isinstance(job, SteppedJob):
-            return not own.ready
-        # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
-        # wait, the wait would be too long. Pictures that are not small, checks and heights take longer than a link job,
-        # up to seconds: no frame of the next board waits for them, least of all its last one.
+        # Pictures that are not small, checks and heights take longer than a link, up to seconds: no frame of the next
+        # board waits for them, least of all its last one.
         longer = own.job is not None and own.job.job.priority > Priority.SMALL_RENDER
+        match job:
+            case ConcludeJob():
+                # Another worker must read all evidence first: that is shorter than a picture or a check, but not than
+                # a link.
+                return away or longer
+            case CheckJob():
+                return False
+            case SteppedJob():
+                return not own.ready
+        # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
+        # wait, the wait would be too long.
         return away or longer or len(queue) > 1
 
 
-def _with_picture_or_check(worker: Worker) -> bool:
-    """Return whether a worker renders a picture, or checks the calibration now or right after its conclusion."""
-    jobs = (queued.job for queued in worker.jobs)
-    return any(j.check is not None if isinstance(j, ConcludeJob) else j.priority > Priority.SMALL_RENDER for j in jobs)
-
-
 def _front(queue: deque[Queued]) -> int:
-    return queue[0].number
+    return queue[0].position

@@ -1,218 +1,299 @@
-"""The pool's data about one worker: its process, its jobs, the data that it holds, and whether it is overdue."""
+"""A worker process: it performs jobs on frames of the ring until the station closes its pipe.
+
+The owner of a run holds all its evidence: what it finds itself, and what the others write to their logs. If an owner
+dies, another worker reads the logs, and performs the tasks whose evidence is not there.
+"""
 
 from __future__ import annotations
 
+import gc
 import logging
+import mmap
+import os
 import time
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any, TypeVar
 
-from vaoi_station.backoff import Backoff
-from vaoi_station.runs.host.message_pipe import MessagePipe
-from vaoi_station.runs.states.run_ids import utc_of_host
-from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
-from vaoi_station.runs.workers.forking.child_process import ChildProcess
-from vaoi_station.runs.workers.forking.fork_server_link import (
-    END_S,
-    RESTART_POLICY,
-    ForkServerLink,
-    describe_silence,
+import cv2
+from numpy.typing import NDArray
+
+from vaoi_station.acquisition.ring import Ring
+from vaoi_station.drift.check_run import check_run
+from vaoi_station.drift.checks import RunCheck
+from vaoi_station.drift.lamps import measure_lamps
+from vaoi_station.errors import GoneError, InternalError, VaoiError
+from vaoi_station.files import Recording, open_recording
+from vaoi_station.files.results import stitch_text, without_components
+from vaoi_station.model import RecordingHead, Stitch
+from vaoi_station.runs.workers.evidence_log import EvidenceLog
+from vaoi_station.runs.workers.jobs import (
+    CheckJob,
+    CloseRun,
+    Concluded,
+    ConcludeJob,
+    Continue,
+    Job,
+    LinkJob,
+    Numbered,
+    OpenRun,
+    Paused,
+    PictureJob,
+    Ping,
+    Reply,
+    RunContext,
+    SteppedJob,
+    WorkerReady,
 )
-from vaoi_station.runs.workers.jobs import ConcludeJob, Continue, Job, LinkJob, PictureJob, Priority, SteppedJob
-from vaoi_station.stitching.matching.evidence import Task
+from vaoi_station.steps import Steps
+from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
+from vaoi_station.stitching.quality.findings import Findings
+from vaoi_station.stitching.work import StitchSetup, TaskRunner
 
+T = TypeVar("T")
+ReadFrame = Callable[[int, int], "NDArray[Any] | None"]
 _log = logging.getLogger(__name__)
 
-OVERDUE_S: Mapping[Priority, float] = {
-    Priority.LINK: 1.0,
-    Priority.GATHER: 1.0,
-    Priority.CONCLUDE: 3.0,
-    Priority.SMALL_RENDER: 3.0,
-    Priority.RENDER: 3.0,
-    Priority.BATCH: 3.0,
-    Priority.CHECK: 5.0,
-    Priority.IDENTITY: 5.0,
-    Priority.OVERVIEW: 5.0,
-    Priority.HEIGHTS: 5.0,
-}
-"""Time after which a job is overdue: other workers take the jobs that wait for its worker, and an idle one repeats it.
-
-This is many times the usual time of a job. A worker that was only slow finishes its job as well; the first reply
-counts."""
-CODE_S = 0.5
-"""Longest wait for the exit code of a worker that has ended, s.
-
-The fork server reports it at once, unless it hangs."""
-PING_OVERDUE_S = 1.0
-"""Time after which an unanswered ping makes an idle worker overdue, so that no job is given to it."""
+SLICE_S = 0.005
+"""Time after which a stepped job is paused, s: about the time of a link, for which it may delay others."""
+GATHER_S = 0.02
+"""Time between two looks at the other workers' logs while an owner has no job, s."""
+_CHECKABLE_RUNS = 2
+"""Number of concluded runs whose findings are kept for their checks."""
 
 
-@dataclass(eq=False)
-class Queued:
-    """A job, and the number of workers that have died while they performed it."""
-
-    job: Job
-    deaths: int = 0
-    done: bool = False
-    """Whether the job was answered.
-
-    A second worker that repeats it, or a slow one, may still answer it again."""
-    number: int = 0
-    """Position of the job in the order in which jobs were queued."""
-    began: int | None = None
-    """Index of the worker that holds what a paused job has computed so far; None for other jobs."""
-
-    @property
-    def continuation(self) -> Continue:
-        """The message by which the worker that began a job goes on with it."""
-        assert isinstance(self.job, SteppedJob)
-        return Continue(self.job.run, self.job.request)
-
-    @property
-    def repeatable(self) -> bool:
-        """Whether another worker may perform the job while its worker is overdue.
-
-        Gathered evidence is useful only to the worker that gathers it. The evidence of a check exists only in its
-        worker.
-        """
-        if isinstance(self.job, PictureJob):
-            return not self.done and self.job.repeatable
-        return not self.done and isinstance(self.job, LinkJob | ConcludeJob)
-
-    @property
-    def longest_s(self) -> float | None:
-        """Longest time for the job; None: the limit of all jobs."""
-        return self.job.longest_s if isinstance(self.job, PictureJob) else None
+def run_worker(connection: Connection[Any, Any], ring_path: str, index: int, logs: mmap.mmap, workers: int) -> None:
+    """Perform jobs until the station sends None or closes the pipe. `logs` are those of all `workers`."""
+    with connection, WorkerRuntime(ring_path, index, [EvidenceLog(logs, k) for k in range(workers)]) as runtime:
+        try:
+            connection.send(runtime.ready())
+            while True:
+                while runtime.owns_runs and not connection.poll(GATHER_S):
+                    runtime.gather()
+                if (message := connection.recv()) is None:
+                    return
+                if (reply := runtime.reply(message)) is not None:
+                    connection.send(reply)
+                # Automatic collections are off; see `run_fork_server`.
+                if isinstance(message, CloseRun | Ping):
+                    gc.collect()
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            return  # The station has ended without a message.
 
 
 @dataclass
-class Worker:
-    """One worker: its process, the jobs that were given to it, and the data that it holds. It is kept over restarts."""
+class _OpenedRun:
+    context: RunContext
+    setup: StitchSetup
+    runner: TaskRunner
+    owned: bool
+    slots: dict[FrameKey, int]
+    frame: ReadFrame
+    evidence: dict[Task, Evidence] = field(default_factory=dict)
+    """Evidence that this worker found, or has taken over from others."""
 
-    index: int
-    process: ChildProcess | None = None
-    pipe: MessagePipe | None = None
-    """The station's end of the pipe to the process; it exists from the time at which the process is requested."""
-    ended_s: float | None = None
-    """Time at which the end of the process was noticed, by time.monotonic(); None while it runs."""
-    ready: bool = False
-    jobs: deque[Queued] = field(default_factory=deque)
-    """Jobs that were given to the worker: the job under way, and possibly the next one."""
-    since_s: float = 0.0
-    """Time at which the job under way was started, or the process if there was no job, by time.monotonic()."""
-    opened: set[str] = field(default_factory=set)
-    """Ids of the runs whose set-up was sent to the worker."""
-    evidence: dict[str, set[Task]] = field(default_factory=dict)
-    """Tasks whose evidence the worker holds, by run: tasks it performed, and tasks gathered from other workers."""
-    restarts: int = 0
-    backoff: Backoff = field(default_factory=lambda: Backoff(RESTART_POLICY))
-    seen_s: float | None = None
-    """Time of the worker's latest message; None before the first message."""
-    pinged_s: float | None = None
-    """Time of a ping that was not answered yet; None if there is none."""
-    overdue: bool = False
-    """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
-    linked_last: bool = False
-    """Whether the last job that was chosen for it is a link."""
-    silent_s: float | None = None
-    """Time without a reply after which the station has killed the process; None if it has not."""
+    def add(self, evidence: Evidence) -> None:
+        if evidence.task not in self.evidence:
+            self.evidence[evidence.task] = evidence
+            self.runner.add_evidence(evidence)
+
+
+class WorkerRuntime:
+    """Performs the jobs of one worker. It uses a single thread, because there is one worker per core."""
+
+    def __init__(self, ring_path: str, index: int, logs: list[EvidenceLog]) -> None:
+        # OpenCV starts one thread per core in every worker by default. These threads would slow one another down.
+        cv2.setNumThreads(1)
+        self._ring = Ring.attach(Path(ring_path))
+        self._log, self._logs = logs[index], logs
+        self._runs: dict[str, _OpenedRun] = {}
+        self._concluded: OrderedDict[str, tuple[_OpenedRun, Findings, Stitch, RecordingHead]] = OrderedDict()
+        self._reference: Recording | None = None
+        self._paused: dict[int, tuple[SteppedJob, Steps[Any]]] = {}
+
+    def __enter__(self) -> WorkerRuntime:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # These hold arrays in the ring's memory, which cannot be unmapped while they exist.
+        self._runs.clear()
+        self._concluded.clear()
+        self._paused.clear()
+        self._ring.close()
+
+    def ready(self) -> WorkerReady:
+        """Return the message by which this worker reports that it is ready."""
+        return WorkerReady(os.getpid())
 
     @property
-    def idle(self) -> bool:
-        """Whether the worker is ready and has no job."""
-        return self.ready and not self.jobs
+    def owns_runs(self) -> bool:
+        """Whether the evidence of other workers is needed."""
+        return any(opened.owned for opened in self._runs.values())
 
-    @property
-    def job(self) -> Queued | None:
-        """The job under way; None if the worker has no job."""
-        return self.jobs[0] if self.jobs else None
-
-    def status(self, progress: str) -> ProcessStatus:
-        """Return the state of the worker, for `GET station` and the page; `progress` is that of the fork server."""
-        return ProcessStatus(
-            name=f"worker {self.index}",
-            pid=self.process.pid if self.process else None,
-            alive=self.process is not None and self.ended_s is None,
-            restarts=self.restarts,
-            heartbeat_age_s=None if self.seen_s is None else time.monotonic() - self.seen_s,
-            doing=str(self.job.job) if self.job else "idle" if self.ready else STARTING,
-            progress="" if self.ready else progress,
-            next_try=None if self.backoff.due_s is None else utc_of_host(self.backoff.due_s),
-        )
-
-    def request_process(self, server: ForkServerLink, ring: Path) -> None:
-        """Request a process of the fork server.
-
-        Raises:
-            OSError: the fork server has ended or does not read, or there are too many open files.
-        """
-        self.backoff.start_attempt()
-        here, there = Pipe()
-        # The process gets a copy of its end. If it were kept open here, the pipe would stay open after its death.
-        with there:
-            try:
-                server.request(self.index, str(ring), there.fileno())
-            except OSError:
-                here.close()
-                raise
-        self.pipe, self.since_s = MessagePipe(here), time.monotonic()
-
-    def due_s(self) -> float | None:
-        """Return the time at which the worker becomes overdue; None while it starts, or is idle and not pinged."""
-        if self.ready and self.jobs:
-            return self.since_s + OVERDUE_S[self.jobs[0].job.priority]
-        if self.ready and self.pinged_s is not None:
-            return self.pinged_s + PING_OVERDUE_S
+    def reply(self, message: object) -> Reply | WorkerReady | None:
+        """Act on one message of the station, and return the reply; `OpenRun` and `CloseRun` have none."""
+        match message:
+            case Ping():
+                return self.ready()
+            case OpenRun():
+                self._open(message)
+            case CloseRun():
+                self._runs.pop(message.run, None)
+            case Continue():
+                job, steps = self._paused.pop(message.number)
+                return _reply_to(job, lambda: self._step(message.number, job, steps))
+            case Numbered():
+                return _reply_to(message.job, lambda: self._perform(message.number, message.job))
         return None
 
-    def update(self, now_s: float) -> None:
-        """Set `overdue` to whether the worker is overdue at a time by time.monotonic()."""
-        due_s = self.due_s()
-        self.overdue = due_s is not None and now_s >= due_s
+    def _perform(self, number: int, job: Job) -> Any:
+        match job:
+            case LinkJob():
+                return self._link(job)
+            case ConcludeJob():
+                return self._conclude(job)
+            case CheckJob():
+                return self._check(job)
+            case SteppedJob():
+                return self._step(number, job, job.steps(self._ring.frame))
+            case _:
+                return perform_with_frames(job, self._ring)
 
-    def kill(self, silent_s: float | None = None) -> None:
-        """Kill the worker's process, if there is one; `silent_s` is the limit in s within which it has not replied."""
-        if silent_s is not None:
-            self.silent_s = silent_s
-        if self.process is not None:
-            self.process.kill()
+    def gather(self) -> None:
+        """Take over what the other workers have found for the open runs."""
+        for log in self._logs:
+            for run, generation, found in log.new_records():
+                opened = self._runs.get(run)
+                if opened is not None and opened.context.generation == generation:
+                    for evidence in found:
+                        opened.add(evidence)
 
-    def describe_end(self) -> str:
-        """Describe how the process has ended: the end of a sentence that begins with its name."""
-        if self.silent_s is not None:
-            return describe_silence(self.silent_s)
-        code = self.process.exit_code if self.process else None
-        return f"ended with code {code}" if code is not None else "ended with an unknown code"
+    def _open(self, opening: OpenRun) -> None:
+        if opening.context.run in self._runs:
+            return
+        slots: dict[FrameKey, int] = {}
 
-    def awaits_code(self, server: ForkServerLink) -> bool:
-        """Record that the process has ended, and return whether its exit code may still arrive."""
-        now_s = time.monotonic()
-        self.ended_s = self.ended_s or now_s
-        return self.process is not None and server.will_report(self.process) and now_s - self.ended_s < CODE_S
+        def frame(camera: int, row: int) -> NDArray[Any] | None:
+            slot = slots.get((camera, row))
+            return None if slot is None else self._ring.frame(slot)
 
-    def end(self) -> None:
-        """Kill the process if it still runs, wait for its end, close its handles, and forget what it held."""
-        process, pipe = self.process, self.pipe
-        self.process = self.pipe = self.silent_s = self.ended_s = self.pinged_s = None
-        self.ready = False
-        self.opened.clear()
-        self.evidence.clear()
-        if process is not None:
-            process.kill()
-            if not process.has_ended(END_S):
-                _log.error("process %s of worker %d cannot be ended; it is left alone", process.pid, self.index)
-            process.close()
-        if pipe is not None:
-            pipe.close()
+        runner = TaskRunner(opening.setup, frame, self._reference_of(opening.reference))
+        self._runs[opening.context.run] = _OpenedRun(
+            opening.context, opening.setup, runner, opening.owned, slots, frame
+        )
+
+    def _reference_of(self, directory: Path | None) -> ReadFrame | None:
+        """Return a function that reads a frame (camera, row) of a reference; None without a reference."""
+        if directory is None:
+            return None
+
+        def frame(camera: int, row: int) -> NDArray[Any] | None:
+            # The reference stays open across runs: successive boards usually use the same reference.
+            if self._reference is None or self._reference.directory != directory:
+                self._reference = open_recording(directory)
+            return self._reference.frame(camera, row)
+
+        return frame
+
+    def _step(self, number: int, job: SteppedJob, steps: Steps[Any]) -> Any:
+        """Go on with a stepped job for a while; return its value, or `Paused` if it is not finished."""
+        until_s = time.monotonic() + SLICE_S
+        self._ring.check_generation(job.bay, job.generation)
+        try:
+            while time.monotonic() < until_s:
+                next(steps)
+        except StopIteration as end:
+            self._ring.check_generation(job.bay, job.generation)
+            return end.value
+        self._paused[number] = job, steps
+        return Paused()
+
+    def _link(self, job: LinkJob) -> tuple[float, ...]:
+        opened = self._runs[job.run]
+        opened.slots.update(job.slots)
+        times_s: list[float] = []
+
+        def perform() -> list[Evidence]:
+            found: list[Evidence] = []
+            for task in job.tasks:
+                began_s = time.monotonic()
+                found.append(opened.runner.perform(task))
+                times_s.append(time.monotonic() - began_s)
+            return found
+
+        found = self._guarded(job.context, perform)
+        opened.evidence.update((evidence.task, evidence) for evidence in found)
+        # Also what the owner itself finds: another worker needs it if the owner dies.
+        self._log.write((job.run, job.context.generation, found))
+        if opened.owned:
+            self.gather()
+        return tuple(times_s)
+
+    def _conclude(self, job: ConcludeJob) -> Concluded:
+        opened = self._runs[job.run]
+        opened.slots.update(job.slots)
+        self.gather()
+
+        def conclude() -> tuple[Stitch, Findings]:
+            for task in job.tasks:
+                if task not in opened.evidence:
+                    opened.evidence[task] = opened.runner.perform(task)
+            evidence = [opened.evidence[task] for task in job.tasks]
+            times_s = job.head.motion_times_s()
+            return opened.runner.conclude_with_findings(times_s, tuple(job.slots), evidence, job.head.doubts)
+
+        stitch, findings = self._guarded(job.context, conclude)
+        self._concluded[job.run] = opened, findings, stitch, job.head
+        if len(self._concluded) > _CHECKABLE_RUNS:
+            self._concluded.popitem(last=False)
+        return Concluded(without_components(stitch), stitch_text(stitch))
+
+    def _check(self, check: CheckJob) -> RunCheck:
+        if check.run not in self._concluded:
+            raise InternalError(f"{check} is not possible: the worker that concluded the run has ended.")
+        opened, findings, stitch, head = self._concluded.pop(check.run)
+        try:
+            lamps = self._guarded(
+                opened.context, lambda: measure_lamps(stitch, opened.setup.board_type, head, opened.frame)
+            )
+        except GoneError:
+            lamps = ()  # the memory of the frames has a later run meanwhile
+        return check_run(check.run, check.time, check.board_type, findings, lamps)
+
+    def _guarded(self, run: RunContext, work: Callable[[], T]) -> T:
+        return _guarded(self._ring, run.bay, run.generation, work)
 
 
-def end_all(workers: Sequence[Worker], timeout_s: float) -> None:
-    """Wait until the processes of all workers have ended, and kill those that still run after `timeout_s`."""
-    deadline_s = time.monotonic() + timeout_s
-    for worker in workers:
-        if worker.process is not None:
-            worker.process.has_ended(deadline_s - time.monotonic())
-        worker.end()
+def perform_with_frames(job: PictureJob, ring: Ring) -> Any:
+    """Perform a job that reads frames; return its value. Raise GoneError if their memory has a later run."""
+    if job.recorded:
+        return job.perform(ring.frame)
+    return _guarded(ring, job.bay, job.generation, lambda: job.perform(ring.frame))
+
+
+def _guarded(ring: Ring, bay: int, generation: int, work: Callable[[], T]) -> T:
+    """Call `work`, which reads frames of a bay, and return its value. Raise GoneError if the bay has a later run.
+
+    Frames are read without a copy and without a lock. Therefore the generation of the bay is checked before and after:
+    a value from frames that were overwritten meanwhile is discarded.
+    """
+    ring.check_generation(bay, generation)
+    value = work()
+    ring.check_generation(bay, generation)
+    return value
+
+
+def _reply_to(job: object, work: Callable[[], Any]) -> Reply:
+    """Call the function that performs a job, and return the reply, with the time taken. Errors become replies too."""
+    began_s = time.monotonic()
+    try:
+        value, error = work(), None
+    except VaoiError as refusal:
+        value, error = None, refusal
+    except Exception as fault:  # noqa: BLE001  an error in one job must not end the worker, which serves other runs too
+        _log.exception("%s failed", job)
+        value, error = None, InternalError(f"{job} failed: {type(fault).__name__}: {fault}.")
+    return Reply(value, error, time.monotonic() - began_s)

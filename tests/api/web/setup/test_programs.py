@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 
 from tests.api.held.programs import healthy, station_config
 from tests.api.web.test_views import examine
-from vaoi_station.runs.lighting.program_check import LightPrograms
+from vaoi_station.runs.lighting.programs import LightPrograms
 
 FOUND_NOTHING = re.compile("The station can film with this program|Nothing was found against")
 pytestmark = pytest.mark.browser

@@ -1,0 +1,271 @@
+"""Names, signals, memory and garbage collections of processes."""
+
+from __future__ import annotations
+
+import gc
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+import weakref
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vaoi_station.runs.host import processes as module
+from vaoi_station.runs.host.processes import (
+    IDLE_S,
+    LONGEST_S,
+    GcPolicy,
+    keep_freed_memory,
+    no_collections,
+    set_up_process,
+)
+
+
+class Knot:
+    """An object that refers to itself, so that only the collector frees it."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+class Clock:
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def policy(clock: Clock) -> Iterator[GcPolicy]:
+    policy = GcPolicy(clock)
+    policy.start()
+    yield policy
+    policy.stop()
+
+
+@pytest.fixture
+def _nothing_frozen() -> Iterator[None]:
+    """Undo for one test that the session's objects are excluded (tests/conftest.py)."""
+    gc.unfreeze()
+    yield
+    gc.collect()
+    gc.freeze()
+
+
+def old_knot() -> weakref.ref[Knot]:
+    """Garbage of the oldest generation, which only a full collection finds."""
+    knot = Knot()
+    gc.collect(1)
+    gc.collect(1)
+    return weakref.ref(knot)
+
+
+def test_a_full_collection_waits_until_no_board_is_processed(policy: GcPolicy, clock: Clock) -> None:
+    knot = old_knot()
+    clock.now_s += IDLE_S
+    policy.tick(busy=True)
+    assert knot() is not None
+    policy.tick(busy=False)
+    assert knot() is None
+
+
+def test_a_line_without_pauses_is_collected_after_the_longest_time(policy: GcPolicy, clock: Clock) -> None:
+    knot = old_knot()
+    clock.now_s += LONGEST_S
+    policy.tick(busy=True)
+    assert knot() is None
+
+
+def test_the_interpreter_runs_no_full_collection(policy: GcPolicy) -> None:
+    collections = gc.get_stats()[2]["collections"]
+    kept = [[k] for k in range(400_000)]
+    assert gc.get_stats()[2]["collections"] == collections
+    assert len(kept) == 400_000
+
+
+def test_free_memory_goes_back_once_a_minute(policy: GcPolicy, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    returned: list[float] = []
+    monkeypatch.setattr(module, "return_free_memory", lambda: returned.append(clock.now_s))
+    begin_s = clock.now_s
+    for _ in range(13):
+        clock.now_s += IDLE_S
+        policy.tick(busy=False)
+    assert returned == [begin_s + LONGEST_S, begin_s + 2 * LONGEST_S]
+
+
+def anonymous_bytes() -> int:
+    text = Path("/proc/self/smaps_rollup").read_text()
+    (line,) = (line for line in text.splitlines() if line.startswith("Anonymous:"))
+    return int(line.split()[1]) * 1024
+
+
+def test_pages_of_the_heap_of_a_thread_go_back() -> None:
+    kept: list[bytearray] = []
+
+    def fill() -> None:
+        blocks = [bytearray(5000) for _ in range(10_000)]
+        kept.append(blocks[-1])  # behind all others, so the heap's end cannot shrink
+
+    thread = threading.Thread(target=fill)
+    thread.start()
+    thread.join()
+    before = anonymous_bytes()
+    module.return_free_memory()
+    assert anonymous_bytes() < before - 25_000_000
+
+
+@pytest.mark.usefixtures("_nothing_frozen")
+def test_stopping_restores_the_settings() -> None:
+    before = gc.get_threshold()
+    policy = GcPolicy()
+    policy.start()
+    assert gc.get_freeze_count() > 0
+    policy.stop()
+    policy.tick(busy=False)
+    assert gc.get_threshold() == before
+    assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.usefixtures("_nothing_frozen")
+def test_objects_that_the_program_has_excluded_stay_excluded() -> None:
+    gc.freeze()
+    frozen = gc.get_freeze_count()
+    policy = GcPolicy()
+    policy.start()
+    kept = [[k] for k in range(1000)]
+    policy.stop()
+    assert 0 < gc.get_freeze_count() <= frozen
+    assert len(kept) == 1000
+
+
+@pytest.mark.parametrize("automatic", [False, True])
+def test_nothing_is_collected_while_a_process_builds_its_parts(automatic: bool) -> None:
+    (gc.enable if automatic else gc.disable)()
+    try:
+        with no_collections():
+            during = gc.isenabled()
+        assert (during, gc.isenabled()) == (False, automatic)
+    finally:
+        gc.enable()
+
+
+FAULTS = """
+import resource
+import numpy as np
+
+for _ in range(4):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    arrays = [np.ones(1 << 17) for _ in range(32)]
+    del arrays
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+def faults() -> int:
+    # numpy requests large pages itself; a fault then covers 2 MB, and there are few in either case
+    environment = {**os.environ, "NUMPY_MADVISE_HUGEPAGE": "0"}
+    done = subprocess.run(
+        [sys.executable, "-c", FAULTS], env=environment, stdout=subprocess.PIPE, text=True, check=True
+    )
+    return int(done.stdout)
+
+
+def test_freed_memory_is_used_again_without_page_faults() -> None:
+    as_it_is = faults()
+    with keep_freed_memory():
+        kept = faults()
+    assert kept < 100 < as_it_is
+
+
+@pytest.mark.parametrize("before", [None, "glibc.malloc.check=0"])
+def test_the_environment_is_restored(monkeypatch: pytest.MonkeyPatch, before: str | None) -> None:
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    if before is not None:
+        monkeypatch.setenv("GLIBC_TUNABLES", before)
+    with keep_freed_memory():
+        assert os.environ["GLIBC_TUNABLES"].startswith(before or "glibc.malloc.hugetlb=1")
+    assert os.environ.get("GLIBC_TUNABLES") == before
+
+
+SETTINGS = """
+import json, os, signal, sys
+from vaoi_station.runs.host.processes import set_up_process
+
+set_up_process(one_thread=sys.argv[1] == "1")
+ignored = [signal.getsignal(n) is signal.SIG_IGN for n in (signal.SIGINT, signal.SIGTERM)]
+print(json.dumps([ignored, os.environ.get("OMP_NUM_THREADS")]))
+"""
+
+
+@pytest.mark.parametrize(("one_thread", "threads"), [(True, "1"), (False, "7")])
+def test_a_child_ignores_signals_and_may_be_limited_to_one_thread(one_thread: bool, threads: str) -> None:
+    command = [sys.executable, "-c", SETTINGS, str(int(one_thread))]
+    environment = {**os.environ, "OMP_NUM_THREADS": "7"}
+    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    assert json.loads(done.stdout.splitlines()[-1]) == [[True, True], threads]
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "vaoi_station.demo.service_process",
+        "vaoi_station.runs.host.processes",
+        "vaoi_station.runs.workers.fork_server",
+    ],
+)
+def test_a_child_process_starts_with_a_module_that_imports_little(module: str) -> None:
+    # whatever this module imports, each child process imports, and most of it for nothing
+    program = f"import sys, {module}; print(*{{'numba', 'numpy', 'pydantic'}} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout == "\n"
+
+
+def child(connection: Connection[Any, Any]) -> None:
+    set_up_process(one_thread=False)
+    connection.send(os.getpid())
+    connection.recv()
+
+
+def test_a_child_process_shows_its_name_instead_of_how_it_was_started() -> None:
+    spawn = multiprocessing.get_context("spawn")
+    here, there = spawn.Pipe()
+    process = spawn.Process(target=child, args=(there,), name="vaoi-worker-1", daemon=True)
+    process.start()
+    place = Path(f"/proc/{here.recv()}")
+    command, comm = (place / "cmdline").read_bytes(), (place / "comm").read_text()
+    here.send(None)
+    process.join(10)
+    assert command.rstrip(b"\0") == b"vaoi-worker-1"
+    assert comm == "vaoi-worker-1\n"
+    assert process.exitcode == 0
+
+
+KEEP = """
+from pathlib import Path
+from vaoi_station.runs.host.processes import set_process_title
+before = Path("/proc/self/cmdline").read_bytes()
+set_process_title("a title that is longer than any argument of this process " * 100, arguments=False)
+assert Path("/proc/self/cmdline").read_bytes() == before
+set_process_title("x" * 100_000, arguments=True)
+shown = Path("/proc/self/cmdline").read_bytes()
+assert shown == b"x" * (len(before) - 1) + b"\\0", shown
+print(Path("/proc/self/comm").read_text())
+"""
+
+
+def test_a_long_title_is_cut_and_nothing_behind_it_is_overwritten() -> None:
+    done = subprocess.run([sys.executable, "-c", KEEP], stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout.strip() == "x" * 15
+    assert "PATH" in os.environ

@@ -1,0 +1,93 @@
+"""The inbox executes messages in order, and no caller waits for ever."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future
+
+import pytest
+
+from vaoi_station.errors import InternalError, NotFoundError, StateError
+from vaoi_station.runs.run.inbox import Inbox
+
+
+@pytest.fixture
+def inbox() -> Iterator[Inbox]:
+    made = Inbox(lambda: None)
+    made.start()
+    yield made
+    made.close()
+
+
+def test_answers_come_from_one_thread(inbox: Inbox) -> None:
+    names = {inbox.ask(lambda: threading.current_thread().name) for _ in range(3)}
+    assert names == {"coordinator"}
+
+
+def test_order_is_kept(inbox: Inbox) -> None:
+    seen: list[int] = []
+    for n in range(100):
+        inbox.post(seen.append, n)
+    inbox.ask(lambda: None)
+    assert seen == list(range(100))
+
+
+def test_refusals_reach_the_caller(inbox: Inbox) -> None:
+    def refuse() -> None:
+        raise NotFoundError("no such thing")
+
+    with pytest.raises(NotFoundError, match="no such thing"):
+        inbox.ask(refuse)
+
+
+def test_internal_faults_are_raised_and_do_not_end_the_thread(inbox: Inbox, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.ERROR), pytest.raises(InternalError, match="ZeroDivisionError"):
+        inbox.ask(lambda: 1 / 0)
+    inbox.post(lambda: 1 / 0)
+    assert inbox.ask(lambda: "alive") == "alive"
+    assert caplog.text.count("ZeroDivisionError") >= 1
+
+
+def test_the_coordinator_does_not_wait_for_itself(inbox: Inbox) -> None:
+    with pytest.raises(InternalError, match="cannot wait for itself"):
+        inbox.ask(lambda: inbox.ask(lambda: None))
+
+
+def test_an_answer_that_does_not_come_in_time(inbox: Inbox) -> None:
+    with pytest.raises(TimeoutError):
+        inbox.wait(Future(), lambda: None, 0.01)
+
+
+def test_after_close_requests_are_refused(inbox: Inbox) -> None:
+    inbox.close()
+    inbox.close()
+    with pytest.raises(StateError, match="stopping"):
+        inbox.ask(lambda: None)
+
+
+def test_a_caller_that_waits_at_the_end_is_refused(inbox: Inbox) -> None:
+    reported: list[Exception] = []
+    asked = threading.Event()
+
+    def wait() -> None:
+        try:
+            inbox.wait(Future(), asked.set)
+        except StateError as error:
+            reported.append(error)
+
+    waiter = threading.Thread(target=wait)
+    waiter.start()
+    assert asked.wait(10)
+    inbox.close()
+    waiter.join(10)
+    assert len(reported) == 1
+
+
+def test_it_ticks_when_nothing_happens() -> None:
+    ticked = threading.Event()
+    ticking = Inbox(ticked.set, tick_s=0.01)
+    ticking.start()
+    assert ticked.wait(10)
+    ticking.close()

@@ -1,0 +1,200 @@
+"""The fork server, in a real process: what its workers have and must not have, and what happens when it fails."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+from collections.abc import Iterator
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pytest
+
+from tests.runs.workers.conftest import CHECK, RingBoard
+from tests.runs.workers.served import PATIENCE_S, Served, few_files
+from vaoi_station.benchmarks.process_usage import cpu_s
+from vaoi_station.drift.checks import RunCheck
+from vaoi_station.runs.states.schemas import STARTING
+from vaoi_station.runs.workers import fork_server_link as module
+from vaoi_station.runs.workers.fork_server_link import ChildProcess, ForkServerLink
+from vaoi_station.runs.workers.jobs import CloseRun, Concluded, Numbered, Ping, WorkerReady
+
+Pipe_: TypeAlias = "Connection[Any, Any]"
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Served]:
+    with Served() as made:
+        yield made
+
+
+@pytest.fixture
+def ring(ring_board: RingBoard) -> str:
+    return str(ring_board.ring.path)
+
+
+def receive(pipe: Pipe_) -> Any:
+    assert pipe.poll(PATIENCE_S)
+    return pipe.recv()
+
+
+def open_files(pid: int) -> set[str]:
+    """Return what a process has open, but for the null device and the test's output."""
+    links = (str(path.readlink()) for path in Path(f"/proc/{pid}/fd").iterdir())
+    return {link for link in links if link.startswith(("socket:", "anon_inode:"))}
+
+
+def test_two_workers_share_their_evidence_and_end_when_asked_or_with_their_pipe(
+    served: Served, ring: str, ring_board: RingBoard
+) -> None:
+    """One finds it, the other one concludes from it; results come before checks, and a run may be closed before one."""
+    (finder, its_pipe), (owner, pipe) = (served.started(ring, index) for index in (0, 1))
+    assert (receive(its_pipe), receive(pipe)) == (WorkerReady(finder.pid), WorkerReady(owner.pid))
+    assert cpu_s(owner.pid) < 0.3, "a start by itself takes seconds"
+    for end in (its_pipe, pipe):
+        end.send(ring_board.opening)
+    its_pipe.send(Numbered(1, ring_board.link(*ring_board.tasks)))
+    assert len(receive(its_pipe).value) == len(ring_board.tasks)
+    pipe.send(Numbered(2, ring_board.conclusion()))
+    pipe.send(CloseRun("r1"))
+    pipe.send(Numbered(3, CHECK))
+    assert isinstance(receive(pipe).value, Concluded)
+    assert isinstance(receive(pipe).value, RunCheck)
+    pipe.send(Ping())
+    assert isinstance(receive(pipe), WorkerReady)
+    pipe.send(None)
+    its_pipe.close()
+    assert [served.code(process) for process in (finder, owner)] == [0, 0]
+
+
+def test_a_worker_has_its_name_and_one_thread_and_nothing_of_the_server(served: Served, ring: str) -> None:
+    first, its_pipe = served.started(ring, 0)
+    second, pipe = served.started(ring, 1)
+    receive(pipe)
+    folder = Path(f"/proc/{second.pid}")
+    assert (folder / "comm").read_text() == "vaoi-worker-1\n"
+    assert (folder / "cmdline").read_bytes().rstrip(b"\0") == b"vaoi-worker-1"
+    assert len(list((folder / "task").iterdir())) == 1
+    assert not open_files(second.pid) & open_files(served.pid)
+    assert len(open_files(second.pid)) == 1, "its pipe alone"
+    for end in (its_pipe, pipe):
+        end.close()
+    assert (served.code(first), served.code(second)) == (0, 0)
+    assert Path(f"/proc/{served.pid}/comm").read_text() == "vaoi-forkserver\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGABRT])
+def test_the_signal_that_ended_a_worker_is_its_exit_code(served: Served, ring: str, number: signal.Signals) -> None:
+    process, pipe = served.started(ring)
+    os.kill(process.pid, number)
+    assert served.code(process) == -number
+    pipe.close()
+    assert not Path(f"/proc/{process.pid}").exists(), "the fork server has reaped it"
+
+
+def test_a_worker_that_cannot_open_the_ring_has_an_exit_code(served: Served, tmp_path: Path) -> None:
+    process, pipe = served.started(str(tmp_path / "absent.ring"))
+    assert served.code(process) == 1
+    pipe.close()
+
+
+def test_a_worker_that_cannot_be_forked_is_reported(served: Served, ring: str) -> None:
+    """The limits are those of the server: it has no room for the worker's pipe, and then for nothing else."""
+    for room, why in ((0, "the fork server has too many open files"), (1, "Too many open files")):
+        with few_files(served.pid, room):
+            outcome, pipe = served.requested(ring)
+        assert why in str(outcome)
+        with pytest.raises(EOFError):
+            pipe.recv()
+        pipe.close()
+    process, pipe = served.started(ring)
+    pipe.close()
+    assert served.code(process) == 0
+
+
+def test_workers_go_on_when_the_server_dies_and_it_is_replaced(ring: str, ring_board: RingBoard) -> None:
+    with Served() as served:
+        process, pipe = served.started(ring)
+        receive(pipe)
+        victim = served.pid
+        os.kill(victim, signal.SIGKILL)
+        served.until(lambda: bool(served.reports))
+        assert served.reports == ["The fork server ended with code -9; it is restarted. Workers that run go on."]
+        assert not served.link.will_report(process), "its exit code stays unknown"
+        pipe.send(ring_board.opening)
+        pipe.send(Numbered(1, ring_board.link(ring_board.tasks[0])))
+        assert receive(pipe).error is None
+        served.until(lambda: served.link.ready)
+        assert (served.pid != victim, served.link.status().restarts) == (True, 1)
+        pipe.close()
+        assert process.has_ended(PATIENCE_S)
+        server, (last, its_pipe) = served.link._process, served.started(ring)
+        its_pipe.close()
+        assert last.has_ended(PATIENCE_S)
+    assert server is not None
+    assert server.exit_code == 0, "a server that is stopped ends after its workers"
+
+
+def test_a_server_that_hangs_is_noticed_and_replaced(ring: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No call waits for it. An idle one answers pings; a request that it has not answered is refused."""
+    monkeypatch.setattr(module, "PING_INTERVAL_S", 0.02)
+    with Served() as served:
+        ages: list[float] = []
+
+        def renewed() -> bool:
+            ages.append(served.link.status().heartbeat_age_s or 0.0)
+            return ages[-1] < max(ages)
+
+        served.until(renewed)
+        victim = served.pid
+        os.kill(victim, signal.SIGSTOP)
+        with monkeypatch.context() as impatient:  # only now: the next server may start slowly
+            impatient.setattr(module, "REPLY_LIMIT_S", 1.0)
+            outcome, pipe = served.requested(ring)
+        assert outcome == "the fork server has ended"
+        assert "did not answer for 1 s, so that the station ended it" in served.reports[0]
+        pipe.close()
+
+
+def test_a_server_that_cannot_be_started_is_tried_again() -> None:
+    reports: list[str] = []
+    link = ForkServerLink(reports.append, 1)
+    here, there = Pipe()
+    with here, there, pytest.raises(BrokenPipeError, match="the fork server has ended"):
+        link.request(0, "ring", there.fileno())
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, before[1]))
+    try:
+        assert [*link.outcomes()] == []
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert reports == ["The fork server could not be started ([Errno 24] Too many open files); it is tried again."]
+    status = link.status()
+    assert (status.name, status.pid, status.alive, status.doing) == ("fork server", None, False, STARTING)
+    assert status.next_try is not None
+    link.stop()
+
+
+def test_a_server_that_still_starts_is_ended_at_once() -> None:
+    served = Served()
+    served.until(lambda: served.link.status().pid is not None)
+    process = served.link._process
+    assert process is not None
+    served.link.stop()
+    assert process.exit_code == -signal.SIGKILL
+
+
+def test_a_process_is_watched_and_killed_by_its_pidfd() -> None:
+    with subprocess.Popen(["sleep", "1000"]) as started:
+        process = ChildProcess(started.pid, os.pidfd_open(started.pid))
+        assert not process.has_ended()
+        process.kill()
+        assert process.has_ended(60.0)
+        assert started.wait() == -signal.SIGKILL
+        process.kill()  # nothing is left to kill
+        assert process.exit_code is None, "only its parent knows it"
+        process.close()
