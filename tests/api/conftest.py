@@ -16,9 +16,8 @@ from tests.peers.certificates import Certificate
 from vaoi_station.api import create_app
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.certificate import CertificateFiles
-from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.setup.station_files import StationFiles
-from vaoi_station.api.web_server import WebServer, open_listener
+from vaoi_station.api.web_server import IDLE_S, WebServer, open_listener
 
 
 class Served:
@@ -28,18 +27,18 @@ class Served:
         self,
         station: HeldStation,
         port: int = 0,
-        limits: ConnectionLimits | None = None,
         access: AccessControl | None = None,
         certificate: Certificate | None = None,
         files: StationFiles | None = None,
         root_path: str = "",
+        idle_s: int = IDLE_S,
     ) -> None:
         self.station = station
         self.app = create_app(station, access=access, files=files, root_path=root_path)
         self._socket = open_listener("127.0.0.1", port, "test")
         self.port = self._socket.getsockname()[1]
         tls = None if certificate is None else CertificateFiles(*certificate)
-        self._server = WebServer(self.app, self._socket, threading.Event().set, limits, tls)
+        self._server = WebServer(self.app, self._socket, threading.Event().set, tls, idle_s)
         self.url = self._server.address
         self._server.start()
         trusted = True if certificate is None else ssl.create_default_context(cafile=str(certificate.certificate))

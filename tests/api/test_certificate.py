@@ -22,33 +22,33 @@ def certificate(tmp_path: Path) -> Certificate:
 
 def test_files_that_do_not_change_are_not_read_again(certificate: Certificate) -> None:
     files = CertificateFiles(*certificate)
-    before = files.context
+    before = files._current
     files.refresh()
-    assert files.context is before
+    assert files._current is before
 
 
 def test_a_pair_that_does_not_fit_yet_leaves_the_present_one_in_use(
     certificate: Certificate, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     files, renewed = CertificateFiles(*certificate), make_certificate(tmp_path, "renewed")
-    before = files.context
+    before = files._current
     shutil.copy(renewed.certificate, certificate.certificate)
     files.refresh()
-    assert files.context is before
+    assert files._current is before
     assert "stays as it was" in caplog.text
     with caplog.at_level(logging.INFO):
         shutil.copy(renewed.private_key, certificate.private_key)
         files.refresh()
-    assert files.context is not before
+    assert files._current is not before
     assert "read again" in caplog.text
 
 
 def test_files_that_vanish_leave_the_present_certificate_in_use(certificate: Certificate) -> None:
     files = CertificateFiles(*certificate)
-    before = files.context
+    before = files._current
     certificate.certificate.unlink()
     files.refresh()
-    assert files.context is before
+    assert files._current is before
 
 
 def test_a_certificate_that_cannot_be_used_is_refused(certificate: Certificate, tmp_path: Path) -> None:

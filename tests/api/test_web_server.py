@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import ssl
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import httpx2
@@ -23,8 +26,6 @@ from tests.peers.certificates import Certificate, make_certificate
 from vaoi_station.api import create_app
 from vaoi_station.api import web_server as module
 from vaoi_station.api.certificate import CertificateFiles
-from vaoi_station.api.listener import acceptor, http_connection
-from vaoi_station.api.listener.connections import ConnectionLimits
 from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.errors import DeviceError, InternalError
 
@@ -99,12 +100,11 @@ def certificate(tmp_path: Path) -> Certificate:
     return make_certificate(tmp_path)
 
 
-def test_it_speaks_tls_and_ends_handshakes_that_do_not_end(ended: threading.Event, certificate: Certificate) -> None:
+def test_it_speaks_tls_while_other_connections_are_silent(ended: threading.Event, certificate: Certificate) -> None:
     app = FastAPI()
     app.get("/")(lambda: "served")
-    limits = ConnectionLimits(per_address=8, handshake_s=4.0)
     with open_listener("127.0.0.1", 0, "[api]") as listener:
-        server = WebServer(app, listener, ended.set, limits, CertificateFiles(*certificate))
+        server = WebServer(app, listener, ended.set, CertificateFiles(*certificate))
         server.start()
         assert server.address.startswith("https://")
         trusted = ssl.create_default_context(cafile=str(certificate[0]))
@@ -112,19 +112,18 @@ def test_it_speaks_tls_and_ends_handshakes_that_do_not_end(ended: threading.Even
         silent = [socket.create_connection(("127.0.0.1", port), 20) for _ in range(20)]
         assert httpx2.get(server.address, verify=trusted, timeout=20).json() == "served"
         for s in silent:
-            with s, suppress(ConnectionResetError):
-                assert s.recv(1) == b""
+            s.close()
         server.stop()
 
 
 def test_a_renewed_certificate_is_used_for_new_connections_without_a_restart(
     ended: threading.Event, certificate: Certificate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(acceptor, "RENEW_S", 0.0)
+    monkeypatch.setattr(module, "RENEW_S", 0.0)
     app = FastAPI()
     app.get("/")(lambda: "served")
     with open_listener("127.0.0.1", 0, "[api]") as listener:
-        server = WebServer(app, listener, ended.set, tls=CertificateFiles(*certificate))
+        server = WebServer(app, listener, ended.set, CertificateFiles(*certificate))
         server.start()
         with httpx2.Client(verify=ssl.create_default_context(cafile=str(certificate[0])), timeout=20) as kept:
             assert kept.get(server.address).json() == "served"
@@ -142,13 +141,12 @@ def test_an_idle_tls_connection_does_not_delay_the_stop(
 ) -> None:
     # Every time limit that could end the connection is longer than this test.
     monkeypatch.setattr(module, "HTTP_GRACE_S", 600.0)
-    monkeypatch.setattr(http_connection, "_LINGER_S", -1.0)
+    monkeypatch.setattr(module, "LINGER_S", 0.2)
     app = FastAPI()
     app.get("/")(lambda: "served")
     trusted = ssl.create_default_context(cafile=str(certificate[0]))
-    limits = ConnectionLimits(head_s=600.0, closing_s=600.0)
     with open_listener("127.0.0.1", 0, "[api]") as listener:
-        server = WebServer(app, listener, ended.set, limits, CertificateFiles(*certificate))
+        server = WebServer(app, listener, ended.set, CertificateFiles(*certificate), idle_s=600)
         server.start()
         # The caller keeps the connection for its next request, and reads nothing until then.
         plain = socket.create_connection(listener.getsockname(), 20)
@@ -163,6 +161,113 @@ def test_an_idle_tls_connection_does_not_delay_the_stop(
             assert ended.wait(20)
             assert kept.recv(1) == b"", "the end of TLS was sent"
         server.stop()
+
+
+REQUEST = b"GET /web/icon.svg HTTP/1.1\r\nHost: localhost\r\n\r\n"
+HALF = b"GET /healthz HTTP/1.1\r\n"
+
+
+def until_closed(s: socket.socket) -> bytes:
+    """Read until the station closes the connection."""
+    received = bytearray()
+    with suppress(ConnectionResetError):
+        while got := s.recv(65536):
+            received += got
+    return bytes(received)
+
+
+@pytest.fixture
+def impatient(station: Any, serve: Any) -> Iterator[Any]:
+    """A service that waits one second for a request."""
+    made = serve(station, idle_s=1)
+    yield made
+    made.stop()
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [HALF, REQUEST, REQUEST + HALF, REQUEST.replace(b"\r\n\r\n", b"\r\nContent-Length: 1000000\r\n\r\n")],
+    ids=["half a head", "a request", "a request and a half", "a body that does not come"],
+)
+def test_a_connection_without_a_request_is_closed(impatient: Any, sent: bytes) -> None:
+    with socket.create_connection(("127.0.0.1", impatient.port), 20) as s:
+        s.sendall(sent)
+        assert (b"200 OK" in until_closed(s)) == sent.startswith(REQUEST[:16])
+
+
+def test_single_bytes_of_a_head_do_not_keep_a_connection_open(impatient: Any) -> None:
+    """Each byte ends the time-out for idle connections, which uvicorn starts after an answer."""
+    closed = threading.Event()
+    with socket.create_connection(("127.0.0.1", impatient.port), 20) as s:
+        s.sendall(REQUEST + b"GET /")
+
+        def trickle() -> None:
+            with suppress(OSError):
+                while not closed.wait(0.1):
+                    s.send(b"a")
+
+        thread = threading.Thread(target=trickle)
+        thread.start()
+        assert b"200 OK" in until_closed(s)
+        closed.set()
+        thread.join()
+
+
+def test_a_caller_that_does_not_read_is_disconnected(station: Any, serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "STALL_S", 1.0)
+    served = serve(station)
+    served.app.get("/large")(lambda: "x" * 8_000_000)
+    with socket.socket() as s:
+        s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        s.settimeout(20)
+        s.connect(("127.0.0.1", served.port))
+        s.sendall(b"GET /large HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert s.recv(1) == b"H"
+        while len(served._server._server.server_state.connections) > 1:
+            served.client.get("/healthz")
+        assert len(until_closed(s)) < 8_000_000
+    served.stop()
+
+
+def test_an_answer_on_a_kept_alive_connection_takes_no_longer_than_on_a_new_one(served: Any) -> None:
+    """With Nagle's algorithm it takes 40 ms, in which the caller's kernel delays its acknowledgement."""
+    fresh, kept = [], []
+    for _ in range(15):
+        with socket.create_connection(("127.0.0.1", served.port), 20) as s:
+            fresh.append(exchange(s))
+    with socket.create_connection(("127.0.0.1", served.port), 20) as s:
+        kept = [exchange(s) for _ in range(30)][10:]
+    assert median(kept) < 5 * median(fresh)
+
+
+def exchange(s: socket.socket) -> float:
+    """Send one request, read the whole answer, and return the time in s."""
+    begun = time.perf_counter()
+    s.sendall(REQUEST)
+    received = b""
+    while b"\r\n\r\n" not in received:
+        received += s.recv(65536)
+    head, _, body = received.partition(b"\r\n\r\n")
+    length = int(head.lower().partition(b"content-length: ")[2].partition(b"\r\n")[0])
+    while len(body) < length:
+        body += s.recv(65536)
+    return time.perf_counter() - begun
+
+
+def test_head_and_body_of_a_reply_are_written_at_once(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each write is a call of the kernel, after which another thread of this process may have the interpreter."""
+    written: list[bytes] = []
+    write = asyncio.selector_events._SelectorSocketTransport.write  # type: ignore[attr-defined]
+
+    def noted(self: Any, data: bytes) -> None:
+        written.append(data)
+        write(self, data)
+
+    monkeypatch.setattr(asyncio.selector_events._SelectorSocketTransport, "write", noted)  # type: ignore[attr-defined]
+    assert served.client.get("/healthz").status_code == 200
+    assert len(written) == 1
+    with served.client.stream("GET", "/api/v1/events") as events:
+        assert next(events.iter_lines()).startswith("event: heartbeat")
 
 
 def _trusts(context: ssl.SSLContext, address: str) -> bool:

@@ -1,6 +1,6 @@
 """An attack in a process of its own, so that it shares no interpreter with the honest caller.
 
-`python -m tests.attack.attacker ATTACK PORT RUN` attacks until its input ends.
+`python -m tests.attack.attacker ATTACK PORT RUN [KEY]` attacks until its input ends.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def attacked_by_process(target: Target, name: str) -> Iterator[list[int]]:
     if name not in ATTACKS:
         yield []
         return
-    command = [sys.executable, "-m", "tests.attack.attacker", name, str(target.port), target.run]
+    command = [sys.executable, "-m", "tests.attack.attacker", name, str(target.port), target.run, target.key]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None
@@ -40,9 +40,9 @@ def processor_s(pid: int) -> float:
 
 
 def main() -> None:
-    name, port, run = sys.argv[1:]
+    name, port, run, key = sys.argv[1:]
     print(name, flush=True)
-    with attacked(Target(int(port), run), ATTACKS[name]):
+    with attacked(Target(int(port), run, key), ATTACKS[name]):
         sys.stdin.read()
 
 

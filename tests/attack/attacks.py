@@ -20,6 +20,8 @@ OUTSIDE = "X-Forwarded-For: 192.0.2.66\r\n"
 """Header with which a request counts as one from outside, so that it needs a key."""
 
 
+HOST = "Host: localhost\r\n"
+
 PREVIEWS = "/api/v1/board-data/previews?side=top&name=foreign&filename="
 """Where board data of CAD systems are uploaded; the name of the file follows."""
 GROWN = 100_000_000
@@ -29,10 +31,12 @@ CORNERS = 10_000
 
 
 class Target(NamedTuple):
-    """A running station, and a run of it whose frames are in memory."""
+    """A running station, or the proxy in front of it, and a run whose frames are in memory."""
 
     port: int
     run: str
+    key: str = ""
+    """Key of the attacker; a proxy passes on nothing without one."""
 
 
 Attack = Callable[[Target, threading.Event], None]
@@ -46,6 +50,8 @@ def connect(target: Target, sent: bytes = b"") -> socket.socket:
         s.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         s.bind((ATTACKER, 0))
         s.connect(("127.0.0.1", target.port))
+        if target.key and OUTSIDE.encode() not in sent:
+            sent = sent.replace(b"Host: localhost\r\n", f"{HOST}Authorization: Bearer {target.key}\r\n".encode())
         s.sendall(sent)
     except OSError:
         s.close()

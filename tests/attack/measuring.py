@@ -59,8 +59,11 @@ def attacked(target: Target, attack: Attack | None) -> Iterator[None]:
             thread.join()
 
 
-def experience(client: Client, seconds: float, pause_s: float = 0.1) -> Experience:
-    """Ask for the last run, its matrices and the metrics for a time; every request has a connection of its own."""
+def experience(client: Client, seconds: float, pause_s: float = 0.1, station: str = "") -> Experience:
+    """Ask for the last run, its matrices and the metrics for a time; every request has a connection of its own.
+
+    `station` is the address for the metrics if the client asks a proxy.
+    """
     noted, missed = Experience(), client.get("/station")["boards_missed"]
     # The time begins here: on a busy computer the first request may take longer than all of it.
     waiting, end = threading.Event(), time.monotonic() + seconds
@@ -72,7 +75,7 @@ def experience(client: Client, seconds: float, pause_s: float = 0.1) -> Experien
             noted.waits_s.append(time.monotonic() - begun)
             noted.runs[run["id"]] = run["verdict"]
             noted.late_ms = max(noted.late_ms, (run.get("timings") or {}).get("ready_after_last_frame_ms", 0.0))
-            noted.memory_bytes = max(noted.memory_bytes, own_memory_bytes(client))
+            noted.memory_bytes = max(noted.memory_bytes, own_memory_bytes(station or client.address))
         except (VaoiError, OSError) as error:
             noted.refused.append(str(error))
         waiting.wait(pause_s)
@@ -80,9 +83,9 @@ def experience(client: Client, seconds: float, pause_s: float = 0.1) -> Experien
     return noted
 
 
-def own_memory_bytes(client: Client) -> float:
+def own_memory_bytes(address: str) -> float:
     """Return the memory of the station process without the shared part."""
-    with urllib.request.urlopen(f"{client.address}/metrics", timeout=30) as reply:
+    with urllib.request.urlopen(f"{address}/metrics", timeout=30) as reply:
         parts = {name: float(value) for name, value in _MEMORY.findall(reply.read().decode())}
     return parts["resident"] - parts["shared"]
 

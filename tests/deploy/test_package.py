@@ -11,6 +11,9 @@ from types import ModuleType
 
 import pytest
 
+from tests.api.proxy.nginx import FRAME, shipped_site
+from tests.needs import need, program
+from tests.peers.certificates import make_certificate
 from vaoi_station.config import read_config
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.runner import check_config
@@ -193,3 +196,13 @@ def test_releases_have_the_python_that_the_project_supports() -> None:
     versions = re.findall(r"deb\d+\) minor=(3\.\d+) next=(3\.\d+)", BUILD)
     assert [minor for minor, _ in versions] == ["3.11", "3.13"]
     assert all(int(after.split(".")[1]) == int(minor.split(".")[1]) + 1 for minor, after in versions)
+
+
+def test_the_site_of_nginx_is_shipped_and_one_that_nginx_accepts(tmp_path: Path) -> None:
+    need("nginx")
+    assert "put deploy/nginx.conf /usr/share/vaoi-station/nginx.conf" in BUILD
+    site = shipped_site(8443, make_certificate(tmp_path))
+    (tmp_path / "nginx.conf").write_text(FRAME.format(folder=tmp_path, site=site))
+    command = [str(program("nginx")), "-t", "-e", "stderr", "-p", str(tmp_path), "-c", str(tmp_path / "nginx.conf")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, "warn" in done.stderr) == (0, False), done.stderr

@@ -11,13 +11,12 @@ from fastapi import Depends, FastAPI, Response
 
 from vaoi_station.api import batch, openapi, pages, problems
 from vaoi_station.api.access import AccessControl
-from vaoi_station.api.addresses import allowed_names
 from vaoi_station.api.board_data import routes as board_data
 from vaoi_station.api.board_data.previews import Previews
 from vaoi_station.api.cameras.frames import CameraTrials
 from vaoi_station.api.event_hub import EventHub
+from vaoi_station.api.middleware import guards
 from vaoi_station.api.parameters import operation_id, refuse_unclear_parameters
-from vaoi_station.api.request_guard import RequestGuard
 from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import (
     board_types,
@@ -88,6 +87,7 @@ def create_app(
         separate_input_output_schemas=False,
         generate_unique_id_function=operation_id,
         dependencies=[Depends(refuse_unclear_parameters)],
+        middleware=guards(names, access, root_path),
     )
     app.state.hub = services.hub
     problems.install(app)
@@ -107,8 +107,6 @@ def create_app(
     _add_health(app, services)
     app.router.routes.extend(metrics.router(services).routes)
     openapi.install(app)
-    # Added last, so that it is the outermost layer and sees each request first.
-    app.add_middleware(RequestGuard, names=allowed_names(names), access=access, root_path=root_path)
     return app
 
 

@@ -18,7 +18,7 @@ from starlette.types import Scope
 
 from vaoi_station.model.root_path import IN_WORDS, LONGEST, is_root_path
 
-HEADER, SCHEME = "X-Forwarded-Prefix", "X-Forwarded-Proto"
+HEADER, SCHEME, CALLER = "X-Forwarded-Prefix", "X-Forwarded-Proto", "X-Forwarded-For"
 
 
 def allowed_names(configured: Iterable[str] = ()) -> frozenset[str]:
@@ -39,11 +39,7 @@ def addressed(host: str, names: frozenset[str]) -> bool:
         name = name[1:].partition("]")[0]
     elif name.count(":") == 1:
         name = name.partition(":")[0]
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return name.rstrip(".") in names
-    return True
+    return _is_address(name) or name.rstrip(".") in names
 
 
 def is_loopback(scope: Scope) -> bool:
@@ -58,21 +54,22 @@ def is_loopback(scope: Scope) -> bool:
 
 
 def as_addressed(scope: Scope, root_path: str) -> Scope:
-    """Return the scope of a request with the path and the scheme that its caller has used.
+    """Return the scope of a request with the path, the scheme and the caller that a proxy states.
 
     Args:
         scope: the request as it arrives.
         root_path: the prefix of paths that a proxy passes on unchanged, from station.toml; empty if there is none.
 
     A proxy that removes the prefix states it in a header. Headers count only from this machine: elsewhere every caller
-    could send them.
+    could send them. A request that a proxy has passed on is none of this machine any more.
     """
-    path = scope["path"]
+    path, prefix = scope["path"], _stated(scope)
     if _forwarded(scope, SCHEME) == "https":
         scope = {**scope, "scheme": "https"}
+    if _is_address(caller := _forwarded(scope, CALLER).rpartition(",")[2].strip()):
+        scope = {**scope, "client": (caller, 0)}
     if root_path and f"{path}/".startswith(f"{root_path}/"):
         return {**scope, "root_path": root_path}
-    prefix = _stated(scope)
     return {**scope, "root_path": prefix, "path": prefix + path} if is_root_path(prefix) else scope
 
 
@@ -95,6 +92,14 @@ def path_of(scope: Scope) -> str:
     """Return the path of a request without the prefix: the station's own address."""
     path: str = scope["path"]
     return path[len(root_of(scope)) :]
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _stated(scope: Scope) -> str:

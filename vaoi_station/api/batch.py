@@ -17,8 +17,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from vaoi_station.api.limits import QueuedSeats, ThreadLimit
+from vaoi_station.api.middleware import is_head
 from vaoi_station.api.parameters import RunId, parse_box, rest_router
-from vaoi_station.api.request_guard import is_head
 from vaoi_station.api.routes.pictures import Wanted, picture_query
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, InternalError, VaoiError

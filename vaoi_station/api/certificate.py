@@ -18,18 +18,23 @@ _VERSION, _SHORT_TIME = 0xA0, 0x17
 
 
 class CertificateFiles:
-    """The TLS settings for new connections. Connections that are open keep the certificate they began with."""
+    """The certificate of new connections. Connections that are open keep the one they began with."""
 
     def __init__(self, certificate: Path, private_key: Path | None) -> None:
         """Read both files. If they cannot be used, raise an InputError that names them."""
         self._certificate, self._private_key = certificate, private_key
         self._state = self._present()
-        self.context = self._read()
+        self._current = self.context = self._read()
+        """`context` is the one that a server is given; every handshake continues with the current one."""
+        self.context.sni_callback = self._use_current
+
+    def _use_current(self, connection: ssl.SSLObject, _name: str | None, _context: ssl.SSLContext) -> None:
+        connection.context = self._current
 
     def refresh(self) -> None:
         """Read the files again if they have changed. If they cannot be used, the present certificate stays in use.
 
-        May wait for the disk, so the event loop calls it in another thread.
+        It may wait for the disk, so the event loop calls it in another thread.
         """
         state = self._present()
         if state == self._state:
@@ -38,7 +43,7 @@ class CertificateFiles:
         self._state = state
         try:
             # A new context: of a pair that does not fit, the old one would take the certificate and then fail.
-            self.context = self._read()
+            self._current = self._read()
         except InputError as error:
             _log.warning("the certificate has changed but stays as it was: %s", error)
         else:

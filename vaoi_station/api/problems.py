@@ -203,7 +203,7 @@ def allowed_methods(request: Request) -> list[str]:
     # Starlette names the methods of one route, but each method of an address has a route of its own.
     address = {"type": "http", "path": request.scope["path"], "root_path": root_of(request.scope)}
     found = {method for method in METHODS if _takes(request.app.routes, {**address, "method": method})}
-    # `RequestGuard` passes HEAD on as GET, except for the event stream, which has no end.
+    # `HeadAsGet` passes HEAD on as GET, except for the event stream, which has no end.
     return sorted(found | {"HEAD"} if "GET" in found and path_of(request.scope) != STREAM else found)
 
 

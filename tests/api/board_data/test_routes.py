@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from tests.api.board_data.test_previews import import_here
 from tests.api.held_station import HeldStation
 from tests.board_data.readers import samples
-from vaoi_station.api import create_app, request_guard
+from vaoi_station.api import create_app, middleware
 from vaoi_station.api.access import scope_needed
 from vaoi_station.api.board_data import previews
 from vaoi_station.api.board_data.models import ImportOptions
@@ -141,7 +141,7 @@ def test_a_name_that_no_address_can_have_is_refused(client: Any) -> None:
 def test_an_empty_upload_and_a_too_large_one_are_refused(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = client.post(PREVIEWS, params={"filename": "x"}, content=b"")
     assert answer.json()["detail"] == "body: is empty, but must be the file."
-    monkeypatch.setattr(request_guard, "MAX_UPLOAD_BYTES", 10)
+    monkeypatch.setattr(middleware, "MAX_UPLOAD_BYTES", 10)
     answer = client.post(PREVIEWS, params={"filename": "x"}, content=b"x" * 11)
     assert (answer.status_code, "is 11 bytes; it must be at most 10" in answer.json()["detail"]) == (413, True)
     pieces = client.post(PREVIEWS, params={"filename": "x"}, content=iter([b"x"]))

@@ -1,4 +1,4 @@
-"""The settings of nginx in docs/SECURITY.md, with a real nginx in front of a station, by TLS."""
+"""The site of nginx that the package ships, with a real nginx in front of a station, by TLS."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import pytest
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.api.proxy.nginx import before, documented
+from tests.api.proxy.nginx import before, free_port
 from tests.peers.certificates import make_certificate
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
+from vaoi_station.api.problems import KINDS, Problem
 from vaoi_station.files.access_keys import KeyFile
 
 
@@ -27,6 +28,7 @@ class Proxied(NamedTuple):
     client: httpx2.Client
     audit: AuditLog
     secret: str
+    served: Served
 
     @property
     def key(self) -> dict[str, str]:
@@ -40,10 +42,9 @@ def proxied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Proxied]:
     station = HeldStation()
     station.film()
     served = Served(station, access=AccessControl(keys, audit))
-    (location,) = documented("SECURITY.md")
     try:
-        with before(served.port, location, folder, make_certificate(folder)) as client:
-            yield Proxied(station, client, audit, keys.create("tester", ["operate"]).secret)
+        with before(served.port, None, folder, make_certificate(folder)) as client:
+            yield Proxied(station, client, audit, keys.create("tester", ["operate"]).secret, served)
     finally:
         served.stop()
         audit.close()
@@ -117,3 +118,21 @@ def test_a_request_with_two_lengths_does_not_pass(proxied: Proxied) -> None:
         answer = b"".join(iter(lambda: s.recv(65536), b""))
     assert answer.startswith(b"HTTP/1.1 400")
     assert answer.count(b"HTTP/1.1 ") == 1
+
+
+def test_the_audit_log_and_limits_count_the_caller_and_not_the_proxy(proxied: Proxied) -> None:
+    proxied.client.post("/api/v1/station/disarm", headers=proxied.key | {"x-forwarded-for": "192.0.2.9"})
+    assert proxied.audit.newest(1)[0]["address"] == "127.0.0.1", "nginx replaces what a caller states"
+    host = {"host": "localhost", **proxied.key}
+    port = proxied.served.port
+    httpx2.post(f"http://127.0.0.1:{port}/api/v1/station/disarm", headers=host | {"x-forwarded-for": "192.0.2.9"})
+    assert proxied.audit.newest(1)[0]["address"] == "192.0.2.9"
+
+
+def test_a_station_that_does_not_answer_is_a_problem_with_an_action(tmp_path_factory: pytest.TempPathFactory) -> None:
+    with before(free_port(), None, tmp_path_factory.mktemp("alone")) as client:
+        answer = client.get("/api/v1/station")
+    assert (answer.status_code, answer.headers["content-type"]) == (503, "application/problem+json")
+    assert answer.headers["retry-after"] == "1"
+    assert Problem.model_validate(answer.json()).instance == "/api/v1/station"
+    assert answer.json()["title"] == KINDS["busy"][1]

@@ -17,7 +17,7 @@ from tests.api.proxy.conftest import Prefixed
 from tests.board_data.readers import samples
 from vaoi_station import connect
 from vaoi_station.api.addresses import HEADER
-from vaoi_station.api.request_guard import CSP
+from vaoi_station.api.middleware import CSP
 from vaoi_station.files.access_keys import KeyFile
 
 API = "/api/v1"

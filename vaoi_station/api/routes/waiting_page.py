@@ -13,11 +13,11 @@ from fastapi import FastAPI, Response
 from fastapi.requests import Request
 from fastapi.responses import FileResponse, HTMLResponse
 
-from vaoi_station.api.addresses import allowed_names, path_of, root_of
+from vaoi_station.api.addresses import path_of, root_of
 from vaoi_station.api.certificate import CertificateFiles
+from vaoi_station.api.middleware import API, guards
 from vaoi_station.api.pages import WEB
 from vaoi_station.api.problems import problem_response
-from vaoi_station.api.request_guard import API, RequestGuard
 from vaoi_station.api.web_server import WebServer
 from vaoi_station.errors import VaoiError
 
@@ -71,7 +71,7 @@ class WaitingPage:
         if self._server is None:
             # A copy is used, because the server closes its socket at its end, and the station's own server needs it
             # then.
-            self._server = WebServer(self._app(), self._listener.dup(), lambda: None, tls=self._tls)
+            self._server = WebServer(self._app(), self._listener.dup(), lambda: None, self._tls)
             self._server.start()
 
     def __enter__(self) -> WaitingPage:
@@ -82,7 +82,8 @@ class WaitingPage:
             self._server.stop()
 
     def _app(self) -> FastAPI:
-        app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+        checked = guards(self._names, root_path=self._root_path)
+        app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, middleware=checked)
 
         @app.get(STYLE)
         async def style() -> FileResponse:
@@ -98,7 +99,6 @@ class WaitingPage:
             detail = f"The station is not started yet: {error.message}"
             return problem_response(request.scope, error.code, detail, status=503, action=error.action)
 
-        app.add_middleware(RequestGuard, names=allowed_names(self._names), root_path=self._root_path)
         return app
 
 

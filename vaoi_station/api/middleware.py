@@ -1,20 +1,20 @@
-"""Checks of every request and security headers of every reply.
+"""What every request passes before the application: one class for each concern, outermost first in `guards`.
 
-- Requests addressed to a host name that is not the station's are refused (`addressing/hosts.py`).
-- A request that states its length twice (Content-Length and Transfer-Encoding) is refused. A proxy and the station
-  could disagree about its end, so that the rest would count as a request of another caller.
-- Bodies are limited in size and time, and in the memory that they take, in total and for each caller. A key that
-  appears twice in an object is refused, because JSON readers differ in which value they take. The API accepts JSON
+- `SafetyHeaders`: pages may load nothing from other sites (Content-Security-Policy); a reply about which no route has
+  said anything to caches holds for no other moment.
+- `Addressed`: requests to a host name that is not the station's are refused, and so are those whose end or address is
+  ambiguous: a proxy and the station could disagree about it, so that the rest would count as a request of another
+  caller. The prefix and the caller that a proxy states become those of the request.
+- `Audited`: commands and refusals are in the audit log.
+- `SameOrigin`: without a check of the Content-Type any web page could send commands from an operator's browser, and an
+  image on it could make the station render pictures. Browsers state where a request comes from; programs state nothing.
+- `Permitted`: each request needs the scope of its address.
+- `HeadAsGet`: a reply to HEAD is that to GET without its body.
+- `Streams`: an event stream whose reader has gone ends without an error.
+- `Bodies`: bodies are limited in size and time, and in the memory that they take, in total and for each caller. A key
+  that appears twice in an object is refused, because JSON readers differ in which value they take. The API accepts JSON
   only, so a body counts as JSON whatever its Content-Type is: the HTTP libraries of LabVIEW, Delphi and C, and curl,
-  send none or a wrong one.
-- Without a check of the Content-Type any web page could send commands from an operator's browser. Browsers send the
-  page's Origin, so commands from other origins are refused; programs send no Origin.
-- The same holds for reading: an image on a page of another site could make the station render pictures. Browsers state
-  in Sec-Fetch-Site where a request comes from. Only a link that a person follows is accepted.
-- A command that is repeated with the same Idempotency-Key acts once (`callers/repeated_requests.py`).
-- Replies are passed to the connection in pieces, so that a reply that is not read takes little memory.
-- A prefix that a proxy states is part of the addresses in replies (`addressing/`); one that is no path is refused.
-- Pages may load nothing from other sites (Content-Security-Policy).
+  send none or a wrong one. A command that is repeated with the same Idempotency-Key acts once.
 """
 
 from __future__ import annotations
@@ -23,13 +23,15 @@ import asyncio
 import json
 import re
 import time
+from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from functools import partial
 from http import HTTPStatus
 
 import anyio
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import RedirectResponse, Response
+from starlette.middleware import Middleware
+from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from vaoi_station.api.access import AccessControl
@@ -62,7 +64,7 @@ UPLOAD_LIMIT_S = 300.0
 API = "/api/"
 _DECIDING = ("Host", "Origin", "Authorization", "Sec-Fetch-Site", "Sec-Fetch-Mode", "Sec-Fetch-Dest", "Sec-Fetch-User")
 """Headers by which a request is permitted or refused."""
-CLOSE = {"Connection": "close"}
+_CLOSE = {"Connection": "close"}
 _HEAD = "vaoi.head"
 
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
@@ -74,75 +76,187 @@ SAFETY = {
 }
 
 
-class RequestGuard:
-    """ASGI middleware that checks each request before the application, and adds security headers to each reply."""
+def guards(names: Iterable[str] = (), access: AccessControl | None = None, root_path: str = "") -> list[Middleware]:
+    """Return the classes for an application, outermost first.
 
-    def __init__(
-        self,
-        app: ASGIApp,
-        names: frozenset[str] | None = None,
-        max_body_bytes: int = MAX_BODY_BYTES,
-        body_limit_s: float = BODY_LIMIT_S,
-        access: AccessControl | None = None,
-        root_path: str = "",
-    ) -> None:
-        """Wrap `app`; `names` are the accepted host names, by default loopback and the machine's.
+    Args:
+        names: host names by which the station may be addressed, besides loopback and those of the machine.
+        access: keys and audit log; without them every caller may send every request.
+        root_path: prefix of paths that a proxy passes on unchanged.
+    """
+    checked = [Middleware(SafetyHeaders), Middleware(Addressed, names=allowed_names(names), root_path=root_path)]
+    if access is None:
+        permitted = [Middleware(SameOrigin)]
+    else:
+        permitted = [Middleware(Audited, access=access), Middleware(SameOrigin), Middleware(Permitted, access=access)]
+    return [*checked, *permitted, Middleware(HeadAsGet), Middleware(Streams), Middleware(Bodies)]
 
-        Without `access`, every caller may send every request. `root_path` is the prefix of paths that a proxy passes on
-        unchanged.
-        """
-        self._app = app
-        self._names = allowed_names() if names is None else names
+
+def is_head(scope: Scope) -> bool:
+    """Return whether a request that is handled as GET was a HEAD, so that the body of its reply is not read."""
+    return scope.get(_HEAD) is True
+
+
+class HttpMiddleware:
+    """Base of the classes: passes on what is no request."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request."""
+        await (self.handle if scope["type"] == "http" else self.app)(scope, receive, send)
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or pass it on."""
+        raise NotImplementedError
+
+
+class SafetyHeaders(HttpMiddleware):
+    """Adds security headers to each reply, and passes large ones to their connection piece by piece."""
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+
+        async def send_safely(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                # A route may set a stricter policy for a document that may contain anything, such as a picture.
+                headers.setdefault("Content-Security-Policy", CSP)
+                headers.update(SAFETY)
+                headers.setdefault("Cache-Control", "no-store")
+                if message["status"] == HTTPStatus.NO_CONTENT:
+                    del headers["Content-Type"]
+            body = message.get("body", b"")
+            # Each piece waits until most of the one before was read, so that an unread reply takes little memory.
+            while len(body) > PIECE_BYTES:
+                await send({**message, "body": body[:PIECE_BYTES], "more_body": True})
+                body = body[PIECE_BYTES:]
+            await send(message if body is message.get("body", body) else {**message, "body": body})
+
+        await self.app(scope, receive, send_safely)
+
+
+class Addressed(HttpMiddleware):
+    """Refuses requests that do not clearly address the station; notes caller and prefix of the others."""
+
+    def __init__(self, app: ASGIApp, names: frozenset[str], root_path: str) -> None:
+        super().__init__(app)
+        self._names, self._root_path = names, root_path
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Check the headers of a request, then pass it on as its caller has addressed it."""
+        headers = Headers(scope=scope)
+        fault = _ambiguous(headers) or prefix_fault(scope)
+        scope = as_addressed(scope, self._root_path)
+        set_caller(scope)
+        answer: ASGIApp = self.app
+        if fault is not None:
+            answer = problem_response(scope, "malformed", fault, headers=_CLOSE)
+        elif not addressed(headers.get("host", ""), self._names):
+            detail = f"The request was addressed to {headers['host']!r:.100}, which is not a name of this station."
+            answer = problem_response(scope, "unknown-host", detail)
+        elif not path_of(scope) and scope["method"] in SAFE:
+            # The page names its files relative to its own address, which therefore ends with a slash.
+            answer = RedirectResponse(f"{root_of(scope)}/", HTTPStatus.TEMPORARY_REDIRECT)
+        await answer(scope, receive, send)
+
+
+class Audited(HttpMiddleware):
+    """Notes requests and what became of them in the audit log."""
+
+    def __init__(self, app: ASGIApp, access: AccessControl) -> None:
+        super().__init__(app)
+        self._access = access
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        begun = time.monotonic()
+
+        async def noting(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                self._access.note(scope, message["status"], begun)
+            await send(message)
+
+        await self.app(scope, receive, noting)
+
+
+class SameOrigin(HttpMiddleware):
+    """Refuses commands from pages of other sites, and everything of the API that such a page would show."""
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Check where a request comes from."""
+        headers, answer = Headers(scope=scope), self.app
+        if _foreign(headers):
+            if scope["method"] not in SAFE:
+                page = f"{headers.get('origin', 'another site'):.100}"
+                detail = f"The command came from a page of {page}, not from this station's page."
+                answer = problem_response(scope, "foreign-origin", detail)
+            elif path_of(scope).startswith(API) and not _followed_link(headers):
+                detail = "The request came from a page of another site, not from this station's page."
+                answer = problem_response(scope, "foreign-origin", detail)
+        await answer(scope, receive, send)
+
+
+class Permitted(HttpMiddleware):
+    """Refuses requests whose caller lacks the scope that they need."""
+
+    def __init__(self, app: ASGIApp, access: AccessControl) -> None:
+        super().__init__(app)
+        self._access = access
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Check the key of a request."""
+        await (self._access.refusal(scope) or self.app)(scope, receive, send)
+
+
+class HeadAsGet(HttpMiddleware):
+    """Handles HEAD as GET, except for the event stream, which would start and never end."""
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, and drop the body of a reply to HEAD."""
+        if scope["method"] != "HEAD" or path_of(scope) == STREAM:
+            await self.app(scope, receive, send)
+            return
+
+        async def headers_only(message: Message) -> None:
+            await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
+
+        await self.app({**scope, "method": "GET", _HEAD: True}, receive, headers_only)
+
+
+class Streams(HttpMiddleware):
+    """Ends an event stream whose reader has disconnected while messages waited for it: FastAPI raises an error then."""
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        if path_of(scope) != STREAM:
+            await self.app(scope, receive, send)
+            return
+        try:
+            await self.app(scope, receive, send)
+        except* anyio.BrokenResourceError:
+            pass
+
+
+class Bodies(HttpMiddleware):
+    """Reads the body of each command within limits, and performs a command that is repeated with its key once."""
+
+    def __init__(self, app: ASGIApp, max_body_bytes: int = MAX_BODY_BYTES, body_limit_s: float = BODY_LIMIT_S) -> None:
+        super().__init__(app)
         self._max_body_bytes, self._body_limit_s = max_body_bytes, body_limit_s
         self._bodies = Seats("bytes of requests in memory", BODIES, BODIES_OF_CALLER)
         self._parsing = ThreadLimit(1)
         self._repeated = RepeatedRequests()
-        self._access, self._root_path = access, root_path
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check a request. If it is permitted, pass it on, and add the security headers to its reply."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-
-        begun, scope = time.monotonic(), as_addressed(scope, self._root_path)
-
-        async def send_safely(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                if self._access is not None:
-                    self._access.note(scope, message["status"], begun)
-                headers = MutableHeaders(scope=message)
-                # A route may set a stricter policy for a document that may contain anything, such as a picture.
-                headers.setdefault("Content-Security-Policy", CSP)
-                for name, value in SAFETY.items():
-                    headers[name] = value
-                # What no route has said about caches holds for no other moment.
-                headers.setdefault("Cache-Control", "no-store")
-                if message["status"] == HTTPStatus.NO_CONTENT:
-                    del headers["Content-Type"]
-            await send(message)
-
-        set_caller(scope)
-        await self._checked(scope, receive, _in_pieces(send_safely))
-
-    async def _checked(self, scope: Scope, receive: Receive, send: Send) -> None:
-        refusal = self._refusal(scope)
-        if refusal is not None:
-            await refusal(scope, receive, send)
-        # A HEAD request for the event stream is not handled as GET: the stream would start and never end.
-        elif path_of(scope) == "" and scope["method"] in SAFE:
-            # The page names its files relative to its own address, which therefore ends with a slash.
-            await RedirectResponse(f"{root_of(scope)}/", HTTPStatus.TEMPORARY_REDIRECT)(scope, receive, send)
-        elif scope["method"] == "HEAD" and path_of(scope) != STREAM:
-            await self._app({**scope, "method": "GET", _HEAD: True}, receive, _without_body(send))
-        elif scope["method"] in SAFE and path_of(scope) == STREAM:
-            await self._stream(scope, receive, send)
-        elif scope["method"] in SAFE:
-            await self._app(scope, receive, send)
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Read the body of a command, then pass it on."""
+        if scope["method"] in SAFE:
+            await self.app(scope, receive, send)
         elif scope["method"] == "POST" and path_of(scope) == UPLOAD:
             await self._upload(scope, receive, send)
         else:
-            await self._with_body(scope, receive, send)
+            await self._command(scope, receive, send)
 
     async def _upload(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass an upload on as it arrives, if it is announced with an accepted size."""
@@ -150,8 +264,7 @@ class RequestGuard:
         if not announced.isdecimal() or len(announced) > 15 or int(announced) > MAX_UPLOAD_BYTES:
             known = f"{announced:.20} bytes" if announced else "not stated"
             detail = f"The size of the upload (Content-Length) is {known}; it must be at most {MAX_UPLOAD_BYTES} bytes."
-
-            await problem_response(scope, "too-large", detail, headers=CLOSE)(scope, receive, send)
+            await problem_response(scope, "too-large", detail, headers=_CLOSE)(scope, receive, send)
             return
         deadline = time.monotonic() + UPLOAD_LIMIT_S
 
@@ -169,7 +282,7 @@ class RequestGuard:
         async def work(send: Send) -> None:
             nonlocal performed
             performed = True
-            await self._app(scope, receive_in_time, send)
+            await self.app(scope, receive_in_time, send)
 
         async def send_after_body(message: Message) -> None:
             # A caller whose upload is not performed again still sends it, and would not read the reply before its end.
@@ -180,16 +293,7 @@ class RequestGuard:
         # The file itself is not compared, because it is not kept: one of the same size is the same command.
         await self._repeated.serve(scope, announced.encode(), work, send_after_body)
 
-    async def _stream(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request for the event stream on. Ignore the error that is raised when its reader has gone."""
-        try:
-            await self._app(scope, receive, send)
-        # FastAPI's stream ends so if messages waited for a reader that has disconnected.
-        except* anyio.BrokenResourceError:
-            pass
-
-    async def _with_body(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Read the body of a request, then pass it on."""
+    async def _command(self, scope: Scope, receive: Receive, send: Send) -> None:
         limit = self._max_body_bytes if BOARD_TYPE.fullmatch(path_of(scope)) else MAX_COMMAND_BYTES
         announced = Headers(scope=scope).get("content-length", "")
         # More than 15 digits are not converted, since `int` is slow on very long numbers.
@@ -200,33 +304,17 @@ class RequestGuard:
                 try:
                     memory.enter_context(self._bodies.take(caller_in(scope).name, size))
                 except BusyError as busy:
-                    answer = problem_response(scope, "busy", busy.message, action=busy.action, headers=CLOSE)
+                    answer = problem_response(scope, "busy", busy.message, action=busy.action, headers=_CLOSE)
                     await answer(scope, receive, send)
                     return
             body = await self._body(scope, receive, limit)
-            if not isinstance(body, bytes):
+            if isinstance(body, bytes):
+                work = partial(self.app, _as_json(scope), _replay(body, receive))
+                await self._repeated.serve(scope, body, work, send)
+            else:
                 await body(scope, receive, send)
-                return
-            await self._repeated.serve(scope, body, partial(self._app, _as_json(scope), _replay(body, receive)), send)
 
-    def _refusal(self, scope: Scope) -> Response | None:
-        """Return a refusal if the request's host or origin is not permitted, else None. The body is not read."""
-        headers = Headers(scope=scope)
-        if (fault := _ambiguous(headers) or prefix_fault(scope)) is not None:
-            return problem_response(scope, "malformed", fault, headers=CLOSE)
-        if not addressed(headers.get("host", ""), self._names):
-            detail = f"The request was addressed to {headers['host']!r:.100}, which is not a name of this station."
-            return problem_response(scope, "unknown-host", detail)
-        if scope["method"] not in SAFE and _foreign(headers):
-            page = f"{headers.get('origin', 'another site'):.100}"
-            detail = f"The command came from a page of {page}, not from this station's page."
-            return problem_response(scope, "foreign-origin", detail)
-        if path_of(scope).startswith(API) and _foreign(headers) and not _followed_link(headers):
-            detail = "The request came from a page of another site, not from this station's page."
-            return problem_response(scope, "foreign-origin", detail)
-        return None if self._access is None else self._access.refusal(scope)
-
-    async def _body(self, scope: Scope, receive: Receive, limit: int) -> bytes | Response:
+    async def _body(self, scope: Scope, receive: Receive, limit: int) -> bytes | ASGIApp:
         """Return the whole body of a request, or a refusal if the body is too slow, too large or has a repeated key."""
         try:
             async with asyncio.timeout(self._body_limit_s):
@@ -235,15 +323,13 @@ class RequestGuard:
             detail = f"The body did not arrive within {self._body_limit_s:g} s."
             # The rest of the body may still arrive. If the connection stayed open, it would be read as the next
             # request.
-            return problem_response(scope, "too-slow", detail, headers=CLOSE)
+            return problem_response(scope, "too-slow", detail, headers=_CLOSE)
         if body is None:
             return problem_response(scope, "too-large", f"The body is larger than {limit} bytes.")
         # A large body is parsed in a thread, so that other requests are answered meanwhile.
         large = len(body) > MAX_COMMAND_BYTES
         twin = await self._parsing.ask(_repeated_key, body) if large else _repeated_key(body)
-        if twin is not None:
-            return problem_response(scope, "malformed", f"body: {twin}.")
-        return body
+        return body if twin is None else problem_response(scope, "malformed", f"body: {twin}.")
 
 
 async def _discard(receive: Receive) -> None:
@@ -280,7 +366,7 @@ def _ambiguous(headers: Headers) -> str | None:
 
 
 def _foreign(headers: Headers) -> bool:
-    """Return whether a browser states that the command comes from a page of another origin."""
+    """Return whether a browser states that a request comes from a page of another origin."""
     # With some requests older browsers send Sec-Fetch-Site but no Origin. Programs send neither.
     origin = headers.get("origin")
     if origin is None:
@@ -294,20 +380,6 @@ def _followed_link(headers: Headers) -> bool:
     return all(headers.get(name) == value for name, value in wanted.items())
 
 
-def _in_pieces(send: Send) -> Send:
-    """Return a `send` function that sends a large body in pieces, each after most of the previous one was read."""
-
-    async def piecewise(message: Message) -> None:
-        body = message.get("body", b"")
-        for start in range(0, len(body) - PIECE_BYTES, PIECE_BYTES):
-            await send({**message, "body": body[start : start + PIECE_BYTES], "more_body": True})
-        if len(body) > PIECE_BYTES:
-            message = {**message, "body": body[(len(body) - 1) // PIECE_BYTES * PIECE_BYTES :]}
-        await send(message)
-
-    return piecewise
-
-
 def _repeated_key(body: bytes) -> str | None:
     """Return a message if a key appears twice in a JSON object, else None. Other faults are found by later parsing."""
     try:
@@ -317,22 +389,6 @@ def _repeated_key(body: bytes) -> str | None:
     except (ValueError, RecursionError):
         return None
     return None
-
-
-def _without_body(send: Send) -> Send:
-    """Return a `send` function that drops the body of a reply, because a reply to HEAD has none."""
-
-    async def headers_only(message: Message) -> None:
-        if message["type"] == "http.response.body":
-            message = {**message, "body": b""}
-        await send(message)
-
-    return headers_only
-
-
-def is_head(scope: Scope) -> bool:
-    """Return whether a request that is handled as GET was a HEAD, so that the body of its reply is not read."""
-    return scope.get(_HEAD) is True
 
 
 def _as_json(scope: Scope) -> Scope:

@@ -17,7 +17,7 @@ import httpx2
 import pytest
 from starlette.types import Message
 
-from vaoi_station.api.request_guard import MAX_BODY_BYTES, RequestGuard
+from vaoi_station.api.middleware import MAX_BODY_BYTES, Bodies
 
 ARM = "/api/v1/station/arm"
 ORDER = '{"board_type": "demo-board", "board_id": "B1"}'
@@ -126,7 +126,7 @@ def test_a_slow_body_is_refused() -> None:
             sent.append(message)
 
         scope = {"type": "http", "method": "POST", "path": ARM, "headers": [(b"host", b"localhost")]}
-        await RequestGuard(never, body_limit_s=0.01)(scope, receive, send)
+        await Bodies(never, body_limit_s=0.01)(scope, receive, send)
         return sent
 
     start, body = asyncio.run(ask())

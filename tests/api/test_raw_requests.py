@@ -103,8 +103,8 @@ def test_an_unusual_request_is_answered_once(served: Any, name: str) -> None:
         (b"OPTIONS * HTTP/1.1", b"404"),
         (b"PRI * HTTP/2.0", b"404"),
         (b"GET //api/v1/station HTTP/1.1", b"404"),
-        (b"GET /web/../../request_guard.py HTTP/1.1", b"404"),
-        (b"GET /web/%2e%2e/%2e%2e/request_guard.py HTTP/1.1", b"404"),
+        (b"GET /web/../../middleware.py HTTP/1.1", b"404"),
+        (b"GET /web/%2e%2e/%2e%2e/middleware.py HTTP/1.1", b"404"),
     ],
 )
 def test_addresses_of_proxies_and_paths_out_of_the_pages_lead_nowhere(served: Any, line: bytes, status: bytes) -> None:

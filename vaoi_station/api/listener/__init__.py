@@ -1,1 +1,0 @@
-"""The listening socket: which connections are accepted, and how long callers may take to send and to read."""
