@@ -2,7 +2,7 @@
 
 - An optional field has one type and is not required; replies never hold null for it. Replies may get further fields.
 - Every operation declares its refusals as `application/problem+json`, each with its status code.
-- Answers have their headers, parameters and bodies examples, and every operation the scope that its key needs.
+- Parameters, bodies and answers have examples, and every operation the scope that its key needs.
 """
 
 from __future__ import annotations
@@ -64,52 +64,6 @@ _SIGNS = {"≤": "AtMost", "≥": "AtLeast"}
 """Names of values of an enumeration that have no letter of which a generator could make a name."""
 _NOT_SENT = ("Accept", "Authorization", "Content-Type")
 """Headers that OpenAPI describes by other means; clients would otherwise set them twice."""
-_TEXT, _NUMBER = {"type": "string"}, {"type": "integer", "format": "int32", "minimum": 0}
-HEADERS: dict[str, dict[str, Any]] = {
-    "X-Vaoi-Version": {"description": "Version of the station's software.", "schema": _TEXT, "example": "0.1.0"},
-    "ETag": {
-        "description": "Mark of the content: a request with it as If-None-Match gets 304 while nothing has changed.",
-        "schema": _TEXT,
-        "example": '"5f2b0c1d9a7e4c3b8d6f1a2e3c4b5d6f"',
-    },
-    "Cache-Control": {"description": "How long the answer stays true.", "schema": _TEXT, "example": "no-store"},
-    "Location": {"description": "Address of what is new.", "schema": _TEXT, "example": "/api/v1/board-types/demo"},
-    "Retry-After": {"description": "Seconds after which to try again.", "schema": _NUMBER, "example": 1},
-    "WWW-Authenticate": {"description": "How to send a key.", "schema": _TEXT, "example": 'Bearer realm="vaoi"'},
-    "Set-Cookie": {"description": "The cookie of the login.", "schema": _TEXT, "example": "vaoi-session=…; HttpOnly"},
-    "Idempotency-Replayed": {
-        "description": "`true`: the command was repeated with its key, and this is the reply of the first time.",
-        "schema": _TEXT,
-        "example": "true",
-    },
-    "X-Image-Width": {"description": "Width of the picture, px.", "schema": _NUMBER, "example": 80},
-    "X-Image-Height": {"description": "Height of the picture, px.", "schema": _NUMBER, "example": 64},
-    "X-Image-Channels": {"description": "1 grey, 3 red, green and blue.", "schema": _NUMBER, "example": 1},
-    "X-Image-Dtype": {"description": "Type of a pixel's values, as in numpy.", "schema": _TEXT, "example": "uint8"},
-    "X-Image-Stride": {"description": "Bytes per line; only with raw pixels.", "schema": _NUMBER, "example": 80},
-    "X-Frame-Verdict": {
-        "description": "Whether the frame is complete and proven to belong to its row.",
-        "schema": {"type": "string", "enum": ["ok", "incomplete", "unproven"]},
-        "example": "ok",
-    },
-}
-"""All headers that answers have, by name."""
-_LAYOUT = ("X-Image-Width", "X-Image-Height", "X-Image-Channels", "X-Image-Dtype", "X-Image-Stride")
-_OF_REFUSALS = {401: ("WWW-Authenticate",), 503: ("Retry-After",)}
-_OF_OPERATIONS = {"get_frame": (*_LAYOUT, "X-Frame-Verdict"), "log_in": ("Set-Cookie",), "log_out": ("Set-Cookie",)}
-CONDITIONAL = frozenset(
-    {
-        "get_board_type", "put_board_type", "list_components", "get_component", "get_component_image", "get_frame",
-        "list_merged", "get_merged_image", "get_matrices", "get_heights", "get_run", "get_latest_run",
-        "wait_for_next_run", "pin_run", "list_mosaics", "get_dzi", "get_dzi_tile",
-        "check_board_type", "get_board_check_picture", "get_kept_mosaic", "get_overlay", "get_timeline",
-    }
-)  # fmt: skip
-"""Operations whose answers carry an ETag; those that read give 304 to a caller that has the content already."""
-_TAGGED = CONDITIONAL | {
-    "get_method", "set_method", "forget_method", "get_reference", "teach_reference", "set_board_type_state",
-    "confirm_import", "decide_about_run",
-}  # fmt: skip
 UNCHANGED = {"description": "The caller has the same content already (If-None-Match)."}
 REFUSALS = {
     400: "Malformed",
@@ -188,13 +142,9 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
             _complete(method, path, operation)
     asked = [o["requestBody"] for operations in document["paths"].values() for o in operations.values() if _asks(o)]
     _open_answers(known, _used_by(known, asked))
-    answers = _refusals()
-    for status, name in REFUSALS.items():
-        answers[name]["headers"] = _headers_of_refusal(status)
     document["components"] |= {
         "schemas": dict(sorted(known.items())),
-        "responses": answers,
-        "headers": HEADERS,
+        "responses": {name: _refusal(status) for status, name in sorted(REFUSALS.items())},
         "securitySchemes": {"key": {"type": "http", "scheme": "bearer", "description": "A key of `vaoi keys create`."}},
     }
     document["servers"] = [{"url": "/", "description": "The station that serves this document."}]
@@ -204,7 +154,7 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _complete(method: str, path: str, operation: dict[str, Any]) -> None:
-    """Complete one operation: its refusals, headers, examples and scope."""
+    """Complete one operation: its refusals, examples and scope."""
     answers = operation["responses"]
     answers.pop("422", None)
     for answer in answers.values():
@@ -217,10 +167,8 @@ def _complete(method: str, path: str, operation: dict[str, Any]) -> None:
     streamed = "application/octet-stream" in operation.get("requestBody", {}).get("content", {})
     if method != "get" and not streamed:
         operation.setdefault("parameters", []).append(IDEMPOTENCY_KEY)
-    for status, answer in list(answers.items()):
-        answer["headers"] = _headers_of(method, operation, status, answer)
-    if method == "get" and operation["operationId"] in CONDITIONAL:
-        answers["304"] = {**UNCHANGED, "headers": _headers_of(method, operation, "304", {})}
+    if method == "get" and path.startswith(API):
+        answers["304"] = UNCHANGED
     if not path.startswith(API):
         # The health addresses give the same document with 503; refusals of their requests come as everywhere.
         answers["503"] = {**answers["200"], "description": "Not able, and why."}
@@ -245,7 +193,7 @@ def _schema_of(model: type[BaseModel]) -> dict[str, Any]:
     return schema
 
 
-# --- refusals and headers of answers
+# --- refusals
 
 
 def _statuses(method: str, path: str, operation: dict[str, Any]) -> list[int]:
@@ -274,12 +222,7 @@ def _statuses(method: str, path: str, operation: dict[str, Any]) -> list[int]:
     return sorted(found)
 
 
-def _refusals() -> dict[str, Any]:
-    """Return the descriptions of all refusals, by name, for `components.responses`."""
-    return {name: _answer(status) for status, name in sorted(REFUSALS.items())}
-
-
-def _answer(status: int) -> dict[str, Any]:
+def _refusal(status: int) -> dict[str, Any]:
     kinds = {kind: entry for kind, entry in KINDS.items() if entry[0] == status}
     examples = {
         kind: {
@@ -299,37 +242,6 @@ def _answer(status: int) -> dict[str, Any]:
     words = "; ".join(title for _, title, _ in kinds.values())
     content = {"schema": {"$ref": "#/components/schemas/Problem"}, "examples": examples}
     return {"description": f"{words}.", "content": {MEDIA_TYPE: content}}
-
-
-def _headers_of_refusal(status: int) -> dict[str, Any]:
-    """Return the headers of the refusals with a status, for the document."""
-    return _references("X-Vaoi-Version", "Cache-Control", *_OF_REFUSALS.get(status, ()))
-
-
-def _headers_of(method: str, operation: dict[str, Any], status: str, answer: dict[str, Any]) -> dict[str, Any]:
-    """Return the headers of one answer of an operation, for the document.
-
-    Args:
-        method: in lower case.
-        operation: the operation's description.
-        status: status code of the answer, as text.
-        answer: its description.
-    """
-    name = operation["operationId"]
-    names = ["X-Vaoi-Version", "Cache-Control"]
-    if status != "204" and name in _TAGGED:
-        names.append("ETag")
-    if status == "200" and "application/x-npy" in answer.get("content", {}) and name != "get_frame":
-        names += _LAYOUT[-1:] if name != "get_component_image" else _LAYOUT
-    if status == "201" and "keys" not in name and "key" not in name:
-        names.append("Location")
-    if method != "get":
-        names.append("Idempotency-Replayed")
-    return _references(*names, *_OF_OPERATIONS.get(name, ()))
-
-
-def _references(*names: str) -> dict[str, Any]:
-    return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
 
 
 # --- schemas and examples
