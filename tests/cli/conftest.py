@@ -60,3 +60,19 @@ def result(small_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 def recording(small_recording: Path, tmp_path: Path) -> Path:
     """A copy of the small recording, which a test may change."""
     return Path(shutil.copytree(small_recording, tmp_path / "recording"))
+
+
+@pytest.fixture(scope="session")
+def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A recording with its truth, and its result."""
+    from typer.testing import CliRunner
+
+    from vaoi_station.cli import app
+
+    folder = tmp_path_factory.mktemp("small")
+    for command in (
+        ["simulate", "small", "--out", str(folder / "run")],
+        ["stitch", str(folder / "run"), "--out", str(folder / "result.json")],
+    ):
+        assert CliRunner().invoke(app, command).exit_code == 0
+    return folder / "run", folder / "result.json"

@@ -20,7 +20,7 @@ def test_version_is_printed(vaoi: Callable[..., Result]) -> None:
 def test_help_names_every_command(vaoi: Callable[..., Result]) -> None:
     text = vaoi("--help").out
     for command in ("plan", "simulate", "serve", "record", "calibrate", "calibration-board", "recalibrate", "stitch",
-                    "report", "teach", "cut", "bench", "demo", "view", "doctor", "rig"):  # fmt: skip
+                    "report", "teach", "cut", "bench", "demo", "doctor", "rig"):  # fmt: skip
         assert command in text
 
 

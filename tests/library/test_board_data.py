@@ -1,4 +1,4 @@
-"""Board types from files, in Python; against a station: tests/cli/station/test_board_types.py."""
+"""Board types from files, in Python; against a station: tests/cli/test_board_types.py."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+import vaoi_station as vaoi
 from vaoi_station import RecordedRun, StitchedRun, open_recording
 from vaoi_station.files import read_calibration, write_calibration, write_recording
 from vaoi_station.model import RecordingHead
-from vaoi_station.plant.archive import Archive, RunLabel
-from vaoi_station.plant.restitch.task import RunTask, read_outcome, restitch_run
-from vaoi_station.plant.restitch.terms import Terms
-from vaoi_station.plant.workers import ClusterOptions, cluster_address
-from vaoi_station.plant.workers.software import software
+from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
+from vaoi_station.plant.changes import Changes, compare
+from vaoi_station.plant.cluster import ClusterOptions, cluster_address, software
+from vaoi_station.plant.restitch import RunTask, Session, Terms, read_outcome, restitch_run
+from vaoi_station.plant.tables import RunKey, Tables, result_tables, write_tables
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 
@@ -120,3 +121,51 @@ def outcome_of(archive: Archive, run: str, scratch: Path, terms: Terms | None = 
     assert isinstance(packed, bytes), packed
     (scratch / "run.json.gz").write_bytes(packed)
     return read_outcome(scratch / "run.json.gz")
+
+
+@pytest.fixture(scope="session")
+def changes(
+    board: RecordedRun, stitched: StitchedRun, moved_calibration: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Changes:
+    again = vaoi.open_recording(board.directory, calibration=moved_calibration).stitch()
+    runs: list[Tables] = []
+    for n in range(3):
+        key = RunKey("line 1", f"r{n}", f"2026-11-{n + 1:02d}T10:00:00Z", "small", f"B{n}")
+        results = (("former", stitched.result), ("new", again.result if n else stitched.result))
+        # The last run has no former result.
+        for name, result in results[n == 2 :]:
+            runs.append(result_tables(key, name, result, board.board_type, stitched.recording.head))  # type: ignore[arg-type]
+    tables = tmp_path_factory.mktemp("compared") / "tables"
+    write_tables(tables, runs)
+    return compare(tables)
+
+
+@pytest.fixture(scope="session")
+def boards(board: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Archive:
+    """Return an archive of r0 … r3 of boards B0 … B3, in which R1 is not fitted, and of `bad`, which is degraded."""
+    folder = tmp_path_factory.mktemp("boards")
+    recording = Path(shutil.copytree(board.directory, folder / "run"))
+    document = json.loads((recording / "board.json").read_text(encoding="utf-8"))
+    for part in document["components"]:
+        part["package"] = "0402" if part["ref"].startswith("R") else f"P {part['ref'][0]}"
+        if part["ref"] == "R1":
+            part["fitted"] = False
+    (recording / "board.json").write_text(json.dumps(document), encoding="utf-8")
+    archive = Archive.create(folder / "archive")
+    add_runs(archive, recording, 4)
+    result = json.loads((recording / "result.json").read_text(encoding="utf-8"))
+    result |= {"status": "degraded", "reasons": ["dim"], "reason_codes": ["light-dark"]}
+    (recording / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    archive.add(recording, station="line 9", label=RunLabel(run="bad", time="2026-11-09T10:00:00Z"))
+    return archive
+
+
+@pytest.fixture
+def session(stored: Archive, tmp_path: Path) -> Callable[..., Session]:
+    """Make what a call works on: by default the archive of four runs."""
+
+    def make(*archives: Archive, terms: Terms | None = None, selection: RunSelection | None = None) -> Session:
+        urls = [archive.url for archive in archives or (stored,)]
+        return Session(urls, selection or RunSelection(), terms or Terms(software()), tmp_path / "out")
+
+    return make

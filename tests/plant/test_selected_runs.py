@@ -10,10 +10,10 @@ import pytest
 from tests.plant.conftest import add_runs, filmed_again
 from vaoi_station.errors import InputError
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
-from vaoi_station.plant.archive.catalogue import AHEAD
-from vaoi_station.plant.archive.manifest import ArchivedRun
-from vaoi_station.plant.archive.storage import LocalStorage
+from vaoi_station.plant.catalogue import AHEAD
+from vaoi_station.plant.manifest import ArchivedRun
 from vaoi_station.plant.selected_runs import SelectedRuns
+from vaoi_station.plant.storage import LocalStorage
 
 
 def test_runs_are_found_once_and_in_order(recording: Path, tmp_path: Path) -> None:

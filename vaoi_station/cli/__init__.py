@@ -1,4 +1,4 @@
-"""The command line `vaoi`, with one module per command.
+"""The command line `vaoi`.
 
 Heavy imports are inside the commands, so that `--help` is fast.
 """
@@ -13,36 +13,28 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from vaoi_station.cli.plant.archive import app as archive
-from vaoi_station.cli.plant.dataset import dataset
-from vaoi_station.cli.plant.restitch import restitch
-from vaoi_station.cli.recordings.calibrate import calibrate
-from vaoi_station.cli.recordings.check_board import check_board
-from vaoi_station.cli.recordings.cut import cut
-from vaoi_station.cli.recordings.flatfield import flatfield
-from vaoi_station.cli.recordings.heights import heights
-from vaoi_station.cli.recordings.identify import identify
-from vaoi_station.cli.recordings.mosaic import mosaic
-from vaoi_station.cli.recordings.recalibrate import recalibrate
-from vaoi_station.cli.recordings.report import report
-from vaoi_station.cli.recordings.simulate import simulate
-from vaoi_station.cli.recordings.stitch import stitch
-from vaoi_station.cli.recordings.teach import teach
-from vaoi_station.cli.station.backup import backup, restore
-from vaoi_station.cli.station.board_types import board_types
-from vaoi_station.cli.station.bundle import bundle
-from vaoi_station.cli.station.check_config import check_config
-from vaoi_station.cli.station.demo import demo
-from vaoi_station.cli.station.doctor import doctor
-from vaoi_station.cli.station.export import export
-from vaoi_station.cli.station.keys import keys
-from vaoi_station.cli.station.record import record
-from vaoi_station.cli.station.serve import serve
-from vaoi_station.cli.tools.bench import bench
-from vaoi_station.cli.tools.calibration_board import calibration_board
-from vaoi_station.cli.tools.import_file import import_file
-from vaoi_station.cli.tools.plan import plan
-from vaoi_station.cli.tools.rig import rig
+from vaoi_station.cli.archive import app as archive
+from vaoi_station.cli.bench import bench
+from vaoi_station.cli.board_types import board_types
+from vaoi_station.cli.calibrating import calibrate, calibration_board, flatfield, recalibrate
+from vaoi_station.cli.cutting import cut
+from vaoi_station.cli.demo import demo
+from vaoi_station.cli.keys import keys
+from vaoi_station.cli.plan import plan
+from vaoi_station.cli.plants import dataset, restitch
+from vaoi_station.cli.recorded import check_board, heights, identify, mosaic, report, simulate, stitch, teach
+from vaoi_station.cli.rig import rig
+from vaoi_station.cli.stations import (
+    backup,
+    bundle,
+    check_config,
+    doctor,
+    export,
+    import_file,
+    record,
+    restore,
+    serve,
+)
 from vaoi_station.errors import InputError, InternalError, NotFoundError, VaoiError
 from vaoi_station.version import __version__
 
@@ -84,32 +76,12 @@ def vaoi(
     """Process the options of `vaoi` itself, such as `--version`. All other calls have the form `vaoi COMMAND`."""
 
 
-app.command()(plan)
-app.command()(simulate)
-app.command()(serve)
-app.command()(bundle)
-app.command("check-config")(check_config)
-app.command()(record)
-app.command()(calibrate)
-app.command("calibration-board")(calibration_board)
-app.command()(recalibrate)
-app.command()(flatfield)
-app.command()(stitch)
-app.command()(report)
-app.command()(teach)
-app.command()(cut)
-app.command()(mosaic)
-app.command()(heights)
-app.command()(identify)
-app.command("check-board")(check_board)
-app.command()(restitch)
-app.command()(dataset)
-app.command()(bench)
-app.command()(demo)
-app.command()(doctor)
-app.command()(backup)
-app.command()(restore)
-app.command()(export)
+for _command in (
+    plan, simulate, serve, bundle, check_config, record, calibrate, calibration_board, recalibrate, flatfield, stitch,
+    report, teach, cut, mosaic, heights, identify, check_board, restitch, dataset, bench, demo, doctor, backup, restore,
+    export,
+):  # fmt: skip
+    app.command(_command.__name__.replace("_", "-"))(_command)
 app.command("import")(import_file)
 app.add_typer(rig, name="rig")
 app.add_typer(keys, name="keys")

@@ -7,10 +7,15 @@ from typing import NamedTuple
 
 from vaoi_station.errors import VaoiError
 from vaoi_station.plant.archive import Archive, RunSelection
-from vaoi_station.plant.archive.catalogue import read_ahead, report_half_written, selected, single_places
-from vaoi_station.plant.archive.fault import ArchiveFault
-from vaoi_station.plant.archive.manifest import ArchivedRun
-from vaoi_station.plant.archive.same_recordings import SameRecordings, recording_of
+from vaoi_station.plant.catalogue import (
+    SameRecordings,
+    read_ahead,
+    recording_of,
+    report_half_written,
+    selected,
+    single_places,
+)
+from vaoi_station.plant.manifest import ArchivedRun, ArchiveFault
 
 
 class SelectedRun(NamedTuple):

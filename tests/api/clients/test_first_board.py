@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 
 from tests.needs import FILMS, need, need_films
-from vaoi_station.cli.station.demo import demo
+from vaoi_station.cli.demo import demo
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.given_board import write_given_scenario
 from vaoi_station.demo.service import Service

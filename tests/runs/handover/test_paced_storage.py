@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.plant.archive.storage import LocalStorage
+from vaoi_station.plant.storage import LocalStorage
 from vaoi_station.runs.handover.paced_storage import PacedStorage
 
 

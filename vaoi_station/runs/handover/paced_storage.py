@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from vaoi_station.plant.archive.storage import Entry, Storage
+from vaoi_station.plant.storage import Entry, Storage
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,206 @@
+"""The commands on archives."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.plant.conftest import recording
+from vaoi_station.cli.plants import progress_bar, run_selection, verdicts_of
+from vaoi_station.errors import InputError
+from vaoi_station.model import Status
+from vaoi_station.plant import cluster
+from vaoi_station.plant.archive import Archive, RunLabel
+from vaoi_station.plant.cluster import ClusterOptions, cluster_address, connection
+
+__all__ = ["recording"]
+
+
+@pytest.fixture
+def archive(recording: Path, tmp_path: Path) -> Archive:
+    """An archive of one run, of noise."""
+    made = Archive.create(tmp_path / "archive")
+    made.add(recording, station="line 1", label=RunLabel(run="r1", time="2026-11-01T10:00:00Z"))
+    return made
+
+
+def test_options_become_a_selection() -> None:
+    chosen = run_selection("main*", "2026-03-01", None, "line 1", "degraded")
+    assert (chosen.board_type, chosen.since, chosen.station, chosen.verdict) == (
+        "main*", "2026-03-01", "line 1", Status.DEGRADED,
+    )  # fmt: skip
+    assert run_selection(None, None, None, None, None).verdict is None
+
+
+def test_verdicts_are_words() -> None:
+    assert verdicts_of("ok, failed") == (Status.OK, Status.FAILED)
+    with pytest.raises(InputError, match="one of ok, degraded, failed"):
+        verdicts_of("ok,")
+
+
+def test_the_bar_counts_what_an_earlier_call_has_done(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress_bar("runs") as show:
+        for done in (3, 4, 5):
+            show(done, 5)
+    assert "runs" in capsys.readouterr().out
+
+
+@pytest.fixture
+def filmed(small_recording: Path, tmp_path: Path, vaoi: Any) -> Path:
+    """Return an archive that the commands have made, with one run."""
+    archive = tmp_path / "archive"
+    assert vaoi("archive", "create", archive).code == 0
+    said = vaoi(
+        "archive", "add", archive, small_recording, "--station", "one", "--run", "a", "--time", "2026-03-01T08:00:00Z"
+    )
+    assert (said.code, said.err) == (0, "")
+    assert "→ run a," in said.out
+    return archive
+
+
+def test_runs_are_listed_verified_and_restored(filmed: Path, tmp_path: Path, vaoi: Any) -> None:
+    assert "a  2026-03-01T08:00:00Z  one" in vaoi("archive", "list", filmed).out
+    listed = json.loads(vaoi("archive", "list", filmed, "--json", "--station", "o*").out)
+    assert (listed["run"], listed["frames"]) == ("a", 12)
+    assert vaoi("archive", "list", filmed, "--until", "2026-02-28").out == ""
+    assert "0 runs damaged, 0 faults" in vaoi("archive", "verify", filmed).out
+    assert vaoi("archive", "restore", filmed, "--out", tmp_path / "back").out.strip() == str(tmp_path / "back" / "a")
+    assert (tmp_path / "back" / "a" / "frames" / "c00_r000.tiff").is_file()
+
+
+def test_faults_are_named_and_the_exit_code_says_so(filmed: Path, tmp_path: Path, vaoi: Any) -> None:
+    archive = Archive.open(filmed)
+    archive.storage.delete(archive.run("a").frames[0].key)
+    said = vaoi("archive", "verify", filmed)
+    assert said.code == 1
+    assert "run a: blob" in said.err
+    assert "1 runs damaged, 1 faults" in said.out
+    assert vaoi("archive", "restore", filmed, "--out", tmp_path / "back").code == 1
+    assert vaoi("archive", "add", filmed, tmp_path).code == 1
+
+
+def test_a_damaged_frame_comes_back_from_the_recording(filmed: Path, small_recording: Path, vaoi: Any) -> None:
+    frame = filmed / Archive.open(filmed).run("a").frames[0].key
+    damaged = bytearray(frame.read_bytes())
+    damaged[100] ^= 1
+    frame.write_bytes(damaged)
+    assert "or add the run again from its recording" in vaoi("archive", "verify", filmed).err
+    given = ("--station", "one", "--run", "a", "--time", "2026-03-01T08:00:00Z")
+    assert vaoi("archive", "add", filmed, small_recording, *given).code == 0
+    assert "0 runs damaged, 0 faults" in vaoi("archive", "verify", filmed).out
+
+
+def test_pruning_asks_for_a_confirmation(filmed: Path, vaoi: Any) -> None:
+    said = vaoi("archive", "prune", filmed, "--run", "a")
+    assert "1 runs, 0 blobs" in said.out
+    assert "--confirm removes" in said.out
+    assert vaoi("archive", "prune", filmed, "--run", "a", "--confirm").code == 0
+    assert vaoi("archive", "list", filmed).out == ""
+
+
+def test_pruning_refuses_what_would_remove_too_much(filmed: Path, vaoi: Any) -> None:
+    said = vaoi("archive", "prune", filmed, "--run", "a", "--verdict", "failed", "--confirm")
+    assert (said.code, "--verdict is 'failed'" in said.err) == (2, True)
+    assert "a  2026-03-01" in vaoi("archive", "list", filmed).out
+    said = vaoi("archive", "prune", filmed, "--grace-hours", "17")
+    assert (said.code, "--nothing-added" in said.err) == (2, True)
+    assert vaoi("archive", "prune", filmed, "--grace-hours", "17", "--nothing-added").code == 0
+
+
+def test_what_is_no_archive_is_refused(tmp_path: Path, vaoi: Any) -> None:
+    said = vaoi("archive", "list", tmp_path)
+    assert said.code == 2
+    assert "is no archive" in said.err
+
+
+NOWHERE = ("--scheduler", "tcp://127.0.0.1:1", "--patience", "1")
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "text"),
+    [
+        ((), 2, "one of them is needed"),
+        (("--workers", "1", "--verdict", "good"), 2, "--verdict is 'good', but must be one of ok, degraded, failed"),
+        (("--workers", "1", "--verdict", "ok,failed"), 2, "but must be one verdict"),
+        (("--workers", "1", "--since", "May"), 2, "since is 'May'"),
+        (("--workers", "1", "--calibration", "absent.json"), 2, "absent.json"),
+        (NOWHERE, 3, "no scheduler answers within 1 s"),
+    ],
+)
+def test_wrong_options_and_an_absent_scheduler_are_named(
+    vaoi: Callable[..., Any], archive: Archive, tmp_path: Path, options: tuple[str, ...], code: int, text: str
+) -> None:
+    done = vaoi("restitch", archive.url, "--out", tmp_path / "out", *options)
+    assert (done.code, text in done.err) == (code, True), done.err
+
+
+def test_a_fault_of_an_archive_gives_exit_code_1(vaoi: Callable[..., Any], archive: Archive, tmp_path: Path) -> None:
+    manifest = Path(archive.url) / archive.run("r1").key
+    manifest.write_text("{")
+    done = vaoi("restitch", archive.url, "--out", tmp_path / "out", *NOWHERE)
+    assert done.code == 1, "without a run to do, no scheduler is needed"
+    assert str(manifest) in done.err
+    assert "0 of 0 runs stitched" in done.out
+    assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1
+
+
+def pretend_to_be_old() -> None:
+    """Run on a worker: have it state the software of a former release."""
+    setattr(cluster, "software", lambda: "vaoi_station 0.0.1")  # noqa: B010  (runs in the worker)
+
+
+def test_a_worker_with_other_software_is_named_and_the_exit_code_says_so(
+    vaoi: Callable[..., Any], archive: Archive, tmp_path: Path
+) -> None:
+    with cluster_address(ClusterOptions(workers=2)) as address, connection(address, 120) as client:
+        client.wait_for_workers(2, timeout=120)
+        link = client.dashboard_link
+        other, _ = client.scheduler_info()["workers"]
+        client.run(pretend_to_be_old, workers=[other])
+        done = vaoi("restitch", archive.url, "--out", tmp_path / "out", "--scheduler", address, "--patience", "120")
+    assert done.code == 1, done.err
+    assert f"worker {other} is not used: it has vaoi_station 0.0.1, but must have" in done.err
+    assert "1 of 1 runs stitched" in done.out
+    assert f"dashboard: {link}" in done.out
+    assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1
+
+
+def test_a_board_type_is_for_the_runs_of_its_name(
+    vaoi: Callable[..., Any], archive: Archive, recording: Path, tmp_path: Path
+) -> None:
+    board = json.loads((recording / "board.json").read_text())
+    (tmp_path / "board.json").write_text(json.dumps(board | {"name": "other"}))
+    out = tmp_path / "out"
+    done = vaoi("restitch", archive.url, "--out", out, "--board", tmp_path / "board.json", *NOWHERE)
+    assert (done.code, "0 of 0 runs stitched" in done.out) == (0, True), done.err
+    done = vaoi(
+        "restitch", archive.url, "--out", out, "--board", tmp_path / "board.json", "--board-type", "demo", *NOWHERE
+    )
+    assert done.code == 3, "the run of the type demo is to be stitched"
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--verdict", "fine"), "--verdict is 'fine'"),
+        (("--splits", "train=2"), "--splits is 'train=2'"),
+        (("--limit", "0"), "limit is 0"),
+    ],
+)
+def test_wrong_options_are_named(
+    vaoi: Callable[..., Any], archive: Archive, tmp_path: Path, options: tuple[str, ...], text: str
+) -> None:
+    done = vaoi("dataset", archive.url, "--out", tmp_path / "out", *options)
+    assert (done.code, text in done.err) == (2, True), done.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_runs_of_other_verdicts_are_counted(vaoi: Callable[..., Any], archive: Archive, tmp_path: Path) -> None:
+    done = vaoi("dataset", archive.url, "--components", "C*,R*", "--out", tmp_path / "out", "--format", "webdataset")
+    assert done.code == 0, done.err
+    assert "0 crops of 0 runs" in done.out
+    assert "1 runs have another verdict than ok" in done.out

@@ -1,0 +1,561 @@
+"""The commands that work on one recording."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from typer.testing import CliRunner
+
+from tests.cli.conftest import Result
+from tests.identity.conftest import DATAMATRIX
+from vaoi_station.cli import app
+from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.files.images import read_image, write_image
+from vaoi_station.files.results import write_stitch
+from vaoi_station.geometry import apply
+from vaoi_station.model import Status, Stitch
+from vaoi_station.simulation import Scenario, Twin
+from vaoi_station.simulation.recording_writer import write_passage
+
+
+def _run(*arguments: str) -> str:
+    result = CliRunner().invoke(app, ["simulate", *arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_recording_is_complete(tmp_path: Path) -> None:
+    out = tmp_path / "board"
+    said = _run("small", "--out", str(out), "--board", "1")
+    recording = open_recording(out)
+    assert "2 cameras × 6 rows" in said
+    assert recording.head.rows == 6
+    assert read_calibration(out / "calibration.json", 2).working_distance_mm == 300
+    assert read_board_type(out / "board.json").component("U1") is not None
+    assert (out / "truth.json").exists()
+    with pytest.raises(InputError, match="already holds"):
+        _run("small", "--out", str(out))
+
+
+def test_missing_frames_are_listed_and_the_truth_is_optional(tmp_path: Path) -> None:
+    scenario = tmp_path / "lossy.toml"
+    scenario.write_text(
+        "[array]\nwidth_px = 64\nheight_px = 48\npx_per_mm = 4.0\n"
+        "[board]\nwidth_mm = 30.0\nlength_mm = 20.0\n"
+        "[line]\nbarrier_mm = -10.0\nstart_delay_s = 0.05\ntail_s = 0.1\n"
+        "[[faults.lost_frames]]\ncamera = 1\nrow = 1\n"
+    )
+    out = tmp_path / "out"
+    assert "1 frames missing" in _run(str(scenario), "--out", str(out), "--no-truth")
+    assert open_recording(out).head.missing == ((1, 1),)
+    assert not (out / "truth.json").exists()
+
+
+def test_calibration_board(tmp_path: Path) -> None:
+    _run("small", "--out", str(tmp_path), "--calibration-board")
+    assert open_recording(tmp_path).head.rows == 1
+    assert (tmp_path / "layout.json").exists()
+
+
+def test_unknown_scenario_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(NotFoundError, match="no scenario 'nothing'"):
+        _run("nothing", "--out", str(tmp_path))
+
+
+def edit(path: Path, change: Callable[[Any], Any]) -> None:
+    """Change a document, past all checks: Python writes NaN as NaN."""
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def test_recording_becomes_a_result(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "results" / "result.json"
+    said = vaoi("stitch", small_recording, "--out", out)
+    assert (said.code, said.err) == (0, "")
+    assert said.out.startswith(f"ok: 6 rows × 2 cameras → {out}\nstandard deviation of positions: 0.0")
+    result = read_stitch(out)
+    assert result.status is Status.OK
+    assert result.components
+    assert result.quality["timings_ms"]
+
+
+def test_calibration_and_board_type_of_other_directories(
+    vaoi: Any, recording: Path, small_recording: Path, tmp_path: Path
+) -> None:
+    for name in ("calibration.json", "board.json"):
+        (recording / name).rename(tmp_path / name)
+    out = tmp_path / "result.json"
+    given = ("--calibration", tmp_path / "calibration.json", "--board", tmp_path / "board.json")
+    assert vaoi("stitch", recording, *given, "--out", out).code == 0
+    assert vaoi("stitch", small_recording, "--out", tmp_path / "own.json").code == 0
+    first, second = (read_stitch(path).model_dump(mode="json") for path in (out, tmp_path / "own.json"))
+    assert first["cad_matrix"] == second["cad_matrix"]
+
+
+def test_an_estimated_depth_of_16_bit_frames_is_stated(vaoi: Any, recording: Path, tmp_path: Path) -> None:
+    for path in (recording / "frames").iterdir():
+        write_image(path, read_image(path).astype(np.uint16) << 4)
+    estimated = vaoi("stitch", recording, "--out", tmp_path / "estimated.json")
+    assert "frames use 12 of 16 bits, by an estimate: state cameras[].bits in recording.json" in estimated.out
+    edit(recording / "recording.json", lambda d: [camera.update(bits=12) for camera in d["cameras"]])
+    assert "bits" not in vaoi("stitch", recording, "--out", tmp_path / "stated.json").out
+    first, second = (read_stitch(tmp_path / name) for name in ("estimated.json", "stated.json"))
+    assert (first.quality["estimated_bits"], "estimated_bits" in second.quality) == (12, False)
+    assert first.model_dump()["components"] == second.model_dump()["components"]
+
+
+def test_without_a_board_type_frames_are_placed_and_a_reason_is_given(
+    vaoi: Any, recording: Path, tmp_path: Path
+) -> None:
+    (recording / "board.json").unlink()
+    said = vaoi("stitch", recording, "--out", tmp_path / "r.json")
+    assert said.code == 0
+    assert "failed: 6 rows × 2 cameras" in said.out
+    assert "- no board type was given" in said.out
+
+
+@pytest.mark.parametrize("number", [1e308, -1e308, 1e150, 1e30, True])
+@pytest.mark.parametrize(
+    ("file", "keys"),
+    [
+        ("calibration.json", ("camera_matrices", 0, 0, 0)),
+        ("calibration.json", ("camera_matrices", 1, 2, 2)),
+        ("calibration.json", ("working_distance_mm",)),
+        ("board.json", ("outline", 0, 0)),
+        ("board.json", ("fiducials", 0, "x")),
+        ("board.json", ("fiducials", 0, "diameter")),
+        ("board.json", ("components", 0, "center", 1)),
+        ("board.json", ("components", 0, "width")),
+        ("board.json", ("components", 0, "body_height")),
+        ("board.json", ("components", 0, "rotation")),
+        ("recording.json", ("conveyor_mm_s", 1)),
+        ("recording.json", ("trigger_period_s",)),
+        ("recording.json", ("cameras", 0, "exposure_us")),
+        ("recording.json", ("cameras", 0, "nominal_center_mm", 0)),
+    ],
+)
+def test_absurd_numbers_are_refused_by_one_message(
+    vaoi: Any, recording: Path, tmp_path: Path, file: str, keys: tuple[Any, ...], number: object
+) -> None:
+    def put(data: Any) -> None:
+        for key in keys[:-1]:
+            data = data[key]
+        data[keys[-1]] = number
+
+    edit(recording / file, put)
+    said = vaoi("stitch", recording, "--out", tmp_path / "r.json")
+    assert said.code == 2
+    assert said.err.startswith(f"vaoi: {recording / file}: ")
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "r.json").exists()
+
+
+def lose_a_frame(case: Path) -> None:
+    (case / "frames" / "c01_r003.png").unlink()
+
+
+def cut_a_frame(case: Path) -> None:
+    path = case / "frames" / "c00_r002.png"
+    path.write_bytes(path.read_bytes()[:200])
+
+
+def crop_a_frame(case: Path) -> None:
+    path = case / "frames" / "c00_r002.png"
+    write_image(path, read_image(path)[:, :-8])
+
+
+def newer_version(case: Path) -> None:
+    edit(case / "recording.json", lambda d: d.update(version=7))
+
+
+def foreign_calibration(case: Path) -> None:
+    edit(case / "calibration.json", lambda d: d.update(format="opencv-calibration"))
+
+
+def nan_in_a_matrix(case: Path) -> None:
+    edit(case / "calibration.json", lambda d: d["camera_matrices"][1][0].__setitem__(2, float("nan")))
+
+
+def one_matrix_too_few(case: Path) -> None:
+    edit(case / "calibration.json", lambda d: (d["camera_matrices"].pop(), d.pop("distortion", None)))
+
+
+def two_of_one_name(case: Path) -> None:
+    edit(case / "board.json", lambda d: d["components"].append(dict(d["components"][0])))
+
+
+def fiducial_outside(case: Path) -> None:
+    edit(case / "board.json", lambda d: d["fiducials"][1].update(x=500.0))
+
+
+def unknown_key(case: Path) -> None:
+    edit(case / "board.json", lambda d: d.update(colour="green"))
+
+
+def torn_document(case: Path) -> None:
+    path = case / "recording.json"
+    path.write_text(path.read_text()[:-40])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "file", "said_of_it"),
+    [
+        (lose_a_frame, "c01_r003.png", "the frame is absent and not listed under 'missing'"),
+        (cut_a_frame, "c00_r002.png", "may be incomplete"),
+        (crop_a_frame, "c00_r002.png", "is 632×480 px, but recording.json says 640×480 px"),
+        (newer_version, "recording.json", "version is 7, but must be 1"),
+        (foreign_calibration, "calibration.json", "format is 'opencv-calibration'"),
+        (nan_in_a_matrix, "calibration.json", "camera_matrices.1.0.2 is nan"),
+        (one_matrix_too_few, "calibration.json", "camera_matrices has 1 entries, but 2 cameras were filming"),
+        (two_of_one_name, "board.json", "twice; names must be unique"),
+        (fiducial_outside, "board.json", "fiducial 'FID2' at (500.0, 5.6) lies outside the outline"),
+        (unknown_key, "board.json", "unknown key(s) 'colour'"),
+        (torn_document, "recording.json", "not valid JSON at line"),
+    ],
+)
+def test_bad_input_is_one_sentence_that_names_the_file(
+    vaoi: Any, recording: Path, tmp_path: Path, spoil: Callable[[Path], None], file: str, said_of_it: str
+) -> None:
+    spoil(recording)
+    out = tmp_path / "result.json"
+    said = vaoi("stitch", recording, "--out", out)
+    assert said.code == 2
+    assert said.out == ""
+    assert said.err.startswith("vaoi: ")
+    assert said.err.count("\n") == 1
+    assert file in said.err
+    assert said_of_it in said.err
+    assert not out.exists(), "nothing half done is left behind"
+
+
+def test_directory_without_a_recording_is_refused(vaoi: Any, tmp_path: Path) -> None:
+    said = vaoi("stitch", tmp_path / "nowhere", "--out", tmp_path / "r.json")
+    assert said.code == 2
+    assert "nowhere/recording.json: there is no such file" in said.err
+
+
+def test_frame_listed_as_missing_is_accepted(vaoi: Any, recording: Path, tmp_path: Path) -> None:
+    lose_a_frame(recording)
+    edit(recording / "recording.json", lambda d: d.update(missing=[[1, 3]]))
+    assert vaoi("stitch", recording, "--out", tmp_path / "r.json").code == 0
+    assert read_stitch(tmp_path / "r.json").status is Status.OK
+
+
+def test_unknown_method_is_refused(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
+    said = vaoi("stitch", small_recording, "--out", tmp_path / "r.json", "--method", "magic")
+    assert said.code == 2
+    assert "magic" in said.err
+
+
+def test_reference_is_kept_and_never_overwritten(
+    vaoi: Callable[..., Result], small_recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "reference"
+    done = vaoi("teach", small_recording, "--out", out)
+    assert done.code == 0, done.err
+    assert done.out.startswith("ok: standard deviation of positions 0.0")
+    assert open_recording(out).head == open_recording(small_recording).head
+    refused = vaoi("teach", small_recording, "--out", out)
+    assert refused.code == 2
+    assert "exists already" in refused.err
+
+
+def test_absent_recording_is_refused(vaoi: Callable[..., Result], tmp_path: Path) -> None:
+    done = vaoi("teach", tmp_path, "--out", tmp_path / "reference")
+    assert done.code == 2
+    assert "there is no such file" in done.err
+    assert not (tmp_path / "reference").exists()
+
+
+def test_a_board_that_does_not_lie_with_the_given_rotation_is_no_reference(
+    vaoi: Callable[..., Result], small_recording: Path, tmp_path: Path
+) -> None:
+    done = vaoi("teach", small_recording, "--out", tmp_path / "reference", "--rotation", 180)
+    assert done.code == 2
+    assert "is failed and cannot be a reference" in done.err
+    done = vaoi("teach", small_recording, "--out", tmp_path / "reference", "--rotation", 0)
+    assert done.code == 0, done.err
+    assert open_recording(tmp_path / "reference").head.rotation_deg == 0
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("report") / "run"
+    done = CliRunner().invoke(app, ["simulate", "small", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    return out
+
+
+def test_report_is_one_file(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    done = CliRunner().invoke(app, ["report", str(run), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert done.output.strip() == f"ok: {out}"
+    assert out.read_text().startswith("<!doctype html>")
+
+
+def test_default_is_the_working_directory(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, ["report", str(run), "--method", "features"]).exit_code == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    done = CliRunner().invoke(app, ["report", str(run), "--bundle", str(kept)])
+    assert done.exit_code == 0, done.output
+    assert f"vaoi stitch {kept} --method auto --out again.json" in done.output
+    again = CliRunner().invoke(app, ["stitch", str(kept), "--out", str(tmp_path / "again.json")])
+    assert again.exit_code == 0
+    both = ["report", str(kept), "--out", str(tmp_path / "r.html"), "--bundle", str(tmp_path / "second")]
+    assert CliRunner().invoke(app, both).exit_code == 0
+    assert (tmp_path / "r.html").is_file()
+    refused = CliRunner().invoke(app, ["report", str(run), "--bundle", str(kept)])
+    assert isinstance(refused.exception, InputError)
+
+
+def test_no_report_is_made_of_a_directory_without_a_recording(tmp_path: Path) -> None:
+    assert isinstance(CliRunner().invoke(app, ["report", str(tmp_path)]).exception, NotFoundError)
+
+
+def test_the_expected_rotation_is_an_option(run: Path, tmp_path: Path) -> None:
+    """The board lies upright: expected upside down, it is not found."""
+    done = CliRunner().invoke(app, ["report", str(run), "--out", str(tmp_path / "r.html"), "--rotation", "180"])
+    assert done.output.startswith("failed: ")
+
+
+def test_component_is_where_the_document_says(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
+    out = tmp_path / "board.tif"
+    said = vaoi("mosaic", small_recording, "--result", result, "--out", out)
+    assert (said.code, said.err) == (0, "")
+    document = json.loads((tmp_path / "board.tif.json").read_text())
+    picture = tifffile.imread(out)
+    assert picture.shape == (document["height"], document["width"])
+    assert (document["nodata"], document["covered"]) == (0, 1.0)
+    assert f"{out}: {document['width']}×{document['height']} px" in said.out
+    r1 = read_board_type(small_recording / "board.json").component("R1")
+    stitch, recording = read_stitch(result), open_recording(small_recording)
+    assert r1 is not None
+    assert stitch.components is not None
+    u, v = np.round(apply(document["image_from_cad"], r1.center)).astype(int)
+    shown = picture[v - 3 : v + 4, u - 3 : u + 4].mean()
+    differences = []
+    for camera, row, x, y in stitch.components["R1"]:
+        frame = recording.frame(camera, row)
+        assert frame is not None
+        i, j = round(x), round(y)
+        differences.append(abs(frame[j - 3 : j + 4, i - 3 : i + 4].mean() - shown))
+    assert min(differences) < 10
+
+
+def test_region_and_resolution(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
+    low, _ = read_board_type(small_recording / "board.json").extent()
+    box = (*low, *(low + (5, 4)))
+    options = ("--region", *box, "--px-per-mm", 8, "--out", tmp_path / "r.tif")
+    assert vaoi("mosaic", small_recording, "--result", result, *options).code == 0
+    assert tifffile.imread(tmp_path / "r.tif").shape == (32, 40)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--light", "left"), "light is 'left', but must be one of the 1 lights of the run: 'ring'"),
+        (("--exposure", 7), "exposure_us is 7.0, but must be one of the exposures of the run:"),
+        (("--region", 900, 900, 901, 901), "region is '900, 900, 901, 901', but must be on the board"),
+        (("--px-per-mm", 1000), "px_per_mm is 1000.0, but must be small enough for 1000 megapixels"),
+        (("--flatfield", "nowhere"), "flatfield.json: there is no such file"),
+        (("--hdr", "--heights", "nowhere.json"), "nowhere.json: there is no such file"),
+    ],
+)
+def test_wrong_options_are_refused_and_nothing_is_written(
+    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, options: Any, words: str
+) -> None:
+    said = vaoi("mosaic", small_recording, "--result", result, *options, "--out", tmp_path / "b.tif")
+    assert said.code == 2
+    assert words in said.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["b.tif", "b.tif.json"])
+def test_existing_output_is_refused(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine")
+    said = vaoi("mosaic", small_recording, "--result", result, "--out", tmp_path / "b.tif")
+    assert said.code == 2
+    assert f"{tmp_path / name}: exists and is not overwritten" in said.err
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_heights_agree_with_the_truth_of_the_twin(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
+    run, result = case
+    out = tmp_path / "heights.json"
+    said = vaoi("heights", run, "--result", result, "--out", out)
+    assert (said.code, said.err) == (0, "")
+    found = json.loads(out.read_text())
+    truth = json.loads((run / "truth.json").read_text())["heights"]
+    assert f"{len(found)} component(s): " in said.out
+    tall = {ref: entry for ref, entry in found.items() if truth[ref] >= 0.5 and entry["views"] >= 2}
+    sure = {ref: e for ref, e in tall.items() if e["height_mm"] is not None and e["sigma_mm"] <= 0.15}
+    assert len(sure) >= 0.75 * len(tall)
+    error = np.array([entry["height_mm"] - truth[ref] for ref, entry in sure.items()])
+    assert np.median(np.abs(error)) < 0.05
+    assert np.percentile(np.abs(error), 90) < 0.15
+    assert set(found["U1"]) >= {"height_mm", "sigma_mm", "views"}
+
+
+def test_a_result_of_another_recording_and_an_overwritten_input_are_refused(
+    vaoi: Any, case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    run, result = case
+    document = json.loads(result.read_text())
+    document["row_motion"] = document["row_motion"][:-1]
+    document["image_matrices"] = [rows[:-1] for rows in document["image_matrices"]]
+    (tmp_path / "other.json").write_text(json.dumps(document))
+    said = vaoi("heights", run, "--result", tmp_path / "other.json", "--out", tmp_path / "heights.json")
+    assert said.code == 2
+    assert "5 rows, the recording has 2 cameras and 6 rows" in said.err
+    said = vaoi("heights", run, "--result", result, "--out", result)
+    assert said.code == 2
+    assert "is read by this command" in said.err
+
+
+def test_a_map_is_written_beside_the_heights_and_a_region_off_the_board_is_refused(
+    vaoi: Any, case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    run, result = case
+    part = next(c for c in json.loads((run / "board.json").read_text())["components"] if c["ref"] == "U2")
+    (x, y), w, h = part["center"], part["width"] / 2, part["height"] / 2
+    out, region = tmp_path / "heights.json", (x - w, y - h, x + w, y + h)
+    said = vaoi("heights", run, "--result", result, "--out", out, "--map", *region)
+    assert (said.code, said.err) == (0, "")
+    heights, sigma = (cv2.imread(str(tmp_path / f"heights.map{name}.tiff"), -1) for name in ("", "-sigma"))
+    assert heights is not None
+    assert sigma is not None
+    assert heights.dtype == np.float32
+    assert heights.shape == sigma.shape
+    middle = heights[heights.shape[0] // 3 : -(heights.shape[0] // 3), heights.shape[1] // 3 : -(heights.shape[1] // 3)]
+    truth = json.loads((run / "truth.json").read_text())["heights"]["U2"]
+    assert np.nanmedian(middle) == pytest.approx(truth, abs=0.15)
+    assert read_image(tmp_path / "heights.map.png").ndim == 3
+    assert "image_from_cad" in json.loads((tmp_path / "heights.map.json").read_text())
+    said = vaoi("heights", run, "--result", result, "--out", tmp_path / "no.json", "--map", 900, 900, 910, 910)
+    assert said.code == 2
+    assert "region is [900.0, 900.0, 910.0, 910.0]" in said.err
+    assert "must be on the board" in said.err
+    assert not (tmp_path / "no.json").exists()
+
+
+def test_flat_fields_of_another_array_are_refused(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
+    run, result = case
+    said = vaoi("heights", run, "--result", result, "--out", tmp_path / "h.json", "--flatfield", tmp_path / "none")
+    assert said.code == 2
+    assert "flatfield.json" in said.err
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A recording of a small board with a code, and its result from the truth."""
+    return record(tmp_path_factory.mktemp("identify"), DATAMATRIX)
+
+
+def record(folder: Path, code: dict[str, Any]) -> tuple[Path, Path]:
+    scenario = {
+        "array": {"cameras": 1, "width_px": 320, "height_px": 240, "px_per_mm": 16.0, "working_distance_mm": 250.0},
+        "board": {"name": "coded", "width_mm": 18.0, "length_mm": 16.0, "density": 0.0, "codes": [code]},
+        "line": {"barrier_mm": -15.0, "start_delay_s": 0.1, "period_s": 0.04, "tail_s": 0.1},
+    }
+    passage = Twin(Scenario.model_validate(scenario)).passage(41)
+    truth = passage.truth()
+    write_passage(passage, folder / "run")
+    keys = ("image_matrices", "cad_matrix", "row_motion")
+    write_stitch(folder / "result.json", Stitch(method="auto", status=Status.OK, **{key: truth[key] for key in keys}))
+    return folder / "run", folder / "result.json"
+
+
+def test_code_is_printed_and_compared(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
+    run, result = case
+    said = vaoi("identify", run, "--result", result, "--expect", "SN000042", "--out", tmp_path / "identity.json")
+    assert (said.code, said.err) == (0, "")
+    first, last = said.out.splitlines()
+    assert first.startswith("datamatrix 'coded;SN000042' at (")
+    assert first.endswith(" 0 % of the error correction used")
+    assert last == "identity: agrees, board 'SN000042'"
+    document = json.loads((tmp_path / "identity.json").read_text())
+    assert (document["state"], document["codes"][0]["symbology"]) == ("agrees", "datamatrix")
+    said = vaoi("identify", run, "--result", result, "--expect", "SN1")
+    assert said.code == 0
+    assert "board-id-differs: The board's code states 'SN000042', the line was armed with 'SN1'." in said.out
+    assert "identity: differs" in said.out
+
+
+def test_code_of_dots_is_read(vaoi: Any, tmp_path: Path) -> None:
+    run, result = record(tmp_path, {**DATAMATRIX, "dot_modules": 0.7, "module_mm": 0.4, "inverted": True})
+    said = vaoi("identify", run, "--result", result, "--expect", "SN000042")
+    assert said.out.splitlines()[-1] == "identity: agrees, board 'SN000042'"
+
+
+def test_board_type_without_identity_is_searched_everywhere(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
+    run, result = case
+    board = json.loads((run / "board.json").read_text())
+    del board["identity"]
+    (tmp_path / "board.json").write_text(json.dumps(board))
+    said = vaoi("identify", run, "--result", result, "--board", tmp_path / "board.json")
+    assert "identity: not-compared, board 'coded;SN000042'" in said.out
+
+
+def test_input_is_not_overwritten(vaoi: Any, case: tuple[Path, Path]) -> None:
+    run, result = case
+    said = vaoi("identify", run, "--result", result, "--out", result)
+    assert said.code == 2
+    assert "is read by this command and is not overwritten" in said.err
+
+
+def test_shifted_and_mirrored_data_are_corrected_to_those_of_the_twin(
+    vaoi: Any, case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    run, result = case
+    truth = json.loads((run / "board.json").read_text())
+    wrong = json.loads(json.dumps(truth))
+    for part in wrong["components"]:
+        part["center"] = [48.0 - part["center"][0], part["center"][1] + 1.5]
+        part["rotation"] = 180 - part["rotation"]
+    (tmp_path / "wrong.json").write_text(json.dumps(wrong | {"outline": None}))
+    out, corrected, picture = tmp_path / "check.json", tmp_path / "corrected.json", tmp_path / "check.png"
+    said = vaoi(
+        "check-board", run, "--result", result, "--board-type", tmp_path / "wrong.json", "--out", out,
+        "--corrected", corrected, "--revision", "C", "--picture", picture,
+    )  # fmt: skip
+    assert (said.code, said.err) == (0, "")
+    assert "check: the components lie mirrored" in said.out
+    report = json.loads(out.read_text())
+    assert report["format"] == "vaoi-board-check"
+    assert report["moved"] == ["components"], "the fiducials are where they are stated"
+    proposal = json.loads(corrected.read_text())
+    assert (proposal["state"], proposal["revision"]) == ("draft", "C")
+    pairs = list(zip(proposal["components"], truth["components"], strict=True))
+    assert max(math.dist(a["center"], b["center"]) for a, b in pairs) < 0.03
+    assert {round(a["rotation"] - b["rotation"]) % 360 for a, b in pairs} == {0}
+    assert read_image(picture).ndim == 3
+    again = vaoi("check-board", run, "--result", result, "--board-type", run / "board.json", "--out", out)
+    assert again.code == 2
+    assert "exists" in again.err
+
+
+def test_right_data_leave_nothing_to_correct(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
+    run, result = case
+    said = vaoi(
+        "check-board", run, "--result", result, "--board-type", run / "board.json", "--corrected", tmp_path / "c.json"
+    )
+    assert said.code == 3
+    assert "nothing to correct" in said.out
+    assert "nothing to correct" in said.err
+    assert not (tmp_path / "c.json").exists()

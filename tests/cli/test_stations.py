@@ -1,0 +1,428 @@
+"""The commands on a station."""
+
+from __future__ import annotations
+
+import getpass
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from tests.board_data.readers import samples
+from tests.cli.conftest import Result
+from tests.transfer.conftest import Site, make_rig, site, store
+from vaoi_station import doctor, station
+from vaoi_station.board_data import import_process
+from vaoi_station.board_data.import_process import ImportLimits
+from vaoi_station.cli import app
+from vaoi_station.cli.options import credentials_of
+from vaoi_station.config import read_config
+from vaoi_station.demo.station_files import write_station_files
+from vaoi_station.doctor.finding import Finding, Report, fault, ok, warning
+from vaoi_station.errors import InputError
+from vaoi_station.files import open_recording, write_calibration
+from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
+from vaoi_station.files.documents import write_json
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation.calibration_board import layout
+from vaoi_station.store import Database
+
+
+def test_the_key_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "key").write_text("vaoi_1_a\n")
+    monkeypatch.setenv("VAOI_KEY", "vaoi_2_b")
+    assert credentials_of(tmp_path / "key", None).key == "vaoi_1_a"
+    assert credentials_of(None, tmp_path).key == "vaoi_2_b"
+    assert credentials_of(None, tmp_path).ca == tmp_path
+
+
+def parameters(command: Any, name: str = "vaoi") -> Iterator[tuple[str, str]]:
+    """Yield every command below this one, with the name of each of its parameters."""
+    for parameter in command.params:
+        yield name, parameter.name or ""
+    for below, sub in getattr(command, "commands", {}).items():
+        yield from parameters(sub, f"{name} {below}")
+
+
+def test_no_option_takes_a_secret_itself() -> None:
+    """All users of a machine can read the arguments of its processes."""
+    words = ("key", "secret", "token", "password")
+    named = [(c, p) for c, p in parameters(typer.main.get_command(app)) if any(w in p for w in words)]
+    assert [(c, p) for c, p in named if not p.endswith("_file")] == []
+    assert {c for c, _ in named} >= {"vaoi doctor", "vaoi bundle"}
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Arguments with which the station was started."""
+    calls: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(station, "serve", lambda *arguments: calls.append(arguments))
+    monkeypatch.setattr("vaoi_station.runs.host.logs.configure_logging", lambda as_json: calls.append((as_json,)))
+    return calls
+
+
+def test_station_runs_with_configuration_port_and_log(
+    vaoi: Callable[..., Result], served: list[tuple[Any, ...]], tmp_path: Path
+) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path)
+    assert vaoi("serve", "--config", path, "--port", "0", "--log-json").code == 0
+    (as_json,), (config, port, given) = served
+    assert (as_json, port, config.name[:5], given) == (True, 0, "demo-", path)
+
+
+def test_unsuitable_configuration_is_refused_before_the_start(
+    vaoi: Callable[..., Result], served: list[tuple[Any, ...]], tmp_path: Path
+) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path)
+    path.write_text(path.read_text().replace("trigger_period_s = ", "trigger_period_s = 1"))
+    done = vaoi("serve", "--config", path)
+    assert done.code == 2
+    assert "period_s is 10.11, but must be 0.11" in done.err
+    assert served == []
+
+
+SCENARIO = """
+[array]
+cameras = 1
+width_px = 96
+height_px = 72
+px_per_mm = 4.0
+[board]
+width_mm = 20.0
+length_mm = 20.0
+density = 0.5
+[line]
+barrier_mm = -20.0
+start_delay_s = 0.12
+period_s = 0.05
+tail_s = 0.2
+longest_board_mm = 22.0
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A station of the tiny twin, as files."""
+    (tmp_path / "scenario.toml").write_text(SCENARIO)
+    twin = Twin(read_scenario(tmp_path / "scenario.toml"))
+    write_calibration(tmp_path / "calibration.json", twin.calibration)
+    (tmp_path / "shm").mkdir()
+    line = twin.line.model_dump(mode="json", exclude={"expected_board"}, exclude_none=True)
+    keys = "\n".join(f"{key} = {json.dumps(value)}" for key, value in line.items())
+    path = tmp_path / "station.toml"
+    path.write_text(
+        f"""name = "record"
+calibration = "calibration.json"
+board_types = "types"
+data = "data"
+[line]
+{keys}
+[[cameras]]
+name = "c0"
+width = 96
+height = 72
+exposure_us = 250
+[simulation]
+scenario = "scenario.toml"
+interval_s = 0.01
+[ring]
+directory = "shm"
+"""
+    )
+    return path
+
+
+def test_runs_are_kept_with_their_calibration(config: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out), "--runs", "2"])
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in out.iterdir()) == ["run-001", "run-002"]
+    for run in out.iterdir():
+        assert open_recording(run).head.missing == ()
+        assert (run / "calibration.json").is_file()
+    assert "ended by 'clear'" in done.output
+
+
+def test_one_run_is_written_to_the_directory_itself_and_never_overwrites(config: Path, tmp_path: Path) -> None:
+    out = tmp_path / "one"
+    arguments = ["record", "--config", str(config), "--out", str(out)]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert open_recording(out).head.rows > 1
+    refused = CliRunner().invoke(app, arguments)
+    assert isinstance(refused.exception, InputError)
+    assert "exists already" in str(refused.exception)
+
+
+def test_board_at_rest_is_filmed_without_a_calibration(config: Path, tmp_path: Path) -> None:
+    """The simulated cameras show the calibration board; what `vaoi calibrate` makes of it lets the station film."""
+    twin = Twin(read_scenario(tmp_path / "scenario.toml"))
+    keys = f"nominal_px_per_mm = {twin.scenario.array.px_per_mm}\nnominal_center_mm = [0.0, 0.0]\n"
+    config.write_text(config.read_text().replace("exposure_us = 250\n", f"exposure_us = 250\n{keys}"))
+    (tmp_path / "calibration.json").unlink()
+    out = tmp_path / "still"
+    refused = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out)])
+    assert "calibration.json: there is no such file" in str(refused.exception)
+    done = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out), "--still"])
+    assert done.exit_code == 0, done.output
+    assert "1 rows, 1 of 1 frames, ended by 'single'" in done.output
+    assert not (out / "calibration.json").exists()
+    write_json(out / "layout.json", layout(twin))
+    made = CliRunner().invoke(app, ["calibrate", str(out), "--out", str(tmp_path / "calibration.json")])
+    assert made.exit_code == 0, made.output
+    again = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(tmp_path / "run")])
+    assert again.exit_code == 0, again.output
+
+
+def test_several_pictures_at_rest_keep_the_present_calibration(config: Path, tmp_path: Path) -> None:
+    arguments = ["record", "--config", str(config), "--out", str(tmp_path / "out"), "--runs", "2", "--still"]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    for name in ("run-001", "run-002"):
+        assert open_recording(tmp_path / "out" / name).head.rows == 1
+        assert (tmp_path / "out" / name / "calibration.json").is_file()
+
+
+def test_exit_code_and_text(vaoi: Callable[..., Result], tmp_path: Path) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path)
+    (tmp_path / "data").mkdir()
+    done = vaoi("check-config", path)
+    assert (done.code, done.err) in {(0, ""), (1, "")}  # 1 where the machine has little space left
+    path.write_text(path.read_text().replace("[line]", "colour = 1\n[line]\ntint = 2"))
+    done = vaoi("check-config", path)
+    assert done.code == 2
+    assert "colour: is an unknown key" in done.out
+    assert "line.tint: is an unknown key" in done.out
+    assert "2 faults" in done.out
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_files_with_byte_order_marks_are_no_problem(vaoi: Callable[..., Result], tmp_path: Path, encoding: str) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path)
+    (tmp_path / "data").mkdir()
+    plain = vaoi("check-config", path)
+    for file in (path, *tmp_path.rglob("*.json"), *tmp_path.rglob("scenario.toml")):
+        file.write_bytes(file.read_text().encode(encoding))
+    assert vaoi("check-config", path) == plain
+
+
+def test_a_configuration_in_utf_16_without_a_mark_is_a_fault_with_an_action(
+    vaoi: Callable[..., Result], tmp_path: Path
+) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path)
+    path.write_bytes(path.read_text().encode("utf-16-le"))
+    done = vaoi("check-config", path)
+    assert (done.code, "station.toml: has a zero character" in done.out, "Save it as UTF-8" in done.out) == (
+        2,
+        True,
+        True,
+    ), done
+
+
+@pytest.mark.parametrize(
+    ("finding", "code"),
+    [(ok("fine"), 0), (warning("slow", "Hurry.", code="x"), 1), (fault("broken", "Repair it.", code="x"), 2)],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_exit_code_and_output(
+    vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch, finding: Finding, code: int, as_json: bool
+) -> None:
+    report = Report("s", "station.toml", "2026-01-01T00:00:00+00:00", "host", "1.0", None, (finding,))
+    monkeypatch.setattr(doctor, "run_checks", lambda *_, **__: report)
+    done = vaoi("doctor", *(["--json"] if as_json else []))
+    assert (done.code, done.err) == (code, "")
+    assert finding.message in done.out
+    if as_json:
+        assert json.loads(done.out) == report.document()
+
+
+def test_machine_is_checked_without_a_configuration(vaoi: Callable[..., Result], tmp_path: Path) -> None:
+    done = vaoi("doctor", "--config", tmp_path / "none.toml")
+    assert done.code == 2
+    assert "none.toml: there is no such file" in done.out
+    assert " compiled code " in done.out
+
+
+def test_a_bundle_is_written_once(vaoi: Callable[..., Result], tmp_path: Path) -> None:
+    out = tmp_path / "s.tar.gz"
+    done = vaoi("bundle", "--config", tmp_path / "none.toml", "--out", out)
+    assert done.code == 0
+    assert "without pictures, layouts and secrets" in done.out
+    assert "station.toml: not available: " in done.err
+    assert "there is no such file" in done.err
+    assert out.stat().st_size > 500
+    assert vaoi("bundle", "--config", tmp_path / "none.toml", "--out", out).code == 2
+
+
+def test_a_station_is_backed_up_and_restored(vaoi: Callable[..., Result], tmp_path: Path) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path / "a")
+    with path.open("a") as file:
+        file.write('\n[api]\ncertificate = "station.toml"\nprivate_key = "station.key"\n')
+    config = read_config(path)
+    backup = tmp_path / "station.backup"
+    refused = vaoi("backup", backup, "--config", path)
+    assert refused.code == 2
+    assert "does not exist" in refused.err
+    Database(config.data / "station.db").close()
+    made = vaoi("backup", backup, "--config", path, "--recordings")
+    assert made.code == 0
+    assert f"{backup}: " in made.out
+    assert vaoi("restore", backup, "--config", path).code == 2, "a station is there"
+    restored = vaoi("restore", backup, "--config", tmp_path / "b" / "station.toml")
+    assert restored.code == 2, "the paths of this station.toml are absolute"
+    moved = tmp_path / "old"
+    (tmp_path / "a").rename(moved)
+    done = vaoi("restore", backup, "--config", path)
+    assert done.code == 0
+    assert f"not in the backup, put it back: {tmp_path / 'a' / 'station.key'} (api.private_key)" in done.out
+    again = read_config(path)
+    assert again == config
+    assert again.simulation is not None
+    assert read_scenario(again.simulation.scenario)
+    assert (again.data / "station.db").is_file()
+
+
+__all__ = ["make_rig", "site", "store"]
+
+
+def test_a_run_is_exported_and_imported(vaoi: Callable[..., Result], site: Site, tmp_path: Path) -> None:
+    out = tmp_path / "run.vaoi"
+    for run, frames in ((site.sound, "without frames"), (site.degraded, "with frames")):
+        done = vaoi("export", run, "--out", out, "--config", site.config)
+        assert (done.code, done.out) == (0, f"{out}: run {run} {frames}\n")
+        back = vaoi("import", out, "--out", tmp_path / run)
+        assert back.code == 0
+        assert f"run {run} of board type 'small'" in back.out
+        out.unlink()
+    assert vaoi("export", "unknown", "--out", out, "--config", site.config).code == 2
+    assert vaoi("cut", tmp_path / site.degraded, "--result", tmp_path / site.degraded / "result.json",
+                "--component", "U1", "--out", tmp_path / "cut").code == 0  # fmt: skip
+
+
+def test_a_run_is_imported_into_a_history_or_a_folder(vaoi: Callable[..., Result], site: Site, tmp_path: Path) -> None:
+    out = tmp_path / "run.vaoi"
+    assert vaoi("export", site.sound, "--out", out, "--config", site.config).code == 0
+    for options in ((), ("--out", tmp_path / "x", "--config", site.config)):
+        refused = vaoi("import", out, *options)
+        assert refused.code == 2
+        assert "either --out or --config" in refused.err
+    site.rig.archive.retention.forget_details([site.sound]).result(10)
+    done = vaoi("import", out, "--config", site.config)
+    assert (done.code, done.out) == (0, f"{site.config}: run {site.sound} of 'test', without frames, pinned\n")
+
+
+def test_keys_are_made_listed_rotated_and_revoked(vaoi: Callable[..., Result], tmp_path: Path) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path)
+    keys = KeyFile(read_config(path).data / KEY_FILE)
+    made = vaoi("keys", "create", "tester", "--scope", "operate", "--scope", "teach", "--config", path)
+    found = keys.find(made.out.strip())
+    assert found is not None
+    assert found.scopes == ("operate", "teach")
+    listed = vaoi("keys", "list", "--config", path)
+    assert "tester" in listed.out
+    assert made.out.strip() not in listed.out
+    rotated = vaoi("keys", "rotate", "tester", "--config", path)
+    assert keys.find(rotated.out.strip()) is not None
+    revoked = vaoi("keys", "revoke", "tester", "--config", path)
+    assert (revoked.code, revoked.out) == (0, "Key 'tester' is revoked.\n")
+    assert keys.entries() == ()
+    none = vaoi("keys", "list", "--config", path)
+    assert (none.code, none.out) == (0, "")
+    assert "There is no key" in none.err
+    text = (keys.path.parent / AUDIT_FILE).read_text()
+    entries = [json.loads(line) for line in text.splitlines()]
+    assert [entry["path"] for entry in entries] == ["keys create tester", "keys rotate tester", "keys revoke tester"]
+    assert entries[0].items() >= {"user": getpass.getuser(), "method": "vaoi", "query": "operate,teach"}.items()
+    assert made.out.strip() not in text
+    assert vaoi("keys", "revoke", "tester", "--config", path).code == 2
+
+
+Vaoi = Callable[..., Result]
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Path:
+    path = tmp_path / "b.kicad_pcb"
+    path.write_text(samples.KICAD)
+    return path
+
+
+def test_a_board_type_is_written_and_what_to_check_is_printed(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
+    out = tmp_path / "board.json"
+    done = vaoi("import", str(board), "--out", str(out), "--name", "p-1")
+    assert done.code == 0
+    assert "top of 'p-1' (kicad): 3 components, 3 sizes from the file; 1 fiducials" in done.out
+    assert "check: 1 fiducials found on the top; two are needed to stitch." in done.out
+    document = json.loads(out.read_text())
+    assert [c["ref"] for c in document["components"]] == ["R1", "J1", "FID1"]
+    again = vaoi("import", str(board), "--out", str(out))
+    assert (again.code, "exists" in again.err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--side", "left"], "the side is 'left', but must be top or bottom"),
+        (["--units", "cm"], "the unit is 'cm'"),
+        (["--format", "odb"], "is no readable folder, zip or tar file"),
+        (
+            ["--repeat", "2x2"],
+            "--repeat 2x2 needs --pitch, two lengths in mm such as 30x28.5, from board to board along x",
+        ),
+    ],
+)
+def test_wrong_options_are_refused(vaoi: Vaoi, board: Path, tmp_path: Path, options: list[str], message: str) -> None:
+    done = vaoi("import", str(board), "--out", str(tmp_path / "x.json"), *options)
+    assert (done.code, message in done.err) == (2, True), done.err
+    assert not (tmp_path / "x.json").exists()
+
+
+def test_a_file_that_exceeds_the_limits_of_an_import_is_refused(
+    vaoi: Vaoi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(import_process, "OF_PERSONS", ImportLimits(memory_bytes=400 * 2**20, advice="Try a part."))
+    bomb = tmp_path / "bomb.zip"
+    bomb.write_bytes(samples.odb_zip(samples.ODB | {"job/steps/pcb/eda/data": "PKG A 0 0 0 1 1;\n" * 3_000_000}))
+    done = vaoi("import", str(bomb), "--out", str(tmp_path / "x.json"))
+    assert (done.code, "the file is refused. Try a part." in done.err) == (2, True), done.err
+
+
+def test_without_out_it_is_refused(vaoi: Vaoi, board: Path) -> None:
+    done = vaoi("import", str(board))
+    assert (done.code, "Give it by --out board.json." in done.err) == (2, True)
+
+
+def test_places_and_bodies_of_two_files_are_joined(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
+    placer, out = tmp_path / "p.csv", tmp_path / "board.json"
+    placer.write_text("Ref,X(mm),Y(mm),Rot\nR1,110,10,0\nJ1,130,20,90\nFID1,105,5,0\n")
+    done = vaoi("import", str(placer), "--join", str(board), "--out", str(out))
+    assert done.code == 0, done.err
+    assert "rotated by 0° and shifted by (100.000, 0.000) mm; 3 agree within 0 µm" in done.out
+    document = json.loads(out.read_text())
+    assert {c["ref"]: c["width"] for c in document["components"]} == {"R1": 2.0, "J1": 7.5, "FID1": 1.2}
+    assert min(x for x, _ in document["outline"]) == 100
+
+
+def test_panels_of_the_file_or_of_the_user(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
+    (tmp_path / "b.zip").write_bytes(samples.odb_zip(samples.ODB | samples.ODB_PANEL))
+    done = vaoi("import", str(tmp_path / "b.zip"), "--step", "panel", "--out", str(tmp_path / "a.json"))
+    assert "check: step panel is a panel of 4 boards: 4 of step pcb; their positions count from 1." in done.out
+    grid = ("--repeat", "2x1", "--pitch", "60x0", "--rotate", "0,180", "--border", "5x5")
+    done = vaoi("import", str(board), *grid, "--out", str(tmp_path / "b.json"))
+    assert (done.code, "6 components" in done.out) == (0, True), done.err
+    for name, refs in (("a", {"1/R1", "4/C1"}), ("b", {"1/R1", "2/J1"})):
+        document = json.loads((tmp_path / f"{name}.json").read_text())
+        assert {f"{c['panel']}/{c['ref']}" for c in document["components"]} >= refs
+
+
+def test_a_table_of_sizes_may_have_a_byte_order_mark(vaoi: Vaoi, tmp_path: Path) -> None:
+    places, sizes = tmp_path / "places.csv", tmp_path / "sizes.toml"
+    places.write_bytes("Designator,Footprint,X (mm),Y (mm),Rotation,Layer\nK1,MY-RELAY,1,2,0,top\n".encode("utf-8-sig"))
+    sizes.write_bytes("[[package]]\npattern = '^MY-RELAY'\nsize = [15.0, 7.5]\n".encode("utf-16"))
+    done = vaoi("import", places, "--sizes", sizes, "--out", tmp_path / "board.json")
+    assert done.code == 0, done.err
+    (k1,) = json.loads((tmp_path / "board.json").read_text())["components"]
+    assert (k1["width"], k1["height"]) == (15.0, 7.5)

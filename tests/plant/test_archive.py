@@ -1,0 +1,467 @@
+"""An archive: recordings are added, listed and extracted."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import threading
+import zlib
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.plant.conftest import filmed_again
+from vaoi_station.errors import DeviceError, InputError, NotFoundError
+from vaoi_station.files import open_recording
+from vaoi_station.files.images import encode_png, read_image, write_image
+from vaoi_station.plant import addition
+from vaoi_station.plant.archive import Archive, RunLabel
+from vaoi_station.plant.catalogue import Place, SameRecordings, places, recording_of, runs
+from vaoi_station.plant.manifest import ArchivedRun, ArchiveFault, RunSelection, ignore_fault
+from vaoi_station.plant.storage import LocalStorage
+from vaoi_station.runs.handover.paced_storage import PacedStorage
+
+
+@pytest.fixture
+def archive(tmp_path: Path, recording: Path) -> Archive:
+    """Return an archive with two runs of two stations."""
+    made = Archive.create(tmp_path / "archive")
+    for run, station in (("a", "one"), ("b", "line 2/top")):
+        made.add(recording, station=station, label=RunLabel(run=run, time="2026-03-01T08:00:00Z"))
+    return made
+
+
+def test_a_folder_without_an_archive_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is no archive"):
+        Archive.open(tmp_path)
+
+
+def test_an_archive_is_not_made_among_other_files(tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").touch()
+    with pytest.raises(InputError, match="is not empty"):
+        Archive.create(tmp_path)
+
+
+def test_a_newer_archive_is_refused(archive: Archive) -> None:
+    archive.storage.write("archive.json", b'{"format": "vaoi-archive", "version": 2}')
+    with pytest.raises(InputError, match="version is 2"):
+        Archive.open(archive.url)
+
+
+def test_runs_are_listed_by_station_and_found_by_id(archive: Archive) -> None:
+    assert [(run.station, run.run) for run in archive.runs()] == [("line 2/top", "b"), ("one", "a")]
+    assert archive.run("b").station == "line 2/top"
+    with pytest.raises(NotFoundError, match="has no run 'c'"):
+        archive.run("c")
+
+
+def test_two_runs_with_one_id_are_named_and_the_others_listed(archive: Archive, recording: Path) -> None:
+    archive.add(recording, station="two", label=RunLabel(run="a", time="2026-03-02T08:00:00Z"))
+    faults: list[ArchiveFault] = []
+    assert [run.run for run in archive.runs(on_fault=faults.append)] == ["b"]
+    assert len(faults) == 1
+    assert "2 runs have the id a: runs/one/2026-03-01/a.json" in faults[0].what
+    with pytest.raises(InputError, match="2 runs have the id a"):
+        archive.run("a")
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (b'{"format"', "not valid JSON"),
+        (b'{"format": "vaoi-archived-run", "version": 2}', "version is 2"),
+        (b'{"format": "vaoi-archived-run", "version": 1}', "station"),
+    ],
+)
+def test_a_manifest_that_cannot_be_read_is_named(archive: Archive, content: bytes, named: str) -> None:
+    archive.storage.write("runs/one/2026-03-01/a.json", content)
+    faults: list[ArchiveFault] = []
+    assert [run.run for run in archive.runs(on_fault=faults.append)] == ["b"]
+    assert "a.json" in str(faults[0])
+    assert named in str(faults[0])
+
+
+def test_a_renamed_manifest_is_named(archive: Archive) -> None:
+    document = json.loads(archive.storage.read("runs/one/2026-03-01/a.json"))
+    archive.storage.write("runs/one/2026-03-01/c.json", json.dumps(document).encode())
+    faults: list[ArchiveFault] = []
+    assert [run.run for run in archive.runs(on_fault=faults.append)] == ["b", "a"]
+    assert "c.json: is the manifest of runs/one/2026-03-01/a.json" in faults[0].what
+
+
+def test_runs_are_restored_to_folders_and_the_damaged_one_is_named(archive: Archive, tmp_path: Path) -> None:
+    archive.storage.write("runs/one/2026-03-01/a.json", b"{")
+    faults: list[ArchiveFault] = []
+    assert [run.run for run in archive.restore(tmp_path / "back", on_fault=faults.append)] == ["b"]
+    assert (tmp_path / "back" / "b" / "recording.json").is_file()
+    assert "a.json" in faults[0].what
+    assert [run.run for run in archive.restore(tmp_path / "back")] == ["b"]
+
+
+def test_the_same_run_again_changes_nothing(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording)
+    before = list(archive.storage.entries(""))
+    assert archive.add(recording) == first
+    assert list(archive.storage.entries("")) == before
+
+
+def test_another_run_of_the_same_board_type_adds_no_document_twice(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    archive.add(recording, label=RunLabel(run="a"))
+    before = len(list(archive.storage.entries("blobs")))
+    archive.add(recording, label=RunLabel(run="b"))
+    assert len(list(archive.storage.entries("blobs"))) == before
+
+
+def test_a_recording_without_an_id_has_that_of_its_frames(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    run = archive.add(recording)
+    assert run.run.startswith("frames-")
+    assert (run.board_type, run.verdict, run.pixels, len(run.frames)) == ("demo", None, 3 * 24 * 32, 3)
+
+
+def test_what_a_station_recorded_is_stated(tmp_path: Path, recording: Path) -> None:
+    kept = tmp_path / "kept"
+    shutil.copytree(recording, kept)
+    (kept / "run.json").write_text(
+        '{"id": "01m7z3abcd-123456", "started": "2026-03-01T08:00:00.125Z", "board_id": "S7", "verdict": "degraded"}'
+    )
+    run = Archive.create(tmp_path / "archive").add(kept, station="one")
+    assert run.key == "runs/one/2026-03-01/01m7z3abcd-123456.json"
+    assert (run.serial, run.verdict, run.time) == ("S7", "degraded", "2026-03-01T08:00:00.125Z")
+
+
+def recorded(recording: Path, kept: Path, verdict: str, identity: dict[str, str] | None, armed: str | None) -> Path:
+    """Copy a recording with the record of a station."""
+    shutil.copytree(recording, kept, dirs_exist_ok=True)
+    record = {"id": "01m7z3abcd-123456", "started": "2026-03-01T08:00:00.125Z", "board_id": armed, "verdict": verdict}
+    (kept / "run.json").write_text(json.dumps(record | ({} if identity is None else {"identity": identity})))
+    return kept
+
+
+def test_a_run_whose_codes_are_still_to_be_read_is_refused(tmp_path: Path, recording: Path) -> None:
+    kept = recorded(recording, tmp_path / "kept", "ok", {"state": "pending"}, "S7")
+    archive = Archive.create(tmp_path / "archive")
+    with pytest.raises(InputError, match="the verdict is not final until the codes of the board are read"):
+        archive.add(kept)
+    assert list(archive.storage.entries("blobs")) == []
+    recorded(recording, kept, "ok", {"state": "agrees", "board_id": "S8"}, "S7")
+    assert archive.add(kept).serial == "S8", "the id on the board, not that with which the line was armed"
+
+
+def test_a_later_record_lowers_the_verdict_of_an_archived_run_and_never_raises_it(
+    tmp_path: Path, recording: Path
+) -> None:
+    archive, kept = Archive.create(tmp_path / "archive"), tmp_path / "kept"
+    archive.add(recorded(recording, kept, "ok", None, None))
+    assert (
+        archive.add(recorded(recording, kept, "ok", {"state": "not-compared", "board_id": "S7"}, None)).serial == "S7"
+    )
+    added = archive.add(recorded(recording, kept, "degraded", {"state": "differs", "board_id": "S9"}, None))
+    assert (added.verdict, added.serial, list(archive.runs())) == ("degraded", "S9", [added])
+    assert '"differs"' in (archive.extract(added, tmp_path / "back") / "run.json").read_text()
+    # The next machine has corrected its id, or the record is an older copy.
+    assert archive.add(recorded(recording, kept, "ok", {"state": "agrees", "board_id": "S9"}, None)) == added
+    for verdict in ("ok", "degraded"):
+        recorded(recording, kept, verdict, {"state": "agrees", "board_id": "S7"}, None)
+        with pytest.raises(InputError, match="has another run under the id"):
+            archive.add(kept)
+    assert (list(archive.runs()), archive.verify().faults) == ([added], 0)
+
+
+def test_another_run_under_the_same_id_is_refused(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    archive.add(recording, label=RunLabel(run="a", time="2026-03-01T08:00:00Z"))
+    with pytest.raises(InputError, match="has another run under the id a"):
+        archive.add(recording, label=RunLabel(run="a", time="2026-03-01T09:00:00Z"))
+
+
+def test_a_recording_without_a_calibration_is_refused(tmp_path: Path, recording: Path) -> None:
+    bare = tmp_path / "bare"
+    shutil.copytree(recording, bare)
+    (bare / "calibration.json").unlink()
+    archive = Archive.create(tmp_path / "archive")
+    with pytest.raises(NotFoundError, match="Give its calibration"):
+        archive.add(bare)
+    assert list(archive.storage.entries("blobs")) == []
+    archive.add(bare, calibration=recording / "calibration.json")
+
+
+@pytest.mark.parametrize("label", [RunLabel(run="../a"), RunLabel(time="yesterday")])
+def test_a_label_that_names_no_file_is_refused(tmp_path: Path, recording: Path, label: RunLabel) -> None:
+    with pytest.raises(InputError):
+        Archive.create(tmp_path / "archive").add(recording, label=label)
+
+
+def test_a_run_that_another_zlib_compressed_is_the_same(
+    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording)
+    compress = zlib.compress
+    monkeypatch.setattr(zlib, "compress", lambda content, _level: compress(content, 0))
+    assert archive.add(recording) == first
+    assert [run.documents for run in archive.runs()] == [first.documents]
+
+
+def test_a_run_whose_frames_another_release_compressed_is_the_same(
+    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording, station="line 1", label=RunLabel("one"))
+    monkeypatch.setattr(addition, "encode_png", lambda image: encode_png(image, 6))
+    assert archive.add(recording, station="line 1", label=RunLabel("one")) == first
+
+
+@pytest.mark.parametrize("again", [RunLabel("one"), RunLabel("two")])
+def test_damaged_blobs_are_replaced_when_the_run_or_another_that_has_them_is_added(
+    tmp_path: Path, recording: Path, again: RunLabel
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording, label=RunLabel("one"))
+    for blob in first.blobs:
+        damaged = bytearray(archive.storage.read(blob.key))
+        damaged[5] ^= 1
+        archive.storage.write(blob.key, bytes(damaged))
+    assert archive.verify().faults == len(set(first.blobs))
+    assert list(archive.add(recording, label=again).blobs) == list(first.blobs)
+    assert archive.verify().damaged_runs == 0
+
+
+def test_a_damaged_manifest_comes_back_from_the_recording(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    first = archive.add(recording)
+    archive.storage.write(first.key, b"{")
+    assert archive.add(recording) == first
+    assert list(archive.runs()) == [first]
+
+
+def test_a_name_that_no_folder_can_have_is_refused(tmp_path: Path, recording: Path) -> None:
+    with pytest.raises(InputError, match="takes 270 bytes as the name of a folder, must be at most 255"):
+        Archive.create(tmp_path / "archive").add(recording, station="线" * 30)
+
+
+def placed(recording: Path, data: Path, run: str) -> Path:
+    """Copy a recording into the data of a station that placed it against the reference `taught`."""
+    folder = Path(shutil.copytree(recording, data / "recordings" / run))
+    made = {"method": "auto", "reference": "taught"}
+    record = {"id": run, "started": "2026-03-01T08:00:00.125Z", "verdict": "ok", "made_with": made}
+    (folder / "run.json").write_text(json.dumps(record))
+    head = json.loads((folder / "recording.json").read_text())
+    (folder / "recording.json").write_text(json.dumps(head | {"x_run": run}))
+    return folder
+
+
+def test_the_reference_of_a_run_is_stored_once_and_comes_back(tmp_path: Path, recording: Path) -> None:
+    runs = [placed(recording, tmp_path / "data", name) for name in ("a", "b")]
+    taught = Path(shutil.copytree(recording, tmp_path / "data" / "references" / "taught"))
+    archive = Archive.create(tmp_path / "archive")
+    a = archive.add(runs[0])
+    before = len(list(archive.storage.entries("blobs")))
+    b = archive.add(runs[1])
+    assert a.reference == b.reference is not None
+    assert len(list(archive.storage.entries("blobs"))) == before + 2, "its head and record"
+    restored = archive.extract("b", tmp_path / "restored" / "b")
+    assert sorted(path.name for path in (restored / "reference" / "frames").iterdir()) == [
+        "c00_r000.tiff", "c00_r001.tiff", "c01_r000.tiff",
+    ]  # fmt: skip
+    assert (restored / "reference" / "board.json").read_bytes() == (taught / "board.json").read_bytes()
+    assert Archive.create(tmp_path / "second").add(restored).reference == b.reference, "it is added from there again"
+    assert archive.prune(grace_s=0.0, dry=True).blobs == 0
+
+
+class ReadingsNoted(LocalStorage):
+    """A directory that notes what is read from it."""
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(directory)
+        self.keys: list[str] = []
+
+    def read(self, key: str) -> bytes:
+        self.keys.append(key)
+        return super().read(key)
+
+
+def test_for_a_new_run_no_frame_is_read_from_the_archive(tmp_path: Path, recording: Path) -> None:
+    first, second = (placed(recording, tmp_path / "data", run) for run in ("a", "b"))
+    shutil.copytree(recording, tmp_path / "data" / "references" / "taught")
+    for frame in (first / "frames").iterdir():
+        write_image(frame, read_image(frame) + 1)
+    for frame in (second / "frames").iterdir():
+        write_image(frame, read_image(frame) + 2)
+    archive = Archive.create(tmp_path / "archive")
+    archive.add(first)
+    storage = ReadingsNoted(tmp_path / "archive")
+    added = Archive(storage).add(second)
+    assert added.reference is not None
+    assert len(added.blobs) == 4 + 3 + 3 + 3
+    shared = [added.documents[kind].key for kind in ("calibration", "board_type")]
+    assert sorted(key for key in storage.keys if key.startswith("blobs")) == sorted(shared)
+
+
+def test_a_reference_that_was_archived_stays(tmp_path: Path, recording: Path) -> None:
+    run = placed(recording, tmp_path / "data", "a")
+    archive = Archive.create(tmp_path / "archive")
+    assert archive.add(run).reference is None, "it is gone"
+    taught = Path(shutil.copytree(recording, tmp_path / "data" / "references" / "taught"))
+    added = archive.add(run)
+    assert added.reference is not None
+    assert archive.run("a") == added
+    shutil.rmtree(taught)
+    assert archive.add(run) == added
+    record = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(record | {"verdict": "degraded"}))
+    lowered = archive.add(run)
+    assert (lowered.verdict, lowered.reference) == ("degraded", added.reference)
+
+
+def test_a_reference_that_is_incomplete_is_not_archived(tmp_path: Path, recording: Path) -> None:
+    run = placed(recording, tmp_path / "data", "a")
+    taught = Path(shutil.copytree(recording, tmp_path / "data" / "references" / "taught"))
+    (taught / "frames" / "c00_r001.png").unlink()
+    assert Archive.create(tmp_path / "archive").add(run).reference is None
+
+
+def test_an_addition_whose_manifest_waits_too_long_is_given_up(
+    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    kept = archive.add(recording, label=RunLabel(run="before"))
+    now_s, writes = [0.0], list[int]()
+
+    def pace(size: int) -> None:
+        writes.extend([size] if size else [])
+        # The draft is written first, then the manifest: the archive has the blobs.
+        now_s[0] = 7 * 3600.0 if len(writes) > 1 else 0.0
+
+    monkeypatch.setattr(addition, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    with pytest.raises(DeviceError, match="run after took 25200 s, more than 21600 s"):
+        Archive(PacedStorage(archive.storage, pace)).add(recording, label=RunLabel(run="after"))
+    assert len(writes) == 2
+    assert list(archive.runs()) == [kept]
+
+
+def test_places_follow_from_names(tmp_path: Path) -> None:
+    storage = LocalStorage(tmp_path)
+    storage.write("runs/line 2%2Ftop/2026-03-01/r.json", b"")
+    key = "runs/line 2%2Ftop/2026-03-01/r.json"
+    assert list(places(storage)) == [Place(key, "line 2/top", "2026-03-01", "r")]
+
+
+def test_folders_of_other_programs_are_reported_once_and_runs_are_read(tmp_path: Path) -> None:
+    storage = LocalStorage(tmp_path)
+    run = ArchivedRun(
+        run="r", station="s", time="9999-12-31T23:00:00Z", board_type="t", pixels=8, documents={}, frames=()
+    )
+    storage.write(run.key, run.text().encode())
+    for name in ("a.jpg", "b.jpg"):
+        storage.write(f"runs/s/@eaDir/{name}", b"")
+    faults: list[ArchiveFault] = []
+    assert list(runs(storage, RunSelection(until="9999-12-31"), faults.append)) == [run]
+    [fault] = faults
+    assert "runs/s/@eaDir: is no day" in fault.what
+
+
+def test_selected_runs_that_are_half_written_are_reported(tmp_path: Path) -> None:
+    storage = LocalStorage(tmp_path)
+    run = ArchivedRun(
+        run="r", station="s", time="2026-03-01T08:00:00Z", board_type="t", pixels=8, documents={}, frames=()
+    )
+    storage.write(run.draft_key, run.text().encode())
+    faults: list[ArchiveFault] = []
+    assert not list(runs(storage, RunSelection(), faults.append))
+    assert not faults, "its addition may be under way"
+    os.utime(tmp_path / run.draft_key, (0, 0))
+    assert not list(runs(storage, RunSelection(board_type="other"), faults.append))
+    assert not faults, "it is of another board type"
+    assert not list(runs(storage, RunSelection(), faults.append))
+    assert "run s/r is half written: its addition began at 1970-01-01" in faults[0].what
+
+
+def test_manifests_are_read_many_at_a_time_and_yielded_in_order(tmp_path: Path) -> None:
+    class Slow(LocalStorage):
+        """A storage whose reads end only when two have been in progress at once."""
+
+        lock, inside, together = threading.Lock(), 0, threading.Event()
+
+        def read(self, key: str) -> bytes:
+            with self.lock:
+                self.inside += 1
+                if self.inside > 1:
+                    self.together.set()
+            assert self.together.wait(timeout=60)
+            with self.lock:
+                self.inside -= 1
+            return super().read(key)
+
+    storage = Slow(tmp_path)
+    for n in range(200):
+        run = ArchivedRun(
+            run=f"r{n:03d}", station="s", time="2026-03-01T08:00:00Z", board_type="t", pixels=8, documents={}, frames=()
+        )
+        storage.write(run.key, run.text().encode())
+    assert [run.run for run in runs(storage, RunSelection(), ignore_fault)] == [f"r{n:03d}" for n in range(200)]
+
+
+def test_a_run_comes_back_as_it_was(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    run = archive.add(recording)
+    back = archive.extract(run.run, tmp_path / "back")
+    for name in ("recording.json", "calibration.json", "board.json"):
+        assert (back / name).read_bytes() == (recording / name).read_bytes()
+    there, here = open_recording(recording), open_recording(back)
+    for at in ((0, 0), (0, 1), (1, 0)):
+        assert np.array_equal(there.frame(*at), here.frame(*at))  # type: ignore[arg-type]
+
+
+def test_a_flipped_bit_is_named_and_nothing_is_written(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    run = archive.add(recording)
+    content = bytearray(archive.storage.read(run.frames[1].key))
+    content[len(content) // 2] ^= 4
+    archive.storage.write(run.frames[1].key, bytes(content))
+    with pytest.raises(InputError, match=rf"run {run.run}: blob {run.frames[1].sha256} is damaged"):
+        archive.extract(run, tmp_path / "back")
+    assert not (tmp_path / "back").exists()
+
+
+def test_a_missing_blob_is_named(tmp_path: Path, recording: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    run = archive.add(recording)
+    archive.storage.delete(run.documents["calibration"].key)
+    with pytest.raises(NotFoundError, match=rf"run {run.run}: blob .* is missing"):
+        archive.extract(run, tmp_path / "back")
+
+
+def test_a_fault_says_what_is_wrong_and_what_to_do() -> None:
+    assert (
+        str(ArchiveFault.of(InputError("A blob is missing.", action="Restore it."))) == "A blob is missing. Restore it."
+    )
+    assert str(ArchiveFault("A blob is missing.", "")) == "A blob is missing."
+
+
+def test_equal_frames_and_heads_are_one_recording(recording: Path, tmp_path: Path) -> None:
+    archives = [Archive.create(tmp_path / name) for name in "ab"]
+    first, copy = (
+        archive.add(recording, label=RunLabel(run=run, time="2026-03-01T08:00:00Z"))
+        for archive, run in zip(archives, ("r1", "r2"), strict=True)
+    )
+    with filmed_again(recording, "r3") as folder:
+        replayed = archives[0].add(folder, label=RunLabel(run="r3", time="2026-03-01T08:00:00Z"))
+    assert first.frames == replayed.frames
+    known = SameRecordings()
+    assert known.earlier("a/first", recording_of(first)) is None
+    assert known.earlier("a/replayed", recording_of(replayed)) is None
+    assert known.earlier("b/copy", recording_of(copy)) == "a/first"
+
+
+def test_nothing_is_concluded_from_no_frames_or_no_head(recording: Path, tmp_path: Path) -> None:
+    run = Archive.create(tmp_path / "archive").add(recording)
+    for bare in (run.model_copy(update={"frames": ()}), run.model_copy(update={"documents": {}})):
+        assert recording_of(bare) == ""
+    known = SameRecordings()
+    assert [known.earlier(address, "") for address in ("r1", "r2")] == [None, None]

@@ -1,0 +1,469 @@
+"""Work on a Dask cluster, whose workers and scheduler end."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import dask
+import pytest
+from distributed import Future, LocalCluster, get_worker
+
+from tests.plant.conftest import add_runs, task_of
+from vaoi_station import RecordedRun
+from vaoi_station.errors import DeviceError, InputError, StateError
+from vaoi_station.plant.archive import Archive
+from vaoi_station.plant.cluster import (
+    AHEAD,
+    ClusterOptions,
+    Crew,
+    Dispatch,
+    Reply,
+    RunFault,
+    UnseenArchive,
+    cluster_address,
+    connection,
+    dashboard_link,
+    perform,
+    software,
+)
+from vaoi_station.plant.manifest import ArchivedRun
+from vaoi_station.plant.restitch import RunTask, Terms, read_outcome, restitch_run
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (ClusterOptions(), "one of them is needed"),
+        (ClusterOptions(scheduler="tcp://h:1", workers=1), "exclude each other"),
+        (ClusterOptions(workers=0), "--workers is 0, but must be from 1 to 256"),
+        (ClusterOptions(scheduler="h:1"), "--scheduler is 'h:1', but must be an address"),
+    ],
+)
+def test_options_are_checked(options: ClusterOptions, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        options.check()
+
+
+def test_the_wait_for_a_scheduler_is_bounded() -> None:
+    # A socket that listens and never replies: no other process gets the port while the test runs.
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(StateError, match=r"no scheduler answers within 0\.5 s"), connection(address, 0.5):
+            pass
+
+
+def test_the_link_to_the_dashboard_is_that_of_the_port_that_dask_got(cluster: ClusterOptions) -> None:
+    assert cluster.scheduler is not None
+    link = dashboard_link(cluster.scheduler, cluster.patience_s)
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        assert link == client.dashboard_link
+
+
+def test_waiting_processes_of_the_local_cluster_wake_up_rarely(cluster: ClusterOptions) -> None:
+    """Dask's own intervals have each event loop wake up more than 60 times a second, which runs pay for."""
+
+    def wakes_hz(dask_worker: Any = None, dask_scheduler: Any = None) -> float:
+        callbacks = (dask_worker or dask_scheduler).periodic_callbacks.values()
+        return sum(1000.0 / float(callback.callback_time) for callback in callbacks)
+
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)
+        workers = client.run(wakes_hz)
+        nannies = client.run(wakes_hz, nanny=True)
+        scheduler = client.run_on_scheduler(wakes_hz)
+    assert max(*workers.values(), *nannies.values()) < 10
+    assert scheduler < 15
+
+
+def test_a_worker_that_is_slow_to_come_back_after_its_end_is_not_given_up() -> None:
+    """Dask closes the nanny of a worker that is absent for a time after its end; then no worker is left for ever."""
+    # The successor takes seconds to start, so that with Dask's own setting it would be given up here.
+    with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": "10ms"}),
+        cluster_address(ClusterOptions(workers=1)) as address,
+        connection(address, 30) as client,
+    ):
+        client.wait_for_workers(1, timeout=60)
+        (process,) = client.run(os.getpid).values()
+        os.kill(process, signal.SIGKILL)
+        while client.scheduler_info()["workers"]:
+            pass
+        client.wait_for_workers(1, timeout=60)
+        # It would be closed as soon as it is there.
+        client.submit(time.sleep, 1.0).result(timeout=20)
+        assert process not in client.run(os.getpid).values()
+
+
+def until(crew: Crew, reached: Callable[[], bool]) -> None:
+    """Update a crew until a state is reached: the first reply of a worker may take long on a busy machine."""
+    deadline = time.monotonic() + 120
+    while not reached():
+        assert time.monotonic() < deadline
+        crew.update()
+
+
+def test_workers_with_other_software_are_named_and_not_used(cluster: ClusterOptions) -> None:
+    assert cluster.scheduler is not None
+    reported: list[str] = []
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        workers = set(client.scheduler_info()["workers"])
+        other = Crew(client, "vaoi_station 0.0.1", (), reported.append)
+        until(other, lambda: len(reported) == len(workers))
+        other.update()
+        assert not other.admitted
+        assert len(reported) == len(workers), "each is reported once"
+        assert f"it has {software()}, but must have vaoi_station 0.0.1." in reported[0]
+        same = Crew(client, software(), (), reported.append)
+        until(same, lambda: same.admitted == workers)
+        assert not same.refused
+        assert same.resource != other.resource
+
+
+def test_a_worker_that_is_started_again_under_its_address_is_asked_again() -> None:
+    address, stated = "tcp://10.0.0.7:4000", "vaoi_station 2"
+    process = {"local_directory": "/scratch/worker-a"}
+    has, asked, reported = "vaoi_station 1", list[str](), list[str]()
+
+    def run(*_: object, workers: list[str], on_error: str) -> dict[str, Reply]:
+        asked.append(process["local_directory"][-1])
+        return dict.fromkeys(workers, Reply(has))
+
+    client: Any = SimpleNamespace(scheduler_info=lambda: {"workers": {address: process}}, run=run)
+    crew = Crew(client, stated, (), reported.append)
+    crew.update()
+    crew.update()
+    assert (crew.admitted, asked, len(reported)) == (set(), ["a"], 1)
+    process["local_directory"], has = "/scratch/worker-b", stated
+    crew.update()
+    assert crew.admitted == {address}, "it was updated"
+    process["local_directory"] = "/scratch/worker-c"
+    crew.update()
+    crew.update()
+    assert asked == ["a", "b", "c"], "each process gets the resource, also one that came back between two looks"
+    assert crew.admitted == {address}
+
+
+def test_a_worker_that_hangs_does_not_keep_the_others_from_being_admitted(cluster: ClusterOptions) -> None:
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        processes = client.run(os.getpid)
+        hanging, *others = processes
+        os.kill(processes[hanging], signal.SIGSTOP)
+        try:
+            crew = Crew(client, software(), (), lambda _: None)
+            until(crew, lambda: crew.admitted == {*others})
+        finally:
+            os.kill(processes[hanging], signal.SIGCONT)
+        until(crew, lambda: crew.admitted == {*processes})
+        assert not crew.refused
+
+
+def test_a_worker_that_does_not_see_the_archive_is_named_until_it_does(cluster: ClusterOptions, tmp_path: Path) -> None:
+    assert cluster.scheduler is not None
+    reported: list[str] = []
+    url = str(tmp_path / "archive")
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        crew = Crew(client, software(), [url], reported.append)
+        until(crew, lambda: len(crew.refused) == len(client.scheduler_info()["workers"]))
+        crew.update()
+        assert len(reported) == len(crew.refused)
+        assert f"it cannot read an archive: {url}: is no archive" in reported[0]
+        Archive.create(url)
+        until(crew, lambda: not crew.refused)
+        assert crew.admitted == {*client.scheduler_info()["workers"]}
+
+
+def refuse(task: RunTask, text: str) -> None:
+    """Fail: no run may be left out."""
+    pytest.fail(f"{task.key}: {text}")
+
+
+def note(faults: list[str]) -> Callable[[RunTask, str], None]:
+    """Return a function that notes why a run is left out."""
+    return lambda _task, text: faults.append(text)
+
+
+def test_a_killed_worker_costs_no_run(board: RecordedRun, cluster: ClusterOptions, tmp_path: Path) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    add_runs(archive, board.directory, 12)
+    tasks = [task_of(archive, run.run) for run in archive.runs()]
+    assert cluster.scheduler is not None
+    kept: list[RunTask] = []
+    faults: list[str] = []
+    processes: list[int] = []
+
+    def keep(task: RunTask, content: bytes) -> None:
+        kept.append(task)
+        (tmp_path / "run").write_bytes(content)
+        process = read_outcome(tmp_path / "run")["cost"]["process"]
+        if not processes:
+            os.kill(process, signal.SIGKILL)
+        processes.append(process)
+
+    dispatch = Dispatch(software(), restitch_run, keep, note(faults), lambda _: None)
+    dispatch.work(cluster.scheduler, tasks, [tasks[0].archive], cluster.patience_s)
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "no run is lost, and none comes twice"
+    assert not faults
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)  # the nanny has started it again
+        assert processes[0] not in client.run(os.getpid).values()
+
+
+def test_runs_are_taken_when_workers_are_to_have_them(stored: Archive, cluster: ClusterOptions) -> None:
+    tasks = [task_of(stored, "r0")] * 9
+    kept: list[RunTask] = []
+    ahead: list[int] = []
+
+    def taken() -> Iterator[RunTask]:
+        for n, task in enumerate(tasks):
+            ahead.append(n - len(kept))
+            yield task
+
+    assert cluster.scheduler is not None
+    dispatch = Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, lambda _: None)
+    dispatch.work(cluster.scheduler, taken(), [stored.url], cluster.patience_s)
+    assert len(kept) == len(tasks)
+    assert max(ahead) <= AHEAD * 2, "for two workers"
+
+
+def test_a_scheduler_that_is_restarted_goes_on_with_what_is_not_done(stored: Archive) -> None:
+    def start(port: int) -> LocalCluster:
+        return LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            processes=False,
+            host="127.0.0.1",
+            protocol="tcp://",
+            scheduler_port=port,
+            dashboard_address="127.0.0.1:0",
+            worker_dashboard_address="127.0.0.1:0",
+            silence_logs=50,
+        )
+
+    tasks = [task_of(stored, run.run) for run in stored.runs()]
+    kept: list[RunTask] = []
+    reported: list[str] = []
+    running = [start(0)]
+    address = running[0].scheduler_address
+
+    def keep(task: RunTask, _: bytes) -> None:
+        kept.append(task)
+        if len(kept) == 1:
+            running[0].close()
+
+    def report(text: str) -> None:
+        reported.append(text)
+        running.append(start(int(address.rpartition(":")[2])))
+
+    try:
+        Dispatch(software(), restitch_run, keep, refuse, report).work(address, tasks, [stored.url], 120)
+    finally:
+        running[-1].close()
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
+    assert "the scheduler has gone; what is not done is given to the next." in reported[0]
+
+
+def test_a_run_that_cannot_be_stitched_does_not_stop_the_others(
+    stored: Archive, cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    good, other = (task_of(stored, run.run) for run in list(stored.runs())[:2])
+    absent = replace(good, key=good.key.replace("r0", "r9"))
+    kept: list[RunTask] = []
+    faults: list[str] = []
+    assert cluster.scheduler is not None
+    Dispatch(software(), restitch_run, lambda task, _: kept.append(task), note(faults), lambda _: None).work(
+        cluster.scheduler, [absent, good, other], [stored.url], cluster.patience_s
+    )
+    assert {t.key for t in kept} == {good.key, other.key}
+    assert len(faults) == 1
+    assert "r9.json" in faults[0]
+
+
+def test_without_a_usable_worker_the_wait_is_bounded(stored: Archive, cluster: ClusterOptions) -> None:
+    task = task_of(stored, "r0", Terms("vaoi_station 0.0.1"))
+    dispatch = Dispatch("vaoi_station 0.0.1", restitch_run, lambda *_: None, refuse, lambda _: None)
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
+        client.run(software)  # The first time takes long on a busy machine.
+    with pytest.raises(StateError, match=r"No usable worker for 0\.2 s; runs are left\. worker tcp://"):
+        dispatch.work(cluster.scheduler, [task], [stored.url], cluster.patience_s, workers_patience_s=0.2)
+    assert len(dispatch.refused_workers) == 2
+
+
+@contextmanager
+def mounted(cluster: ClusterOptions, archive: Path, machines: Path) -> Iterator[str]:
+    """Give each worker a mount point of its own, to which the relative path `share` of the archive leads."""
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
+        before = client.run(os.getcwd)
+        client.run(software)  # The first time takes long on a busy machine.
+        for n, address in enumerate(before):
+            (machines / f"machine{n}").mkdir()
+            (machines / f"machine{n}" / "share").symlink_to(archive)
+            client.run(os.chdir, str(machines / f"machine{n}"), workers=[address])
+        try:
+            yield cluster.scheduler
+        finally:
+            for address, folder in before.items():
+                client.run(os.chdir, folder, workers=[address])
+
+
+def test_runs_that_wait_at_a_worker_without_its_share_are_given_to_another(
+    board: RecordedRun, cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    """A worker never begins a run that it was given before it lost the resource, and Dask leaves it there."""
+    archive = Archive.create(tmp_path / "archive")
+    add_runs(archive, board.directory, 6)
+    tasks = [replace(task_of(archive, run.run), archive="share") for run in archive.runs()]
+    marker, kept = tmp_path / "lost", list[RunTask]()
+
+    def lose_share(_: RunTask) -> bytes | UnseenArchive:
+        try:
+            marker.mkdir()
+        except FileExistsError:
+            return b"done"
+        worker: Any = get_worker()
+        while len(worker.state.tasks) < AHEAD:
+            threading.Event().wait(0.02)
+        (name,) = (name for name in worker.state.total_resources if name.startswith("vaoi-"))
+        taken = worker.set_resources(**{name: 0})
+        asyncio.run_coroutine_threadsafe(taken, worker.loop.asyncio_loop).result(30)
+        Path("share").unlink()
+        return UnseenArchive("the share is gone", worker.address)
+
+    with mounted(cluster, tmp_path / "archive", tmp_path) as address:
+        dispatch = Dispatch(software(), lose_share, lambda task, _: kept.append(task), refuse, lambda _: None)
+        dispatch.work(address, tasks, ["share"], cluster.patience_s)
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
+    assert len(dispatch.refused_workers) == 1
+
+
+def test_a_worker_that_loses_its_share_costs_no_run(
+    board: RecordedRun, cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    archive = Archive.create(tmp_path / "archive")
+    add_runs(archive, board.directory, 8)
+    kept: list[RunTask] = []
+    reported: list[str] = []
+    tasks = [replace(task_of(archive, run.run), archive="share") for run in archive.runs()]
+
+    def keep(task: RunTask, _: bytes) -> None:
+        kept.append(task)
+        (tmp_path / "machine1" / "share").unlink(missing_ok=True)
+
+    with mounted(cluster, tmp_path / "archive", tmp_path) as address:
+        dispatch = Dispatch(software(), restitch_run, keep, refuse, reported.append)
+        dispatch.work(address, tasks, ["share"], cluster.patience_s)
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
+    assert len(dispatch.refused_workers) == 1
+    assert "share: is no archive" in dispatch.refused_workers[0]
+
+
+def test_a_worker_that_is_killed_before_its_outcome_is_fetched_costs_no_wait(
+    stored: Archive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = [task_of(stored, run.run) for run in stored.runs()]
+    kept: list[RunTask] = []
+    killed: list[int] = []
+    result = Future.result
+
+    def killing(future: Future[object], timeout: float | None = None) -> object:
+        if not killed:
+            killed.extend(future.client.run(os.getpid).values())
+            os.kill(killed[0], signal.SIGKILL)
+        return result(future, timeout=timeout)
+
+    monkeypatch.setattr(Future, "result", killing)
+    with cluster_address(ClusterOptions(workers=1)) as address:
+        Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, pytest.fail).work(
+            address, tasks, [stored.url], 120
+        )
+    assert len(killed) == 1
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "without another scheduler"
+
+
+def test_the_only_worker_may_be_killed_in_mid_run(stored: Archive) -> None:
+    tasks = [task_of(stored, run.run) for run in stored.runs()]
+    kept: list[RunTask] = []
+
+    with cluster_address(ClusterOptions(workers=1)) as address, connection(address, 120) as client:
+
+        def keep(task: RunTask, _: bytes) -> None:
+            kept.append(task)
+            if len(kept) == 1:
+                (process,) = client.run(os.getpid).values()
+                os.kill(process, signal.SIGKILL)
+
+        Dispatch(software(), restitch_run, keep, refuse, pytest.fail).work(address, tasks, [stored.url], 120)
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
+
+
+def test_work_gets_archive_run_and_a_directory_that_goes(stored: Archive) -> None:
+    seen: list[Path] = []
+
+    def work(archive: Archive, run: ArchivedRun, scratch: Path) -> bytes:
+        assert not list(scratch.iterdir())
+        seen.append(scratch)
+        return f"{archive.url} {run.run}".encode()
+
+    assert perform(task_of(stored, "r2"), work) == f"{stored.url} r2".encode()
+    assert not seen[0].exists()
+
+
+@pytest.mark.parametrize("kind", [InputError, StateError])
+def test_a_fault_of_the_run_is_returned(stored: Archive, kind: type[InputError | StateError]) -> None:
+    def work(*_: object) -> bytes:
+        raise kind("it does not fit.")
+
+    outcome = perform(task_of(stored, "r2"), work)
+    assert isinstance(outcome, RunFault)
+    assert "it does not fit." in outcome.message
+
+
+def test_a_fault_of_the_storage_is_raised_so_that_it_is_tried_again(stored: Archive) -> None:
+    def work(*_: object) -> bytes:
+        raise DeviceError("it does not answer.")
+
+    with pytest.raises(DeviceError, match="does not answer"):
+        perform(task_of(stored, "r2"), work)
+
+
+def test_an_archive_that_goes_during_the_work_is_no_fault_of_the_run(stored: Archive, tmp_path: Path) -> None:
+    (tmp_path / "share").symlink_to(stored.url)
+    moved = Archive.open(tmp_path / "share")
+
+    def work(*_: object) -> bytes:
+        (tmp_path / "share").unlink()
+        raise InputError("a blob is absent.")
+
+    outcome = perform(task_of(moved, "r2"), work)
+    assert isinstance(outcome, UnseenArchive)
+    assert "is no archive" in outcome.message
+
+
+def test_version_sources_and_libraries_are_stated() -> None:
+    assert re.fullmatch(
+        r"vaoi_station \S+ \(sources [0-9a-f]{12}, Python 3\.\d+, numpy \S+, numba \S+, opencv \S+\)", software()
+    )
+
+
+def test_workers_of_this_machine_ignore_the_key(cluster: ClusterOptions) -> None:
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        handlers = client.run(signal.getsignal, signal.SIGINT)
+    assert set(handlers.values()) == {signal.SIG_IGN}

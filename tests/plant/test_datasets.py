@@ -1,0 +1,381 @@
+"""Crops of archived runs as data sets."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tarfile
+from collections import Counter
+from dataclasses import replace
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vaoi_station import StitchedRun
+from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
+from vaoi_station.files.images import encode_png, read_image
+from vaoi_station.model import Component, Status
+from vaoi_station.plant import cluster
+from vaoi_station.plant.archive import Archive, RunSelection
+from vaoi_station.plant.catalogue import read_manifest
+from vaoi_station.plant.cluster import ClusterOptions, RunFault, software
+from vaoi_station.plant.datasets import (
+    DEFAULT,
+    CocoWriter,
+    Crop,
+    CropOptions,
+    CropTask,
+    DatasetTerms,
+    InOrder,
+    Listener,
+    Splits,
+    WebDatasetWriter,
+    board_key,
+    crop_run,
+    crops_from,
+    crops_of,
+    write_dataset,
+)
+from vaoi_station.plant.manifest import ArchivedRun
+from vaoi_station.plant.storage import Storage
+from vaoi_station.rendering import ImageOptions, ImageRequest
+
+
+def test_boards_are_shared_out_as_stated() -> None:
+    splits = Splits.of(DEFAULT)
+    counts = Counter(splits.of_board(f"board {n}") for n in range(4000))
+    assert counts["train"] == pytest.approx(3200, abs=100)
+    assert counts["val"] == pytest.approx(400, abs=70)
+    assert {splits.of_board("board 7") for _ in range(3)} == {Splits.of(DEFAULT).of_board("board 7")}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "train", "train=0", "train=a", "a=0.5,a=0.5", "train=0.8,val=0.1", "a/b=1", "annotations=1"]
+)
+def test_wrong_shares_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--splits"):
+        Splits.of(text)
+
+
+OUTCOMES = [b"a", None, b"c", b""]
+
+
+def test_every_order_of_arrival_gives_the_same(tmp_path: Path) -> None:
+    for order in permutations(range(len(OUTCOMES))):
+        taken: list[bytes] = []
+        ordered = InOrder(tmp_path, taken.append)
+        for number in order:
+            ordered.put(number, OUTCOMES[number])
+        assert taken == [b"a", b"c", b""]
+        assert not list(tmp_path.iterdir())
+
+
+def test_an_outcome_is_taken_as_soon_as_those_before_it_have_come(tmp_path: Path) -> None:
+    taken: list[bytes] = []
+    ordered = InOrder(tmp_path, taken.append)
+    ordered.put(0, b"a")
+    assert taken == [b"a"]
+    ordered.put(2, b"c")
+    assert taken == [b"a"]
+    assert len(list(tmp_path.iterdir())) == 1, "it waits on the disk"
+    ordered.put(1, None)
+    assert taken == [b"a", b"c"]
+
+
+@pytest.fixture(scope="module")
+def crops(boards: Archive, tmp_path_factory: pytest.TempPathFactory) -> list[Crop]:
+    run = boards.run("r1")
+    folder = boards.extract(run, tmp_path_factory.mktemp("crops") / "run")
+    return list(crops_of(run, folder, CropOptions(("U*", "R1"))))
+
+
+def test_crops_are_those_of_the_library(crops: list[Crop], stitched: StitchedRun) -> None:
+    images = {(i.camera, i.row): i for i in stitched.component("U1")}
+    mine = {(c.facts["camera"], c.facts["row"]): c for c in crops if c.facts["component"] == "U1"}
+    assert set(mine) == set(images)
+    for at, crop in mine.items():
+        assert np.array_equal(crop.pixels, images[at].pixels)
+        assert crop.facts["sigma_px"] == images[at].sigma_px
+        assert crop.facts["exposure_us"] == images[at].exposure_us
+
+
+def test_facts_name_run_board_and_component(crops: list[Crop]) -> None:
+    facts = next(c.facts for c in crops if c.facts["component"] == "U1")
+    assert (facts["station"], facts["run"], facts["board_id"], facts["verdict"]) == ("line 1", "r1", "B1", "ok")
+    assert (facts["reference"], facts["package"], facts["side"], facts["light"]) == ("U1", "P U", "top", "ring")
+    assert facts["body_height_mm"] > 0
+    assert {c.facts["component"][0] for c in crops} == {"U", "R"}
+
+
+def test_the_outline_is_counted_from_the_corner_of_the_crop(crops: list[Crop]) -> None:
+    crop = next(c for c in crops if c.facts["component"] == "U1")
+    assert crop.outline_px is not None
+    height, width = crop.pixels.shape[:2]
+    # Without a margin the crop is the box of the footprint, rounded up to whole pixels.
+    assert crop.outline_px.min(0) == pytest.approx([0, 0], abs=1.01)
+    assert crop.outline_px.max(0) == pytest.approx([width, height], abs=1.01)
+
+
+def test_a_place_that_is_not_fitted_has_no_outline(crops: list[Crop]) -> None:
+    empty = [c for c in crops if c.outline_px is None]
+    assert empty
+    assert {c.facts["component"] for c in empty} == {"R1"}
+
+
+def test_the_verdict_is_that_of_the_run(boards: Archive, tmp_path: Path) -> None:
+    """An identity that is required degrades a run whose result is ok."""
+    run = boards.run("r1").model_copy(update={"verdict": Status.DEGRADED})
+    crop = next(crops_of(run, boards.extract(run, tmp_path / "run"), CropOptions(("R1",))))
+    assert crop.facts["verdict"] == "degraded"
+
+
+def test_what_a_run_does_not_have_is_refused(boards: Archive, tmp_path: Path) -> None:
+    run = boards.run("r1")
+    folder = boards.extract(run, tmp_path / "run")
+    dark = CropOptions(("U1",), ImageRequest.of(ImageOptions(light="infrared")))
+    with pytest.raises(InputError, match="infrared"):
+        list(crops_of(run, folder, dark))
+    text = (folder / "result.json").read_text()
+    (folder / "result.json").write_text(text.replace('"cad_matrix": [', '"cad_matrix": null, "x_old": [', 1))
+    with pytest.raises(StateError, match="run r1: its result has no CAD mapping"):
+        list(crops_of(run, folder, CropOptions()))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "admitted"),
+    [("X[1]", True), ("X[?]", True), ("X*", True), ("X1", False), ("2/X[1]", True), ("2/*", True)],
+)
+def test_brackets_belong_to_the_name(wanted: str, admitted: bool) -> None:
+    part = Component(ref="X[1]", panel="2", center=(0.0, 0.0), width=1.0, height=1.0)
+    assert CropOptions((wanted,)).admits(part) is admitted
+
+
+def task_of(archive: Archive, run: str) -> CropTask:
+    found = archive.run(run)
+    return CropTask(archive.url, found.key, found.digest, 0, software(), CropOptions(("U1",)), (Status.OK,))
+
+
+def test_crops_come_back_from_a_worker(boards: Archive) -> None:
+    content = crop_run(task_of(boards, "r1"))
+    assert isinstance(content, bytes)
+    found = crops_from(content)
+    assert found.board == "board B1"
+    assert found.crops
+    assert {crop.facts["component"] for crop in found.crops} == {"U1"}
+    assert found.crops[0].pixels.shape == (found.crops[0].facts["height_px"], found.crops[0].facts["width_px"])
+
+
+def test_a_run_of_another_verdict_has_no_crops(boards: Archive) -> None:
+    content = crop_run(task_of(boards, "bad"))
+    assert isinstance(content, bytes)
+    assert crops_from(content) == ("run line 9/bad", None)
+
+
+def test_a_run_without_an_id_of_its_board_is_a_board_of_its_own(boards: Archive) -> None:
+    assert board_key(boards.run("bad")) == "run line 9/bad"
+
+
+def test_what_cannot_be_done_is_named(boards: Archive) -> None:
+    task = task_of(boards, "r1")
+    replaced = crop_run(replace(task, manifest="0" * 16))
+    assert isinstance(replaced, RunFault)
+    assert "was replaced after the run was selected" in replaced.message
+    with pytest.raises(StateError, match="but must have vaoi_station 0"):
+        crop_run(replace(task, software="vaoi_station 0"))
+
+
+NAME = '2/R1.0 µ"x'
+
+
+def crop(outline: Any, package: str | None = "0402") -> Crop:
+    pixels = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    facts = {"component": NAME, "package": package, "width_px": 4, "height_px": 3}
+    return Crop(encode_png(pixels), facts, None if outline is None else np.array(outline))
+
+
+def test_images_annotations_and_categories(tmp_path: Path) -> None:
+    square = [[1.0, 0.0], [3.0, 0.0], [3.0, 2.5], [1.0, 2.5]]
+    with CocoWriter(tmp_path, ["train", "val"], {"description": "d"}) as writer:
+        writer.add("train", crop(square))
+        writer.add("train", crop(None))
+        writer.add("val", crop(square, None))
+    train = json.loads((tmp_path / "annotations" / "instances_train.json").read_text(encoding="utf-8"))
+    assert [i["id"] for i in train["images"]] == [1, 2]
+    assert [a["image_id"] for a in train["annotations"]] == [1], "the empty image is kept without an annotation"
+    assert train["images"][1]["attributes"]["component"] == NAME, "nothing is renamed"
+    note = train["annotations"][0]
+    assert note["bbox"] == [1, 0, 2, 2.5]
+    assert note["area"] == 5
+    assert note["segmentation"] == [[1, 0, 3, 0, 3, 2.5, 1, 2.5]]
+    val = json.loads((tmp_path / "annotations" / "instances_val.json").read_text(encoding="utf-8"))
+    assert val["categories"] == train["categories"] == [{"id": 1, "name": "0402"}, {"id": 2, "name": "unknown"}]
+    image = tmp_path / "val" / val["images"][0]["file_name"]
+    assert np.array_equal(read_image(image), crop(None).pixels)
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
+
+
+def test_an_empty_split_is_an_empty_list(tmp_path: Path) -> None:
+    with CocoWriter(tmp_path, ["train"], {}):
+        pass
+    document = json.loads((tmp_path / "annotations" / "instances_train.json").read_text())
+    assert document == {"info": {}, "categories": [], "images": [], "annotations": []}
+
+
+def test_an_error_leaves_no_annotations(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), CocoWriter(tmp_path, ["train"], {}) as writer:
+        writer.add("other", crop(None))
+    assert not list((tmp_path / "annotations").iterdir())
+
+
+def test_samples_are_whole_and_shards_bounded(tmp_path: Path) -> None:
+    with WebDatasetWriter(tmp_path, ["train", "val"], {"a": 1}, samples=2) as writer:
+        for outline in ([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], None, None):
+            writer.add("train", crop(outline))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["dataset.json", "train-000000.tar", "train-000001.tar"]
+    with tarfile.open(tmp_path / "train-000000.tar") as shard:
+        assert shard.getnames() == ["000000000.png", "000000000.json", "000000001.png", "000000001.json"]
+        assert {(m.mtime, m.uid, m.uname) for m in shard} == {(0, 0, "")}
+        samples = [json.load(shard.extractfile(n)) for n in shard.getnames() if n.endswith("json")]  # type: ignore[arg-type]
+    assert [s["component"] for s in samples] == [NAME, NAME]
+    assert samples[0]["outline"]["area"] == 0.5
+    assert samples[1]["outline"] is None
+    assert json.loads((tmp_path / "dataset.json").read_text()) == {"info": {"a": 1}, "samples": {"train": 3, "val": 0}}
+
+
+CROPS = CropOptions(("U1", "R1"))
+SPLITS = Splits.of("train=0.5,val=0.5")
+
+
+def contents(directory: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(directory)): p.read_bytes() for p in sorted(directory.rglob("*")) if p.is_file()}
+
+
+def with_a_damaged_run(boards: Archive, folder: Path) -> Archive:
+    """Return a copy of an archive in which a blob of run r2 is missing."""
+    copied = Archive.open(shutil.copytree(boards.url, folder / "copied"))
+    run = copied.run("r2")
+    (folder / "copied" / run.key).write_text(
+        (folder / "copied" / run.key).read_text().replace(run.frames[0].sha256, "0" * 64)
+    )
+    return copied
+
+
+def coco(directory: Path) -> list[dict[str, Any]]:
+    """Read all images of a data set, with their split and whether they have an annotation."""
+    found = []
+    for path in sorted((directory / "annotations").iterdir()):
+        document = json.loads(path.read_text(encoding="utf-8"))
+        noted = Counter(a["image_id"] for a in document["annotations"])
+        split = path.stem.removeprefix("instances_")
+        for image in document["images"]:
+            assert (directory / split / image["file_name"]).is_file()
+            found.append(image["attributes"] | {"split": split, "notes": noted[image["id"]]})
+    return found
+
+
+def samples(directory: Path) -> list[dict[str, Any]]:
+    """Read all samples of a WebDataset in the same form."""
+    found = []
+    for path in sorted(directory.glob("*.tar")):
+        with tarfile.open(path) as shard:
+            for name in shard.getnames():
+                if name.endswith(".json"):
+                    sample = json.load(shard.extractfile(name))  # type: ignore[arg-type]
+                    outline, _ = sample.pop("outline"), sample.pop("category")
+                    found.append(sample | {"split": path.name.partition("-")[0], "notes": int(outline is not None)})
+    return found
+
+
+def test_both_formats_hold_the_same_and_the_bytes_repeat(boards: Archive, tmp_path: Path) -> None:
+    terms = DatasetTerms(SPLITS, CROPS)
+    summary = write_dataset([boards.url], terms, tmp_path / "a")
+    write_dataset([boards.url, boards.url], terms, tmp_path / "b")
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    write_dataset([boards.url], DatasetTerms(SPLITS, CROPS, format="webdataset"), tmp_path / "w")
+    write_dataset([boards.url], DatasetTerms(SPLITS, CROPS, format="webdataset"), tmp_path / "v")
+    assert contents(tmp_path / "w") == contents(tmp_path / "v")
+
+    def order(sample: dict[str, Any]) -> Any:
+        return sample["run"], sample["camera"], sample["row"], sample["component"]
+
+    images = coco(tmp_path / "a")
+    assert sorted(images, key=order) == sorted(samples(tmp_path / "w"), key=order)
+    assert len(images) == sum(summary.crops.values())
+    counts = Counter((i["run"], i["component"]) for i in images)
+    assert len({counts[run, ref] for run in ("r0", "r1", "r2", "r3") for ref in ("U1",)}) == 1, "no crop is lost"
+    assert {i["notes"] for i in images if i["component"] == "R1"} == {0}
+    assert summary.empty == sum(i["notes"] == 0 for i in images)
+    assert (summary.runs, summary.other_verdicts, summary.left_out) == (4, 1, ())
+
+
+@pytest.mark.parametrize("form", ["coco", "webdataset"])
+def test_the_bytes_do_not_depend_on_the_number_of_workers(
+    boards: Archive, cluster: ClusterOptions, tmp_path: Path, form: str
+) -> None:
+    terms = DatasetTerms(SPLITS, CROPS, format=form)
+    informed: list[str] = []
+    alone = write_dataset([boards.url], terms, tmp_path / "alone")
+    shared = write_dataset([boards.url], terms, tmp_path / "shared", cluster, Listener(inform=informed.append))
+    assert alone == shared
+    assert contents(tmp_path / "alone") == contents(tmp_path / "shared")
+    assert re.fullmatch(r"dashboard: http://127\.0\.0\.1:\d+/status", informed[0])
+
+
+def test_a_run_that_workers_cannot_read_is_left_out_by_itself(
+    boards: Archive, cluster: ClusterOptions, tmp_path: Path
+) -> None:
+    copied = with_a_damaged_run(boards, tmp_path)
+    summary = write_dataset([copied.url], DatasetTerms(SPLITS, CROPS), tmp_path / "a", cluster)
+    assert write_dataset([copied.url], DatasetTerms(SPLITS, CROPS), tmp_path / "b") == summary
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    assert (summary.runs, len(summary.left_out)) == (3, 1)
+
+
+def test_no_board_is_in_two_splits(boards: Archive, tmp_path: Path) -> None:
+    write_dataset([boards.url], DatasetTerms(SPLITS, CROPS), tmp_path / "a")
+    splits = {(i["board_id"], i["split"]) for i in coco(tmp_path / "a")}
+    assert len(splits) == 4
+    assert {split for _, split in splits} == {"train", "val"}
+
+
+def test_other_verdicts_come_with_their_verdict_if_asked_for(boards: Archive, tmp_path: Path) -> None:
+    chosen = RunSelection(station="line 9")
+    terms = DatasetTerms(SPLITS, CROPS, chosen, (Status.OK, Status.DEGRADED))
+    assert write_dataset([boards.url], terms, tmp_path / "a").runs == 1
+    assert {i["verdict"] for i in coco(tmp_path / "a")} == {"degraded"}
+
+
+def test_a_damaged_run_is_named_and_the_others_go_on(boards: Archive, tmp_path: Path) -> None:
+    copied = with_a_damaged_run(boards, tmp_path)
+    reported: list[str] = []
+    summary = write_dataset(
+        [copied.url], DatasetTerms(SPLITS, CROPS), tmp_path / "a", listener=Listener(report=reported.append)
+    )
+    assert summary.runs == 3
+    assert list(summary.left_out) == reported
+    assert "run r2: blob 0000" in reported[0]
+    with pytest.raises(InputError, match="exists already"):
+        write_dataset([copied.url], DatasetTerms(SPLITS, CROPS), tmp_path / "a")
+
+
+def test_a_storage_that_fails_for_a_run_does_not_discard_the_others(
+    boards: Archive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read(storage: Storage, key: str) -> ArchivedRun:
+        if key.endswith("r0.json"):
+            raise DeviceError("the archive does not answer.")
+        if key.endswith("r3.json"):
+            raise NotFoundError("r3 was removed meanwhile.")
+        return read_manifest(storage, key)
+
+    monkeypatch.setattr(cluster, "read_manifest", read)
+    summary = write_dataset([boards.url], DatasetTerms(SPLITS, CropOptions(("R1",))), tmp_path / "a")
+    assert summary.runs == 2
+    assert sorted(text.partition(".")[0] for text in summary.left_out) == [
+        "r3 was removed meanwhile",
+        "the archive does not answer",
+    ]

@@ -1,0 +1,120 @@
+"""Manifests, selections and records of stations."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from vaoi_station.errors import InputError
+from vaoi_station.model import Status
+from vaoi_station.plant.manifest import (
+    RUN_FILE,
+    ArchivedRun,
+    DocumentBlob,
+    FrameBlob,
+    RunSelection,
+    frames_digest,
+    read_record,
+    station_folder,
+)
+
+
+def test_the_size_of_a_run_counts_a_blob_once() -> None:
+    head = DocumentBlob(sha256="a" * 64, bytes=10, packed=True)
+    frames = (
+        FrameBlob(sha256="b" * 64, bytes=100, camera=0, row=0),
+        FrameBlob(sha256="b" * 64, bytes=100, camera=0, row=1),
+    )
+    run = ArchivedRun(
+        run="r",
+        station="s",
+        time="2026-03-01T08:00:00Z",
+        board_type="t",
+        pixels=8,
+        documents={"head": head},
+        frames=frames,
+    )
+    assert run.bytes == 110
+    assert run.key == "runs/s/2026-03-01/r.json"
+    assert head.key == "blobs/aa/" + "a" * 64
+    assert ArchivedRun.model_validate_json(run.text()) == run
+
+
+def test_names_of_stations_are_single_folders() -> None:
+    assert [station_folder(name) for name in ("line 1/top", "..", "Größe")] == [
+        "line 1%2Ftop",
+        "%2E%2E",
+        "Gr%C3%B6%C3%9Fe",
+    ]
+
+
+def test_an_id_of_frames_depends_on_all_of_them() -> None:
+    frame = FrameBlob(sha256="b" * 64, bytes=100, camera=0, row=0)
+    assert frames_digest([frame]) != frames_digest([frame, frame])
+
+
+@pytest.mark.parametrize("time", ["2026-02-30T10:00:00Z", "2026-03-01T25:00:00Z", "0000-03-01T10:00:00Z"])
+def test_a_time_that_does_not_exist_is_refused(time: str) -> None:
+    with pytest.raises(ValidationError, match="time"):
+        ArchivedRun(run="r", station="s", time=time, board_type="t", pixels=8, documents={}, frames=())
+
+
+RUN = ArchivedRun(
+    run="r", station="line [1]", time="2026-03-02T08:00:00.500Z", board_type="psu-7", verdict=Status.OK, pixels=0,
+    documents={}, frames=(),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("selection", "meant"),
+    [
+        (RunSelection(), True),
+        (RunSelection(station="line [1]"), True),
+        (RunSelection(station="line*", board_type="psu-?"), True),
+        (RunSelection(station="line [?]"), True),
+        (RunSelection(board_type="psu-[7]"), False),
+        (RunSelection(board_type="psu"), False),
+        (RunSelection(since="2026-03-02", until="2026-03-02"), True),
+        (RunSelection(until="2026-03-01"), False),
+        (RunSelection(since="2026-03-02T10:00:00.6+02:00"), False),
+        (RunSelection(until="2026-03-02T08:00:00.500Z"), False),
+        (RunSelection(verdict=Status.OK), True),
+        (RunSelection(verdict=Status.FAILED), False),
+    ],
+)
+def test_a_run_fulfils_all_conditions(selection: RunSelection, meant: bool) -> None:
+    assert selection.admits(RUN) is meant
+
+
+def test_a_folder_is_listed_if_it_may_have_such_runs() -> None:
+    noon = RunSelection(since="2026-03-02T12:00:00Z", until="2026-03-03T12:00:00Z")
+    days = ("2026-03-01", "2026-03-02", "2026-03-03", "2026-03-04")
+    assert [noon.admits_folder("one", day) for day in days] == [False, True, True, False]
+
+
+@pytest.mark.parametrize("text", ["yesterday", "2026-03-02T12:00:00"])
+def test_a_time_without_a_zone_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="since"):
+        RunSelection(since=text)
+
+
+def test_a_recording_without_a_record_is_of_no_station(tmp_path: Path) -> None:
+    assert read_record(tmp_path) is None
+
+
+def test_what_an_archive_does_not_need_is_not_read(tmp_path: Path) -> None:
+    made = {"method": "fiducials", "reference": "r1", "configuration": "12", "unknown": 3}
+    (tmp_path / RUN_FILE).write_text(json.dumps({"id": "r2", "started": "now", "made_with": made, "frames": "many"}))
+    record = read_record(tmp_path)
+    assert record is not None
+    assert record.made_with is not None
+    assert (record.made_with.method, record.made_with.reference, record.made_with.terms) == ("fiducials", "r1", None)
+
+
+def test_a_method_that_there_is_not_is_refused(tmp_path: Path) -> None:
+    (tmp_path / RUN_FILE).write_text(json.dumps({"id": "r2", "started": "now", "made_with": {"method": "guess"}}))
+    with pytest.raises(InputError, match=r"run\.json: made_with\.method"):
+        read_record(tmp_path)

@@ -1,0 +1,250 @@
+"""Results as Parquet tables."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from vaoi_station import StitchedRun
+from vaoi_station.geometry import apply
+from vaoi_station.plant.tables import TABLES, RunKey, Tables, arrow_schema, result_tables, write_tables
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "plant.md"
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_the_document_lists_every_column(table: str) -> None:
+    lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
+    for column in TABLES[table]:
+        assert f"| `{table}` | `{column.name}` | {column.kind} | {column.meaning} |" in lines
+
+
+def test_fields_carry_their_meaning() -> None:
+    field = arrow_schema("seams").field("residual_px")
+    assert field.type == pa.float64()
+    assert field.metadata == {b"meaning": b"median residual of the links between both"}
+
+
+KEY = RunKey("line 1", "r1", "2026-11-23T10:00:00Z", "small", "B1")
+
+
+def test_every_figure_is_that_of_the_result(stitched: StitchedRun) -> None:
+    result, head = stitched.result, stitched.recording.head
+    tables = result_tables(KEY, "new", result, stitched.board_type, head)
+    assert {len(values) for values in tables["runs"].values()} == {1}
+    assert tables["runs"]["status"] == ["ok"]
+    assert tables["runs"]["board_id"] == ["B1"]
+    assert tables["runs"]["link_median_px"] == [result.quality["residual_px"]["median"]]
+    assert tables["rows"]["row"] == list(range(head.rows))
+    assert tables["rows"]["sigma_px"] == result.quality["row_sigma_px"]
+    assert tables["rows"]["y_mm"][1] == pytest.approx(11.0, rel=0.05), "100 mm/s for 0.11 s"
+    assert tables["seams"]["residual_px"] == list(result.quality["seams_px"].values())
+    assert [[x, y] for x, y in zip(tables["cameras"]["x_px"], tables["cameras"]["y_px"], strict=True)] == [
+        moved[:2] for moved in result.quality["camera_displacement_px"]
+    ]
+    assert tables["cameras"]["px_per_mm"] == pytest.approx([18.0] * 3, rel=0.02)
+    assert tables["fiducials"]["name"] == [mark["name"] for mark in result.quality["fiducials"]]
+
+
+def test_components_have_place_height_and_views(stitched: StitchedRun) -> None:
+    result = stitched.result
+    tables = result_tables(KEY, "new", result, stitched.board_type, stitched.recording.head)
+    components, views = tables["components"], tables["views"]
+    assert components["component"] == list(stitched.refs)
+    n = components["component"].index("U1")
+    matrix = result.component_matrix("U1")
+    assert matrix is not None
+    place = apply(matrix, np.array([stitched.center("U1")]))[0]
+    assert (components["x_mm"][n], components["y_mm"][n]) == pytest.approx(place.tolist())
+    assert components["height_mm"][n] == result.quality["heights_mm"]["U1"]
+    assert result.components is not None
+    assert components["views"][n] == len(result.components["U1"]) == views["component"].count("U1")
+    stated = [float(np.linalg.eigvalsh([[xx, xy], [xy, yy]])[1] ** 0.5) for _, _, xx, xy, yy in
+              result.quality["component_covariance_px2"]["U1"]]  # fmt: skip
+    found = [s for name, s in zip(views["component"], views["sigma_px"], strict=True) if name == "U1"]
+    assert found == pytest.approx(stated)
+
+
+def test_residuals_of_a_component_are_those_between_the_frames_that_show_it(stitched: StitchedRun) -> None:
+    pairs = [
+        {"a": [0, 0], "b": [0, 1], "used": 3, "rms_px": 0.1},
+        {"a": [0, 1], "b": [1, 1], "used": 1, "rms_px": 0.5},
+        {"a": [1, 1], "b": [1, 2], "used": 9, "rms_px": 7.0},
+        {"a": [0, 0], "b": [0, 0], "used": 9, "rms_px": 7.0},
+        {"a": [0, 0], "b": [1, 1], "used": 0, "rms_px": None},
+    ]
+    local = {
+        "U1": {"shift_mm": [0.02, -0.03], "refusal": None},
+        "R1": {"shift_mm": [0.5, 0.5], "refusal": "too few"},
+    }
+    result = stitched.result.model_copy(
+        update={
+            "components": {"U1": [(0, 0, 5.0, 5.0), (0, 1, 5.0, 5.0), (1, 1, 5.0, 5.0)], "R1": [(1, 2, 5.0, 5.0)]},
+            "quality": stitched.result.quality | {"link_pairs": pairs, "local_fiducials": local},
+        }
+    )
+    components = result_tables(KEY, "new", result, stitched.board_type, stitched.recording.head)["components"]
+    u1, r1 = (components["component"].index(name) for name in ("U1", "R1"))
+    assert components["links"][u1] == 4
+    assert components["residual_px"][u1] == pytest.approx(((3 * 0.1**2 + 0.5**2) / 4) ** 0.5)
+    assert (components["local_x_mm"][u1], components["local_y_mm"][u1]) == (0.02, -0.03)
+    names = ("links", "residual_px", "local_x_mm", "local_y_mm")
+    assert [components[name][r1] for name in names] == [0, None, None, None]
+
+
+def test_components_of_a_run_have_residuals_within_those_of_the_pairs(stitched: StitchedRun) -> None:
+    tables = result_tables(KEY, "new", stitched.result, stitched.board_type, stitched.recording.head)
+    found = [v for v in tables["components"]["residual_px"] if v is not None]
+    stated = [pair["rms_px"] for pair in stitched.result.quality["link_pairs"] if pair["used"]]
+    assert found
+    assert min(stated) <= min(found) <= max(found) <= max(stated)
+
+
+def test_figures_of_another_form_are_none(stitched: StitchedRun) -> None:
+    """The quality of a result accepts any keys and values, also those of older versions."""
+    wrong = {
+        "residual_px": [1],
+        "belt": None,
+        "row_sigma_px": "much",
+        "camera_displacement_px": [[0, 0]],
+        "seams_px": {"a-b": 1},
+        "fiducials": [7],
+        "component_sigma_px": {"U1": True},
+        "component_covariance_px2": {"U1": 3},
+        "link_pairs": [3, {"a": [0, 0], "b": 1, "used": 2, "rms_px": 0.1}],
+        "local_fiducials": {"U1": 2},
+        "cad_sigma_px": float("nan"),
+    }
+    result = stitched.result.model_copy(update={"quality": wrong, "camera_matrices": None})
+    tables = result_tables(KEY, "former", result, stitched.board_type, stitched.recording.head)
+    assert tables["runs"]["cad_sigma_px"] == tables["runs"]["link_median_px"] == tables["runs"]["speed_mm_s"] == [None]
+    assert tables["cameras"]["center_x_mm"] == tables["cameras"]["x_px"] == [None] * 3
+    assert set(tables["components"]["sigma_px"]) == set(tables["views"]["sigma_px"]) == {None}
+    assert tables["seams"]["camera"] == []
+
+
+def test_without_a_board_type_there_are_no_components(stitched: StitchedRun) -> None:
+    result = stitched.result.model_copy(update={"components": None, "cad_matrix": None})
+    tables = result_tables(KEY, "new", result, None, stitched.recording.head)
+    assert tables["components"]["run"] == tables["views"]["run"] == []
+
+
+@pytest.fixture
+def runs(stitched: StitchedRun) -> list[Tables]:
+    made = []
+    for n in range(3):
+        key = RunKey("line 1", f"r{n}", f"2026-11-{n + 1:02d}T10:00:00Z", "small")
+        made.append(result_tables(key, "new", stitched.result, stitched.board_type, stitched.recording.head))
+    return made
+
+
+def contents(directory: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(directory)): p.read_bytes() for p in sorted(directory.rglob("*.parquet"))}
+
+
+def test_what_is_written_is_read(runs: list[Tables], tmp_path: Path) -> None:
+    write_tables(tmp_path / "tables", runs)
+    for table in TABLES:
+        read = pq.read_table(tmp_path / "tables" / table)
+        assert read.schema.equals(arrow_schema(table), check_metadata=False)
+        written = [value for tables in runs for value in tables[table]["run"]]
+        assert read["run"].to_pylist() == written
+    views = pq.read_table(tmp_path / "tables" / "views")
+    assert views["x_px"].to_pylist() == [x for tables in runs for x in tables["views"]["x_px"]], "no digit is lost"
+    assert str(views["time"][0]) == "2026-11-01 10:00:00+00:00"
+
+
+def test_parts_are_bounded_and_equal_runs_give_equal_bytes(runs: list[Tables], tmp_path: Path) -> None:
+    write_tables(tmp_path / "a", iter(runs), most_rows=1)
+    write_tables(tmp_path / "b", iter(runs), most_rows=1)
+    assert len(list((tmp_path / "a" / "runs").iterdir())) == 3
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+
+
+def test_a_failure_keeps_the_older_data_set(runs: list[Tables], tmp_path: Path) -> None:
+    def failing() -> Iterator[Tables]:
+        yield runs[0]
+        raise OSError("no space")
+
+    write_tables(tmp_path / "tables", runs)
+    before = contents(tmp_path / "tables")
+    with pytest.raises(OSError, match="no space"):
+        write_tables(tmp_path / "tables", failing(), most_rows=1)
+    assert contents(tmp_path / "tables") == before
+    write_tables(tmp_path / "tables", [])
+    assert pq.read_table(tmp_path / "tables" / "runs").num_rows == 0, "readers find every table"
+    assert [p.name for p in tmp_path.iterdir()] == ["tables"]
+
+
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from vaoi_station.plant.tables import write_tables
+write_tables(Path(sys.argv[1]), (os.kill(os.getpid(), signal.SIGKILL) for _ in range(1)))
+"""
+
+
+def test_what_a_killed_call_leaves_is_removed_by_the_next(tmp_path: Path) -> None:
+    killed = subprocess.run([sys.executable, "-c", _KILLED, str(tmp_path / "tables")], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 1, "the draft"
+    write_tables(tmp_path / "tables", [])
+    assert [p.name for p in tmp_path.iterdir()] == ["tables"]
+
+
+QUESTIONS = re.findall(r"\n([^\n]+):\n\n```sql\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+DAYS = 6
+
+
+@pytest.fixture(scope="module")
+def data_set(stitched: StitchedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six days with one run each: a seam that opens, R2 that drifts, U1 that is lifted on the last day."""
+    folder = tmp_path_factory.mktemp("questions")
+
+    def of_day(n: int) -> Tables:
+        key = RunKey("line 1", f"r{n}", f"2026-11-{n + 1:02d}T10:00:00Z", "small")
+        tables = result_tables(key, "new", stitched.result, stitched.board_type, stitched.recording.head)
+        seams = tables["seams"]
+        seams["camera"][0], seams["other_camera"][0], seams["residual_px"][0] = 3, 4, 0.01 * n
+        components = tables["components"]
+        components["x_mm"][components["component"].index("R2")] += 0.002 * n
+        if n == DAYS - 1:
+            components["height_mm"][components["component"].index("U1")] += 0.5
+            tables["runs"]["reason_codes"] = [["light-dark"]]
+        return tables
+
+    write_tables(folder / "tables", map(of_day, range(DAYS)))
+    return folder
+
+
+def ask(words: str) -> list[tuple[Any, ...]]:
+    (query,) = [query for text, query in QUESTIONS if words in text]
+    return duckdb.execute(query).fetchall()
+
+
+def test_every_question_has_its_answer(data_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(data_set)
+    seam = ask("seam between cameras 3 and 4 by day")
+    assert [(str(day)[:10], runs, px) for _, day, runs, px in seam] == [
+        (f"2026-11-{n + 1:02d}", 1, pytest.approx(0.01 * n)) for n in range(DAYS)
+    ]
+    ((board_type, component, runs, x, y),) = ask("place drifted")
+    assert (board_type, component, runs) == ("small", "R2", DAYS)
+    assert (x, y) == (pytest.approx(2.0, abs=0.1), pytest.approx(0, abs=0.05))
+    assert ask("reasons") == [("light-dark", 0, 1)]
+    assert {(camera, len(str(week)[:10])) for _, camera, week, _, _ in ask("each camera has moved")} == {
+        (0, 10), (1, 10), (2, 10),
+    }  # fmt: skip
+    assert [row[1:3] for row in ask("stand higher")] == [(f"r{DAYS - 1}", "U1")]
+    assert len(QUESTIONS) == 5, "a new question needs its answer here"

@@ -1,1 +1,0 @@
-"""The commands for planning, artwork, the virtual rig and benchmarks."""
