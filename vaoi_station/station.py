@@ -24,12 +24,11 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
-from vaoi_station.model import Calibration
+from vaoi_station.model import Calibration, Reason
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.archive.housekeeping import Housekeeping
-from vaoi_station.runs.archive.retention import Retention
+from vaoi_station.runs.archive.housekeeping import Housekeeping, Retention
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawn_launcher
 from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
@@ -43,15 +42,13 @@ from vaoi_station.runs.run.memory import BayGrants
 from vaoi_station.runs.run.order import OrderFactory, StandingOrder
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.states.run_ids import RunIds, utc
-from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
-from vaoi_station.store.soundness import DatabaseCheck
 from vaoi_station.supervised_thread import SupervisedThread, ThreadFault
 
 _log = logging.getLogger(__name__)
 
-RETENTION_S, DOCUMENTS_S, CHECK_S = 60.0, 3600.0, 0.2
+RETENTION_S, DOCUMENTS_S = 60.0, 3600.0
 """Periods of housekeeping: deletion of old runs, of unused documents, and the check of a piece of the database."""
 GRACE_S = 10.0
 """Longest wait for unfinished runs to end when the station is stopped, beside the time of the board that passes."""
@@ -292,12 +289,11 @@ def _reason_of(fault: ThreadFault) -> Reason:
 
 
 def _housekeeping(config: StationConfig, store: Store, events: EventLog) -> Housekeeping:
-    """Return the thread that forgets old runs and documents, and checks the database."""
+    """Return the thread that forgets old runs and documents."""
     housekeeping, retention = Housekeeping(events), Retention(config.keep, store.retention)
     housekeeping.add(retention.sweep, RETENTION_S, code="retention")
     housekeeping.add(retention.forget_unused, DOCUMENTS_S, code="retention")
     housekeeping.add(lambda: store.configurations.store_again(utc()), RETENTION_S, code="retention")
-    housekeeping.add(DatabaseCheck(store.database).step, CHECK_S, code="database-damaged")
     return housekeeping
 
 

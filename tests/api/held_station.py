@@ -22,36 +22,39 @@ from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
 from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.model import BoardType, FrameRecord, Status, Stitch, Verdict
+from vaoi_station.model import BoardType, FrameRecord, Reason, Status, Stitch, Verdict
 from vaoi_station.rendering import ChosenImages, ImageRequest, render_chosen
-from vaoi_station.runs.archive.run_statistics import RunFigures
+from vaoi_station.runs.archive.finished_runs import RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.run.order import Passing
-from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import (
     ArmedWith,
     BeltSpeed,
     BoardTypeSummary,
+    CalibrationStatus,
+    CameraCalibration,
+    CameraDrift,
+    CameraMoment,
     CameraStatus,
     ComponentSummary,
     EventRecord,
     LeaseStatus,
     ProcessStatus,
-    Reason,
+    ReferenceStatus,
     Retention,
     RingStatus,
     RunDetail,
     RunSummary,
     StationSnapshot,
+    StitchingMethod,
+    Timeline,
     Timings,
     VerdictCounts,
     Versions,
 )
 from vaoi_station.runs.states.schemas import ImageFormat as Rendered
-from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
 from vaoi_station.runs.states.tables import RunState, StationState
-from vaoi_station.runs.states.timeline_schemas import Timeline
 
 CAMERAS, ROWS, HEIGHT, WIDTH, PX_PER_MM = 3, 4, 240, 320, 8.0
 VERSIONS = Versions(station="0.1.0", opencv=cv2.__version__, python="3")

@@ -38,8 +38,7 @@ from vaoi_station.benchmarks.station_pace import (
     station_table,
 )
 from vaoi_station.config import StationConfig
-from vaoi_station.runs.states.schemas import RunDetail, Timings, VerdictCounts
-from vaoi_station.runs.states.timeline_schemas import TaskTiming, Timeline
+from vaoi_station.runs.states.schemas import RunDetail, TaskTiming, Timeline, Timings, VerdictCounts
 from vaoi_station.simulation import Scenario, Twin
 
 if TYPE_CHECKING:

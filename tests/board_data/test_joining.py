@@ -13,7 +13,7 @@ from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import XY, Box, Design, Part, normalised, rotated
 from vaoi_station.board_data.joining import join_designs
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 BODY = Box((0.0, -1.0), (4.0, 1.0))
 PLACES: dict[str, XY] = {"U1": (5, 5), "U2": (20, 8), "U3": (33, 30), "U4": (8, 27), "R1": (26, 19)}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vaoi_station.board_data.design import XY, Box, Part, Side, normalised, rotated
 from vaoi_station.board_data.pin_rules import RULES, DrawnPart, Pin, Rule, placed_parts
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 SOT: tuple[XY, ...] = ((-0.95, -1.1), (0.95, -1.1), (0.0, 1.1))
 CHIP: tuple[XY, ...] = ((-0.9, 0.0), (0.9, 0.0))

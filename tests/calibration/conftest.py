@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.calibration import Limits, Outcome, calibrate
 from vaoi_station.calibration.artwork import ArrayDesign, design_board
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.geometry import Lens
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Calibration, CameraHead

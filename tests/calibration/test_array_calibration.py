@@ -14,7 +14,7 @@ from vaoi_station.calibration import Outcome, array_calibration, calibrate
 from vaoi_station.calibration.mark_identification import find_hypotheses
 from vaoi_station.errors import InputError
 from vaoi_station.files import write_recording
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.model import RecordingHead
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.calibration.mark_detection import MarkAppearance, detect_marks
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.pixel_formats import eight_bit_grey
 
 KIND = MarkAppearance(24.0, 0.25, light=False)

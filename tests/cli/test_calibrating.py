@@ -19,8 +19,8 @@ from vaoi_station.cli import app
 from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files import read_calibration, write_calibration
+from vaoi_station.files.calibrations import read_layout
 from vaoi_station.files.images import read_image
-from vaoi_station.files.layouts import read_layout
 from vaoi_station.model import Calibration
 from vaoi_station.photometry import FlatFields
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path

@@ -24,8 +24,8 @@ from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.push.publisher import read_state
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.housekeeping import Retention
 from vaoi_station.runs.archive.recordings import RUN_FILE
-from vaoi_station.runs.archive.retention import Retention
 from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.run.order import OrderFactory, StandingOrder

@@ -31,8 +31,8 @@ from vaoi_station.api import create_app
 from vaoi_station.config import read_config
 from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.files.access_keys import KeyFile
+from vaoi_station.files.calibrations import read_layout
 from vaoi_station.files.images import encode_png
-from vaoi_station.files.layouts import read_layout
 from vaoi_station.files.recordings import open_recording
 from vaoi_station.files.results import read_stitch
 from vaoi_station.simulation import read_scenario

@@ -13,7 +13,7 @@ from tests.hostile.drawing import Drawing, changed
 from tests.hostile.mistakes import NEAR_COPY, Mistake, spoil
 from vaoi_station.calibration.array_calibration import calibrate
 from vaoi_station.calibration.camera_fit import Limits
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.simulation import Scenario, Twin, calibration_board

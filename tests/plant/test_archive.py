@@ -22,7 +22,7 @@ from vaoi_station.plant.archive import Archive, RunLabel
 from vaoi_station.plant.catalogue import Place, SameRecordings, places, recording_of, runs
 from vaoi_station.plant.manifest import ArchivedRun, ArchiveFault, RunSelection, ignore_fault
 from vaoi_station.plant.storage import LocalStorage
-from vaoi_station.runs.handover.paced_storage import PacedStorage
+from vaoi_station.runs.handover.adder import PacedStorage
 
 
 @pytest.fixture

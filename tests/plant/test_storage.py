@@ -17,7 +17,7 @@ import pytest
 from tests.plant.conftest import filmed_again
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files import open_recording
-from vaoi_station.files.durability import make_directories
+from vaoi_station.files.directories import make_directories
 from vaoi_station.plant.archive import Archive, RunLabel
 from vaoi_station.plant.storage import FsspecStorage, LocalStorage, Storage
 

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from vaoi_station.files.access_keys import KeyFile
-from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.directories import new_directory
 from vaoi_station.model import BoardType
 from vaoi_station.store import BoardTypeDirectory, Database, RunRow, Store
 

@@ -11,7 +11,7 @@ from typing import get_args
 from vaoi_station.acquisition.pairing.proof import ACTIONS, Kind
 from vaoi_station.api.problems import KINDS
 from vaoi_station.model import Status
-from vaoi_station.model.frame_record import Verdict
+from vaoi_station.model.recording import Verdict
 from vaoi_station.store.storage_trouble import CODES
 
 ROOT = Path(__file__).resolve().parents[2]

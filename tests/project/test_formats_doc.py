@@ -12,8 +12,8 @@ import pytest
 from pydantic import BaseModel
 
 from vaoi_station.files import read_board_type, read_calibration, read_stitch
+from vaoi_station.files.calibrations import Layout, read_layout
 from vaoi_station.files.documents import check_format, parse, read_json
-from vaoi_station.files.layouts import Layout, read_layout
 from vaoi_station.model import BoardType, Calibration, CameraHead, Component, Fiducial, RecordingHead, Stitch
 from vaoi_station.photometry.flat_fields import CameraFields, FieldHead, FlatFieldDocument
 

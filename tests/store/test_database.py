@@ -113,7 +113,7 @@ def test_a_file_that_is_not_a_database_is_set_aside_unchanged(path: Path, conten
 
 def damage(path: Path) -> None:
     content = bytearray(path.read_bytes())
-    content[8192:40960] = bytes(b ^ 0x5A for b in content[8192:40960])
+    content[8192:400_000] = bytes(b ^ 0x5A for b in content[8192:400_000])
     path.write_bytes(bytes(content))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from vaoi_station.store.database_file import (
     identity_of,
     is_empty,
     open_database,
+    rescue,
     roll_back,
     set_aside,
     stand_in,
@@ -169,3 +171,39 @@ def test_a_damaged_or_older_database_is_waited_for(path: Path) -> None:
     path.write_bytes(b"SQLite format 3\0" * 300)
     assert stand_in(path, FULL, 1) is None
     assert stand_in(path, StorageTrouble("database-newer", "newer"), 1) is None
+
+
+def test_a_deleted_file_is_written_back_with_all_that_was_committed(path: Path) -> None:
+    connection, _ = open_database(path)
+    connection.execute("INSERT INTO events VALUES (1, '{}')")
+    shutil.rmtree(path.parent)
+    assert rescue(connection, path, lambda: None).code == "database-deleted"
+    connection.close()
+    again, notice = open_database(path)
+    assert [tuple(row) for row in again.execute("SELECT * FROM events")] == [(1, "{}")]
+    assert notice is None
+    again.close()
+
+
+def test_a_large_file_is_written_back_with_a_heartbeat(path: Path) -> None:
+    connection, _ = open_database(path)
+    connection.executemany("INSERT INTO events VALUES (?, '{}')", ((n,) for n in range(20_000)))
+    beats = list[int]()
+    path.unlink()
+    rescue(connection, path, lambda: beats.append(1))
+    connection.close()
+    assert len(beats) > 5
+
+
+def test_a_file_in_its_place_is_left_there(path: Path) -> None:
+    connection, _ = open_database(path)
+    connection.execute("INSERT INTO events VALUES (1, '{}')")
+    path.unlink()
+    path.write_text("what a person put there")
+    assert rescue(connection, path, lambda: None).code == "database-replaced"
+    connection.close()
+    assert path.read_text() == "what a person put there"
+    [kept] = path.parent.glob("*.replaced-*")
+    saved, _ = open_database(kept)
+    assert len(saved.execute("SELECT * FROM events").fetchall()) == 1
+    saved.close()

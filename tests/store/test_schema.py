@@ -37,7 +37,7 @@ def objects_in(connection: sqlite3.Connection) -> list[tuple[str, str]]:
 
 
 def add_step(monkeypatch: pytest.MonkeyPatch, *statements: str) -> None:
-    monkeypatch.setattr(schema, "STEPS", (*schema.STEPS, statements))
+    monkeypatch.setattr(schema, "STEPS", schema.STEPS | {schema.VERSION + 1: "".join(f"{s};\n" for s in statements)})
     monkeypatch.setattr(schema, "VERSION", schema.VERSION + 1)
 
 
@@ -45,21 +45,49 @@ def test_a_new_database_has_all_tables(connection: sqlite3.Connection, path: Pat
     schema.migrate(connection, path)
     names = {name for name, _ in objects_in(connection)}
     assert names >= {"documents", "runs", "results", "events", "calibration_checks", "board_references"}
-    assert version_of(connection) == schema.VERSION == len(schema.STEPS)
+    assert version_of(connection) == schema.VERSION
 
 
-@pytest.mark.parametrize("steps", range(schema.VERSION + 1))
+@pytest.mark.parametrize("version", schema.STEPS)
 def test_every_old_version_ends_with_the_same_tables(
-    connection: sqlite3.Connection, path: Path, tmp_path: Path, steps: int
+    connection: sqlite3.Connection, path: Path, tmp_path: Path, version: int
 ) -> None:
-    for statement in (s for step in schema.STEPS[:steps] for s in step):
-        connection.execute(statement)
-    connection.execute(f"PRAGMA user_version = {steps}")
+    schema.add_functions(connection)
+    for step in (step for number, step in schema.STEPS.items() if number <= version):
+        connection.executescript(step)
+    connection.execute(f"PRAGMA user_version = {version}")
     schema.migrate(connection, path)
     fresh = sqlite3.connect(tmp_path / "fresh.db", isolation_level=None)
     schema.migrate(fresh, tmp_path / "fresh.db")
     assert objects_in(connection) == objects_in(fresh)
     fresh.close()
+
+
+def test_runs_of_earlier_versions_get_the_verdict_that_their_identity_leaves(
+    connection: sqlite3.Connection, path: Path
+) -> None:
+    connection.executescript(schema.STEPS[12])
+    connection.execute("PRAGMA user_version = 12")
+    reason = {"code": "board-id-differs", "message": "It is another board."}
+    runs = {"r1": None, "r2": json.dumps(["board-id-differs"]), "r3": json.dumps(["identity-not-read"]), "r4": None}
+    for number, (run, degrading) in enumerate(runs.items(), 1):
+        summary = "a damaged one" if run == "r4" else json.dumps({"verdict": "ok", "reasons": []})
+        connection.execute(
+            "INSERT INTO runs VALUES (?, 'gone', ?, 'b', 'c', ?, '{}', NULL, NULL, NULL, NULL)", (run, number, summary)
+        )
+        identity = {"state": "differs", "board_id": "B1", "reasons": [reason], "more": "x" * 500}
+        connection.execute(
+            "INSERT INTO identities VALUES (?, ?, ?, 0, ?)", (run, *schema.packed(json.dumps(identity)), degrading)
+        )
+    schema.migrate(connection, path)
+    texts = [text for (text,) in connection.execute("SELECT summary FROM runs ORDER BY id")]
+    assert texts.pop() == "a damaged one"
+    found = [json.loads(text) for text in texts]
+    assert [run["identity"] for run in found] == [{"state": "differs", "board_id": "B1", "boards": {}}] * 3
+    assert [run["verdict"] for run in found] == ["ok", "degraded", "degraded"]
+    assert [[one["code"] for one in run["reasons"]] for run in found] == [
+        [], ["board-id-differs"], ["identity-not-read"],
+    ]  # fmt: skip
 
 
 def test_a_further_step_is_applied_once(
@@ -84,11 +112,14 @@ def test_a_failed_step_keeps_the_previous_version(
     assert "more" not in {name for name, _ in objects_in(connection)}
 
 
-def test_a_newer_database_is_refused_and_left_unchanged(connection: sqlite3.Connection, path: Path) -> None:
-    connection.execute(f"PRAGMA user_version = {schema.VERSION + 1}")
-    with pytest.raises(InputError, match=f"has version {schema.VERSION + 1}") as refusal:
+@pytest.mark.parametrize(("version", "code"), [(schema.VERSION + 1, "database-newer"), (11, "database-foreign")])
+def test_a_database_of_an_unknown_version_is_refused_and_left_unchanged(
+    connection: sqlite3.Connection, path: Path, version: int, code: str
+) -> None:
+    connection.execute(f"PRAGMA user_version = {version}")
+    with pytest.raises(InputError, match=f"has version {version}") as refusal:
         schema.migrate(connection, path)
-    assert "newer vaoi_station" in refusal.value.action
+    assert refusal.value.code == code
     assert objects_in(connection) == []
 
 

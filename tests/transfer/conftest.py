@@ -13,8 +13,8 @@ from tests.runs.conftest import _silent_peer, a_calibration, a_stitch, make_rig,
 from tests.runs.control.test_teaching import filmed
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.files import write_calibration
-from vaoi_station.model import Status
-from vaoi_station.store.history.identities import IdentityRow
+from vaoi_station.model import BoardCode, Status
+from vaoi_station.model.board_identity import IdentityDocument
 
 __all__ = ["_silent_peer", "make_rig", "store"]
 
@@ -36,8 +36,12 @@ def site(make_rig: Callable[..., Any], tmp_path: Path) -> Site:
     rig.store.configurations.begin('{"name": "test"}', "2026")
     sound = filmed(rig)
     rig.store.heights.save(sound, '{"heights":{}}').result(10)
-    identity = IdentityRow('{"state":"not-compared","board_id":"SN-1"}', ["SN-1"])
-    rig.store.identities.save(sound, identity).result(10)
+    code = BoardCode(
+        text="SN-1", symbology="qr", board_id="SN-1", center=(0, 0), corners=((0, 0), (1, 0), (1, 1), (0, 1)),
+        module_mm=0.2, error_correction_used=0,
+    )  # fmt: skip
+    identity = IdentityDocument(state="not-compared", board_id="SN-1", codes=(code,))
+    rig.archive.identify(sound, identity).result(10)
     rig.coordinator.teach_reference("small", sound)
     rig.workers.result = lambda head: a_stitch(head, Status.DEGRADED)
     degraded = filmed(rig)

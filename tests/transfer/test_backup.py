@@ -14,8 +14,7 @@ from tests.transfer.conftest import Site
 from vaoi_station.config import read_config
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files import read_board_type, read_calibration
-from vaoi_station.files.atomic_directory import remove_directory
-from vaoi_station.files.directory_walk import files_below
+from vaoi_station.files.directories import files_below, remove_directory
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.active_runs import camera_heads

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.errors import GoneError
-from vaoi_station.files.atomic_directory import remove_directory
+from vaoi_station.files.directories import remove_directory
 from vaoi_station.transfer.live_directories import open_files
 
 

@@ -36,7 +36,7 @@ from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.pairing.evidence import MAX_FRAME_ID
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError, InternalError, StateError, VaoiError
-from vaoi_station.model.light_program import linear_gain, row_of
+from vaoi_station.model.recording import linear_gain, row_of
 from vaoi_station.simulation import Passage, Scenario, Twin, calibration_board, read_scenario
 from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 

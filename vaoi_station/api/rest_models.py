@@ -15,8 +15,7 @@ from vaoi_station.model import Strict
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.run.order import Passing
-from vaoi_station.runs.states.decision_schemas import Choice
-from vaoi_station.runs.states.schemas import BoardTypeSummary, RunSummary
+from vaoi_station.runs.states.schemas import BoardTypeSummary, Choice, RunSummary
 
 Matrix3 = list[list[float]]
 

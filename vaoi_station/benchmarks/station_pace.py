@@ -42,8 +42,7 @@ from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.runs.control.acquisition_link import Launch, Process
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.host.processes import set_up_process
-from vaoi_station.runs.states.schemas import RunDetail
-from vaoi_station.runs.states.timeline_schemas import Timeline
+from vaoi_station.runs.states.schemas import RunDetail, Timeline
 from vaoi_station.simulation import Passage, Scenario, Twin
 from vaoi_station.station import Station
 from vaoi_station.supervised_thread import SupervisedThread

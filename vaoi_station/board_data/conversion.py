@@ -16,9 +16,8 @@ from vaoi_station.board_data.package_sizes import GUESS_MM
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model import BoardType
-from vaoi_station.model.board_marks import Fiducial, OtherMark, fiducials_by_board
-from vaoi_station.model.board_type import MOST_CUT_OUT_CORNERS, Component
-from vaoi_station.model.note import Note
+from vaoi_station.model.board_type import MOST_CUT_OUT_CORNERS, Component, Fiducial, OtherMark, fiducials_by_board
+from vaoi_station.model.reason import Note
 
 SAME_PLACE_MM = 1e-3
 """A body whose centre is nearer to the origin of its part than this is at it."""

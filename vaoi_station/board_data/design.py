@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 Side = Literal["top", "bottom"]
 XY = tuple[float, float]

@@ -15,7 +15,7 @@ from vaoi_station.board_data.contours import places
 from vaoi_station.board_data.design import XY, Design, Part, Side
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.geometry.polygon import encloses
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 
 def without_frame(design: Design) -> Design:

@@ -18,7 +18,7 @@ from vaoi_station.board_data.conversion import one_of_each
 from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 LEAST_COMMON = 3
 """With fewer parts in both files, a shift with a rotation cannot be checked."""

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from vaoi_station.board_data.design import Design, Side
 from vaoi_station.model import BoardType, Strict
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 
 class ImportedColumn(Strict):

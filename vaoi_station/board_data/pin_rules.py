@@ -16,7 +16,7 @@ from statistics import median
 from typing import NamedTuple
 
 from vaoi_station.board_data.design import XY, Box, Part, Side, body_of, normalised, rotated
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 FITS_MM = 0.05
 """A pin fits a rule if it is nearer to its place on the board than this; files round to 10 µm or better."""

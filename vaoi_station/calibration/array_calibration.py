@@ -17,11 +17,11 @@ from vaoi_station.calibration.mark_identification import Hypothesis, find_hypoth
 from vaoi_station.calibration.nominal_view import nominal_matrix
 from vaoi_station.calibration.plausibility import local_scales, print_scale_note
 from vaoi_station.errors import InputError, InternalError
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.files.images import Image
-from vaoi_station.files.layouts import Layout
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration, CameraHead, Distortion
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 from vaoi_station.pixel_formats import eight_bit_grey
 
 _NEGLIGIBLE_PX = 1e-3

@@ -19,7 +19,7 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.marks.blur import BLUR_LIMIT_PX
 from vaoi_station.model import CameraHead
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 MIN_MARKS = 4
 _MIN_CONTRAST = 20.0

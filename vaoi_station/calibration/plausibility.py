@@ -11,7 +11,7 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import CameraHead
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 TILT_DEG = 6.0
 """Largest plausible tilt of a camera; with more, it would not be in focus over its whole frame."""

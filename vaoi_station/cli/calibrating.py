@@ -91,8 +91,8 @@ def _calibrate(
     from vaoi_station.calibration import calibrate as calibrate_array
     from vaoi_station.calibration.pictures.calibration_picture import draw_calibration
     from vaoi_station.files import open_recording, write_calibration
+    from vaoi_station.files.calibrations import read_layout
     from vaoi_station.files.images import write_image
-    from vaoi_station.files.layouts import read_layout
 
     # A calibration needs exactly one row: the board must lie still in all frames that are used together.
     recording = open_recording(case)
@@ -178,8 +178,8 @@ def calibration_board(
     """Make a calibration board for an array: SVG, PDF (1:1, with a scale bar), Gerber files, and layout.json."""
     from vaoi_station.calibration.artwork import ArrayDesign, design_board
     from vaoi_station.calibration.artwork.artwork_files import RENDERERS, artwork_title
+    from vaoi_station.files.calibrations import write_layout
     from vaoi_station.files.documents import write_bytes
-    from vaoi_station.files.layouts import write_layout
 
     count, pitch, field = _array(config, cameras, pitch_mm, field_mm, px_per_mm)
     across, down = _pair(marks_per_camera, "--marks-per-camera")
@@ -265,7 +265,7 @@ def recalibrate(
     if bool(cases) == (config is not None):
         raise InputError("recalibrate needs either recordings or --config.", action="Give exactly one of them.")
     # Checked before the computation. A calibration in use must never be replaced unnoticed.
-    from vaoi_station.files.atomic_directory import refuse_existing
+    from vaoi_station.files.directories import refuse_existing
 
     refuse_existing(out, action="Choose another --out; put the proposal into use by hand.")
     from vaoi_station.drift.recalibrate import recalibrate as propose
@@ -363,7 +363,7 @@ def flatfield(
 ) -> None:
     """Measure one flat field per camera and light, for linear radiance."""
     from vaoi_station.files import open_recording
-    from vaoi_station.files.atomic_directory import new_directory, refuse_existing
+    from vaoi_station.files.directories import new_directory, refuse_existing
     from vaoi_station.photometry.flat_fields import write_flat_fields
     from vaoi_station.photometry.measurement import measure_flat_fields
 

@@ -22,8 +22,8 @@ from vaoi_station.hdr.parts import region_component, views_on_top
 from vaoi_station.hdr.row_levels import at_level, row_levels
 from vaoi_station.hdr.tone_mapping import ToneCurve
 from vaoi_station.model import Component, RecordingHead
-from vaoi_station.model.known_height import known_height_mm
-from vaoi_station.model.light_program import usual_light
+from vaoi_station.model.recording import usual_light
+from vaoi_station.model.stitch_result import known_height_mm
 from vaoi_station.photometry import FlatFields, NoiseModel, Taken, noise_from_frames
 from vaoi_station.rendering import View, ViewCalculator
 

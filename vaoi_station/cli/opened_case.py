@@ -17,7 +17,7 @@ from vaoi_station.files.results import read_heights
 from vaoi_station.geometry import Camera
 from vaoi_station.library.recordings import check_result
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.model.known_height import with_heights
+from vaoi_station.model.stitch_result import with_heights
 from vaoi_station.stitching.recordings.origin import check_origin
 
 _KEPT_FRAMES = 96

@@ -144,7 +144,7 @@ def report(
     rotation: RotationOf = None,
 ) -> None:
     """Stitch a recorded run and show the evidence in one HTML file."""
-    from vaoi_station.files.atomic_directory import refuse_existing
+    from vaoi_station.files.directories import refuse_existing
     from vaoi_station.reporting import restitch, write_bundle, write_report
     from vaoi_station.reporting.bundle import REPORT, replay_command
     from vaoi_station.stitching.recordings.opening import open_run

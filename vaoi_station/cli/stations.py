@@ -58,7 +58,7 @@ def record(
     from vaoi_station.acquisition.ring import Ring
     from vaoi_station.config import read_config
     from vaoi_station.files import read_calibration
-    from vaoi_station.files.atomic_directory import refuse_existing
+    from vaoi_station.files.directories import refuse_existing
 
     station = read_config(config)
     copies = {"calibration.json": station.calibration}
@@ -288,8 +288,8 @@ def _import_board_data(out: Path, task: dict[str, object]) -> None:
     """Write a board type, and print what was recognised and what to check."""
     from vaoi_station.board_data.import_process import OF_PERSONS, ImportTask
     from vaoi_station.board_data.limited_import import import_limited
-    from vaoi_station.files.atomic_directory import refuse_existing
     from vaoi_station.files.board_types import write_board_type
+    from vaoi_station.files.directories import refuse_existing
     from vaoi_station.model import BoardType
 
     refuse_existing(out)

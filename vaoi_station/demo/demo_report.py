@@ -5,8 +5,8 @@ from __future__ import annotations
 from pydantic import Field
 
 from vaoi_station.demo.truth_comparison import Deviation
-from vaoi_station.model import Status, Strict
-from vaoi_station.runs.states.schemas import Reason, VerdictCounts
+from vaoi_station.model import Reason, Status, Strict
+from vaoi_station.runs.states.schemas import VerdictCounts
 
 LIMIT_PX = 1.0
 """Largest distance between result and truth, in px, for which the verdict ok counts as correct."""

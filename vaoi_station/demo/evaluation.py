@@ -8,8 +8,8 @@ from typing import Any
 
 from vaoi_station.demo.demo_report import LIMIT_PX, Belt, DemoReport, DemoTimings, LinkCount, Residuals
 from vaoi_station.demo.truth_comparison import Deviation, compare_with_truth, true_speed_mm_s
-from vaoi_station.model import Status
-from vaoi_station.runs.states.schemas import Reason, VerdictCounts
+from vaoi_station.model import Reason, Status
+from vaoi_station.runs.states.schemas import VerdictCounts
 from vaoi_station.simulation import Passage
 
 

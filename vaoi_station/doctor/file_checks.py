@@ -18,7 +18,7 @@ from vaoi_station.doctor.machine import is_directory, writable
 from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.files import read_calibration
-from vaoi_station.files.text_files import read_text
+from vaoi_station.files.documents import read_text
 from vaoi_station.model import BoardType
 from vaoi_station.model.receivers import MqttConfig
 from vaoi_station.photometry import FlatFields

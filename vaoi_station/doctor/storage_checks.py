@@ -13,7 +13,7 @@ from vaoi_station.config import KeepConfig
 from vaoi_station.doctor.finding import Figures, Finding, Level, fault, ok, warning
 from vaoi_station.doctor.machine import format_bytes, nearest, writable
 from vaoi_station.doctor.running_station import CheckContext
-from vaoi_station.files.directory_walk import files_below
+from vaoi_station.files.directories import files_below
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE
 from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS

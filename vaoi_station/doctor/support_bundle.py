@@ -23,10 +23,9 @@ from vaoi_station.doctor.finding import problems_as_text
 from vaoi_station.doctor.runner import check_config, run_checks
 from vaoi_station.doctor.running_station import ask, request
 from vaoi_station.errors import VaoiError
-from vaoi_station.files.atomic_directory import refuse_existing
 from vaoi_station.files.caller_credentials import CallerCredentials
-from vaoi_station.files.documents import write_bytes
-from vaoi_station.files.text_files import read_text
+from vaoi_station.files.directories import refuse_existing
+from vaoi_station.files.documents import read_text, write_bytes
 from vaoi_station.version import __version__
 
 UNIT = "vaoi-station"

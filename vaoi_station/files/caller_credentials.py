@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from vaoi_station.errors import InputError
-from vaoi_station.files.text_files import text_of
+from vaoi_station.files.documents import text_of
 
 KEY_VARIABLE, KEY_FILE_VARIABLE, CA_VARIABLE = "VAOI_KEY", "VAOI_KEY_FILE", "VAOI_CA"
 _LONGEST = 200

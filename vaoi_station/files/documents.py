@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import math
 import os
@@ -10,14 +11,13 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from vaoi_station.errors import DeviceError, InputError, InternalError
-from vaoi_station.files.durability import make_directories, sync_directory
-from vaoi_station.files.text_files import read_text
+from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError
+from vaoi_station.files.directories import make_directories, sync_directory
 
 M = TypeVar("M", bound=BaseModel)
 UNKNOWN_KEY = "is an unknown key"
@@ -187,3 +187,45 @@ def refuse_duplicate_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twin = next(k for n, (k, _) in enumerate(pairs) if k in [p[0] for p in pairs[:n]])
         raise DuplicateKeyError(f"key {twin!r} appears twice in one object")
     return keys
+
+
+_MARKS = (
+    (codecs.BOM_UTF8, "UTF-8"),
+    (codecs.BOM_UTF16_LE, "UTF-16-LE"),
+    (codecs.BOM_UTF16_BE, "UTF-16-BE"),
+)
+_SAVE = "Save it as UTF-8; a byte order mark is permitted."
+
+
+def read_text(path: Path, errors: Literal["strict", "replace"] = "strict") -> str:
+    """Return the text of a file; raise NotFoundError or InputError with the reason if it cannot be read."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise NotFoundError(f"{path}: there is no such file.") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    return text_of(content, path, errors)
+
+
+def text_of(content: bytes, where: str | Path, errors: Literal["strict", "replace"] = "strict") -> str:
+    """Return bytes as text without byte order mark.
+
+    Args:
+        content: the bytes of a text.
+        where: their name in messages.
+        errors: "replace" puts U+FFFD in place of bytes that are not valid.
+
+    Raises:
+        InputError: they are not valid in their encoding, or hold a zero character, as UTF-16 without a mark does.
+    """
+    mark, encoding = next((found for found in _MARKS if content.startswith(found[0])), (b"", "UTF-8"))
+    try:
+        text = content[len(mark) :].decode(encoding, errors)
+    except UnicodeDecodeError as error:
+        at = len(mark) + error.start
+        raise InputError(f"{where}: is not {encoding} text at byte {at}.", action=_SAVE) from error
+    # No JSON or TOML has this character. Read as UTF-8, text in UTF-16 would pass every search for secrets.
+    if "\0" in text:
+        raise InputError(f"{where}: has a zero character, so it is not {encoding} text.", action=_SAVE)
+    return text

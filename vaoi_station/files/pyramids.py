@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.files.durability import make_directories, sync_directory, sync_file
+from vaoi_station.files.directories import make_directories, sync_directory, sync_file
 
 TILE_PX = 256
 """Side of a tile of the file."""

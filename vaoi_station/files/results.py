@@ -12,7 +12,7 @@ from pydantic_core import from_json
 from vaoi_station.errors import InputError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 from vaoi_station.model import BoardType, Finite, Stitch
-from vaoi_station.model.known_height import Heights
+from vaoi_station.model.stitch_result import Heights
 
 _OF_COMPONENTS = ("component_sigma_px", "component_covariance_px2", "heights_mm", "height_sigma_mm")
 _LARGE = (*_OF_COMPONENTS, "link_pairs")

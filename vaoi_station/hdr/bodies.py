@@ -16,7 +16,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.hdr.merging import Exposed, MergedPicture, merge_views
 from vaoi_station.hdr.parts import LEAST_COVERAGE, REGION
 from vaoi_station.model import BoardType, Component, Stitch
-from vaoi_station.model.known_height import known_height_mm
+from vaoi_station.model.stitch_result import known_height_mm
 from vaoi_station.rendering import Framing, View, ViewCalculator
 
 

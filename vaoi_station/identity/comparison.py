@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 
+from vaoi_station.model import Reason
 from vaoi_station.model.board_identity import (
     ID,
     BoardIdentity,
     BoardReading,
     IdentityDocument,
-    IdentityReason,
     IdentityState,
     ReportedId,
 )
@@ -75,14 +75,14 @@ def compare(
 
 def _contradictions(
     identity: BoardIdentity | None, read: BoardReading, whole: list[str], positions: Mapping[str, Collection[str]]
-) -> Iterator[IdentityReason]:
+) -> Iterator[Reason]:
     """Yield what contradicts itself on the board, or shows another product."""
     stated = [("the board", whole), *((f"position {n} of the panel", sorted(ids)) for n, ids in positions.items())]
     for what, ids in stated:
         if len(ids) < 2:
             continue
         names = ", ".join(_shown(name) for name in ids)
-        yield IdentityReason(
+        yield Reason(
             code="codes-disagree",
             message=f"The codes of {what} state {len(ids)} ids: {names}.",
             action="Check the labels, and whether the board is of this type.",
@@ -90,17 +90,17 @@ def _contradictions(
     # Anywhere on a board there may be codes of its components as well.
     foreign = [c.text for c in read.codes if c.board_id is None] if identity is not None and identity.places else []
     if identity is not None and foreign:
-        yield IdentityReason(
+        yield Reason(
             code="product-differs",
             message=f"A code at a place of the type is {_shown(foreign[0])}, not {_shown(identity.pattern or ID)}.",
             action="Check which product passes, and arm for its board type.",
         )
 
 
-def _differences(board_id: str | None, armed: str | None, reported: ReportedId | None) -> Iterator[IdentityReason]:
+def _differences(board_id: str | None, armed: str | None, reported: ReportedId | None) -> Iterator[Reason]:
     """Yield which ids from different sources differ."""
     if board_id is not None and armed is not None and board_id != armed:
-        yield IdentityReason(
+        yield Reason(
             code="board-id-differs",
             message=f"The board's code states {_shown(board_id)}, the line was armed with {_shown(armed)}.",
             action="Identify the board; arm again with the id of the next one.",
@@ -108,7 +108,7 @@ def _differences(board_id: str | None, armed: str | None, reported: ReportedId |
     known, source = (board_id, "the board's code") if board_id is not None else (armed, "the order of the line")
     if reported is not None and known is not None and reported.board_id != known:
         machine = reported.machine or "the next machine"
-        yield IdentityReason(
+        yield Reason(
             code="next-machine-differs",
             message=f"The id of {machine} is {_shown(reported.board_id)}, that of {source} {_shown(known)}.",
             action="Identify the board, and check whether a board was taken out or put in between the machines.",
@@ -117,7 +117,7 @@ def _differences(board_id: str | None, armed: str | None, reported: ReportedId |
 
 def _unread(
     identity: BoardIdentity, read: BoardReading, whole: list[str], positions: Collection[str]
-) -> Iterator[IdentityReason]:
+) -> Iterator[Reason]:
     """Yield which boards have no id, because none of their codes was read; `positions` are those that need none."""
     panels = {str(place.panel) for place in identity.places if place.panel is not None} - {*positions}
     named = any(place.panel is None for place in identity.places) or not identity.places
@@ -129,7 +129,7 @@ def _unread(
         cut = "" if read.complete else " before the time for reading ended"
         others = [] if identity.places else [c.text for c in read.codes]
         found = f" Codes without an id of this product: {', '.join(map(_shown, others[:3]))}." if others else ""
-        yield IdentityReason(
+        yield Reason(
             code="code-unread",
             message=f"No code was read of {', '.join(without)}{cut}.{found}",
             action="Check label, focus and light; state the places of codes in the board type.",

@@ -21,7 +21,7 @@ from vaoi_station.config import MethodName
 from vaoi_station.demo.client import Client, checked, unusable_reply
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files.caller_credentials import caller_credentials
-from vaoi_station.files.text_files import read_text
+from vaoi_station.files.documents import read_text
 from vaoi_station.library.arguments import (
     require_instance,
     require_number,
@@ -51,12 +51,18 @@ from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.run.order import Passing
-from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
-from vaoi_station.runs.states.decision_schemas import Choice, RunCounts
-from vaoi_station.runs.states.height_schemas import HeightEntry, HeightList
-from vaoi_station.runs.states.schemas import BoardTypeSummary, LeaseStatus
-from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
-from vaoi_station.runs.states.timeline_schemas import Timeline
+from vaoi_station.runs.states.schemas import (
+    BoardTypeSummary,
+    CalibrationStatus,
+    Choice,
+    HeightEntry,
+    HeightList,
+    LeaseStatus,
+    ReferenceStatus,
+    RunCounts,
+    StitchingMethod,
+    Timeline,
+)
 
 _PAGE = 500
 """Largest number of runs in one reply of a station."""

@@ -13,7 +13,7 @@ from vaoi_station.files.documents import write_json
 from vaoi_station.files.pyramids import PyramidLayout, refuse_existing
 from vaoi_station.files.results import read_heights
 from vaoi_station.library.recordings import check_result
-from vaoi_station.model.known_height import with_heights
+from vaoi_station.model.stitch_result import with_heights
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, choose_frames, make_plan
 from vaoi_station.mosaic.frames import frames_of_head
 from vaoi_station.mosaic.grid import Region

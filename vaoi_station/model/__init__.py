@@ -5,23 +5,31 @@ are free for the user: the software keeps them and does not interpret them. Came
 """
 
 from vaoi_station.model.board_identity import BoardCode, BoardIdentity, BoardReading, CodePlace
-from vaoi_station.model.board_marks import Fiducial, OtherMark
 from vaoi_station.model.board_type import (
     MM_PER_UNIT,
     VISIBILITY,
     BoardLine,
     BoardType,
     Component,
+    Fiducial,
     FixtureMarkShape,
+    OtherMark,
     Place,
     Visibility,
 )
 from vaoi_station.model.calibration import Calibration, Distortion
-from vaoi_station.model.frame_record import FrameRecord, Pulse, Verdict
 from vaoi_station.model.frozen_model import Finite, FrozenModel, Positive, Strict, Whole
-from vaoi_station.model.light_program import Program, ProgramRow, ProgramStep
-from vaoi_station.model.reason_code import Reason, ReasonCode
-from vaoi_station.model.recording import CameraHead, RecordingHead
+from vaoi_station.model.reason import Reason, ReasonCode
+from vaoi_station.model.recording import (
+    CameraHead,
+    FrameRecord,
+    Program,
+    ProgramRow,
+    ProgramStep,
+    Pulse,
+    RecordingHead,
+    Verdict,
+)
 from vaoi_station.model.stitch_result import Status, Stitch, Surface
 
 __all__ = [

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from vaoi_station.model.frozen_model import Finite, FrozenModel, Point, Positive, Strict
+from vaoi_station.model.reason import Reason
 
 Symbology = Literal["datamatrix", "qr"]
 ID, ANY = "{id}", "{any}"
@@ -119,14 +120,6 @@ def check_places(identity: BoardIdentity, low: Any, high: Any, margin: float) ->
         )
 
 
-class IdentityReason(Strict):
-    """Why ids differ or are missing."""
-
-    code: str
-    message: str
-    action: str = ""
-
-
 class ReportedId(Strict):
     """The id that the next machine of the line has read of the same board."""
 
@@ -156,7 +149,7 @@ class IdentityDocument(Strict):
     """Whether the codes were searched in the frames."""
     required: bool = False
     """Whether the board type demands that the id was read and does not differ."""
-    reasons: tuple[IdentityReason, ...] = ()
+    reasons: tuple[Reason, ...] = ()
     codes: tuple[BoardCode, ...] = ()
     unread_places: tuple[CodePlace, ...] = ()
     complete: bool = True
@@ -176,7 +169,7 @@ class IdentityDocument(Strict):
         return self.required and self.state in ("differs", "unread", "not-read")
 
     @property
-    def degrading(self) -> tuple[IdentityReason, ...]:
+    def degrading(self) -> tuple[Reason, ...]:
         """Why a run with this identity is degraded; empty if it is not."""
         if not self.degrades:
             return ()
@@ -187,7 +180,7 @@ class IdentityDocument(Strict):
         return self.model_copy(update={"state": "not-read"}) if self.state == "pending" else self
 
 
-_NOT_READ = IdentityReason(
+_NOT_READ = Reason(
     code="identity-not-read",
     message="The codes of the board were not read.",
     action="Identify the board; give the station more memory for runs if its frames were needed (ring.runs).",

@@ -1,13 +1,17 @@
-"""The head of a recording: its cameras, rows and times. The frames are image files in the same folder."""
+"""A recording: its head, the record of every frame, and the light program of its rows."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from vaoi_station.model.frozen_model import Finite, FrozenModel, PointMm, Positive, Whole
 
@@ -108,3 +112,117 @@ class RecordingHead(FrozenModel):
 def motion_time_s(way_mm: float, conveyor_mm_s: tuple[float, float]) -> float:
     """Return the time in which a belt at its nominal velocity covers a way, in s, rounded to ns."""
     return round(way_mm / math.hypot(*conveyor_mm_s), 9)
+
+
+class Verdict(StrEnum):
+    """The final state of one (camera, row) of a run."""
+
+    OK = "ok"
+    INCOMPLETE = "incomplete"
+    MISSING = "missing"
+
+
+class FrameRecord(FrozenModel):
+    """The record of one frame of a run: slot in the ring, final state with its cause, times and exposure."""
+
+    camera: int
+    row: int
+    verdict: Verdict
+    cause: str = ""
+    slot: int | None = None
+    """Slot of the ring that holds the frame; None if no frame arrived."""
+    frame_id: int | None = None
+    camera_time_s: float | None = None
+    pulse_error_us: float | None = None
+    """Time stamp of the frame minus time of its pulse, both converted to the host's clock."""
+    exposure_us: float | None = None
+    """Time for which the frame was exposed, or for which LEDs of a light program lit it if that is shorter; None if
+    unknown."""
+    gain: float | None = None
+    """Linear gain of the frame; None if unknown."""
+    light: str = ""
+    """Name of the light pattern of the frame's row."""
+    proven: bool = True
+    """Whether the frame belongs to its row as far as the proof of the run shows; otherwise `cause` states the doubt."""
+
+    @property
+    def usable(self) -> bool:
+        """Whether the frame is complete and proven; no other frame is stitched or shown as a view of a component."""
+        return self.verdict is Verdict.OK and self.proven
+
+
+class Pulse(FrozenModel):
+    """One trigger pulse, which all cameras receive. Its time is in seconds of the controller's clock."""
+
+    index: int
+    time_s: float
+    light: str = ""
+
+
+MOST_STEPS = 64
+"""Largest number of steps of a program. The controller's firmware may hold fewer; it says how many."""
+
+
+def _as_tuple(value: Any) -> Any:
+    """Return a single number, which applies to all cameras, as a list with one entry."""
+    return [value] if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+_Microseconds = Annotated[Positive, Field(le=1e6)]
+_Decibels = Annotated[float, Field(strict=True, ge=-60, le=60, allow_inf_nan=False)]
+
+
+class ProgramStep(FrozenModel):
+    """One step of a program as a board type or station.toml states it. What is absent is as in station.toml."""
+
+    light: Annotated[str, Field(min_length=1, max_length=100)]
+    """Name of the light pattern."""
+    on_us: _Microseconds | None = None
+    """On-time of the light's LEDs, µs."""
+    exposure_us: Annotated[tuple[_Microseconds, ...], Field(min_length=1), BeforeValidator(_as_tuple)] | None = None
+    """Exposure of every camera, µs; one entry applies to all cameras."""
+    gain_db: Annotated[tuple[_Decibels, ...], Field(min_length=1), BeforeValidator(_as_tuple)] | None = None
+    """Gain of every camera, dB; one entry applies to all cameras."""
+
+
+Program = Annotated[tuple[ProgramStep, ...], Field(max_length=MOST_STEPS)]
+"""The steps of a light program: row j is filmed with step j modulo their number. Empty: there is no program."""
+
+
+@dataclass(frozen=True)
+class ProgramRow:
+    """One step of a program with all its values: what a row is filmed with."""
+
+    light: str
+    exposures_us: tuple[float, ...]
+    """Exposure of every camera, µs: the time for which its shutter is open."""
+    gains_db: tuple[float, ...]
+    on_us: float | None = None
+    """On-time of the LEDs, µs; None if the light shines for the whole exposure."""
+    trigger_us: float | None = None
+    """Width of the camera trigger, µs, where cameras expose for as long; None: that of station.toml."""
+
+    @property
+    def lit_us(self) -> tuple[float, ...]:
+        """Time for which light falls on the sensor of every camera, µs: the shorter of exposure and on-time."""
+        return self.exposures_us if self.on_us is None else tuple(min(e, self.on_us) for e in self.exposures_us)
+
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """Linear gain of every camera; 1 is 0 dB."""
+        return tuple(linear_gain(db) for db in self.gains_db)
+
+
+def linear_gain(gain_db: float) -> float:
+    """Convert a gain in dB to the factor on grey levels, rounded to 6 decimals."""
+    return round(10 ** (gain_db / 20), 6)
+
+
+def row_of(program: Sequence[ProgramRow], row: int) -> ProgramRow | None:
+    """Return what a row is filmed with; None without a program."""
+    return program[row % len(program)] if program else None
+
+
+def usual_light(lights: Iterable[str | None]) -> str | None:
+    """Return the light of most frames, and of equally many the first; None if there is no frame."""
+    return next(iter(Counter(lights).most_common(1)), (None, 0))[0]

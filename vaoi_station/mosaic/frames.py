@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from vaoi_station.errors import InputError
 from vaoi_station.model import RecordingHead
-from vaoi_station.model.light_program import usual_light
+from vaoi_station.model.recording import usual_light
 
 _SIMILAR = 1.5
 """Largest ratio of two sensitivities that are in one layer of an HDR mosaic."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
-from vaoi_station.model.known_height import known_height_mm
+from vaoi_station.model.stitch_result import known_height_mm
 from vaoi_station.mosaic.cells import (
     CELL_PX,
     Sight,

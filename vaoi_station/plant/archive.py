@@ -19,7 +19,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from vaoi_station.errors import InputError, NotFoundError, VaoiError
-from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.directories import new_directory
 from vaoi_station.files.documents import check_format, write_bytes
 from vaoi_station.files.images import Image, decode, write_image
 from vaoi_station.plant import addition, catalogue

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
-from vaoi_station.files.atomic_directory import new_directory, refuse_existing
+from vaoi_station.files.directories import new_directory, refuse_existing
 from vaoi_station.files.documents import write_json
 from vaoi_station.files.images import decode, encode_png
 from vaoi_station.geometry import apply

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
-from vaoi_station.files.directory_walk import files_below
+from vaoi_station.files.directories import files_below
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.plant.manifest import BLOBS, DRAFTS, RUNS
 

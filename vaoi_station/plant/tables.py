@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from vaoi_station.files.atomic_directory import new_directory, remove_directory
+from vaoi_station.files.directories import new_directory, remove_directory
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, RecordingHead, Stitch
 

@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vaoi_station.errors import VaoiError
-from vaoi_station.files.text_files import read_text
+from vaoi_station.files.documents import read_text
 from vaoi_station.model.receivers import MqttConfig
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import EventRecord

@@ -16,8 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
+from vaoi_station.model import Reason
 from vaoi_station.push.mqtt import MqttBroker, Outcome, type_of
-from vaoi_station.runs.states.schemas import EventRecord, Reason
+from vaoi_station.runs.states.schemas import EventRecord
 from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component, Stitch
-from vaoi_station.model.known_height import BodyHeight, body_height
+from vaoi_station.model.stitch_result import BodyHeight, body_height
 from vaoi_station.rendering.request import ImageRequest
 from vaoi_station.rendering.selection import ChosenView, FrameFacts, Measure, select
 from vaoi_station.rendering.temporary import render, subtract

@@ -15,7 +15,7 @@ from typing import Literal
 
 from vaoi_station.errors import DeviceError, InputError, InternalError
 from vaoi_station.model import ProgramRow
-from vaoi_station.model.light_program import row_of
+from vaoi_station.model.recording import row_of
 from vaoi_station.rig.camera_process import DARK, CameraProcess, TriggerCommand
 from vaoi_station.rig.chip import CHANNELS, HZ, Chip, Edge, Pulse, PulseDecoder
 from vaoi_station.rig.faults import KINDS

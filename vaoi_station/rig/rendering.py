@@ -31,7 +31,7 @@ from vaoi_station.errors import DeviceError, InputError, InternalError
 from vaoi_station.files import read_board_type, read_calibration, write_board_type, write_calibration
 from vaoi_station.files.documents import parse, read_json, write_json
 from vaoi_station.model import BoardType, Calibration, Strict
-from vaoi_station.model.light_program import row_of
+from vaoi_station.model.recording import row_of
 from vaoi_station.simulation import Passage, Scenario, Twin, calibration_board
 from vaoi_station.simulation.truth import views
 

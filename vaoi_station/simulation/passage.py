@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import ProgramRow, RecordingHead
-from vaoi_station.model.light_program import row_of
+from vaoi_station.model.recording import row_of
 from vaoi_station.simulation.board.bodies import Body
 from vaoi_station.simulation.board.printed_code import code_text, draw_label
 from vaoi_station.simulation.imaging.pinholes import Pinhole

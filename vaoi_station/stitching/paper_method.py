@@ -185,8 +185,8 @@ def _result(
         cad_matrix=cad_matrix,
         row_motion=rows,
         status=Status.FAILED if reasons else Status.DEGRADED,
-        reasons=tuple(text for _, text in why),
-        reason_codes=tuple(code.value for code, _ in why),
+        reasons=tuple(reason.message for reason in why),
+        reason_codes=tuple(reason.code for reason in why),
         quality={
             "timings_ms": {"whole": round((time.perf_counter() - start) * 1e3, 3)},
             "software": f"vaoi_station {__version__}",

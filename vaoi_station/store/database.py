@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import sqlite3
 import threading
 import time
@@ -21,18 +22,21 @@ from typing import Any, TypeVar
 
 from vaoi_station.errors import DeviceError, NotFoundError, StateError
 from vaoi_station.store.database_file import (
+    BEAT_STEPS,
     acknowledged_files,
     connect,
     earlier_notices,
+    identity_of,
     is_absent,
     is_empty,
     mark_acknowledged,
     open_database,
+    rescue,
     roll_back,
     set_aside,
     stand_in,
 )
-from vaoi_station.store.file_watch import BEAT_STEPS, FileWatch
+from vaoi_station.store.schema import unpacked
 from vaoi_station.store.storage_trouble import (
     DAMAGED,
     DELETED,
@@ -90,7 +94,11 @@ class Database:
         """Files that were set aside and of which a person knows; their notices stay, but are no warnings."""
         self.history_unread = is_empty(readers[0])
         """Whether the station began without a database because the disk was full; an older one may appear later."""
-        self._watch = FileWatch(path)
+        self.free_bytes: int | None = None
+        """Free space for the database at the last check, bytes; None if it is not known."""
+        self._opened_file: tuple[int, int] | None = None
+        self._remember_file()
+        self._measure_space()
         self._readers: SimpleQueue[sqlite3.Connection | None] = SimpleQueue()
         for reader in readers:
             self._readers.put(reader)
@@ -126,11 +134,6 @@ class Database:
             waited = f"{time.monotonic() - began_s:.0f} s"
             return StorageTrouble(UNAVAILABLE, f"{self.path}: a write has not ended for {waited}.", "Check the disk.")
         return self._trouble
-
-    @property
-    def free_bytes(self) -> int | None:
-        """Free space for the database at the last check, bytes; None if it is not known."""
-        return self._watch.free_bytes
 
     def write(
         self, work: Callable[[sqlite3.Connection], T], *, patient: bool = False, durable: bool = True, size: int = 0
@@ -176,6 +179,32 @@ class Database:
             if (trouble := trouble_of(error, self.path)) is not None and trouble.code == DAMAGED:
                 self._submit_check()
             raise translated(error, self.path) from error
+
+    def value(self, query: str, values: tuple[Any, ...] = ()) -> Any:
+        """Return the first column of the first row of a query; None without a row."""
+        rows = self.read(query, values)
+        return rows[0][0] if rows else None
+
+    def text(self, query: str, values: tuple[Any, ...] = ()) -> str | None:
+        """Return the text that a query selects as a column and its packed column; None without a row."""
+        with translated_errors(self.path):
+            rows = self.read(query, values)
+            return unpacked(*rows[0]) if rows else None
+
+    def execute(
+        self,
+        statement: str,
+        values: tuple[Any, ...] = (),
+        *,
+        patient: bool = False,
+        durable: bool = True,
+        size: int = 0,
+    ) -> Future[int]:
+        """Run one statement as `write` does; the future has the number of rows that it changed."""
+        return self.write(
+            lambda connection: connection.execute(statement, values).rowcount,
+            patient=patient, durable=durable, size=size,
+        )  # fmt: skip
 
     def close(self) -> None:
         """Finish all writes and close the file; no effect if it is closed.
@@ -247,12 +276,34 @@ class Database:
     def _check_file(self) -> None:
         """Notice a deleted file without waiting for a write, and check whether a past trouble is over."""
         self._began_s = time.monotonic()
-        self._watch.measure()
+        self._measure_space()
         self._began_s = None
         # A person who has recovered or given up what was set aside moves it away.
         self.notices = tuple(n for n in self.notices if n.kept is None or not is_absent(n.kept))
-        if self._trouble is not None or self._watch.changed:
+        if self._trouble is not None or self._file_changed():
             self._perform(_Job(_touch, Future(), patient=False, durable=True, size=0))
+
+    def _file_changed(self) -> bool:
+        """Return whether the file was deleted or replaced, so that the connection writes to a file without a name.
+
+        A directory that cannot be read proves neither: the next write shows whether the file can still be used.
+        """
+        try:
+            return identity_of(self.path) != self._opened_file
+        except OSError:
+            return False
+
+    def _remember_file(self) -> None:
+        """Take the file that is at the path now as the one that is open."""
+        self._opened_file = None
+        with contextlib.suppress(OSError):
+            self._opened_file = identity_of(self.path)
+
+    def _measure_space(self) -> None:
+        # The last value is kept after an error: if the mount was lost, the next write shows it.
+        with contextlib.suppress(OSError):
+            found = os.statvfs(self.path.parent)
+            self.free_bytes = found.f_bavail * found.f_frsize
 
     def _perform(self, job: _Job) -> None:
         """Carry out one write. If the storage refuses it, try again as long as the write is patient."""
@@ -289,7 +340,7 @@ class Database:
                 return
 
     def _transaction(self, job: _Job) -> Any:
-        if self._watch.changed:
+        if self._file_changed():
             self._follow_file()
         if self._writer is None:
             self._reopen()
@@ -326,7 +377,7 @@ class Database:
             # No connection may be open: the last one that closes deletes the write-ahead log by its name.
             self._close_connections()
             notice = set_aside(self.path, why)
-            self._watch.forget()
+            self._remember_file()
             self._reopen()
         except Exception as error:  # noqa: BLE001  tried again with the next write; the log has the cause
             _log.warning("%s: cannot be opened again: %s", self.path, error)
@@ -343,16 +394,16 @@ class Database:
         writer = self._writer
         if writer is None:
             return
-        notice = self._watch.rescue(writer, self.thread.beat)
+        notice = rescue(writer, self.path, self.thread.beat)
         self._close_connections()
-        self._watch.forget()
+        self._remember_file()
         self._reopen()
         self.notices = (*self.notices, notice)
         _log.error("%s", notice.message)
 
     def _reopen(self) -> None:
         self._writer, notice = open_database(self.path)
-        self._watch.forget()
+        self._remember_file()
         # A notice that the file is absent adds no information to the notice that has led here.
         if notice is not None and notice.code != DELETED:
             self.notices = (*self.notices, notice)

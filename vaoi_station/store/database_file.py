@@ -10,11 +10,11 @@ import contextlib
 import sqlite3
 import stat
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 from vaoi_station.errors import InputError
-from vaoi_station.files.durability import sync_directory
+from vaoi_station.files.directories import sync_directory
 from vaoi_station.store.schema import VERSION, migrate
 from vaoi_station.store.storage_trouble import (
     DAMAGED,
@@ -34,26 +34,24 @@ HEADER_BYTES = 100
 """Size of the header of a database; SQLite takes a shorter file for a new one."""
 LARGEST_AT_START = 50_000_000
 """Largest file in bytes that is checked completely at the start; measured, that takes a second from a cold disk."""
+BEAT_STEPS = 10_000
+"""Steps of SQLite's virtual machine between two heartbeats of a thread, some hundredths of a second."""
 ACKNOWLEDGED = ".acknowledged"
 """Ending of an empty marker file beside a file that was set aside: a person knows of it, and the warning has ended."""
 MARK = ".begun"
 """Ending of an empty marker file. If it is absent, a start without a database is the first start."""
 
 
-class Identity(NamedTuple):
-    """Device number and inode of a file. A path whose file was deleted or replaced has another identity."""
+def identity_of(path: Path) -> tuple[int, int] | None:
+    """Return device and inode of a file, which differ once it was deleted or replaced; None if there is none.
 
-    device: int
-    inode: int
-
-
-def identity_of(path: Path) -> Identity | None:
-    """Return the identity of the file at a path; None if there is none. OSError: the disk does not say."""
+    OSError: the disk does not say.
+    """
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError):
         return None
-    return Identity(found.st_dev, found.st_ino)
+    return found.st_dev, found.st_ino
 
 
 def is_absent(path: Path) -> bool:
@@ -73,24 +71,19 @@ def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None
         InputError: the database was written by a newer version, or by another program.
         DeviceError: it cannot be used at present; the code says why.
     """
+    notice = None
     with translated_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        gone = _is_gone(path)
-    notice = None
-    try:
-        connection = _open(path)
-    except sqlite3.DatabaseError as error:
-        trouble = trouble_of(error, path)
-        if trouble is None or trouble.code != DAMAGED:
-            with translated_errors(path):
+        size = path.stat().st_size if path.exists() else 0
+        gone = size < HEADER_BYTES and path.with_name(path.name + MARK).exists()
+        try:
+            connection = _open(path)
+        except sqlite3.DatabaseError as error:
+            trouble = trouble_of(error, path)
+            if trouble is None or trouble.code != DAMAGED:
                 raise
-        with translated_errors(path):
             notice = set_aside(path, str(error))
             connection = _open(path)
-    except OSError:
-        with translated_errors(path):
-            raise
-    with translated_errors(path):
         for known in acknowledged_files(path):
             if not known.exists():  # It was moved away or deleted, so that its marker says nothing any more.
                 known.with_name(known.name + ACKNOWLEDGED).unlink(missing_ok=True)
@@ -161,12 +154,47 @@ def connect(path: Path, cache_kib: int | None = None) -> sqlite3.Connection:
 
 
 def check_at_start(connection: sqlite3.Connection, path: Path) -> None:
-    """Check a small database completely; leave a large one to `DatabaseCheck`. Raise DatabaseError if it is damaged."""
+    """Check a small database completely; a large one would take too long. DatabaseError: it is damaged."""
     if path.stat().st_size > LARGEST_AT_START:
         return
     fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
     if fault != "ok":
         raise sqlite3.DatabaseError(fault)
+
+
+def rescue(connection: sqlite3.Connection, path: Path, beat: Callable[[], None]) -> StorageTrouble:
+    """Save everything that `connection`, whose file is no longer at the path, can still read.
+
+    A deleted database is put back. If another file is in its place, that file is left there, and the old content is
+    saved beside it. `beat` is called meanwhile, because a year of results takes minutes. OSError: the disk does not say
+    which of both it is.
+    """
+    replaced = identity_of(path) is not None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f"{path.name}.rescued")
+    aside.unlink(missing_ok=True)
+    connection.set_progress_handler(beat, BEAT_STEPS)
+    connection.execute("VACUUM INTO ?", (str(aside),))
+    # The write-ahead log of the old file must not be applied to the file that is opened next.
+    for ending in ("-wal", "-shm"):
+        path.with_name(path.name + ending).unlink(missing_ok=True)
+    if not replaced:
+        aside.rename(path)
+        return StorageTrouble(
+            DELETED,
+            f"{path}: was deleted while the station ran; it was written back completely.",
+            "Find out who deletes files in the data directory.",
+        )
+    kept = unused_name(path, "replaced")
+    aside.rename(kept)
+    return StorageTrouble(
+        REPLACED,
+        f"{path}: was replaced by another file while the station ran. The station goes on with that one; its own was "
+        f"saved as {kept.name}.",
+        "Stop the station before a database is restored. "
+        f"The warning ends when {kept.name} is moved away or deleted, or when an administrator acknowledges it.",
+        kept,
+    )
 
 
 def roll_back(connection: sqlite3.Connection) -> None:
@@ -176,12 +204,6 @@ def roll_back(connection: sqlite3.Connection) -> None:
     if connection.in_transaction:
         with contextlib.suppress(sqlite3.Error):
             connection.execute("ROLLBACK")
-
-
-def _is_gone(path: Path) -> bool:
-    """Return whether there was a database at an earlier start and now there is none, or an empty file."""
-    size = path.stat().st_size if path.exists() else 0
-    return size < HEADER_BYTES and path.with_name(path.name + MARK).exists()
 
 
 def _note_deleted(path: Path) -> StorageTrouble:

@@ -12,26 +12,29 @@ import sqlite3
 from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
-from vaoi_station.errors import NotFoundError
-from vaoi_station.store.board_stitching import BoardStitching
-from vaoi_station.store.configurations import Configurations
+from vaoi_station.errors import DeviceError, NotFoundError
 from vaoi_station.store.database import Database
-from vaoi_station.store.history.board_figures import BoardFigures
-from vaoi_station.store.history.calibration_checks import CalibrationChecks
-from vaoi_station.store.history.decisions import RunDecisions
-from vaoi_station.store.history.identities import IdentityRow, RunIdentities, write_identity
-from vaoi_station.store.history.retention import RunRetention
-from vaoi_station.store.history.run_search import RunSearch
-from vaoi_station.store.schema import ANY_OF, PACKED, keys_of, packed, unpacked
-from vaoi_station.store.standing import StandingDocuments
+from vaoi_station.store.figures import BoardFigures
+from vaoi_station.store.retention import RunRetention
+from vaoi_station.store.run_search import RunSearch
+from vaoi_station.store.schema import ANY_OF, DOUBTFUL, PACKED, keys_of, packed, unpacked
 from vaoi_station.store.storage_trouble import StorageTrouble, translated_errors
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
 """Number of events kept; older events are deleted."""
+FIRST_KEPT, LATEST_KEPT = 100, 2000
+"""Numbers of checks kept per calibration: the first ones after the calibration came into force, and the latest ones."""
+_FIRST_OR_LATEST = """(
+    run IN (SELECT run FROM calibration_checks WHERE calibration_digest = ?1 ORDER BY run LIMIT ?2)
+    OR run IN (SELECT run FROM calibration_checks WHERE calibration_digest = ?1 ORDER BY run DESC LIMIT ?3))"""
+"""SQL: a check is among the first ?2 or the latest ?3 of its calibration; run ids sort by time."""
+_BASELINES = "lamp-baselines"
+_DAY = len("2026-01-31")
 DOCUMENTS_REMEMBERED = 32
 """Number of the latest board types and calibrations that are also kept in memory, for runs that refer to them."""
 
@@ -72,27 +75,241 @@ class ComponentHeights:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def save(self, run: str, document: str) -> Future[None]:
-        """Write the heights of a finished run. Later calls for the same run have no effect, as the heights are kept.
+    def save(self, run: str, document: str) -> Future[int]:
+        """Write the heights of a finished run; no effect if it has some, or if its result was deleted meanwhile."""
+        return self._database.execute(
+            """INSERT OR IGNORE INTO heights SELECT id, ?, ? FROM runs
+               WHERE id = ? AND finish_number IS NOT NULL AND detail <> ''""",
+            (*packed(document), run), patient=True, durable=False, size=len(document),
+        )  # fmt: skip
 
-        Nothing is written of a run whose result was deleted meanwhile.
-        """
-        text, content = packed(document)
+    def document(self, run: str) -> str | None:
+        """Return the heights of a run; None if it has none."""
+        return self._database.text("SELECT document, packed FROM heights WHERE run = ?", (run,))
+
+
+class CalibrationChecks:
+    """Calibration checks: one small document per run, grouped by the calibration the run was stitched with."""
+
+    def __init__(self, database: Database) -> None:
+        self._database, self._standing = database, StandingDocuments(database)
+
+    def save(self, run: str, calibration_digest: str, document: str) -> Future[None]:
+        """Save the check of a run. Delete checks of its calibration that are neither among the first nor the latest."""
 
         def write(connection: sqlite3.Connection) -> None:
+            row = (run, calibration_digest, document)
+            connection.execute("INSERT OR REPLACE INTO calibration_checks VALUES (?, ?, ?)", row)
             connection.execute(
-                """INSERT OR IGNORE INTO heights SELECT id, ?, ? FROM runs
-                   WHERE id = ? AND finish_number IS NOT NULL AND detail <> ''""",
-                (text, content, run),
+                f"DELETE FROM calibration_checks WHERE calibration_digest = ?1 AND NOT {_FIRST_OR_LATEST}",
+                (calibration_digest, FIRST_KEPT, LATEST_KEPT),
             )
 
         return self._database.write(write, patient=True, durable=False, size=len(document))
 
-    def document(self, run: str) -> str | None:
-        """Return the heights of a run; None if it has none."""
+    def documents(self, calibration_digest: str, first: int, latest: int) -> list[str]:
+        """Return the `first` oldest and `latest` newest checks of a calibration, oldest first, without duplicates."""
+        rows = self._database.read(
+            f"""SELECT document FROM calibration_checks WHERE calibration_digest = ?1 AND {_FIRST_OR_LATEST}
+                ORDER BY run""",
+            (calibration_digest, first, latest),
+        )
+        return [str(row[0]) for row in rows]
+
+    def count(self, calibration_digest: str) -> int:
+        """Return the number of checks kept for a calibration."""
+        query = "SELECT count(*) FROM calibration_checks WHERE calibration_digest = ?"
+        return int(self._database.value(query, (calibration_digest,)))
+
+    def baselines(self) -> str | None:
+        """Return the document of all board types' brightness that was saved last; None if there is none."""
+        return self._standing.get(_BASELINES)
+
+    def save_baselines(self, document: str) -> Future[int]:
+        """Save the brightness of all board types in one document, whether or not the checks that it is of are kept."""
+        return self._standing.set(_BASELINES, document)
+
+
+class RunDecisions:
+    """What persons have decided about runs, deleted with the summary. A later decision replaces the earlier one."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def save(self, run: str, document: str) -> bool:
+        """Write the decision about a run, and wait until this is done; return False if the run is not stored."""
+        written = self._database.execute(
+            """INSERT INTO decisions SELECT id, ? FROM runs WHERE id = ?
+               ON CONFLICT (run) DO UPDATE SET document = excluded.document""",
+            (document, run),
+        )
+        return written.result() == 1
+
+    def documents(self, runs: Sequence[str]) -> dict[str, str]:
+        """Return the decisions about some runs, by run id; runs without a decision are left out."""
+        rows = self._database.read(f"SELECT run, document FROM decisions WHERE run {ANY_OF}", (keys_of(runs),))
+        return {str(run): str(document) for run, document in rows}
+
+
+@dataclass(frozen=True)
+class IdentityRow:
+    """The identity of a run as stored."""
+
+    document: str
+    board_ids: Sequence[str] = ()
+    """The ids by which the run is found."""
+    pending: bool = False
+    """Whether the codes are not read yet."""
+
+
+class RunIdentities:
+    """The identities of runs, and the ids by which runs are found."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def save(self, run: str, row: IdentityRow, summary: str, state: str) -> Future[None]:
+        """Write the identity of a finished run, and the summary and state that follow from it.
+
+        A state that says that the frames are gone stays.
+        """
+
+        def write(connection: sqlite3.Connection) -> None:
+            changed = connection.execute(
+                """UPDATE runs SET summary = ?, state = CASE WHEN state IN ('ready', 'degraded') THEN ? ELSE state END
+                   WHERE id = ? AND finish_number IS NOT NULL""",
+                (summary, state, run),
+            )
+            if changed.rowcount:
+                write_identity(connection, run, row)
+                # A run that its identity degrades is kept as long as others that are not ok.
+                connection.execute(
+                    f"""UPDATE whole_runs SET doubtful = (SELECT {DOUBTFUL} FROM runs AS new WHERE id = ?1)
+                        WHERE run = ?1""",
+                    (run,),
+                )
+
+        return self._database.write(write, patient=True, durable=False, size=len(row.document) + len(summary))
+
+    def documents(self, runs: Sequence[str]) -> dict[str, str]:
+        """Return the identities of runs by run; runs without one are left out."""
         with translated_errors(self._database.path):
-            rows = self._database.read("SELECT document, packed FROM heights WHERE run = ?", (run,))
-            return unpacked(*rows[0]) if rows else None
+            query = f"SELECT run, document, packed FROM identities WHERE run {ANY_OF}"
+            return {str(row[0]): unpacked(row[1], row[2]) for row in self._database.read(query, (keys_of(runs),))}
+
+    def pending(self) -> list[str]:
+        """Return the runs of which the codes are not read yet."""
+        return [str(row[0]) for row in self._database.read("SELECT run FROM identities WHERE pending")]
+
+    def runs_of(self, board_id: str, limit: int, before: str | None) -> list[str]:
+        """Return at most `limit` runs with an id, newest first; only runs with ids below `before` (None: all)."""
+        rows = self._database.read(
+            "SELECT run FROM board_ids WHERE board_id = ? AND (? IS NULL OR run < ?) ORDER BY run DESC LIMIT ?",
+            (board_id, before, before, limit),
+        )
+        return [str(row[0]) for row in rows]
+
+
+def write_identity(connection: sqlite3.Connection, run: str, row: IdentityRow) -> None:
+    """Write the identity of a run, in a transaction of the caller."""
+    connection.execute(
+        "INSERT OR REPLACE INTO identities (run, document, packed, pending) VALUES (?, ?, ?, ?)",
+        (run, *packed(row.document), int(row.pending)),
+    )
+    connection.execute("DELETE FROM board_ids WHERE run = ?", (run,))
+    connection.executemany("INSERT INTO board_ids VALUES (?, ?)", ((board_id, run) for board_id in row.board_ids))
+
+
+class BoardStitching:
+    """Per board type its reference, and its stitching method where it differs from the station's."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def reference(self, board_type: str) -> str | None:
+        """Return the reference document of a board type; None if it has no reference."""
+        return self._database.text("SELECT document, NULL FROM board_references WHERE board_type = ?", (board_type,))
+
+    def references(self) -> list[str]:
+        """Return the documents of all references."""
+        return [str(row[0]) for row in self._database.read("SELECT document FROM board_references")]
+
+    def keep_reference(self, board_type: str, document: str) -> Future[int]:
+        """Set the reference of a board type, replacing an earlier one."""
+        return self._database.execute("INSERT OR REPLACE INTO board_references VALUES (?, ?)", (board_type, document))
+
+    def drop_reference(self, board_type: str) -> Future[int]:
+        """Delete the reference of a board type; no effect if it has none."""
+        return self._database.execute("DELETE FROM board_references WHERE board_type = ?", (board_type,))
+
+    def method(self, board_type: str) -> str | None:
+        """Return the stitching method of a board type; None if the station's default applies."""
+        return self._database.text("SELECT method, NULL FROM board_methods WHERE board_type = ?", (board_type,))
+
+    def keep_method(self, board_type: str, method: str) -> Future[int]:
+        """Set the stitching method of a board type."""
+        return self._database.execute("INSERT OR REPLACE INTO board_methods VALUES (?, ?)", (board_type, method))
+
+    def drop_method(self, board_type: str) -> Future[int]:
+        """Delete the stitching method of a board type, so that the station's default applies."""
+        return self._database.execute("DELETE FROM board_methods WHERE board_type = ?", (board_type,))
+
+
+class StandingDocuments:
+    """The present activity of the station, which a restart resumes: one small document per key."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def get(self, key: str) -> str | None:
+        """Return the document of a key; None if there is none."""
+        return self._database.text("SELECT document, NULL FROM standing WHERE key = ?", (key,))
+
+    def set(self, key: str, document: str | None) -> Future[int]:
+        """Write the document of a key, or delete it with None."""
+        if document is None:
+            return self._database.execute("DELETE FROM standing WHERE key = ?", (key,), patient=True)
+        return self._database.execute(
+            "INSERT OR REPLACE INTO standing VALUES (?, ?)", (key, document), patient=True, size=len(document)
+        )
+
+
+class Configurations:
+    """The configurations with which runs were made, by digest, each stored once. Usable from any thread."""
+
+    def __init__(self, database: Database) -> None:
+        self._database, self._document = database, ""
+        self.present = ""
+        """Digest of the configuration in force; empty before `begin`."""
+
+    def begin(self, document: str, now: str) -> str:
+        """Store the configuration with which the station starts, and return its digest."""
+        self.present, self._document = digest_of(document), document
+        self.store_again(now)
+        return self.present
+
+    def store_again(self, now: str) -> None:
+        """Store the configuration in force, and once a day that it was used.
+
+        The database may have been replaced by an empty one since the last call.
+        """
+        used = self._database.value("SELECT last_used FROM configurations WHERE digest = ?", (self.present,))
+        if used is not None and used[:_DAY] == now[:_DAY]:
+            return
+        # A disk that takes nothing does not keep the station from starting; the next call stores it.
+        with suppress(DeviceError):
+            self._database.execute(
+                """INSERT INTO configurations VALUES (?, ?, ?, ?)
+                   ON CONFLICT (digest) DO UPDATE SET last_used = excluded.last_used""",
+                (self.present, now, self._document, now),
+            ).result()
+
+    def document(self, digest: str) -> str:
+        """Return a stored configuration as JSON text; raise NotFoundError if the digest is unknown."""
+        found = self._database.value("SELECT document FROM configurations WHERE digest = ?", (digest,))
+        if found is None:
+            raise NotFoundError(f"{self._database.path}: there is no configuration {digest!r}.")
+        return str(found)
 
 
 class Store:
@@ -141,17 +358,16 @@ class Store:
             self._documents.popitem(last=False)
         # The write is not awaited, so that the line can be armed while the disk is full: runs that refer to it are
         # written later.
-        self._database.write(lambda c: c.execute(_KEEP_DOCUMENT, row), patient=True, durable=False, size=len(document))
+        self._database.execute(_KEEP_DOCUMENT, row, patient=True, durable=False, size=len(document))
         return digest
 
     def document(self, digest: str) -> str:
         """Return a stored board type or calibration; raise NotFoundError if the digest is unknown."""
         if (known := self._documents.get(digest)) is not None:
             return known[3]
-        rows = self._database.read("SELECT document FROM documents WHERE digest = ?", (digest,))
-        if not rows:
+        if (found := self._database.value("SELECT document FROM documents WHERE digest = ?", (digest,))) is None:
             raise NotFoundError(f"{self._database.path}: there is no document {digest}.")
-        return str(rows[0]["document"])
+        return str(found)
 
     def save_run(
         self, row: RunRow, timeline: str | None = None, result: str | None = None, *, patient: bool = True
@@ -191,14 +407,13 @@ class Store:
         durable = row.finish_number is not None
         return self._database.write(write, patient=patient, durable=durable, size=size)
 
-    def set_state(self, run: str, state: str) -> Future[None]:
+    def set_state(self, run: str, state: str) -> Future[int]:
         """Set the state of a finished run whose frames were released or evicted; no effect on an unfinished run."""
-
-        def write(connection: sqlite3.Connection) -> None:
-            # If the end of a run was never written, the next start must find it as unfinished.
-            connection.execute("UPDATE runs SET state = ? WHERE id = ? AND finish_number IS NOT NULL", (state, run))
-
-        return self._database.write(write, patient=True, durable=False, size=100)
+        # If the end of a run was never written, the next start must find it as unfinished.
+        return self._database.execute(
+            "UPDATE runs SET state = ? WHERE id = ? AND finish_number IS NOT NULL", (state, run),
+            patient=True, durable=False, size=100,
+        )  # fmt: skip
 
     def run(self, run: str) -> RunRow | None:
         """Return one run; None if it does not exist."""
@@ -228,21 +443,14 @@ class Store:
             _row(r) for r in self._database.read(f"SELECT {_COLUMNS} FROM runs WHERE finish_number IS NULL ORDER BY id")
         ]
 
-    def mark_frames_gone(self, gone: str) -> Future[None]:
-        """Set the state of all finished runs with frames to `gone`, because their memory no longer exists.
-
-        The write waits for the end of a storage trouble.
-        """
-
-        def write(connection: sqlite3.Connection) -> None:
-            # The condition on the state is that of the index `runs_with_frames`.
-            connection.execute(
-                """UPDATE runs SET state = ? WHERE state IN ('ready', 'degraded', 'failed')
-                   AND finish_number IS NOT NULL""",
-                (gone,),
-            )
-
-        return self._database.write(write, patient=True)
+    def mark_frames_gone(self, gone: str) -> Future[int]:
+        """Set the state of all finished runs with frames to `gone`, because their memory no longer exists."""
+        # The condition on the state is that of the index `runs_with_frames`.
+        return self._database.execute(
+            """UPDATE runs SET state = ? WHERE state IN ('ready', 'degraded', 'failed')
+               AND finish_number IS NOT NULL""",
+            (gone,), patient=True,
+        )  # fmt: skip
 
     def finished_after(self, finish_number: int) -> RunRow | None:
         """Return the run that finished next after `finish_number` (0: the first of all); None if there is none.
@@ -266,22 +474,17 @@ class Store:
 
     def newest_run(self) -> str | None:
         """Return the highest run id in use; None before the first run."""
-        value = self._database.read("SELECT max(id) AS id FROM runs")[0]["id"]
-        return None if value is None else str(value)
+        newest: str | None = self._database.value("SELECT max(id) FROM runs")
+        return newest
 
     def result(self, run: str) -> str | None:
         """Return the result of a run; None if it has none."""
-        return self._text("SELECT document, packed FROM results WHERE run = ?", run)
+        return self._database.text("SELECT document, packed FROM results WHERE run = ?", (run,))
 
     def timeline(self, run: str) -> str | None:
         """Return the timeline of a run; None if it has none yet."""
-        return self._text("SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL", run)
-
-    def _text(self, query: str, run: str) -> str | None:
-        """Return the text that a query selects as a column and its packed column; None if there is no row."""
-        with translated_errors(self._database.path):
-            rows = self._database.read(query, (run,))
-            return unpacked(*rows[0]) if rows else None
+        query = "SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"
+        return self._database.text(query, (run,))
 
     def add_event(self, row: EventRow) -> Future[None]:
         """Append an event, and delete the oldest beyond `EVENTS_KEPT`."""
@@ -302,7 +505,7 @@ class Store:
 
     def last_event(self) -> int:
         """Return the number of the newest event; 0 before the first."""
-        return int(self._database.read("SELECT coalesce(max(number), 0) AS number FROM events")[0]["number"])
+        return int(self._database.value("SELECT coalesce(max(number), 0) FROM events"))
 
     def close(self) -> None:
         """Finish all writes and close the file."""

@@ -1,4 +1,4 @@
-"""The tables as a list of migration steps; `PRAGMA user_version` holds the number of steps applied.
+"""The tables, and the steps from one version of them to the next; `PRAGMA user_version` holds the version.
 
 A released step is never edited. A change of the tables is added as a further step.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import sqlite3
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from vaoi_station.errors import InputError
@@ -17,166 +17,115 @@ _VERDICT = "CASE WHEN json_valid(new.summary) THEN json_extract(new.summary, '$.
 DOUBTFUL = f"(coalesce({_VERDICT}, '') <> 'ok')"
 """SQL expression: 1 for a run with a verdict other than ok, or without a verdict; 0 for all other runs."""
 
-# STRICT tables reject a value of the wrong type; otherwise, SQLite would store text in an INTEGER column.
-STEPS: tuple[tuple[str, ...], ...] = (
-    (
-        """CREATE TABLE documents (
-            digest TEXT PRIMARY KEY,
-            kind TEXT NOT NULL CHECK (kind IN ('board-type', 'calibration')),
-            first_seen TEXT NOT NULL,
-            document TEXT NOT NULL
-        ) STRICT""",
-        """CREATE TABLE runs (
-            id TEXT PRIMARY KEY,
-            state TEXT NOT NULL,
-            finish_number INTEGER UNIQUE,
-            board_type_digest TEXT NOT NULL REFERENCES documents (digest),
-            calibration_digest TEXT NOT NULL REFERENCES documents (digest),
-            summary TEXT NOT NULL,
-            detail TEXT NOT NULL,
-            head TEXT,
-            timeline TEXT
-        ) STRICT""",
-        """CREATE TABLE results (
-            run TEXT PRIMARY KEY REFERENCES runs (id),
-            document TEXT NOT NULL
-        ) STRICT""",
-        """CREATE TRIGGER results_are_immutable BEFORE UPDATE ON results
-            BEGIN SELECT RAISE (ABORT, 'a result never changes'); END""",
-        """CREATE TABLE events (
-            number INTEGER PRIMARY KEY,
-            document TEXT NOT NULL
-        ) STRICT""",
-    ),
-    (
-        """CREATE TABLE calibration_checks (
-            run TEXT PRIMARY KEY REFERENCES runs (id),
-            calibration_digest TEXT NOT NULL REFERENCES documents (digest),
-            document TEXT NOT NULL
-        ) STRICT""",
-        "CREATE INDEX calibration_checks_in_order ON calibration_checks (calibration_digest, run)",
-    ),
-    (
-        """CREATE TABLE board_references (
-            board_type TEXT PRIMARY KEY,
-            document TEXT NOT NULL
-        ) STRICT""",
-        """CREATE TABLE board_methods (
-            board_type TEXT PRIMARY KEY,
-            method TEXT NOT NULL
-        ) STRICT""",
-    ),
-    (
-        # The table lists which finished runs still have details and results (`history/retention.py`). Triggers fill it,
-        # so that no code that ends a run can leave it out.
-        """CREATE TABLE whole_runs (
-            run TEXT PRIMARY KEY REFERENCES runs (id),
-            finish_number INTEGER NOT NULL UNIQUE,
-            doubtful INTEGER NOT NULL
-        ) STRICT""",
-        f"INSERT INTO whole_runs SELECT id, finish_number, {DOUBTFUL} FROM runs AS new WHERE finish_number IS NOT NULL",
-        "CREATE INDEX whole_runs_by_verdict ON whole_runs (doubtful, run)",
-        f"""CREATE TRIGGER run_is_whole AFTER INSERT ON runs WHEN new.finish_number IS NOT NULL
-            BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {DOUBTFUL}); END""",
-        f"""CREATE TRIGGER run_became_whole AFTER UPDATE OF finish_number ON runs
-            WHEN old.finish_number IS NULL AND new.finish_number IS NOT NULL
-            BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {DOUBTFUL}); END""",
-        """CREATE TABLE pins (
-            run TEXT PRIMARY KEY REFERENCES runs (id),
-            pinned TEXT NOT NULL
-        ) STRICT""",
-        # This table has one row: the highest id of the runs of which not even the summary is kept.
-        "CREATE TABLE forgotten (last TEXT NOT NULL) STRICT",
-        # A start that changes the state of runs must not have to read all runs of a year.
-        "CREATE INDEX runs_with_frames ON runs (state) WHERE state IN ('ready', 'degraded', 'failed')",
-    ),
-    (
-        """CREATE TABLE configurations (
-            digest TEXT PRIMARY KEY,
-            first_seen TEXT NOT NULL,
-            document TEXT NOT NULL
-        ) STRICT""",
-    ),
-    (
-        """CREATE TABLE standing (
-            key TEXT PRIMARY KEY,
-            document TEXT NOT NULL
-        ) STRICT""",
-    ),
-    (
-        # Columns are added, and rows of earlier versions stay as they are: a year of results is not copied at a start.
-        "ALTER TABLE results ADD COLUMN packed BLOB",
-        "ALTER TABLE runs ADD COLUMN packed_detail BLOB",
-        "ALTER TABLE runs ADD COLUMN packed_timeline BLOB",
-        # To find, and to delete, documents to which no run refers, without reading the runs of a year.
-        "CREATE INDEX runs_by_board_type ON runs (board_type_digest)",
-        "CREATE INDEX runs_by_calibration ON runs (calibration_digest)",
-        "ALTER TABLE configurations ADD COLUMN last_used TEXT",
-        "UPDATE configurations SET last_used = strftime('%Y-%m-%dT%H:%M:%SZ', 'now')",
-    ),
-    (
-        # Heights are measured after the result is written, which never changes.
-        """CREATE TABLE heights (
-            run TEXT PRIMARY KEY REFERENCES runs (id),
-            document TEXT NOT NULL,
-            packed BLOB
-        ) STRICT""",
-    ),
-    (
-        """CREATE TABLE decisions (
-            run TEXT PRIMARY KEY REFERENCES runs (id) ON DELETE CASCADE,
-            document TEXT NOT NULL
-        ) STRICT""",
-    ),
-    (
-        # Identities are kept as long as the summaries of their runs, so that a board is found by its id.
-        """CREATE TABLE identities (
-            run TEXT PRIMARY KEY REFERENCES runs (id) ON DELETE CASCADE,
-            document TEXT NOT NULL,
-            packed BLOB
-        ) STRICT""",
-        """CREATE TABLE board_ids (
-            board_id TEXT NOT NULL,
-            run TEXT NOT NULL REFERENCES runs (id) ON DELETE CASCADE,
-            PRIMARY KEY (board_id, run)
-        ) STRICT, WITHOUT ROWID""",
-        "CREATE INDEX board_ids_by_run ON board_ids (run)",
-    ),
-    (
-        # What searches and starts ask of an identity, so that they need not unpack it. No release wrote earlier rows.
-        "ALTER TABLE identities ADD COLUMN pending INTEGER NOT NULL DEFAULT 0",
-        "ALTER TABLE identities ADD COLUMN degrading TEXT",
-        "CREATE INDEX identities_pending ON identities (run) WHERE pending",
-    ),
-    (
-        # Figures outlive the runs that they are of, so these tables do not refer to runs (`history/board_figures.py`).
-        """CREATE TABLE board_figures (
-            run TEXT PRIMARY KEY,
-            started TEXT NOT NULL,
-            board_type TEXT NOT NULL,
-            document TEXT NOT NULL
-        ) STRICT, WITHOUT ROWID""",
-        "CREATE INDEX board_figures_in_time ON board_figures (started, board_type)",
-        """CREATE TABLE hourly_figures (
-            number INTEGER PRIMARY KEY,
-            hour TEXT NOT NULL,
-            board_type TEXT NOT NULL,
-            document TEXT NOT NULL,
-            UNIQUE (hour, board_type)
-        ) STRICT""",
-        """CREATE TABLE figure_marks (
-            number INTEGER PRIMARY KEY,
-            kind TEXT NOT NULL,
-            board_type TEXT NOT NULL,
-            started TEXT NOT NULL,
-            run TEXT NOT NULL,
-            before TEXT,
-            after TEXT NOT NULL
-        ) STRICT""",
-        "CREATE INDEX figure_marks_by_kind ON figure_marks (kind, board_type)",
-    ),
-)
-VERSION = len(STEPS)
+_TABLES_12 = f"""
+CREATE TABLE documents (
+    digest TEXT PRIMARY KEY,
+    kind TEXT NOT NULL CHECK (kind IN ('board-type', 'calibration')),
+    first_seen TEXT NOT NULL,
+    document TEXT NOT NULL
+) STRICT;
+CREATE TABLE runs (
+    id TEXT PRIMARY KEY,
+    state TEXT NOT NULL,
+    finish_number INTEGER UNIQUE,
+    board_type_digest TEXT NOT NULL REFERENCES documents (digest),
+    calibration_digest TEXT NOT NULL REFERENCES documents (digest),
+    summary TEXT NOT NULL,
+    detail TEXT NOT NULL,
+    head TEXT,
+    timeline TEXT,
+    packed_detail BLOB,
+    packed_timeline BLOB
+) STRICT;
+-- To find, and to delete, documents to which no run refers, without reading the runs of a year.
+CREATE INDEX runs_by_board_type ON runs (board_type_digest);
+CREATE INDEX runs_by_calibration ON runs (calibration_digest);
+-- A start that changes the state of runs must not have to read all runs of a year.
+CREATE INDEX runs_with_frames ON runs (state) WHERE state IN ('ready', 'degraded', 'failed');
+CREATE TABLE results (run TEXT PRIMARY KEY REFERENCES runs (id), document TEXT NOT NULL, packed BLOB) STRICT;
+CREATE TRIGGER results_are_immutable BEFORE UPDATE ON results
+    BEGIN SELECT RAISE (ABORT, 'a result never changes'); END;
+-- Heights are measured after the result is written, which never changes.
+CREATE TABLE heights (run TEXT PRIMARY KEY REFERENCES runs (id), document TEXT NOT NULL, packed BLOB) STRICT;
+CREATE TABLE events (number INTEGER PRIMARY KEY, document TEXT NOT NULL) STRICT;
+CREATE TABLE calibration_checks (
+    run TEXT PRIMARY KEY REFERENCES runs (id),
+    calibration_digest TEXT NOT NULL REFERENCES documents (digest),
+    document TEXT NOT NULL
+) STRICT;
+CREATE INDEX calibration_checks_in_order ON calibration_checks (calibration_digest, run);
+CREATE TABLE board_references (board_type TEXT PRIMARY KEY, document TEXT NOT NULL) STRICT;
+CREATE TABLE board_methods (board_type TEXT PRIMARY KEY, method TEXT NOT NULL) STRICT;
+-- Which finished runs still have details and results (`retention.py`). Triggers fill it, so that no code that ends a
+-- run can leave it out.
+CREATE TABLE whole_runs (
+    run TEXT PRIMARY KEY REFERENCES runs (id),
+    finish_number INTEGER NOT NULL UNIQUE,
+    doubtful INTEGER NOT NULL
+) STRICT;
+CREATE INDEX whole_runs_by_verdict ON whole_runs (doubtful, run);
+CREATE TRIGGER run_is_whole AFTER INSERT ON runs WHEN new.finish_number IS NOT NULL
+    BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {DOUBTFUL}); END;
+CREATE TRIGGER run_became_whole AFTER UPDATE OF finish_number ON runs
+    WHEN old.finish_number IS NULL AND new.finish_number IS NOT NULL
+    BEGIN INSERT INTO whole_runs VALUES (new.id, new.finish_number, {DOUBTFUL}); END;
+CREATE TABLE pins (run TEXT PRIMARY KEY REFERENCES runs (id), pinned TEXT NOT NULL) STRICT;
+-- One row: the highest id of the runs of which not even the summary is kept.
+CREATE TABLE forgotten (last TEXT NOT NULL) STRICT;
+CREATE TABLE configurations (
+    digest TEXT PRIMARY KEY, first_seen TEXT NOT NULL, document TEXT NOT NULL, last_used TEXT
+) STRICT;
+CREATE TABLE standing (key TEXT PRIMARY KEY, document TEXT NOT NULL) STRICT;
+CREATE TABLE decisions (run TEXT PRIMARY KEY REFERENCES runs (id) ON DELETE CASCADE, document TEXT NOT NULL) STRICT;
+-- Identities are kept as long as the summaries of their runs, so that a board is found by its id.
+CREATE TABLE identities (
+    run TEXT PRIMARY KEY REFERENCES runs (id) ON DELETE CASCADE,
+    document TEXT NOT NULL,
+    packed BLOB,
+    pending INTEGER NOT NULL DEFAULT 0,
+    degrading TEXT
+) STRICT;
+CREATE INDEX identities_pending ON identities (run) WHERE pending;
+CREATE TABLE board_ids (
+    board_id TEXT NOT NULL,
+    run TEXT NOT NULL REFERENCES runs (id) ON DELETE CASCADE,
+    PRIMARY KEY (board_id, run)
+) STRICT, WITHOUT ROWID;
+CREATE INDEX board_ids_by_run ON board_ids (run);
+-- Figures outlive the runs that they are of, so these tables do not refer to runs (`figures.py`).
+CREATE TABLE board_figures (
+    run TEXT PRIMARY KEY, started TEXT NOT NULL, board_type TEXT NOT NULL, document TEXT NOT NULL
+) STRICT, WITHOUT ROWID;
+CREATE INDEX board_figures_in_time ON board_figures (started, board_type);
+CREATE TABLE hourly_figures (
+    number INTEGER PRIMARY KEY,
+    hour TEXT NOT NULL,
+    board_type TEXT NOT NULL,
+    document TEXT NOT NULL,
+    UNIQUE (hour, board_type)
+) STRICT;
+CREATE TABLE figure_marks (
+    number INTEGER PRIMARY KEY,
+    kind TEXT NOT NULL,
+    board_type TEXT NOT NULL,
+    started TEXT NOT NULL,
+    run TEXT NOT NULL,
+    before TEXT,
+    after TEXT NOT NULL
+) STRICT;
+CREATE INDEX figure_marks_by_kind ON figure_marks (kind, board_type);
+"""
+"""All tables as version 12 made them. STRICT tables reject a value of the wrong type."""
+
+# The verdict of a run is decided once more when its identity is known, and stored in its summary.
+_STORED_VERDICTS = """
+UPDATE runs SET summary = identified(summary, i.document, i.packed, i.degrading)
+    FROM identities AS i WHERE i.run = runs.id;
+ALTER TABLE identities DROP COLUMN degrading;
+"""
+STEPS = {12: _TABLES_12, 13: _STORED_VERDICTS}
+"""By version, the statements that make it from the version before; the first one begins with an empty file."""
+OLDEST, VERSION = min(STEPS), max(STEPS)
 PACKED = "packed"
 """Value of a text column whose text is stored, compressed, in the column beside it."""
 _SMALLEST = 500
@@ -214,11 +163,33 @@ def unpacked(text: str, content: bytes | None) -> str:
         raise sqlite3.DatabaseError(f"a packed text is damaged ({error})") from error
 
 
+def _identified(summary: str, document: str, content: bytes | None, degrading: str | None) -> str:
+    """Return the summary of a run with what its identity says, as versions before 13 showed it without storing it."""
+    try:
+        run, identity = json.loads(summary), json.loads(unpacked(document, content))
+        codes = json.loads(degrading or "[]")
+        run["identity"] = {key: identity.get(key) for key in ("state", "board_id")} | {
+            "boards": identity.get("boards", {})
+        }
+        reasons = [*identity.get("reasons", ()), {"code": "identity-not-read", "message": "The codes were not read."}]
+        run["reasons"] += [reason for reason in reasons if reason["code"] in codes and reason not in run["reasons"]]
+        if codes and run["verdict"] == "ok":
+            run["verdict"] = "degraded"
+    except (sqlite3.DatabaseError, ValueError, KeyError, TypeError):
+        return summary  # of another version: it is shown as a record that cannot be read
+    return json.dumps(run, ensure_ascii=False, separators=(",", ":"))
+
+
+def add_functions(connection: sqlite3.Connection) -> None:
+    """Give a connection the SQL functions that migration steps call."""
+    connection.create_function("identified", 4, _identified, deterministic=True)
+
+
 def migrate(connection: sqlite3.Connection, path: Path) -> None:
     """Apply the missing migration steps, each in one transaction.
 
     Raises:
-        InputError: the database was written by a newer version.
+        InputError: the database was written by a newer version, or by one before version 12 of the tables.
     """
     (found,) = connection.execute("PRAGMA user_version").fetchone()
     if found > VERSION:
@@ -227,16 +198,33 @@ def migrate(connection: sqlite3.Connection, path: Path) -> None:
             action="Start the newer vaoi_station that wrote it, or give this one another data directory.",
             code="database-newer",
         )
-    for number in range(found, VERSION):
+    if 0 < found < OLDEST:
+        raise InputError(
+            f"{path}: has version {found} of the tables; this software knows versions from {OLDEST} on.",
+            action=f"Start the last vaoi_station with version {OLDEST} of the tables once, or move the file away.",
+            code="database-foreign",
+        )
+    add_functions(connection)
+    for version in (v for v in sorted(STEPS) if v > found):
         # Tables and version number change together, so that an interrupted migration continues at the next start.
         connection.execute("BEGIN IMMEDIATE")
         try:
-            for statement in STEPS[number]:
+            for statement in statements_of(STEPS[version]):
                 connection.execute(statement)
-            connection.execute(f"PRAGMA user_version = {number + 1}")
+            connection.execute(f"PRAGMA user_version = {version}")
             connection.execute("COMMIT")
         except BaseException:  # roll back in every case, then raise the error again
             # After "disk full", SQLite has rolled back already; a second ROLLBACK would hide that cause.
             if connection.in_transaction:
                 connection.execute("ROLLBACK")
             raise
+
+
+def statements_of(script: str) -> Iterator[str]:
+    """Yield the statements of a script; `executescript` would end the transaction."""
+    statement = ""
+    for line in script.splitlines():
+        statement += f"{line}\n"
+        if sqlite3.complete_statement(statement):
+            yield statement
+            statement = ""

@@ -14,8 +14,7 @@ from pathlib import Path
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files.access_keys import KEY_FILE
-from vaoi_station.files.atomic_directory import refuse_existing
-from vaoi_station.files.directory_walk import files_below
+from vaoi_station.files.directories import files_below, refuse_existing
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import HEAD_FILE
 from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import IO
 
 from vaoi_station.errors import GoneError
-from vaoi_station.files.directory_walk import files_below
+from vaoi_station.files.directories import files_below
 from vaoi_station.runs.archive.recordings import HEAD_FILE
 
 

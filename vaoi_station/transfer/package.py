@@ -18,8 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any, Self
 
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.files.atomic_directory import refuse_existing
-from vaoi_station.files.durability import sync_directory
+from vaoi_station.files.directories import refuse_existing, sync_directory
 
 MANIFEST = "manifest.json"
 VERSION = 1

@@ -9,12 +9,11 @@ from pathlib import Path
 
 from vaoi_station.config import read_config
 from vaoi_station.errors import GoneError, NotFoundError, StateError
-from vaoi_station.files.atomic_directory import new_directory, refuse_existing
+from vaoi_station.files.directories import new_directory, refuse_existing
 from vaoi_station.files.documents import parse, read_json
-from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import RESULT_FILE, RUN_FILE
-from vaoi_station.runs.archive.stored_documents import with_identity
+from vaoi_station.runs.archive.stored_documents import decided
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.store.schema import unpacked
@@ -73,7 +72,9 @@ def import_run(package: Path, directory: Path) -> RunDetail:
 
 
 def _detail(database: sqlite3.Connection, run: str) -> RunDetail:
-    row = database.execute("SELECT detail, packed_detail, finish_number FROM runs WHERE id = ?", (run,)).fetchone()
+    row = database.execute(
+        "SELECT summary, detail, packed_detail, finish_number FROM runs WHERE id = ?", (run,)
+    ).fetchone()
     if row is None:
         raise NotFoundError(f"There is no run {run!r}.", action="See the list of runs.", code="unknown-run")
     if row["finish_number"] is None:
@@ -84,10 +85,7 @@ def _detail(database: sqlite3.Connection, run: str) -> RunDetail:
             action="Pin runs that are needed for long, or raise the limits of [keep].",
             code="run-forgotten",
         )
-    detail = RunDetail.model_validate_json(unpacked(row["detail"], row["packed_detail"]))
-    # As callers see it: the identity of its board may lower the verdict.
-    found = database.execute("SELECT document, packed FROM identities WHERE run = ?", (run,)).fetchone()
-    return with_identity(detail, IdentityDocument.model_validate_json(unpacked(*found)) if found else None)
+    return decided(unpacked(row["detail"], row["packed_detail"]), row["summary"])
 
 
 def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entry]:

@@ -18,10 +18,9 @@ from pydantic import BaseModel
 
 from vaoi_station.config import KeepConfig, read_config
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.files.atomic_directory import new_directory, remove_directory
-from vaoi_station.files.documents import parse, read_json
+from vaoi_station.files.directories import new_directory, remove_directory
+from vaoi_station.files.documents import parse, read_json, read_text
 from vaoi_station.files.recordings import open_recording
-from vaoi_station.files.text_files import read_text
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
@@ -29,15 +28,12 @@ from vaoi_station.runs.archive.recordings import DISK_RESERVE, RESULT_FILE, RUN_
 from vaoi_station.runs.archive.recordings import HEAD_FILE as RECORDING_FILE
 from vaoi_station.runs.archive.stored_documents import identity_row, in_state
 from vaoi_station.runs.run.run_views import summary_of
-from vaoi_station.runs.states.height_schemas import HeightList
-from vaoi_station.runs.states.made_with import Origin
+from vaoi_station.runs.run.verdict import RunVerdict, identified
 from vaoi_station.runs.states.run_ids import assigned_s, is_run_id, utc
-from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.runs.states.schemas import HeightList, Origin, RunDetail, Timeline
 from vaoi_station.runs.states.tables import RunState
-from vaoi_station.runs.states.timeline_schemas import Timeline
-from vaoi_station.store.documents import digest_of
-from vaoi_station.store.history.identities import write_identity
-from vaoi_station.store.history.retention import MOST_PINS
+from vaoi_station.store.documents import digest_of, write_identity
+from vaoi_station.store.retention import MOST_PINS
 from vaoi_station.store.schema import packed
 from vaoi_station.transfer.backup import DATABASE
 from vaoi_station.transfer.database_copy import BUSY_S, reading
@@ -136,6 +132,10 @@ def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
     origin = Origin(station=str(manifest.get("station", "")), exported=str(manifest.get("made", "")), imported=utc())
     gone = in_state(detail, RunState.GONE)
     marked = gone.model_copy(update={"origin": origin, "stored": True, "pinned": False, "recording": False})
+    # Of a run that was exported while its codes were read, no one will read them here.
+    identity = _identity(package, folder)
+    identity = None if identity is None else identity.without_reading()
+    marked = identified(marked, RunVerdict(marked.verdict, marked.reasons), identity)
     _stored(marked, f"{package}: {RUN_FILE}")
     calibration, board_type = _text(package, folder, CALIBRATION_FILE), _text(package, folder, BOARD_FILE)
     known = parse(Calibration, json.loads(calibration), f"{package}: {CALIBRATION_FILE}")
@@ -163,7 +163,7 @@ def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
     configuration = _optional(package, folder, CONFIGURATION_FILE)
     return _Package(
         marked, calibration, board_type, _stored(head, f"{package}: {HEAD_FILE}"), result, timeline,
-        _heights(package, folder), _identity(package, folder), configuration, size,
+        _heights(package, folder), identity, configuration, size,
     )  # fmt: skip
 
 
@@ -334,8 +334,7 @@ def _insert(connection: sqlite3.Connection, content: _Package) -> None:
     if content.heights is not None:
         connection.execute("INSERT INTO heights VALUES (?, ?, ?)", (detail.id, *packed(content.heights)))
     if content.identity is not None:
-        # Of a run that was exported while its codes were read, no one will read them here.
-        write_identity(connection, detail.id, identity_row(content.identity.without_reading()))
+        write_identity(connection, detail.id, identity_row(content.identity))
     connection.execute("INSERT INTO pins VALUES (?, ?)", (detail.id, now))
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from vaoi_station.model import BoardType
-from vaoi_station.runs.states.schemas import ComponentSummary
-from vaoi_station.runs.states.timeline_schemas import BarrierTiming, RowTiming, TaskTiming, Timeline
+from vaoi_station.runs.states.schemas import BarrierTiming, ComponentSummary, RowTiming, TaskTiming, Timeline
 from vaoi_station.stitching.geometry import ComponentIndex
 
 _STEP_S = 0.1

@@ -10,7 +10,7 @@ import numpy as np
 
 from tests.api.held.programs import held_programs
 from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.model.light_program import linear_gain
+from vaoi_station.model.recording import linear_gain
 from vaoi_station.runs.lighting.trials import TrialPicture, TrialSettings
 from vaoi_station.runs.states.tables import StationState
 

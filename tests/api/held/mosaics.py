@@ -16,7 +16,7 @@ from vaoi_station.files.images import encode_jpeg
 from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.mosaics.mosaics import Mosaics
-from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 
 
 class HeldMosaics(Mosaics):

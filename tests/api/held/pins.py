@@ -10,13 +10,11 @@ from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Status
 from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
-from vaoi_station.runs.archive.run_history import RunHistory
+from vaoi_station.runs.archive.kept_runs import RunHistory
 from vaoi_station.runs.archive.storage_watch import StorageFigures
-from vaoi_station.runs.states.decision_schemas import Choice, Decision, RunCounts
-from vaoi_station.runs.states.identity_schemas import IdentitySummary
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.storage_schemas import SetAsideFile
-from vaoi_station.store.history.run_search import RunFilter
+from vaoi_station.runs.states.schemas import Choice, Decision, IdentitySummary, RunCounts, SetAsideFile
+from vaoi_station.store.run_search import RunFilter
 
 
 class Runs(Protocol):

@@ -13,7 +13,7 @@ from vaoi_station.api.setup.calibration import ArtworkOptions
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.config import read_config
 from vaoi_station.files import write_calibration
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.model import Calibration
 
 PITCH_MM = 36.0

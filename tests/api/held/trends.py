@@ -6,10 +6,17 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.trends.comparison import compare
-from vaoi_station.runs.trends.thinning import bin_width_s, groups_of_boards, series_of_groups, single_boards
-from vaoi_station.runs.trends.trend_schemas import TrendComparison, TrendMark, Trends
-from vaoi_station.store.history.board_figures import BoardRow, Span
+from vaoi_station.runs.trends.trends import (
+    TrendComparison,
+    TrendMark,
+    Trends,
+    bin_width_s,
+    compare,
+    groups_of_boards,
+    series_of_groups,
+    single_boards,
+)
+from vaoi_station.store.figures import BoardRow, Span
 
 
 class HeldTrends:

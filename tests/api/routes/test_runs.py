@@ -12,7 +12,7 @@ import pytest
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status, Stitch
 from vaoi_station.runs.states.run_ids import RunIds, utc
-from vaoi_station.store.history.board_figures import BoardRow
+from vaoi_station.store.figures import BoardRow
 
 RUNS = "/api/v1/runs"
 

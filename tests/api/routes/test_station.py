@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.model import Reason
 from vaoi_station.runs.states.tables import StationState
 
 STATION = "/api/v1/station"

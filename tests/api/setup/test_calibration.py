@@ -21,7 +21,7 @@ from vaoi_station.api.setup.calibration import ArtworkOptions, TrialRequest, Tri
 from vaoi_station.api.setup.station_files import StationFiles, replace_with_backup
 from vaoi_station.calibration.artwork import design_board
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.model import CameraHead
 
 TRIAL = "/api/v1/calibration/trial"

@@ -10,12 +10,11 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from tests.api.web.contrast import contrast
-from vaoi_station.model import Status
-from vaoi_station.runs.states.made_with import Origin
+from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import Reason, Unseen
+from vaoi_station.runs.states.schemas import Origin, Unseen
 from vaoi_station.runs.states.tables import StationState
-from vaoi_station.store.history.board_figures import BoardRow
+from vaoi_station.store.figures import BoardRow
 
 pytestmark = pytest.mark.browser
 FIGURES = {

@@ -12,8 +12,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.api.web.conftest import PATIENCE_MS
-from vaoi_station.model import Status
-from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.tables import StationState
 
 pytestmark = pytest.mark.browser

@@ -11,8 +11,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 from playwright.sync_api import TimeoutError as SlowPage
 
-from vaoi_station.model import Status
-from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.tables import StationState
 
 pytestmark = pytest.mark.browser

@@ -7,7 +7,7 @@ import pytest
 from vaoi_station.board_data.design import Design, Mark, Part
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 BOARD = Step(Design("pcb", "odb", (Part("R1", "top", (3.0, 2.0), 0.0),)), lambda: (1.0, 1.0))
 

@@ -14,7 +14,7 @@ from vaoi_station.calibration.artwork import (
     render_gerber_marks,
     render_gerber_outline,
 )
-from vaoi_station.files.layouts import read_layout
+from vaoi_station.files.calibrations import read_layout
 
 Shapes = list[NDArray[Any]]
 Numbers = Callable[[str], list[float]]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.calibration import Limits, Outcome, calibrate
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.simulation import Twin, calibration_board
 from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.scenario import CalibrationBoardSection, Scenario

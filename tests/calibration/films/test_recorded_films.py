@@ -10,8 +10,8 @@ import pytest
 
 from vaoi_station.calibration import Outcome, calibrate
 from vaoi_station.files import Recording, open_recording, write_calibration
+from vaoi_station.files.calibrations import read_layout
 from vaoi_station.files.documents import read_json
-from vaoi_station.files.layouts import read_layout
 from vaoi_station.geometry.transforms import apply
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.calibration_board import write_calibration_recording

@@ -12,7 +12,7 @@ import pytest
 
 from vaoi_station.calibration import Outcome, calibrate
 from vaoi_station.calibration.pictures.calibration_picture import draw_calibration
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.simulation import Twin, calibration_board
 from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.scenario import CalibrationBoardSection, Scenario

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Any
 
 import pytest
 
-from vaoi_station.errors import DeviceError, StateError
+from tests.store.conftest import noise
+from vaoi_station.config import KeepConfig
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
+from vaoi_station.runs.archive import housekeeping as module
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.housekeeping import Housekeeping
-from vaoi_station.store import Store
+from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.housekeeping import DAY_S, Housekeeping, Retention
+from vaoi_station.runs.states.run_ids import RunIds, earliest_id, utc
+from vaoi_station.store import RunRow, Store
+from vaoi_station.store import retention as store_module
 
 PATIENCE_S = 20.0
 
@@ -63,3 +72,154 @@ def test_a_closed_database_is_no_failure(store: Store) -> None:
 
 def test_housekeeping_that_was_not_started_can_be_stopped(store: Store) -> None:
     Housekeeping(EventLog(store)).stop()
+
+
+NOW_S = 1_700_000_000.0
+
+
+def keep(**limits: Any) -> KeepConfig:
+    """Limits without those of the file format, which are too high for a test."""
+    return KeepConfig().model_copy(update=limits)
+
+
+@pytest.fixture
+def add(store: Store) -> Callable[..., list[str]]:
+    digest = store.keep_document("board-type", "{}", "")
+
+    def add(*ages_days: float, verdict: str = "ok", kilobytes: int = 1) -> list[str]:
+        ids = []
+        for age in ages_days:
+            run = earliest_id(NOW_S - age * DAY_S) + "-abcdef"
+            number = sum(store.retention.whole()) + 1
+            row = RunRow(run, "gone", number, digest, digest, f'{{"verdict": "{verdict}"}}', "{}")
+            store.save_run(row, None, '"' + noise(1000 * kilobytes) + '"').result(10)
+            ids.append(run)
+        return ids
+
+    return add
+
+
+@pytest.fixture(autouse=True)
+def none_protected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store_module, "NEVER_FORGOTTEN", 1)
+
+
+def whole(store: Store, runs: list[str]) -> list[bool]:
+    return [store.result(run) is not None for run in runs]
+
+
+def test_runs_are_forgotten_by_age_and_verdict(store: Store, add: Callable[..., list[str]]) -> None:
+    sound = add(500, 70, 50, 1)
+    doubtful = add(501, 71, 51, 2, verdict="failed")
+    retention = Retention(keep(days=60, doubtful_days=400, run_days=400), store.retention)
+    assert retention.sweep(NOW_S) == 5, "details of three runs, then two of these completely"
+    assert whole(store, sound) == [False, False, True, True]
+    assert whole(store, doubtful) == [False, True, True, True]
+    assert store.run(sound[0]) is store.run(doubtful[0]) is None
+    assert store.run(sound[1]) is not None
+    assert retention.sweep(NOW_S) == 0
+
+
+def test_runs_are_forgotten_by_number(store: Store, add: Callable[..., list[str]]) -> None:
+    sound, doubtful = add(6, 5, 4, 3), add(9, 8, verdict="degraded")
+    retention = Retention(keep(results=2, doubtful_results=1, runs=4), store.retention)
+    retention.sweep(NOW_S)
+    assert whole(store, sound) == [False, False, True, True]
+    assert whole(store, doubtful) == [False, True]
+    assert [row.id for row in store.runs(9, None)] == [*reversed(sound), doubtful[1]], "whole runs stay in any case"
+
+
+def test_runs_are_forgotten_by_size_first_those_that_are_ok(store: Store, add: Callable[..., list[str]]) -> None:
+    doubtful = add(30, 29, 28, verdict="failed", kilobytes=300)
+    sound = add(*range(20, 10, -1), kilobytes=300)
+    store.retention.pin(sound[0], "")
+    used = store.retention.used_bytes()
+    Retention(keep(database_gb=(used - 1e6) / 1e9), store.retention).sweep(NOW_S)
+    assert store.retention.used_bytes() <= used - 1e6
+    assert all(whole(store, doubtful))
+    assert whole(store, sound)[0]
+    assert not whole(store, sound)[1]
+    Retention(keep(database_gb=0.0), store.retention).sweep(NOW_S)
+    assert whole(store, sound) == [True, *[False] * 8, True]
+    assert whole(store, doubtful) == [False, False, True], "the newest of each kind stays"
+    assert len(store.runs(99, None)) == 3
+
+
+def test_on_a_full_disk_the_oldest_runs_make_some_room_in_the_file(
+    store: Store, add: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = add(*range(20, 0, -1), kilobytes=100)
+    monkeypatch.setattr(module, "BATCH", 1)
+    monkeypatch.setattr(module, "SPARE_BYTES", 290_000)
+    retention = Retention(keep(), store.retention)
+    assert retention.sweep(NOW_S) == 0, "the disk has room"
+    monkeypatch.setattr(module, "SHORT_BYTES", 10**18)
+    assert retention.sweep(NOW_S) == 3
+    assert whole(store, runs) == [False] * 3 + [True] * 17
+    assert retention.sweep(NOW_S) == 0, "whatever fills the disk, the history is not given up for it"
+
+
+def test_a_clock_that_jumps_ahead_deletes_little_at_a_time(
+    store: Store, add: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = add(*range(30, 0, -1))
+    monkeypatch.setattr(module, "BATCH", 2)
+    monkeypatch.setattr(module, "MOST_BATCHES", 3)
+    assert Retention(keep(), store.retention).sweep(NOW_S + 1000 * DAY_S) == 6
+    assert whole(store, runs).count(False) == 6
+
+
+def test_a_forgotten_run_is_gone_not_unknown(make_rig: Callable[..., Any], store: Store) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    first = rig.result_of(grant.run).id
+    assert not rig.coordinator.runs()[0].forgotten
+    store.retention.forget_details([first]).result(10)
+    later = Archive(store, EventLog(store))
+    assert later.list(9, None)[0].forgotten
+    with pytest.raises(GoneError, match="were deleted because of their age") as refusal:
+        later.get(first)
+    assert refusal.value.code == "run-forgotten"
+    assert later.next(first, 0.0) is None
+    store.retention.forget_runs([first]).result(10)
+    with pytest.raises(GoneError):
+        later.get(first)
+    with pytest.raises(NotFoundError):
+        later.get(RunIds().next())
+
+
+def test_the_defaults_hold_a_year(store: Store) -> None:
+    config = KeepConfig()
+    boards = 365 * 86_400 / 20
+    assert config.runs >= boards
+    assert config.run_days >= 365
+    # 0.9 kB for a summary with its indexes and 90 kB for a run with 115 components: as measured.
+    needed = boards * 900 + (config.results + config.doubtful_results * 0.1) * 90_000
+    assert needed < config.database_gb * 1e9
+
+
+def test_documents_that_no_run_refers_to_are_forgotten_after_a_week(
+    store: Store, add: Callable[..., list[str]]
+) -> None:
+    def known() -> set[str]:
+        return {row["document"] for row in store.database.read("SELECT document FROM documents")}
+
+    day = [utc(datetime.fromtimestamp(NOW_S - age * DAY_S, UTC)) for age in range(10)]
+    add(20)
+    for document, since in (('"old"', day[8]), ('"new"', day[6])):
+        store.keep_document("calibration", document, since)
+    for document, used in (("1", day[9]), ("2", day[1])):
+        store.configurations.begin(document, used)
+    retention = Retention(keep(), store.retention)
+    retention.forget_unused(NOW_S)
+    assert known() == {"{}", '"new"'}, "a run refers to {}"
+    digests = [row["document"] for row in store.database.read("SELECT document FROM configurations")]
+    assert digests == ["1", "2"], "the run of twenty days ago may have been made with the first"
+    store.database.write(lambda c: c.execute("DELETE FROM whole_runs")).result(10)
+    store.database.write(lambda c: c.execute("DELETE FROM results")).result(10)
+    store.database.write(lambda c: c.execute("DELETE FROM runs")).result(10)
+    retention.forget_unused(NOW_S)
+    assert [row["document"] for row in store.database.read("SELECT document FROM configurations")] == ["2"]
+    assert known() == {'"new"'}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -11,8 +12,10 @@ import pytest
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.archive.kept_runs import KeptRuns
+from vaoi_station.runs.archive.kept_runs import KeptRuns, RunHistory
+from vaoi_station.runs.states.tables import RunState
 from vaoi_station.store import Store
+from vaoi_station.store.run_search import RunFilter
 
 
 def test_a_pin_survives_a_restart_and_is_removed(make_rig: Callable[..., Any], store: Store) -> None:
@@ -73,3 +76,101 @@ def test_an_error_in_what_follows_a_run_prevents_neither_its_announcement_nor_th
     assert announced.id == grant.run
     events = [event for event in rig.coordinator.events(0, 0.0) if event.code == "not-kept"]
     assert [event.message for event in events] == ["The trends of the run cannot be kept (RuntimeError: a fault)."]
+
+
+LONG_AGO = datetime(2000, 1, 1, tzinfo=UTC)
+
+
+@pytest.fixture
+def filmed(make_rig: Callable[..., Any]) -> tuple[Any, str]:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    return rig, grant.run
+
+
+def test_a_run_is_found_counted_and_decided_about(filmed: tuple[Any, str]) -> None:
+    rig, run = filmed
+    kept, detail = rig.coordinator.kept, rig.coordinator.run(run)
+    history = kept.history
+    wanted = RunFilter(verdict=detail.verdict, board_type=detail.board_type, since="2000-01-01T00:00:00.000Z")
+    runs, more = history.find(wanted, 9, None)
+    assert ([r.id for r in runs], more) == ([run], None)
+    assert history.find(RunFilter(board_id="another"), 9, None) == ([], None)
+    counts = history.counts(LONG_AGO)
+    assert (counts.ok + counts.degraded + counts.failed, counts.missed) == (1, 0)
+    assert history.counts(datetime.now(UTC) + timedelta(days=1)).ok == 0
+
+    history.decide(run, "use", "Ada", "Only R7 is hidden, and it is not tested.")
+    shown = kept.shown(detail).decision
+    assert shown is not None
+    assert (shown.choice, shown.name) == ("use", "Ada")
+    (event,) = [e for e in rig.coordinator.events() if e.kind == "decision"]
+    assert (event.run, event.state) == (run, "use")
+    with pytest.raises(NotFoundError):
+        history.decide("unknown", "use", "Ada", "x")
+
+
+def test_runs_in_memory_only_are_found_and_counted(filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, run = filmed
+    history = rig.coordinator.kept.history
+    waiting = rig.coordinator.run(run).model_copy(update={"id": run[:-1] + "~", "verdict": "failed"})
+    summary = type(rig.coordinator.runs()[0])(
+        **{k: getattr(waiting, k) for k in type(rig.coordinator.runs()[0]).model_fields}
+    )
+    monkeypatch.setattr(history._archive, "unstored", lambda: (summary,))
+    runs, _ = history.find(RunFilter(verdict="failed"), 9, None)
+    assert summary.id in [r.id for r in runs]
+    assert history.counts(LONG_AGO).failed >= 1
+    assert history.find(RunFilter(verdict="failed"), 9, run) == ([], None)
+
+
+def test_a_run_that_is_not_on_disk_yet_is_found_once_and_as_it_ended(
+    filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, _ = filmed
+    history = rig.coordinator.kept.history
+    [summary] = rig.coordinator.runs()
+    ended = summary.model_copy(update={"verdict": "failed", "stored": False})
+    reads: list[str] = []
+    find, counted = history._archive.search.find, history._archive.search.verdicts
+    search = history._archive.search
+
+    def noted(source: str, read: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            reads.append(source)
+            return read(*args)
+
+        return call
+
+    monkeypatch.setattr(history._archive, "unstored", noted("memory", lambda: (ended,)))
+    monkeypatch.setattr(search, "find", noted("disk", find))
+    monkeypatch.setattr(search, "verdicts", noted("disk", counted))
+    assert history.find(RunFilter(verdict=summary.verdict), 9, None) == ([], None)
+    assert history.find(RunFilter(verdict="failed"), 9, None) == ([ended], None)
+    counts = history.counts(LONG_AGO)
+    assert (counts.ok, counts.degraded, counts.failed, counts.complete) == (0, 0, 1, True)
+    assert reads == ["memory", "disk"] * 3, "a run that is written between the two is in the first"
+
+
+def test_pages_do_not_pass_over_stored_runs(filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, run = filmed
+    history = rig.coordinator.kept.history
+    [summary] = rig.coordinator.runs()
+    waiting = summary.model_copy(update={"id": "0"})
+    monkeypatch.setattr(history._archive, "unstored", lambda: (waiting,))
+    first, more = history.find(RunFilter(verdict=summary.verdict), 1, None)
+    assert ([r.id for r in first], more) == ([run], run)
+    second, _ = history.find(RunFilter(verdict=summary.verdict), 1, more)
+    assert [r.id for r in second] == ["0"]
+
+
+def test_verdict_none_asks_for_runs_that_have_ended(filmed: tuple[Any, str]) -> None:
+    rig, _ = filmed
+    [summary] = rig.coordinator.runs()
+    ended = summary.model_copy(update={"verdict": None})
+    filming = ended.model_copy(update={"state": RunState.FILMING, "finished": None})
+    wanted = RunFilter(verdict="none")
+    assert [RunHistory.admits(wanted, r) for r in (ended, filming)] == [True, False]

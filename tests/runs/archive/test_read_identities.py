@@ -9,19 +9,19 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.errors import DeviceError, GoneError, InternalError, StateError
+from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.identity.code_reader import Progress
-from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, BoardType, Status
-from vaoi_station.model.board_identity import ReportedId
+from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.archive import read_identities
 from vaoi_station.runs.archive.read_identities import ReadIdentities
-from vaoi_station.runs.archive.stored_documents import identity_row
-from vaoi_station.runs.states.schemas import RunSummary, VerdictCounts
+from vaoi_station.runs.archive.stored_documents import identity_row, unread_identity
+from vaoi_station.runs.run.verdict import RunVerdict, identified
+from vaoi_station.runs.states.schemas import IdentitySummary, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import RunState
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.picture_jobs import IdentitySlice
-from vaoi_station.store.history.identities import IdentityRow
+from vaoi_station.store.documents import IdentityRow
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
 IDENTITY = BoardIdentity(pattern="b;{id}", required=True)
@@ -41,7 +41,6 @@ class Station:
     def __init__(self, identity: BoardIdentity | None = IDENTITY) -> None:
         self.jobs: list[Any] = []
         self.saved: dict[str, IdentityRow] = {}
-        self.unreadable: Exception | None = None
         self.events: list[dict[str, Any]] = []
         self.done, self.free = threading.Event(), threading.Event()
         self.free.set()
@@ -53,24 +52,22 @@ class Station:
             board_type=BoardType(name="b", outline=((0, 0), (9, 9)), identity=identity),
             cameras=(),
             stitch=SimpleNamespace(cad_matrix=[[1.0]]),
+            identity=unread_identity(BoardType(name="b", outline=((0, 0), (9, 9)), identity=identity), "1"),
         )
-        archive: Any = SimpleNamespace(get=self.get, identities=self)
+        self.finished.detail.identity = self.finished.identity and IdentitySummary.of(self.finished.identity)
+        archive: Any = SimpleNamespace(get=self.get, identities=self, identify=self.identify)
         events: Any = self
         self.identities = ReadIdentities(archive, self.render, self.bay_of, events)
 
     def get(self, run: str) -> Any:
         return self.finished
 
-    def documents(self, runs: list[str]) -> dict[str, str]:
-        if self.unreadable is not None:
-            raise self.unreadable
-        return {run: self.saved[run].document for run in runs if run in self.saved}
-
     def pending(self) -> list[str]:
         return [run for run, row in self.saved.items() if row.pending]
 
-    def save(self, run: str, row: IdentityRow) -> Future[None]:
-        self.saved[run] = row
+    def identify(self, run: str, identity: IdentityDocument) -> Future[None]:
+        self.saved[run] = identity_row(identity)
+        self.finished.identity = identity
         done: Future[None] = Future()
         done.set_result(None)
         return done
@@ -91,10 +88,6 @@ class Station:
         self.events.append({"kind": kind, "message": message, **fields})
         self.done.set()
 
-    def begin(self) -> None:
-        """Store the identity that a run has at its end."""
-        self.save("r1", identity_row(compare(self.finished.board_type.identity, None, "1", without="pending")))
-
     def read(self) -> None:
         """Let the run end, and wait until its identity is published."""
         self.identities.start()
@@ -109,8 +102,7 @@ class Station:
             finished="", rows=3, cameras=1, counts=VerdictCounts(ok=3, incomplete=0, missing=0), reasons=(), belt=None,
             timings=None, frames_available=True,
         )  # fmt: skip
-        [found] = self.identities.shown((summary,))
-        return found
+        return identified(summary, RunVerdict(verdict, ()), self.finished.identity)
 
 
 def test_codes_are_read_in_slices_of_their_own_priority_and_stored() -> None:
@@ -204,21 +196,9 @@ def test_report_of_the_next_machine_is_compared_and_kept_with_the_reading() -> N
     assert list(station.saved["r1"].board_ids) == ["1"]
 
 
-def test_stored_identities_are_read_after_a_restart() -> None:
-    station = Station()
-    station.read()
-    later = Station()
-    later.saved = station.saved
-    assert later.identities.document("r1") == station.identities.document("r1")
-    assert later.shown().identity == station.shown().identity
-
-
 def test_run_whose_codes_were_being_read_when_the_station_ended_is_degraded() -> None:
-    station = Station()
-    station.begin()
-    assert station.identities.document("r1").state == "pending"
     again = Station()
-    again.saved = dict(station.saved)
+    again.saved["r1"] = identity_row(again.finished.identity)
     degraded: list[str] = []
     again.identities.on_changed = degraded.append
     again.identities.start()
@@ -226,7 +206,6 @@ def test_run_whose_codes_were_being_read_when_the_station_ended_is_degraded() ->
     again.identities.queue.stop()
     shown = again.shown()
     assert (shown.verdict, [r.code for r in shown.reasons]) == (Status.DEGRADED, ["identity-not-read"])
-    assert again.saved["r1"].degrading == ("identity-not-read",)
     assert (again.pending(), degraded, again.jobs) == ([], ["r1"], [])
 
 
@@ -247,36 +226,9 @@ def test_reports_of_a_run_that_was_not_read_invent_no_reading() -> None:
         assert (found.state, [r.code for r in found.reasons], found.read) == (state, reasons, False)
 
 
-def test_report_before_the_run_is_announced_waits() -> None:
-    station = Station()
-    station.finished.detail.stored = False
-    with pytest.raises(StateError) as refused:
-        station.identities.report("r1", ReportedId(board_id="1"))
-    assert refused.value.code == "identity-pending"
-
-
-def test_run_whose_identity_cannot_be_read_is_not_ok() -> None:
-    station = Station()
-    station.saved["r1"] = IdentityRow('{"of": "another version"}')
-    shown = station.shown()
-    assert shown.identity is not None
-    assert (shown.identity.state, shown.verdict) == ("not-read", Status.DEGRADED)
-    assert [reason.code for reason in shown.reasons] == ["identity-not-read"]
-    station.saved.clear()
-    station.unreadable = DeviceError("cannot be read.")
-    assert station.shown().identity is None
-    station.unreadable = None
-    station.read()
-    station.unreadable = DeviceError("cannot be read.")
-    found = station.shown().identity
-    assert found is not None
-    assert found.state == "agrees", "it is in memory"
-
-
 def test_runs_that_wait_too_long_are_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(read_identities, "_MOST_WAITING", 1)
     station = Station()
     for run in ("r1", "r2"):
-        station.identities.finished(SimpleNamespace(id=run))  # type: ignore[arg-type]
+        station.identities.finished(SimpleNamespace(id=run, identity=station.finished.detail.identity))  # type: ignore[arg-type]
     assert [(e["run"], e["state"]) for e in station.events] == [("r1", "not-read")]
-    assert station.identities.document("r2").state == "pending"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,16 +16,13 @@ from tests.runs.conftest import a_stitch
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch, write_board_type
-from vaoi_station.files.atomic_directory import new_directory, remove_directory
-from vaoi_station.files.directory_walk import size_below
+from vaoi_station.files.directories import new_directory, remove_directory, size_below
 from vaoi_station.model import BoardIdentity, Status, Verdict
 from vaoi_station.runs.archive import recordings as module
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.recordings import Recordings
-from vaoi_station.runs.states.identity_schemas import IdentitySummary
-from vaoi_station.runs.states.made_with import Origin
-from vaoi_station.runs.states.schemas import RunDetail
+from vaoi_station.runs.states.schemas import IdentitySummary, Origin, RunDetail
 
 PATIENCE_S = 20.0
 
@@ -218,20 +217,23 @@ def test_a_recording_is_offered_once_its_record_is_known_and_never_of_another_st
     faults, offered = iter([None, DeviceError("The database cannot be read.")]), list[str]()
     keeper.on_kept = offered.append
 
-    def published(detail: RunDetail) -> RunDetail:
+    archive, origin = keeper._archive, Origin(station="other", exported="", imported="")
+
+    def get(run: str) -> FinishedRun:
         if fault := next(faults, None):
             raise fault
-        return detail
+        return archive.get(run)
 
-    keeper.published = published
+    keeper._archive = Mock(wraps=archive, get=get)
     keeper.start()
     keeper.request(run.id)
     rig.wait_for(lambda: keeper._outdated == {run.id}, "the record is unknown")
     assert offered == []
     keeper.tend()
     rig.wait_for(lambda: offered == [run.id], "the record is known")
-    origin = Origin(station="other", exported="", imported="")
-    keeper.published = lambda detail: detail.model_copy(update={"origin": origin})
+    finished = archive.get(run.id)
+    elsewhere = replace(finished, detail=finished.detail.model_copy(update={"origin": origin}))
+    keeper._archive = Mock(wraps=archive, get=lambda _run: elsewhere)
     keeper.offer_all()
     rig.wait_for(lambda: not keeper._updates, "the thread has taken it")
     keeper.stop()

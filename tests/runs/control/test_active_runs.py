@@ -13,12 +13,11 @@ from vaoi_station.acquisition.process.messages import FrameSettled, PulseReporte
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InternalError
 from vaoi_station.files.results import without_components
-from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Status, Stitch, Verdict
+from vaoi_station.model import FrameRecord, Pulse, Reason, RecordingHead, Status, Stitch, Verdict
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.active_runs import CAUSE, ActiveRuns, salvage_recording
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState
 from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, LinkJob, Reply
 from vaoi_station.store import Store

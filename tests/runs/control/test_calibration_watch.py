@@ -17,7 +17,7 @@ from vaoi_station.runs.control import calibration_watch
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.workers.jobs import CheckJob, Reply
 from vaoi_station.store import RunRow, Store
-from vaoi_station.store.history import calibration_checks
+from vaoi_station.store import documents as calibration_checks
 
 
 def film(rig: Any, grant: messages.Grant) -> messages.Grant:

@@ -14,7 +14,7 @@ from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.runs.control import pictures
 from vaoi_station.runs.control.pictures import frame_record
 from vaoi_station.runs.host import processes
-from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 
 
 def test_a_frame_that_may_still_arrive_is_refused_differently_from_one_that_cannot(rig: Any) -> None:

@@ -12,9 +12,9 @@ from vaoi_station.acquisition.controller.interface import Permit
 from vaoi_station.acquisition.process.messages import Health, PermitBoard
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
+from vaoi_station.model import Reason
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.readiness import RENEW_S, VALID_S, LinePermit
-from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import StationState
 
 

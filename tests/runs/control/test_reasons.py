@@ -6,9 +6,9 @@ import pytest
 
 from vaoi_station.acquisition.process.messages import Trouble
 from vaoi_station.errors import StateError
+from vaoi_station.model import Reason
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control.reasons import TROUBLE_S, Reasons, StationStateMachine, sentence
-from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import StationState, StationStep
 from vaoi_station.store import Store
 

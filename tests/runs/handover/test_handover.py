@@ -21,8 +21,8 @@ from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import ArchiveConfig
 from vaoi_station.files import open_recording, write_board_type
 from vaoi_station.identity.code_reader import Progress
-from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Status
-from vaoi_station.model.board_identity import IdentityDocument, IdentityReason
+from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Reason, Status
+from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.plant.archive import Archive
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.recordings import FOR_ARCHIVE_FILE, Recordings
@@ -131,7 +131,6 @@ def restarted(line: Line) -> Iterator[None]:
     """Give the line the recordings of a station after a restart."""
     before = line.recordings
     made = Recordings(before.directory, before._keep, before._archive, before._events, Mock())
-    made.published = before.published
     line.recordings = made
     made.start()
     yield
@@ -179,9 +178,8 @@ def test_a_run_that_is_degraded_after_its_end_is_recorded_for_the_archive(line: 
         identities = line.rig.coordinator.kept.identities
         identities.on_changed(run.id)
         assert handover.status().waiting == 0, "nothing has degraded it"
-        reason = IdentityReason(code="board-id-unread", message="No code was read.", action="Clean the code.")
-        identities._remember(run.id, IdentityDocument(state="unread", required=True, reasons=(reason,)))
-        identities.on_changed(run.id)
+        reason = Reason(code="board-id-unread", message="No code was read.", action="Clean the code.")
+        identities._keep(run.id, IdentityDocument(state="unread", required=True, reasons=(reason,)))
         line.wait(lambda: handover.status().added == 1, "the run is in the archive")
         line.wait(lambda: line.recordings.path_of(run.id) is None, "its recording is deleted")
     assert [one.run for one in archive.runs()] == [run.id]

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from vaoi_station.acquisition.process import messages
+from vaoi_station.model import Reason
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.reasons import StationStateMachine
 from vaoi_station.runs.run.order import Resumed, StandingOrder
-from vaoi_station.runs.states.schemas import Reason
 
 
 class Line:

@@ -17,8 +17,7 @@ from tests.runs.merging.finished_board import RADIANCE, Merging, even_fields
 from vaoi_station.errors import GoneError, InternalError
 from vaoi_station.files.images import write_image
 from vaoi_station.model import BoardType
-from vaoi_station.runs.merging.merged_pictures import MergeRequest
-from vaoi_station.runs.merging.row_brightness import RowBrightness
+from vaoi_station.runs.merging.merged_pictures import MergeRequest, RowBrightness
 from vaoi_station.runs.workers.jobs import PictureJob
 from vaoi_station.runs.workers.picture_jobs import RowLevelsJob
 

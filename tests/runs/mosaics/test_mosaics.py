@@ -18,16 +18,15 @@ import tifffile
 from numpy.typing import NDArray
 
 from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, board, film
-from tests.runs.mosaics.test_overview import means
+from tests.runs.mosaics.test_opened_mosaics import means
 from vaoi_station.errors import BusyError, DeviceError, GoneError, InputError
 from vaoi_station.model import CameraHead, FrameRecord, Verdict
-from vaoi_station.model.known_height import Heights
+from vaoi_station.model.stitch_result import Heights
 from vaoi_station.mosaic import MosaicPlan, TileRenderer
 from vaoi_station.mosaic.tiles import render_tile
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.mosaics.mosaics import Download, Mosaics
-from vaoi_station.runs.mosaics.opened_mosaics import MOST_PLANS
-from vaoi_station.runs.mosaics.picture_names import PictureName, parse_name
+from vaoi_station.runs.mosaics.opened_mosaics import MOST_PLANS, PictureName, parse_name
 from vaoi_station.runs.workers import picture_jobs
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.picture_jobs import PlanJob, PlannedPicture, TileJob

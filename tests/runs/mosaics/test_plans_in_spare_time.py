@@ -13,7 +13,7 @@ import pytest
 from tests.mosaic.conftest import Filmed, board, film
 from tests.runs.mosaics.test_mosaics import mosaics_of, spare
 from vaoi_station.errors import GoneError
-from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.picture_jobs import PlanJob
 

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished
 from vaoi_station.errors import InternalError, StateError
-from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Stitch, Verdict
+from vaoi_station.model import FrameRecord, Pulse, Reason, RecordingHead, Stitch, Verdict
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep
 from vaoi_station.runs.workers.jobs import CheckJob, Concluded, LinkJob, Reply
 from vaoi_station.stitching.matching.evidence import Task

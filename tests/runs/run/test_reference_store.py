@@ -11,7 +11,7 @@ from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.model import BoardType, Calibration
 from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.run.reference_store import KEEP, ReferenceStore
-from vaoi_station.runs.states.stitching_schemas import ReferenceRecord
+from vaoi_station.runs.states.schemas import ReferenceRecord
 from vaoi_station.store import Database, Store
 
 

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, doubts_of
 from vaoi_station.acquisition.process.messages import RunFinished
 from vaoi_station.model import RecordingHead, Status, Stitch
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import (
     belt_speed,
     detail_of,
-    reasons_of,
     timeline_of,
-    trigger_reasons,
     versions,
 )
 from vaoi_station.runs.workers.jobs import Concluded
@@ -81,54 +76,6 @@ def test_pulses_and_barrier_count_from_the_first_interruption(
     assert found.barrier[1].clear_s is None
     progress.recorded = RunFinished("r1", 1, head, (), 51.0, "clear")
     assert timeline_of(progress).rows == (), "the barrier was not reported"
-
-
-def test_trigger_findings_are_reasons_with_camera_and_row() -> None:
-    """Ignored triggers are missing frames, which have reasons of their own."""
-    findings = (
-        TriggerFinding(camera=2, row=None, kind="runs-freely", text="it sends a frame every 33.3 ms"),
-        TriggerFinding(camera=0, row=4, kind="extra-frame", text="once more"),
-        TriggerFinding(camera=0, row=5, kind="ignored-trigger", text="no answer"),
-    )
-    reasons = list(trigger_reasons(TriggerProof(proven=False, cameras=(), findings=findings)))
-    assert [(r.code, r.message) for r in reasons] == [
-        ("trigger-runs-freely", "Camera 2: it sends a frame every 33.3 ms. Its frames are not used."),
-        ("trigger-extra-frame", "Camera 0, row 4: once more."),
-    ]
-    assert all(r.action for r in reasons)
-    assert list(trigger_reasons(None)) == []
-
-
-def test_reasons_of_a_result_state_its_codes() -> None:
-    finding = TriggerFinding(camera=0, row=4, kind="extra-frame", text="once more")
-    proof = TriggerProof(proven=False, cameras=(), findings=(finding,))
-    reasons = {
-        "reasons": ("too dark", *doubts_of(proof)),
-        "reason_codes": ("no-texture", "trigger-doubtful"),
-    }
-    stitch = Stitch(method="auto", image_matrices=(()), cad_matrix=None, row_motion=(), status=Status.FAILED, **reasons)
-    recorded = SimpleNamespace(head=SimpleNamespace(doubts=doubts_of(proof)), proof=proof)
-    progress: Any = SimpleNamespace(
-        stitch=stitch, recorded=recorded, faults=[], frames={}, order=SimpleNamespace(notes=())
-    )
-    reason, of_proof = reasons_of(progress)
-    assert (reason.code, reason.cause, reason.message) == ("stitch-failed", "no-texture", "too dark")
-    assert of_proof.code == "trigger-extra-frame"
-    progress.stitch = stitch.model_copy(update={"reason_codes": ()})
-    reason, _ = reasons_of(progress)
-    assert reason.cause == "", "results of older versions have no codes"
-
-
-def test_a_doubt_that_no_finding_states_is_shown() -> None:
-    doubt = "times, exposures and lights of this run contradict each other and are not used"
-    stitch = Stitch(
-        method="auto", image_matrices=(()), cad_matrix=None, row_motion=(), status=Status.DEGRADED, reasons=(doubt,)
-    )
-    recorded = SimpleNamespace(head=SimpleNamespace(doubts=(doubt,)), proof=None)
-    progress: Any = SimpleNamespace(
-        stitch=stitch, recorded=recorded, faults=[], frames={}, order=SimpleNamespace(notes=())
-    )
-    assert [reason.message for reason in reasons_of(progress)] == [doubt]
 
 
 def test_versions_name_what_computed() -> None:

@@ -3,32 +3,98 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from vaoi_station.errors import BusyError
-from vaoi_station.runs.states import calibration_schemas, schemas, stitching_schemas
-from vaoi_station.runs.states.schemas import EventRecord, Reason, RunDetail, RunSummary, Schema
-from vaoi_station.runs.states.stitching_schemas import ReferenceStatus
+from vaoi_station.heights.comparison import heights_document
+from vaoi_station.heights.estimates import NOTHING, Interval, PartHeight
+from vaoi_station.model import BoardType, FrameRecord, Reason, RecordingHead, Strict, Verdict
+from vaoi_station.runs.archive.recordings import bytes_of_frames
+from vaoi_station.runs.states import schemas
+from vaoi_station.runs.states.schemas import (
+    CameraCalibration,
+    Decision,
+    EventRecord,
+    HeightList,
+    MadeWith,
+    OverlayLinks,
+    ReferenceRecord,
+    ReferenceStatus,
+    RunDetail,
+    RunSummary,
+    StitchingMethod,
+    TaskTiming,
+    Timeline,
+)
 
-ALL = sorted(
+ALL = [
+    cls
+    for _, cls in inspect.getmembers(schemas, inspect.isclass)
+    if issubclass(cls, BaseModel) and cls.__module__ == schemas.__name__
+]
+BOARD = BoardType.model_validate(
     {
-        cls
-        for module in (schemas, calibration_schemas, stitching_schemas)
-        for _, cls in inspect.getmembers(module, inspect.isclass)
-        if issubclass(cls, Schema)
-    },
-    key=lambda cls: cls.__name__,
+        "name": "b",
+        "outline": [[0, 0], [10, 10]],
+        "components": [
+            {"ref": ref, "center": [2, 2], "width": 1, "height": 1, "body_height": 1.5} for ref in ("U1", "U2", "U3")
+        ],
+    }
+)
+TASK = TaskTiming(
+    kind="row", camera=0, row=1, other_camera=None, other_row=None, ready_s=0.5, done_s=0.75, worker_ms=20.0
 )
 
 
 @pytest.mark.parametrize("schema", ALL, ids=lambda cls: cls.__name__)
-def test_every_document_is_frozen_refuses_unknown_keys_and_is_described(schema: type[Schema]) -> None:
-    assert schema.model_config["frozen"]
-    assert schema.model_config["extra"] == "forbid"
+def test_every_document_is_frozen_refuses_unknown_keys_and_is_described(schema: type[BaseModel]) -> None:
+    assert issubclass(schema, Strict)
     assert schema.__doc__
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        EventRecord(number=1, time="2026-01-01T00:00:00.000Z", kind="run", state="ready", run="r1"),
+        MadeWith(configuration="", board_type="c0ffee", method="auto"),
+        Decision(choice="use", name="Ada", reason="Hidden.", decided="2026-01-01T00:00:00.000Z"),
+        OverlayLinks(a=(0, 0), b=(0, 1), found=3, used=2, at=(1.0, 2.0), residual=(0.1, 0.0), residual_px=0.8),
+        Timeline(frames_settled_s=((0, 0, 0.25),), tasks=(TASK,), last_frame_s=0.25, ready_s=None),
+    ],
+    ids=lambda document: type(document).__name__,
+)
+def test_documents_survive_json_and_cannot_be_changed(document: BaseModel) -> None:
+    assert type(document).model_validate_json(document.model_dump_json()) == document
+    with pytest.raises(ValidationError):
+        setattr(document, next(iter(type(document).model_fields)), 2)
+    with pytest.raises(ValidationError, match="unknown"):
+        type(document).model_validate({**document.model_dump(), "unknown": 1})
+
+
+@pytest.mark.parametrize(
+    ("schema", "document"),
+    [
+        (MadeWith, {"configuration": "", "board_type": "", "method": "guess"}),
+        (Decision, {"choice": "scrap", "name": "", "reason": "", "decided": ""}),
+        (StitchingMethod, {"method": "auto", "chosen": "by chance"}),
+        (CameraCalibration, {"camera": 0, "name": "left", "state": "lost"}),
+    ],
+)
+def test_other_words_than_those_of_the_documentation_are_refused(
+    schema: type[BaseModel], document: dict[str, Any]
+) -> None:
+    with pytest.raises(ValidationError, match="Input should be"):
+        schema.model_validate(document)
+
+
+def test_a_detail_has_all_fields_of_a_summary_and_a_status_those_of_its_record() -> None:
+    assert RunSummary.model_fields.keys() < RunDetail.model_fields.keys()
+    assert ReferenceRecord.model_fields.keys() < ReferenceStatus.model_fields.keys()
 
 
 def test_a_reason_is_made_of_an_error() -> None:
@@ -36,16 +102,42 @@ def test_a_reason_is_made_of_an_error() -> None:
     assert Reason.of(error) == Reason(code="ring-full", message="All memory is in use.", action="Release a run.")
 
 
-def test_documents_survive_json_and_cannot_be_changed() -> None:
-    event = EventRecord(number=1, time="2026-01-01T00:00:00.000Z", kind="run", state="ready", run="r1")
-    assert EventRecord.model_validate_json(event.model_dump_json()) == event
-    attribute: Any = "number"
-    with pytest.raises(ValidationError):
-        setattr(event, attribute, 2)
-    with pytest.raises(ValidationError, match="unknown"):
-        EventRecord.model_validate({**event.model_dump(), "unknown": 1})
+def test_measured_heights_have_this_form() -> None:
+    several = (Interval(0.1, 2.0, 0.6), Interval(7.0, 7.5, 0.39))
+    found = {"U1": PartHeight(1.5, 0.02, (), 3), "U2": PartHeight(None, None, several, 2), "U3": NOTHING}
+    document = HeightList.model_validate({"heights": heights_document(found, BOARD)})
+    assert document.heights["U1"].height_mm == 1.5
+    assert document.heights["U2"].comparison == "ambiguous"
+    assert HeightList.model_validate_json(document.model_dump_json(exclude_none=True)) == document
 
 
-def test_a_detail_has_all_fields_of_a_summary_and_a_status_those_of_its_record() -> None:
-    assert RunSummary.model_fields.keys() < RunDetail.model_fields.keys()
-    assert stitching_schemas.ReferenceRecord.model_fields.keys() < ReferenceStatus.model_fields.keys()
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"views": 2, "height_mm": 1.5},
+        {"views": 2, "sigma_mm": 0.1},
+        {"views": 2, "height_mm": "1.5", "sigma_mm": 0.1},
+        {"views": 2, "height_mm": True, "sigma_mm": 0.1},
+        {"views": 2, "height_mm": float("nan"), "sigma_mm": 0.1},
+        {"views": 2, "colour": "red"},
+        {"height_mm": 1.5, "sigma_mm": 0.1},
+        {"views": True},
+    ],
+)
+def test_other_heights_are_refused(entry: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError, match=r"heights\.U1"):
+        HeightList.model_validate({"heights": {"U1": entry}})
+
+
+@pytest.mark.parametrize(("dtype", "shape"), [(np.uint8, (48, 64)), (np.uint16, (48, 64)), (np.uint8, (48, 64, 3))])
+def test_room_is_made_for_the_frames_of_every_pixel_format(
+    make_head: Callable[..., RecordingHead], dtype: Any, shape: tuple[int, ...]
+) -> None:
+    head = make_head(3).model_copy(update={"missing": ((0, 0),)})
+    frames = [
+        FrameRecord(camera=camera, row=row, verdict=Verdict.OK, slot=3 * camera + row)
+        for camera in range(2)
+        for row in range(3)
+    ]
+    expected = bytes_of_frames(frames, head, lambda _: np.zeros(shape, dtype))
+    assert expected == 2 * 3 * np.zeros(shape, dtype).nbytes

@@ -29,7 +29,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.mosaic import MosaicPlan, TileRenderer, choose_frames
 from vaoi_station.photometry import Taken
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
-from vaoi_station.runs.merging.row_brightness import level_frames
+from vaoi_station.runs.merging.merged_pictures import level_frames
 from vaoi_station.runs.workers import picture_jobs
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.picture_jobs import (

@@ -152,9 +152,9 @@ def test_many_corners_at_several_places_are_a_reason(
 def test_the_reason_names_places_in_the_unit_of_the_cad_data(unit: str, shown: str) -> None:
     board = BoardType.model_validate({"name": "b", "unit": unit, "fiducials": []})
     (reason,) = unlisted_part_reasons(UnlistedParts(100, 8, 0, PLACES), BoardPlane(board, mirrored=False))
-    assert reason.code is ReasonCode.UNLISTED_PARTS
-    assert shown in reason.text
-    assert "and 1 more" in reason.text
+    assert reason.code == ReasonCode.UNLISTED_PARTS
+    assert shown in reason.message
+    assert "and 1 more" in reason.message
 
 
 @pytest.mark.parametrize("seed", [106465, 109882])

@@ -131,7 +131,7 @@ def adjusted(count: int = 4, scale: float = 1.0, surface: tuple[float, ...] = ()
 
 
 def texts(*inputs: Any) -> list[str]:
-    return [text for _, text in fiducial_reasons(*inputs)]
+    return [reason.message for reason in fiducial_reasons(*inputs)]
 
 
 def test_sound_data_give_no_reason() -> None:
@@ -177,10 +177,11 @@ def test_a_surface_of_which_only_the_sum_is_unlikely_is_a_reason() -> None:
     """An error of one of three fiducials leaves no residual, and makes a little of each coefficient."""
     likely = (0.8, 0.16, -0.16, 0.5, 0.2, 0.5)
     assert texts(PLANE, adjusted(3, surface=likely), points(3), STILL, 10.0) == []
-    ((code, text),) = fiducial_reasons(
-        PLANE, adjusted(3, surface=(0.8, 0.27, -0.3, 0.03, 0.39, 0.7)), points(3), STILL, 10
+    ((code, text),) = (
+        (r.code, r.message)
+        for r in fiducial_reasons(PLANE, adjusted(3, surface=(0.8, 0.27, -0.3, 0.03, 0.39, 0.7)), points(3), STILL, 10)
     )
-    assert code is ReasonCode.SURFACE_UNLIKELY
+    assert code == ReasonCode.SURFACE_UNLIKELY
     assert (
         "tilted and bent at once (6.8 standard deviations together, limit 5.6; most of it by a twist of +0.39 mm)"
         in text
@@ -207,8 +208,10 @@ def test_an_error_of_one_of_two_fiducials_shows_in_the_local_ones() -> None:
     )  # fmt: skip
     arm = plane.fiducials - plane.fiducials[0]
     off_px = np.where(which[:, None] < 2, 0.0, -2.5 * arm / 36.0)
-    ((code, text),) = common_local_reasons(plane, replace(adjusted(6), fiducial_px=off_px), seen, 10.0)
-    assert code is ReasonCode.FIDUCIAL_OFF_PLACE
+    ((code, text),) = (
+        (r.code, r.message) for r in common_local_reasons(plane, replace(adjusted(6), fiducial_px=off_px), seen, 10.0)
+    )
+    assert code == ReasonCode.FIDUCIAL_OFF_PLACE
     assert text.startswith("the local fiducials together lie up to 0.2")
     assert common_local_reasons(plane, adjusted(6), seen, 10.0) == []
     third = replace(seen, which=np.array([0, 1, 2, 3, 4, REFERENCE]))
@@ -231,14 +234,18 @@ def shift(x: float, y: float, turn_rad: float = 0.0) -> OutlineShift:
 
 def test_an_outline_off_its_place_is_a_reason() -> None:
     assert outline_reasons(None, 10.0) == outline_reasons(shift(0.3, -0.2), 10.0) == []
-    ((_, reason),) = outline_reasons(shift(1.2, 0.1), 10.0)
-    assert reason.startswith("the board's outline lies 1.20 mm (12 px) from where the fiducials put it, (+1.20, +0.10)")
+    (reason,) = outline_reasons(shift(1.2, 0.1), 10.0)
+    assert reason.message.startswith(
+        "the board's outline lies 1.20 mm (12 px) from where the fiducials put it, (+1.20, +0.10)"
+    )
 
 
 def test_a_turned_outline_is_a_reason() -> None:
     assert outline_reasons(shift(0, 0, 0.006), 10.0) == [], "0.15 mm at the ends: boards are cut so"
-    ((_, reason),) = outline_reasons(shift(0, 0, 0.02), 10.0)
-    assert reason.startswith("the board's outline is turned by +20.0 ± 1.0 mrad against the fiducials, 0.50 mm (5 px)")
+    (reason,) = outline_reasons(shift(0, 0, 0.02), 10.0)
+    assert reason.message.startswith(
+        "the board's outline is turned by +20.0 ± 1.0 mrad against the fiducials, 0.50 mm (5 px)"
+    )
 
 
 def referred(off_px: tuple[float, float], count: int = 30) -> tuple[FiducialPoints, np.ndarray]:
@@ -250,8 +257,8 @@ def referred(off_px: tuple[float, float], count: int = 30) -> tuple[FiducialPoin
 
 
 def test_a_reference_that_contradicts_the_fiducials_is_a_reason() -> None:
-    ((code, text),) = reference_reasons(*referred((0.5, 4.3)))
-    assert code is ReasonCode.REFERENCE_CONTRADICTS
+    ((code, text),) = ((r.code, r.message) for r in reference_reasons(*referred((0.5, 4.3))))
+    assert code == ReasonCode.REFERENCE_CONTRADICTS
     assert text.startswith("only 0 of 30 points of the reference lie where the fiducials put them (limit 50%)")
     assert "4.3" in text
 
@@ -310,10 +317,10 @@ def test_marks_of_another_size_at_the_right_places_are_named(filmed: Any, stated
     status, reasons = decide_verdict(findings_of(filmed, board_type=board_type))
     assert status is Status.FAILED
     assert reasons[0].code == "fiducial-size"
-    assert f"are where fiducials of {stated:.2g} mm are expected: correct the diameter" in reasons[0].text
-    found = float(reasons[0].text.split("marks of about ")[1].split(" mm")[0])
+    assert f"are where fiducials of {stated:.2g} mm are expected: correct the diameter" in reasons[0].message
+    found = float(reasons[0].message.split("marks of about ")[1].split(" mm")[0])
     assert found == pytest.approx(1.0, rel=0.1)
-    assert "fiducials-not-found" in [code for code, _ in reasons]
+    assert "fiducials-not-found" in [reason.code for reason in reasons]
 
 
 def test_wrong_places_are_not_blamed_on_the_size(filmed: Any) -> None:

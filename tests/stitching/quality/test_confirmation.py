@@ -173,14 +173,14 @@ def test_a_light_that_fails_in_the_run_is_named_with_its_rows(workshop: Any) -> 
     (left,) = found(workshop, {4, 7})
     assert (left.name, left.rows, left.of_rows) == ("left", (4, 7), 3)
     (reason,) = dark_light_reasons([left])
-    assert reason.code is ReasonCode.LIGHT_DARK
-    assert reason.text == (
+    assert reason.code == ReasonCode.LIGHT_DARK
+    assert reason.message == (
         "light left: rows 4, 7 are dark (2 of its 3 rows), while the rows beside are bright: check lamp, driver and "
         "cable of LED channel 2, and film the board again"
     )
     first, second = dark_light_reasons(found(workshop, {1, 2, 5}))
-    assert "light left: row 1 is dark (1 of its 3 rows)" in first.text
-    assert "LED channels 0, 3" in second.text
+    assert "light left: row 1 is dark (1 of its 3 rows)" in first.message
+    assert "LED channels 0, 3" in second.message
 
 
 def test_rows_of_a_bare_belt_are_not_dark_lights(workshop: Any) -> None:
@@ -207,7 +207,7 @@ def test_the_verdict_of_a_run_names_the_light_and_not_its_frames(filmed: Any) ->
     findings = findings_of(filmed, there, lights=("even", "right", "left"), channels={"left": (2,)})
     status, reasons = decide_verdict(findings)
     assert status != "ok"
-    named = {reason.code: reason.text for reason in reasons}
+    named = {reason.code: reason.message for reason in reasons}
     assert "LED channel 2" in named[ReasonCode.LIGHT_DARK]
     assert "rows 2, 5 are dark" in named[ReasonCode.LIGHT_DARK]
     assert ReasonCode.FRAMES_UNCONFIRMED not in named

@@ -48,7 +48,7 @@ def test_a_calibrated_lens_has_no_error(seed: int) -> None:
 def test_a_distortion_that_the_calibration_leaves_out_is_named(seed: int) -> None:
     stitch, findings = run(seed, 1.5)
     assert stitch.status is Status.DEGRADED
-    assert ReasonCode.LENS_DIFFERS in {code for code, _ in decide_verdict(findings)[1]}
+    assert ReasonCode.LENS_DIFFERS in {reason.code for reason in decide_verdict(findings)[1]}
     for error in findings.lens_errors.values():
         assert error.significant
         assert error.corner_px == pytest.approx(1.5, rel=0.5)

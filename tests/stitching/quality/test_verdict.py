@@ -45,7 +45,7 @@ def test_lost_rows_are_blamed_before_the_fiducials(filmed: Any, lost: tuple[int,
     slow = tuple(0.97 * v for v in filmed.setup.conveyor_mm_s)
     reasons = decide_verdict(findings_of(filmed, there, conveyor_mm_s=slow))[1]
     assert reasons[0].code == "rows-lost", reasons
-    assert f"of rows {', '.join(map(str, lost))}" in reasons[0].text
+    assert f"of rows {', '.join(map(str, lost))}" in reasons[0].message
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_scatter_of_links_that_noise_does_not_explain_is_a_reason(
     doubtful = SimpleNamespace(problem=problem, adjusted=replace(found.adjusted, floor_px=floor_px))
     reasons = list(scattered_links(doubtful))  # type: ignore[arg-type]
     assert [r.code for r in reasons] == [ReasonCode.LINKS_SCATTER] * bool(named)
-    assert all(named in r.text for r in reasons)
+    assert all(named in r.message for r in reasons)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_what_decides_positions_beyond_noise_widens_sigma_and_is_named(filmed: A
     assert disputed.sigma.rows_px[1:] == found.sigma.rows_px[1:]
     status, reasons = decide_verdict(disputed)
     assert (status, [r.code for r in reasons]) == (Status.DEGRADED, [ReasonCode.POSITIONS_UNCERTAIN])
-    assert named in reasons[0].text
+    assert named in reasons[0].message
 
 
 def with_changes(board_type: BoardType, **keys: Any) -> BoardType:
@@ -207,7 +207,7 @@ def test_a_third_fiducial_that_is_not_where_it_should_be_is_a_reason(filmed: Any
     moved = first.model_copy(update={"x": first.x + away_mm})
     board_type = filmed.board_type.model_copy(update={"fiducials": (moved, *others)})
     findings = findings_of(replace(filmed, setup=replace(filmed.setup, board_type=board_type)))
-    codes = [code for code, _ in decide_verdict(findings)[1]]
+    codes = [reason.code for reason in decide_verdict(findings)[1]]
     assert (ReasonCode.FIDUCIAL_MISSING in codes) == (away_mm < 10)
     if away_mm < 10:
         assert set(findings.fiducials_in_view) == {0, 1, 2}
@@ -227,7 +227,7 @@ def test_local_fiducials_that_no_frame_shows_are_no_reason() -> None:
         )
         plane: Any = SimpleNamespace(board_type=SimpleNamespace(fiducials=[SimpleNamespace(name="L0")]))
         none: Any = None
-        return [text for _, text in _unusable_local_fiducials(_Placed(places, plane, none, none))]
+        return [reason.message for reason in _unusable_local_fiducials(_Placed(places, plane, none, none))]
 
     assert reasons(lost, "auto") == reasons(lost, "reference", 0) == reasons(apart, "reference", 0) == []
     assert "U1: L0 was not found" in reasons(lost, "auto", 0)[0]

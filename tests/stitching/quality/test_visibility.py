@@ -220,15 +220,15 @@ def test_lost_frames_are_named_beside_rows_that_are_not_placed(lost: Any, unplac
     unseen = UnseenComponent("U1", 0.5, 0, False, Visibility(), "frames-lost")
     present = {(i, j) for i in range(2) for j in range(2)} - lost
     scene: Any = SimpleNamespace(cameras=(None, None), present=tuple(sorted(present)))
-    ((_, text),) = unseen_reasons((unseen,), 10, scene, 2, unplaced)
+    ((_, text),) = ((r.code, r.message) for r in unseen_reasons((unseen,), 10, scene, 2, unplaced))
     assert words in text
 
 
 def test_frames_that_fit_nothing_are_named_and_copies_counted() -> None:
     assert not list(unconfirmed_reasons((), {(0, 1)}))
     frames = [(0, row) for row in range(8)]
-    ((code, text),) = unconfirmed_reasons(frames, {(0, 3), (1, 3)})
-    assert code is ReasonCode.FRAMES_UNCONFIRMED
+    ((code, text),) = ((r.code, r.message) for r in unconfirmed_reasons(frames, {(0, 3), (1, 3)}))
+    assert code == ReasonCode.FRAMES_UNCONFIRMED
     assert text.startswith("8 frames that should show components")
     assert "camera 0 row 5 and 2 more; 1 of them equal the frame before" in text
 
@@ -258,7 +258,7 @@ def plane(s: Scene, unit: str = "mm") -> BoardPlane:
 
 
 def texts(*inputs: Any) -> list[str]:
-    return [text for _, text in absent_camera_reasons(*inputs)]
+    return [reason.message for reason in absent_camera_reasons(*inputs)]
 
 
 def test_cameras_with_a_frame_are_no_reason(workshop: Any) -> None:

@@ -19,7 +19,7 @@ from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, ProgramRow, ProgramStep
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 from vaoi_station.optics.motion_equations import longest_exposure_us
 from vaoi_station.optics.pulse_timing import spare_time_us
 

@@ -28,7 +28,7 @@ from vaoi_station.acquisition.controller.interface import (
 )
 from vaoi_station.errors import InputError
 from vaoi_station.line_config import ENCODER_LATENCY_S
-from vaoi_station.model.light_program import row_of
+from vaoi_station.model.recording import row_of
 
 TOO_FAST = "the controller did not fire it: the board was faster than the cameras can follow"
 """Why a row was skipped that the encoder asked for too soon."""

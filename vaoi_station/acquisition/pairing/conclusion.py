@@ -14,7 +14,7 @@ from vaoi_station.acquisition.pairing.evidence import NO_PACKET, Gap, explain_mi
 from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, prove, questioned_rows
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
 from vaoi_station.model import FrameRecord, ProgramRow, Verdict
-from vaoi_station.model.light_program import row_of
+from vaoi_station.model.recording import row_of
 
 
 @dataclass

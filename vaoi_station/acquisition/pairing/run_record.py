@@ -12,7 +12,7 @@ from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.acquisition.controller.interface import PulseSkipped
 from vaoi_station.line_config import row_ways_mm
 from vaoi_station.model import FrameRecord, ProgramRow, Pulse
-from vaoi_station.model.light_program import row_of
+from vaoi_station.model.recording import row_of
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files import Recording, open_recording, write_recording
-from vaoi_station.files.atomic_directory import new_directory
+from vaoi_station.files.directories import new_directory
 from vaoi_station.files.images import Image
 from vaoi_station.model import RecordingHead, Verdict
 

@@ -14,7 +14,7 @@ from vaoi_station.acquisition.process.messages import RunFinished, Trouble
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.model import RecordingHead
-from vaoi_station.model.light_program import linear_gain
+from vaoi_station.model.recording import linear_gain
 
 _log = logging.getLogger(__name__)
 

@@ -45,7 +45,7 @@ from vaoi_station.acquisition.ring import INCOMPLETE, OK, Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
 from vaoi_station.model import Verdict
-from vaoi_station.model.light_program import linear_gain
+from vaoi_station.model.recording import linear_gain
 
 CLOCK_LIMIT_S = 2e-3
 """Arming requires that the error bound of every clock is at most this (s), and at most `CLOCK_SHARE` of the period."""

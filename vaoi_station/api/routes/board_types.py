@@ -29,9 +29,9 @@ from vaoi_station.api.routes.services import Services
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.errors import InputError, NotFoundError, VaoiError
 from vaoi_station.model import BoardType, Strict
-from vaoi_station.model.light_program import Program
+from vaoi_station.model.recording import Program
 from vaoi_station.runs.lighting.programs import ProgramCheck
-from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
+from vaoi_station.runs.states.schemas import ReferenceStatus, StitchingMethod
 
 BODY = {
     "requestBody": {

@@ -15,10 +15,9 @@ from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.push.publisher import Publisher
-from vaoi_station.runs.archive.run_statistics import LATENCY_BOUNDS_S, RunFigures
+from vaoi_station.runs.archive.finished_runs import LATENCY_BOUNDS_S, RunFigures
 from vaoi_station.runs.archive.storage_watch import StorageFigures
-from vaoi_station.runs.states.schemas import StationSnapshot
-from vaoi_station.runs.states.storage_schemas import ArchiveStatus
+from vaoi_station.runs.states.schemas import ArchiveStatus, StationSnapshot
 from vaoi_station.runs.states.tables import StationState
 from vaoi_station.store.storage_trouble import CODES
 

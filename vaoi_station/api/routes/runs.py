@@ -17,15 +17,19 @@ from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matric
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId
-from vaoi_station.runs.archive.run_history import Wanted
-from vaoi_station.runs.states.decision_schemas import RunCounts
-from vaoi_station.runs.states.height_schemas import HeightList
-from vaoi_station.runs.states.overlay_schemas import RunOverlay
+from vaoi_station.runs.archive.kept_runs import Wanted
 from vaoi_station.runs.states.run_ids import in_utc, is_run_id, last_midnight, utc
-from vaoi_station.runs.states.schemas import LeaseStatus, RunDetail, RunSummary
+from vaoi_station.runs.states.schemas import (
+    HeightList,
+    LeaseStatus,
+    RunCounts,
+    RunDetail,
+    RunOverlay,
+    RunSummary,
+    Timeline,
+)
 from vaoi_station.runs.states.tables import IN_MEMORY
-from vaoi_station.runs.states.timeline_schemas import Timeline
-from vaoi_station.store.history.run_search import RunFilter
+from vaoi_station.store.run_search import RunFilter
 
 Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
 Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]

@@ -13,8 +13,7 @@ from vaoi_station.api.rest_models import ArmRequest
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.run.order import Passing
-from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
-from vaoi_station.runs.states.schemas import StationSnapshot
+from vaoi_station.runs.states.schemas import CalibrationStatus, StationSnapshot
 
 ARMING, ARMING_OF_CALLER = 8, 4
 """Limits of requests to arm at a time, in total and of one caller: they may wait for a board that passes."""

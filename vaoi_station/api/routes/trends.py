@@ -14,8 +14,8 @@ from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.states.run_ids import in_utc, utc
-from vaoi_station.runs.trends.trend_schemas import TrendComparison, Trends
-from vaoi_station.store.history.board_figures import Span
+from vaoi_station.runs.trends.trends import TrendComparison, Trends
+from vaoi_station.store.figures import Span
 
 LONGEST = timedelta(days=3660)
 """Longest span of one request: as long as figures per hour are kept."""

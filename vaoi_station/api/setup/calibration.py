@@ -33,8 +33,8 @@ from vaoi_station.calibration.pictures.calibration_picture import draw_calibrati
 from vaoi_station.calibration.pictures.difference_picture import draw_difference
 from vaoi_station.errors import InputError, InternalError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_calibration
+from vaoi_station.files.calibrations import Layout
 from vaoi_station.files.images import Image
-from vaoi_station.files.layouts import Layout
 from vaoi_station.geometry.transforms import apply
 from vaoi_station.model import Calibration, CameraHead, Strict
 from vaoi_station.pixel_formats import eight_bit_grey

@@ -27,8 +27,7 @@ from vaoi_station.api.setup.station_files import (
 )
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
-from vaoi_station.files.documents import key_at, parse, parse_toml
-from vaoi_station.files.text_files import text_of
+from vaoi_station.files.documents import key_at, parse, parse_toml, text_of
 from vaoi_station.model import Strict
 from vaoi_station.settings.edits import MARK, Edit, edit_toml, hidden_edits, key_of, without_secrets
 from vaoi_station.settings.edits import Path as Place

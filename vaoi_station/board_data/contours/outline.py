@@ -14,7 +14,7 @@ import numpy as np
 
 from vaoi_station.board_data.contours.places import places
 from vaoi_station.board_data.design import XY
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 if TYPE_CHECKING:
     from vaoi_station.board_data.contours.graph import Edges, Graph

@@ -14,7 +14,7 @@ from vaoi_station.board_data.contours.graph import GRID_MM, JOIN_MM, STEPS, THIN
 from vaoi_station.board_data.contours.places import places
 from vaoi_station.board_data.design import XY
 from vaoi_station.board_data.source_text import LARGEST_NUMBER
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 _REASONS = {
     "open": "close no contour",

@@ -16,7 +16,7 @@ from math import dist
 from vaoi_station.board_data.design import XY, Design, Mark, Part, PlacedBoard, Placement, extent, rotated
 from vaoi_station.board_data.panels.layout import MOST_PARTS
 from vaoi_station.board_data.panels.step_and_repeat import MOST_BOARDS
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 SAME_PLACE_MM = 0.05
 """A part and the place where a copy is expected may differ by this; files of placement machines round to 10 µm."""

@@ -10,7 +10,7 @@ from vaoi_station.board_data.design import XY, Design, PlacedBoard, Placement, e
 from vaoi_station.board_data.panels.step_and_repeat import MOST_BOARDS
 from vaoi_station.errors import InputError
 from vaoi_station.model.frozen_model import MOST_MM
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 _UP_TO = f"at most {MOST_BOARDS}"
 

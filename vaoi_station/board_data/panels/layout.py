@@ -23,7 +23,7 @@ from vaoi_station.board_data.design import (
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 MOST_PARTS = 40_000
 """Largest number of parts on both sides of a panel: twice that of the components of a board type."""

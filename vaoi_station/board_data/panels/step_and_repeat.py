@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from vaoi_station.board_data.design import XY, Design, PlacedBoard, Placement
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 MOST_BOARDS = 1_000
 """A panel of 250 × 330 mm has 1,000 boards if each is 9 mm square."""

@@ -29,7 +29,7 @@ from vaoi_station.board_data.design import (
 from vaoi_station.board_data.readers.table_columns import is_fitted
 from vaoi_station.board_data.source_text import decode, number_of, parse_xml
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 _DIMENSION, _DOCUMENTATION, _PLACEMENT = "20", "51", "21"
 """Numbers of the layers for the outline of the board, and for the drawing of parts."""

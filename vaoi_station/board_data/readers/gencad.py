@@ -22,7 +22,7 @@ from vaoi_station.board_data.design import XY, Box, Design, Part, Side, box_arou
 from vaoi_station.board_data.pin_rules import FITS_MM, DrawnPart, Pin, Rule, placed_parts
 from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 _UNITS = {"INCH": 25.4, "THOU": 0.0254, "MM": 1.0, "MM100": 0.01}
 _SECTIONS = frozenset(("HEADER", "BOARD", "PADS", "PADSTACKS", "SHAPES", "COMPONENTS", "SIGNALS", "ROUTES"))

@@ -23,7 +23,7 @@ from vaoi_station.board_data.pin_rules import FITS_MM, LEAST_MARGIN, RULES, Rule
 from vaoi_station.board_data.readers.lz_string import decompress
 from vaoi_station.board_data.source_text import MOST_BYTES, decode
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 USUAL = Rule(mirrored=False, sign=1)
 """The page draws boxes so."""

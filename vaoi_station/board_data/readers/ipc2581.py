@@ -31,7 +31,7 @@ from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_o
 from vaoi_station.board_data.pin_rules import DrawnPart, Pin, Rule, placed_parts
 from vaoi_station.board_data.source_text import number_of, parse_xml
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 _MARK_KINDS: dict[str, MarkKind] = {
     "GlobalFiducial": "global",

@@ -31,7 +31,7 @@ from vaoi_station.board_data.readers.sexpr import Node, every, first, numbers, p
 from vaoi_station.board_data.readers.table_columns import is_fitted
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 _MARK_PROPERTIES: dict[str, MarkKind] = {"pad_prop_fiducial_glob": "global", "pad_prop_fiducial_loc": "local"}
 _UNFITTED = frozenset({"DNP", "DNI", "DNF"})

@@ -46,7 +46,7 @@ from vaoi_station.board_data.source_text import (
 )
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 _MARK_ATTRIBUTES = (".fiducial_name", ".fiducial_rotation")
 _LAYERS: tuple[tuple[Side, str], ...] = (("top", "comp_+_top"), ("bottom", "comp_+_bot"))

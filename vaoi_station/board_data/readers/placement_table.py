@@ -45,7 +45,7 @@ from vaoi_station.board_data.readers.table_rows import DELIMITER_NAMES, Account,
 from vaoi_station.board_data.readers.table_units import UNITS, StatedUnits, unit_of
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
 
 MOST_ROWS = 200_000
 MOST_DEGREES = 360.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from vaoi_station.calibration.artwork.drawing_elements import LABEL_MM
 from vaoi_station.errors import InputError
-from vaoi_station.files.layouts import Layout, LayoutMark
+from vaoi_station.files.calibrations import Layout, LayoutMark
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Place
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from vaoi_station.model import BoardType
+from vaoi_station.model import BoardType, Strict
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import Schema
 from vaoi_station.store import BoardTypeDirectory
 
 
-class BoardTypeVersion(Schema):
+class BoardTypeVersion(Strict):
     """A version of a board type that was replaced or deleted."""
 
     id: str

@@ -15,7 +15,7 @@ from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files.results import component_tables
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Component, FrameRecord, Stitch, Verdict
-from vaoi_station.model.known_height import Heights, with_heights
+from vaoi_station.model.stitch_result import Heights, with_heights
 from vaoi_station.rendering import (
     ChosenImages,
     ChosenView,

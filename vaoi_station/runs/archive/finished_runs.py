@@ -10,28 +10,30 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections import OrderedDict
+from bisect import bisect_left
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.results import without_components
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
+from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.archive import stored_documents
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.run_statistics import RunStatistics
 from vaoi_station.runs.archive.storage_watch import StorageWatch
 from vaoi_station.runs.archive.stored_documents import in_state, state_of
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of, timeline_of
+from vaoi_station.runs.run.verdict import RunVerdict, identified
 from vaoi_station.runs.states.run_ids import utc_of_host
-from vaoi_station.runs.states.schemas import RunDetail, RunSummary
+from vaoi_station.runs.states.schemas import RunDetail, RunSummary, Timeline
 from vaoi_station.runs.states.tables import IN_MEMORY, RUN, RunState, RunStep
-from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store import RunRow, Store
 
 CACHED_RUNS = 32
@@ -53,6 +55,10 @@ class FinishedRun:
     timeline: Timeline
     head: RecordingHead | None
     """Head of the run's recording; None if the station ended while the board was filmed."""
+    before: RunVerdict
+    """The verdict without the identity of the board."""
+    identity: IdentityDocument | None
+    """Which board it shows; None if its boards have no codes."""
 
     @cached_property
     def view_calculator(self) -> ViewCalculator:
@@ -127,7 +133,11 @@ class Archive:
     def finish(self, progress: Progress) -> RunDetail:
         """Store a run that has ended, and return its document. The run is announced once it is written."""
         self._finished += 1
-        detail, order = detail_of(progress), progress.order
+        own, order = detail_of(progress), progress.order
+        before = RunVerdict(own.verdict, own.reasons)
+        # It is written with the run: if the station ends before the codes are read, its board does not count as known.
+        identity = stored_documents.unread_identity(order.board_type, own.board_id)
+        detail = identified(own, before, identity)
         finished = FinishedRun(
             detail,
             self._finished,
@@ -137,6 +147,8 @@ class Archive:
             progress.result.document if progress.result else None,
             timeline_of(progress),
             progress.head,
+            before,
+            identity,
         )
         # The run is put into memory before it is written: callers get its result while the disk is still busy, and even
         # if the disk refuses the result.
@@ -147,7 +159,10 @@ class Archive:
             self._cache(finished)
         self.statistics.add(detail, finished.timeline)
         row = stored_documents.row_of(progress, detail.model_copy(update={"stored": True}), self._finished)
-        saved = self._store.save_run(row, finished.timeline.model_dump_json(), finished.document)
+        identity_row = None if identity is None else stored_documents.identity_row(identity)
+        saved = self._store.save_run(
+            replace(row, identity=identity_row), finished.timeline.model_dump_json(), finished.document
+        )
         saved.add_done_callback(lambda future: self._written(finished, future))
         return detail
 
@@ -164,10 +179,21 @@ class Archive:
     def mark(self, run: str, step: RunStep) -> None:
         """Record that the frames of a finished run were released or evicted; `step` states which."""
         finished = self.get(run)
-        state = RUN.next(finished.detail.state, step)
         with self._changed:
+            finished = self._in_memory(run) or finished
+            state = RUN.next(finished.detail.state, step)
             self._cache(replace(finished, detail=in_state(finished.detail, state)))
-        self._store.set_state(run, state)
+            self._store.set_state(run, state)
+
+    def identify(self, run: str, identity: IdentityDocument) -> Future[None]:
+        """Store the identity of the board of a finished run, and the verdict that it leaves."""
+        finished = self.get(run)
+        with self._changed:
+            finished = self._in_memory(run) or finished
+            detail = identified(finished.detail, finished.before, identity)
+            self._cache(replace(finished, detail=detail, identity=identity))
+            summary = summary_of(detail.model_copy(update={"stored": True})).model_dump_json()
+            return self._store.identities.save(run, stored_documents.identity_row(identity), summary, detail.state)
 
     def get(self, run: str) -> FinishedRun:
         """Return a finished run by its id.
@@ -273,7 +299,7 @@ class Archive:
 
     def _close_unfinished(self) -> None:
         """Update the runs from before a restart of the station: unfinished runs failed, and all frames are gone."""
-        saved: dict[Future[None], RunRow | None] = {}
+        saved: dict[Future[Any], RunRow | None] = {}
         for row in self._store.unfinished():
             self._finished += 1
             cut = stored_documents.cut_short(row, self._finished)
@@ -290,7 +316,7 @@ class Archive:
             elif waiting is not None:
                 self._keep_in_memory(waiting, future)
 
-    def _keep_in_memory(self, row: RunRow, saved: Future[None]) -> None:
+    def _keep_in_memory(self, row: RunRow, saved: Future[Any]) -> None:
         """Keep the record of an earlier run in memory until the disk takes it, if it can be read."""
         with contextlib.suppress(VaoiError, ValueError):
             earlier = self._parsed(row)
@@ -385,6 +411,7 @@ class Archive:
             calibration = Calibration.model_validate_json(self._store.document(row.calibration_digest))
             result, timeline = self._store.result(row.id), self._store.timeline(row.id)
             head = RecordingHead.model_validate_json(row.head) if row.head else None
+            own = RunDetail.model_validate_json(row.detail)
             return FinishedRun(
                 detail=in_state(stored_documents.detail(row), self._state_of(row)),
                 finish_number=row.finish_number or 0,
@@ -394,7 +421,52 @@ class Archive:
                 document=result,
                 timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
                 head=head,
+                before=RunVerdict(own.verdict, own.reasons),
+                identity=stored_documents.identity(self._store.identities.documents([row.id]).get(row.id)),
             )
 
 
 _EMPTY = Timeline(frames_settled_s=(), tasks=(), last_frame_s=0.0, ready_s=None)
+
+
+LATENCY_BOUNDS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
+"""Upper bounds, s, of the classes into which the times from the last frame to the result are counted."""
+
+
+@dataclass(frozen=True)
+class RunFigures:
+    """The counts and waiting times of runs at one moment."""
+
+    verdicts: dict[str, int]
+    """Number of runs for each verdict; `none` for runs without a result."""
+    frames: dict[str, int]
+    """Number of frames for each verdict of a frame."""
+    latencies: tuple[int, ...] = (0,) * (len(LATENCY_BOUNDS_S) + 1)
+    """Number of results in each class of `LATENCY_BOUNDS_S`; the last class is above all bounds."""
+    latency_sum_s: float = 0.0
+
+
+@dataclass
+class RunStatistics:
+    """Adds up the figures of runs. Its methods may be called from any thread."""
+
+    _verdicts: Counter[str] = field(default_factory=Counter)
+    _frames: Counter[str] = field(default_factory=Counter)
+    _latencies: list[int] = field(default_factory=lambda: [0] * (len(LATENCY_BOUNDS_S) + 1))
+    _sum_s: float = 0.0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def add(self, detail: RunDetail, timeline: Timeline) -> None:
+        """Count a run that has ended."""
+        with self._lock:
+            self._verdicts[str(detail.verdict) if detail.verdict else "none"] += 1
+            self._frames.update(detail.counts.model_dump())
+            if timeline.ready_s is not None:
+                waited_s = max(timeline.ready_s - timeline.last_frame_s, 0.0)
+                self._latencies[bisect_left(LATENCY_BOUNDS_S, waited_s)] += 1
+                self._sum_s += waited_s
+
+    def figures(self) -> RunFigures:
+        """Return the counts and waiting times up to now."""
+        with self._lock:
+            return RunFigures(dict(self._verdicts), dict(self._frames), tuple(self._latencies), self._sum_s)

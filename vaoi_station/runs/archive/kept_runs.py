@@ -1,14 +1,17 @@
-"""Pins of runs, decisions about them, and what is kept of them, as callers see it."""
+"""What is kept of runs, as callers see it: pins, decisions, the search, and what follows the end of a run."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Protocol, TypeVar
+from datetime import UTC, datetime
+from typing import Any, Literal, Protocol, TypeVar
+
+from pydantic import ValidationError
 
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import NotFoundError, StateError, VaoiError
+from vaoi_station.errors import DeviceError, NotFoundError, StateError, VaoiError
 from vaoi_station.model import Status
 from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.runs.archive.event_log import EventLog
@@ -16,14 +19,21 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.archive.read_identities import ReadIdentities
 from vaoi_station.runs.archive.recordings import DIRECTORY, Recordings
-from vaoi_station.runs.archive.run_history import RunHistory
 from vaoi_station.runs.run.memory import FrameSource
-from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import RunDetail, RunSummary, StationSnapshot
-from vaoi_station.runs.states.storage_schemas import ArchiveStatus
-from vaoi_station.runs.trends.trend_history import TrendHistory
+from vaoi_station.runs.states.run_ids import earliest_id, utc
+from vaoi_station.runs.states.schemas import (
+    ArchiveStatus,
+    Choice,
+    Decision,
+    RunCounts,
+    RunDetail,
+    RunSummary,
+    StationSnapshot,
+)
+from vaoi_station.runs.states.tables import RunState
+from vaoi_station.runs.trends.trends import TrendHistory
 from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.store.history.run_search import RunFilter
+from vaoi_station.store.run_search import NO_VERDICT, RunFilter
 from vaoi_station.supervised_queue import SupervisedQueue
 
 R = TypeVar("R", bound=RunSummary)
@@ -78,12 +88,11 @@ class KeptRuns:
         self.heights, self._after_run = heights, config.heights == "after-run"
         self.identities = ReadIdentities(archive, render, frames.bay_of, events)
         self.mosaics = mosaics
-        self.history = RunHistory(archive, events, self.identities.shown)
+        self.history = RunHistory(archive, events)
         names = [camera.name for camera in config.cameras]
         self.trends = TrendHistory(archive.figures, names, config.keep.database_gb)
         archive.on_finished = self._finished
         self.identities.on_changed = self._identity_changed
-        self.recordings.published = self.identities.published
 
     def start(self) -> None:
         """Start the threads that write recordings, and have codes read and heights measured."""
@@ -132,10 +141,8 @@ class KeptRuns:
         """Keep a run that its identity degrades as others that are not ok, and renew its record; it returns at once."""
         with suppress(VaoiError):  # The run was forgotten.
             detail = self._archive.get(run).detail
-            if detail.verdict is Status.OK and detail.frames_available:
-                [shown] = self.identities.shown((detail,))
-                if shown.verdict is not Status.OK:
-                    self.recordings.finished(shown)
+            if detail.verdict is not Status.OK and detail.frames_available:
+                self.recordings.finished(detail)
         self.recordings.update(run)
 
     def pin(self, run: str) -> None:
@@ -164,11 +171,11 @@ class KeptRuns:
         self._events.add("run", "The run was unpinned.", run=run)
 
     def shown(self, document: R, figures: bool = False) -> R:
-        """Return the document of a run with `pinned`, `recording`, `decision` and `identity` filled in."""
+        """Return the document of a run with `pinned`, `recording` and `decision` filled in."""
         return self.all_shown((document,), figures)[0]
 
     def all_shown(self, documents: tuple[R, ...], figures: bool = False) -> tuple[R, ...]:
-        """Return documents of runs with `pinned`, `recording`, `decision`, `identity`, and `figures` if asked for."""
+        """Return documents of runs with `pinned`, `recording`, `decision`, and `figures` if asked for."""
         pins, decisions = self._archive.retention.pins(), self.history.decisions(documents)
         known = self.trends.figures([document.id for document in documents]) if figures else {}
 
@@ -183,7 +190,7 @@ class KeptRuns:
             }
             return document.model_copy(update=update)
 
-        return self.identities.shown(tuple(map(filled, documents)))
+        return tuple(map(filled, documents))
 
     def with_id(
         self, board_id: str, wanted: RunFilter, limit: int, before: str | None
@@ -192,10 +199,9 @@ class KeptRuns:
 
         At most `limit` runs are checked against the filter.
         """
-        runs = self.identities.runs_of(board_id, limit + 1, before)
+        runs = self._archive.identities.runs_of(board_id, limit + 1, before)
         found = self._archive.summaries(runs[:limit])
-        shown = {run.id: run for run in self.identities.shown(tuple(found.values()))}
-        admitted = tuple(found[run] for run in runs[:limit] if run in found and RunHistory.admits(wanted, shown[run]))
+        admitted = tuple(found[run] for run in runs[:limit] if run in found and RunHistory.admits(wanted, found[run]))
         return admitted, runs[limit - 1] if len(runs) > limit else None
 
     def with_counts(self, snapshot: StationSnapshot) -> StationSnapshot:
@@ -211,3 +217,96 @@ class KeptRuns:
             "archive": self.archive_status(),
         }
         return snapshot.model_copy(update={"retention": snapshot.retention.model_copy(update=counts)})
+
+
+Wanted = Literal["ok", "degraded", "failed", "none"]
+"""A verdict, or `none`: the run ended without a result."""
+_CHOICES: dict[Choice, str] = {"film-again": "The board is to be filmed again", "use": "Its pictures are used"}
+
+
+class RunHistory:
+    """Searches, counts and decides. Its methods may be called from any thread."""
+
+    def __init__(self, archive: Archive, events: EventLog) -> None:
+        self._archive, self._events = archive, events
+
+    def find(self, wanted: RunFilter, limit: int, before: str | None) -> tuple[list[RunSummary], str | None]:
+        """Return at most `limit` runs that a filter admits, newest first, and where the search goes on (None: nowhere).
+
+        One call reads a bounded number of runs, so it may find fewer than `limit` although there are more.
+        """
+        oldest = self._oldest(wanted.since)
+        # Runs that the disk has not taken yet are in memory; the database has them as they began. They are read first:
+        # one that is written meanwhile is in at least one of the two.
+        waiting = self._archive.unstored()
+        found = self._archive.search.find(wanted, limit, before, oldest, [run.id for run in waiting])
+        runs = self._archive.summaries(found.runs)
+        for summary in waiting:
+            here = (before is None or summary.id < before) and (found.before is None or summary.id >= found.before)
+            if here and self.admits(wanted, summary):
+                runs[summary.id] = summary
+        chosen = sorted(runs, reverse=True)[:limit]
+        more = chosen[-1] if len(chosen) == limit else found.before
+        return [runs[run] for run in chosen], more
+
+    def counts(self, since: datetime) -> RunCounts:
+        """Return how many boards have passed since a time, by verdict, and how many were missed."""
+        moment = utc(since.astimezone(UTC))
+        waiting = self._archive.unstored()
+        found = self._archive.search.verdicts(moment, self._oldest(moment), [run.id for run in waiting])
+        stored = dict(found.runs)
+        for summary in (s for s in waiting if s.started >= moment):
+            verdict = summary.verdict or NO_VERDICT
+            stored[verdict] = stored.get(verdict, 0) + 1
+        return RunCounts(
+            since=moment,
+            ok=stored.get("ok", 0),
+            degraded=stored.get("degraded", 0),
+            failed=stored.get("failed", 0) + stored.get(NO_VERDICT, 0),
+            missed=self._archive.search.count_events("board-missed", moment),
+            complete=found.complete,
+        )
+
+    def decide(self, run: str, choice: Choice, name: str, reason: str) -> None:
+        """Keep what a person has decided about a run; a later decision replaces it.
+
+        Raises:
+            NotFoundError: the run is unknown.
+            StateError: the run has not ended, or is not on disk yet.
+        """
+        self._archive.get(run)
+        decision = Decision(choice=choice, name=name, reason=reason, decided=utc())
+        if not self._archive.decisions.save(run, decision.model_dump_json()):
+            raise StateError(
+                f"Run {run} is not on disk yet, so that no decision about it can be kept.",
+                action="Repeat this once the data disk takes writes again.",
+                code="not-stored",
+            )
+        self._events.add("decision", f"{_CHOICES[choice]}, decided by {name}: {reason}", run=run, state=choice)
+
+    def decisions(self, runs: tuple[RunSummary, ...]) -> dict[str, Decision]:
+        """Return the decisions about some runs, by run id."""
+        found: dict[str, Decision] = {}
+        try:
+            documents = self._archive.decisions.documents([run.id for run in runs])
+        except DeviceError:
+            return {}  # The latest runs are in memory, and shown even if the disk cannot be read.
+        for run, document in documents.items():
+            try:
+                found[run] = Decision.model_validate_json(document)
+            except ValidationError:
+                continue  # of another version: the run is shown without it
+        return found
+
+    def _oldest(self, since: str | None) -> str:
+        if since is None:
+            return ""
+        return self._archive.search.oldest_since(earliest_id(datetime.fromisoformat(since).timestamp()))
+
+    @staticmethod
+    def admits(wanted: RunFilter, run: RunSummary) -> bool:
+        """Return whether a filter admits a run."""
+        codes = [code for reason in run.reasons for code in (reason.code, reason.cause)]
+        ended = run.state not in (RunState.FILMING, RunState.STITCHING)
+        verdict = run.verdict or (NO_VERDICT if ended else None)
+        return wanted.admits(verdict, run.board_type, run.board_id, codes, run.started)

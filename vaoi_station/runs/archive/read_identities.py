@@ -9,33 +9,26 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-from collections import OrderedDict
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, TypeVar
-
-from pydantic import ValidationError
+from typing import Any
 
 from vaoi_station.errors import BusyError, DeviceError, GoneError, NotFoundError, StateError, VaoiError
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardReading
-from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
+from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.archive.stored_documents import identity_row, with_identity
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.states.schemas import RunDetail, RunSummary
+from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.workers.jobs import PictureJob
 from vaoi_station.runs.workers.picture_jobs import IdentityJob, IdentitySlice
 from vaoi_station.supervised_queue import SupervisedQueue
 
 _log = logging.getLogger(__name__)
 
-R = TypeVar("R", bound=RunSummary)
 BUDGET_S = 3.0
 """Time of workers after which no further pictures of a run are tried."""
-_KEPT = 256
-"""Number of runs whose identities are kept in memory."""
 _MOST_WAITING = 8
 """Largest number of runs that wait for their codes to be read; the oldest ones are then not read."""
 
@@ -61,12 +54,8 @@ class ReadIdentities:
         self._archive, self._render, self._bay_of, self._events = archive, render, bay_of, events
         self.on_changed: Callable[[str], None] = lambda _run: None
         """Function that is called with a run whose identity was decided, or has changed. It must return at once."""
-        self._known: OrderedDict[str, IdentityDocument | None] = OrderedDict()
-        """Identities of the latest runs; None for a run that has none."""
         self._earlier: list[str] = []
         """Runs whose codes were still to be read when the station ended."""
-        self._lock = threading.Lock()
-        """Guards `_known`; never held while a worker or the disk is awaited."""
         self._changing = threading.Lock()
         """Held while a stored identity is changed, so that no report is lost."""
         self.queue = SupervisedQueue(self._read_next, "identity", _MOST_WAITING, begin=self._close_earlier)
@@ -80,13 +69,7 @@ class ReadIdentities:
 
     def finished(self, detail: RunDetail) -> None:
         """Have the codes of a run read that has just ended, if its board type has any; it returns at once."""
-        finished = self._archive.get(detail.id)
-        identity = finished.board_type.identity
-        if identity is None:
-            self._remember(detail.id, None)
-            return
-        self._remember(detail.id, compare(identity, None, finished.detail.board_id, without="pending"))
-        if (left_out := self.queue.put(detail.id)) is not None:
+        if detail.identity is not None and (left_out := self.queue.put(detail.id)) is not None:
             self._not_read(left_out)
 
     def document(self, run: str) -> IdentityDocument:
@@ -98,12 +81,7 @@ class ReadIdentities:
             GoneError: at most a summary of the run is kept.
         """
         finished = self._archive.get(run)
-        found = self._stored([run]).get(run)
-        if found is not None:
-            return found
-        # A run that has ended, and is neither on disk nor announced yet.
-        without: IdentityState = "not-read" if finished.detail.stored else "pending"
-        return compare(finished.board_type.identity, None, finished.detail.board_id, without=without)
+        return finished.identity or compare(finished.board_type.identity, None, finished.detail.board_id)
 
     def report(self, run: str, reported: ReportedId) -> IdentityDocument:
         """Store the id that the next machine has read, compare it, and publish the result; return the identity."""
@@ -121,62 +99,16 @@ class ReadIdentities:
                 read = BoardReading(codes=before.codes, unread_places=before.unread_places, complete=before.complete)
             return self._keep(run, _compared(finished, read, reported))
 
-    def runs_of(self, board_id: str, limit: int, before: str | None) -> list[str]:
-        """Return the ids of the runs of which this id was read or reported, newest first."""
-        return self._archive.identities.runs_of(board_id, limit, before)
-
-    def shown(self, documents: tuple[R, ...]) -> tuple[R, ...]:
-        """Return documents of runs with their identities; where the board type demands it, the verdict is lowered."""
-        runs = [d.id for d in documents if d.finished is not None]
-        try:
-            found = self._stored(runs)
-        except DeviceError:
-            found = self._recalled(runs)  # The latest runs are shown even if the disk cannot be read.
-        return tuple(with_identity(d, found.get(d.id)) for d in documents)
-
-    def published(self, detail: RunDetail) -> RunDetail:
-        """Return the document of a finished run with its identity, as `shown`; DeviceError if it cannot be read."""
-        identity = self.document(detail.id)
-        return detail if identity.state == "not-expected" else with_identity(detail, identity)
-
-    def _stored(self, runs: Collection[str]) -> dict[str, IdentityDocument | None]:
-        """Return the identities of runs from memory or the database, None for runs that have none."""
-        found = self._recalled(runs)
-        missing = [run for run in runs if run not in found]
-        if missing:
-            for run, text in self._archive.identities.documents(missing).items():
-                try:
-                    found[run] = IdentityDocument.model_validate_json(text)
-                except ValidationError:
-                    # It is of another version. It may state that this is another board: the run is not shown as ok.
-                    found[run] = IdentityDocument(state="not-read", required=True)
-                    continue
-                self._remember(run, found[run])
-        return found
-
-    def _recalled(self, runs: Collection[str]) -> dict[str, IdentityDocument | None]:
-        """Return the identities of runs that are in memory."""
-        with self._lock:
-            return {run: self._known[run] for run in runs if run in self._known}
-
-    def _remember(self, run: str, document: IdentityDocument | None) -> None:
-        with self._lock:
-            self._known[run] = document
-            self._known.move_to_end(run)
-            while len(self._known) > _KEPT:
-                self._known.popitem(last=False)
-
     def _not_read(self, run: str) -> None:
         """Record that the codes of a run were not read, if it waits for that."""
         with self._changing:
-            before = self._stored([run]).get(run)
+            before = self._archive.get(run).identity
             if before is not None and before.state == "pending":
                 self._keep(run, before.without_reading())
 
     def _keep(self, run: str, document: IdentityDocument) -> IdentityDocument:
         """Store an identity, then publish it."""
-        self._remember(run, document)
-        saved = self._archive.identities.save(run, identity_row(document))
+        saved = self._archive.identify(run, document)
         saved.add_done_callback(lambda future: _log_failure(run, future))
         self.on_changed(run)
         first = document.reasons[0] if document.reasons else None

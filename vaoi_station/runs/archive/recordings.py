@@ -22,18 +22,16 @@ from numpy.typing import NDArray
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_board_type, write_board_type, write_calibration, write_recording
-from vaoi_station.files.atomic_directory import new_directory, remove_directory
-from vaoi_station.files.directory_walk import readable_size_below, size_below
+from vaoi_station.files.directories import new_directory, readable_size_below, remove_directory, size_below
 from vaoi_station.files.documents import parse, read_json, write_bytes, write_json
 from vaoi_station.files.images import Image
 from vaoi_station.files.recordings import frame_file
-from vaoi_station.model import Program, RecordingHead, Status
+from vaoi_station.model import FrameRecord, Program, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.housekeeping import TASK_LIMIT_S
 from vaoi_station.runs.archive.stored_documents import lasting, never_read
 from vaoi_station.runs.run.memory import FrameSource
-from vaoi_station.runs.states.recording_heads import bytes_of_frames, head_of
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -79,8 +77,6 @@ class Recordings:
         self.on_kept: Callable[[str], None] = lambda _run: None
         """Function that is called with a run whose recording is complete: its frames are kept and the identity of its
         board is decided. It is called again if its record changes. It must return at once."""
-        self.published: Callable[[RunDetail], RunDetail] = lambda detail: detail
-        """Function that returns the document of a run as callers see it, with its identity and what follows from it."""
         self._wake = threading.Condition()
         """Guards the tasks of the thread; never held while the disk is awaited."""
         self._waiting: deque[tuple[str, bool]] = deque()
@@ -275,7 +271,7 @@ class Recordings:
             write_recording(draft, head, self._copies(finished, head, copy), suffix=".tiff")
             write_calibration(draft / "calibration.json", self._archive.calibration_of(finished))
             write_board_type(draft / "board.json", finished.board_type)
-            write_bytes(draft / RUN_FILE, self.published(finished.detail).model_dump_json().encode())
+            write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
             if finished.document is not None:
                 write_bytes(draft / RESULT_FILE, finished.document.encode())
             if program := finished.board_type.program or self.program:
@@ -316,7 +312,7 @@ class Recordings:
         with suppress(NotFoundError, InputError):
             known = parse(RunDetail, read_json(path), path)
         try:
-            record: RunDetail | None = self.published(self._archive.get(run).detail)
+            record: RunDetail | None = self._archive.get(run).detail
         except (GoneError, NotFoundError):
             record = known and never_read(known, read_board_type(path.parent / "board.json"))
         with self._lock:
@@ -395,3 +391,24 @@ class Recordings:
             "trouble", f"The frames were not kept: {why}",
             run=run, code="recording-refused", action="Unpin runs, raise [keep] recordings_gb, or free disk space.",
         )  # fmt: skip
+
+
+def head_of(run: RunDetail, head: RecordingHead) -> RecordingHead:
+    """Return the head of the recording: frames that are not usable are missing, with causes under `x_verdicts`."""
+    frames = run.frames
+    there = {(f.camera, f.row) for f in frames if f.usable and f.slot is not None}
+    everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
+    bad = [
+        {"camera": f.camera, "row": f.row, "verdict": str(f.verdict), "cause": f.cause} for f in frames if not f.usable
+    ]
+    missing = tuple(sorted(everything - there | set(head.missing)))
+    return head.model_copy(update={"missing": missing, "x_run": run.id, "x_verdicts": bad})
+
+
+def bytes_of_frames(frames: Iterable[FrameRecord], head: RecordingHead, copy: Callable[[int], NDArray[Any]]) -> int:
+    """Return the size of the frames on disk, from one frame of every camera: its pixel format is nowhere else."""
+    absent, sizes = set(head.missing), dict[int, int]()
+    for frame in frames:
+        if frame.camera not in sizes and (frame.camera, frame.row) not in absent and frame.slot is not None:
+            sizes[frame.camera] = copy(frame.slot).nbytes
+    return sum(sizes.values()) * head.rows

@@ -7,9 +7,9 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from vaoi_station.errors import DeviceError
+from vaoi_station.model import Reason
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.states.schemas import Reason
-from vaoi_station.runs.states.storage_schemas import SetAsideFile
+from vaoi_station.runs.states.schemas import SetAsideFile
 from vaoi_station.store import StorageTrouble, Store
 
 LOW_BYTES = 500_000_000

@@ -5,24 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import ValidationError
 
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError
 from vaoi_station.identity.comparison import compare
-from vaoi_station.model import BoardType, Status
+from vaoi_station.model import BoardType, Reason
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import summary_of
-from vaoi_station.runs.states.identity_schemas import IdentitySummary
-from vaoi_station.runs.states.schemas import Reason, RunDetail, RunSummary, VerdictCounts
+from vaoi_station.runs.run.verdict import RunVerdict, identified
+from vaoi_station.runs.states.schemas import RunDetail, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import IN_MEMORY, RunState
 from vaoi_station.store import RunRow
-from vaoi_station.store.history.identities import IdentityRow
+from vaoi_station.store.documents import IdentityRow
 
 R = TypeVar("R", RunSummary, RunDetail)
-D = TypeVar("D", bound=RunSummary)
 _LOST = Reason(code="station-restarted", message="The station ended before this run had a result.")
 _UNREADABLE = Reason(
     code="record-unreadable",
@@ -42,8 +41,13 @@ def row_of(progress: Progress, detail: RunDetail, finish_number: int | None) -> 
         summary=summary_of(detail).model_dump_json(),
         detail=detail.model_dump_json(),
         head=progress.head.model_dump_json() if progress.head else None,
-        identity=None if finish_number is None else _unread(progress, detail),
     )
+
+
+def unread_identity(board_type: BoardType, board_id: str | None) -> IdentityDocument | None:
+    """Return the identity of a run that ends, before its codes are read; None if its boards have none."""
+    identity = board_type.identity
+    return None if identity is None else compare(identity, None, board_id, without="pending")
 
 
 def identity_row(identity: IdentityDocument) -> IdentityRow:
@@ -52,51 +56,21 @@ def identity_row(identity: IdentityDocument) -> IdentityRow:
         identity.model_dump_json(exclude_none=True),
         identity.board_ids,
         pending=identity.state == "pending",
-        degrading=tuple(reason.code for reason in identity.degrading),
     )
 
 
-def with_identity(document: D, identity: IdentityDocument | None) -> D:
-    """Return the document of a finished run with its identity; where the board type demands it, the verdict is lowered.
-
-    A document that has the identity already, as an imported run may, gets no reason twice.
-    """
-    if identity is None:
-        return document
-    update: dict[str, Any] = {"identity": IdentitySummary.of(identity)}
-    more = tuple(Reason(code=r.code, message=r.message, action=r.action) for r in identity.degrading)
-    if more:
-        update["reasons"] = (*document.reasons, *(reason for reason in more if reason not in document.reasons))
-    if more and document.verdict is Status.OK:
-        update["verdict"] = Status.DEGRADED
-        if document.state is RunState.READY:
-            update["state"] = RunState.DEGRADED
-    return document.model_copy(update=update)
-
-
 def never_read(record: RunDetail, board_type: BoardType) -> RunDetail:
-    """Return the record of a run that the database has no more, once no code of its board can be read any more.
-
-    If the id was still to be read, it never will be: where the board type demands it, the run is degraded.
-    """
+    """Return the record of a run that the database has no more, once no code of its board can be read any more."""
     if record.identity_decided:
         return record
-    return with_identity(record, compare(board_type.identity, None, record.board_id))
+    return identified(
+        record, RunVerdict(record.verdict, record.reasons), compare(board_type.identity, None, record.board_id)
+    )
 
 
 def lasting(record: RunDetail) -> tuple[object, ...]:
     """Return what an archive needs to know of a record; the rest says where the frames are, which changes."""
     return record.verdict, record.reasons, record.identity
-
-
-def _unread(progress: Progress, detail: RunDetail) -> IdentityRow | None:
-    """Return the identity of a run that ends, before its codes are read; None if its boards have none.
-
-    It is written with the run: if the station ends before the codes are read, the run is not taken for one whose board
-    is known.
-    """
-    identity = progress.order.board_type.identity
-    return None if identity is None else identity_row(compare(identity, None, detail.board_id, without="pending"))
 
 
 def state_of(row: RunRow) -> RunState:
@@ -117,7 +91,22 @@ def in_state(document: R, state: RunState) -> R:
 def detail(row: RunRow) -> RunDetail:
     """Return the document of a stored run; DeviceError if it cannot be read."""
     with readable(row.id):
-        return RunDetail.model_validate_json(row.detail)
+        return decided(row.detail, row.summary)
+
+
+def identity(text: str | None) -> IdentityDocument | None:
+    """Return a stored identity; None if there is none. One of another version counts as not read."""
+    try:
+        return None if text is None else IdentityDocument.model_validate_json(text)
+    except ValidationError:
+        return IdentityDocument(state="not-read", required=True)
+
+
+def decided(detail: str, summary: str) -> RunDetail:
+    """Return the document of a run from its two stored texts: the summary has the verdict with the identity."""
+    shown = RunSummary.model_validate_json(summary)
+    changes = {"verdict": shown.verdict, "reasons": shown.reasons, "identity": shown.identity}
+    return RunDetail.model_validate_json(detail).model_copy(update=changes)
 
 
 def summary(row: RunRow) -> RunSummary:

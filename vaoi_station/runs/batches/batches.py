@@ -21,7 +21,7 @@ from pydantic_core import to_json
 from vaoi_station.errors import GoneError, InputError, NotFoundError, VaoiError
 from vaoi_station.hdr.encoding import MergedFormat
 from vaoi_station.model import Component
-from vaoi_station.model.known_height import Heights, with_heights
+from vaoi_station.model.stitch_result import Heights, with_heights
 from vaoi_station.rendering import choose_images
 from vaoi_station.runs.archive.component_views import frame_facts, tables_of
 from vaoi_station.runs.archive.finished_runs import FinishedRun

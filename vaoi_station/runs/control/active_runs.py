@@ -21,12 +21,12 @@ from typing import Protocol
 from vaoi_station.acquisition.process.messages import FrameSettled, PulseReported, RunFinished
 from vaoi_station.config import StationConfig
 from vaoi_station.line_config import row_ways_mm
-from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Status, Verdict
-from vaoi_station.model.light_program import row_of
+from vaoi_station.model import CameraHead, FrameRecord, Reason, RecordingHead, Status, Verdict
+from vaoi_station.model.recording import row_of
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.run.progress import WHOLE, Progress
-from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.runs.run.verdict import conclude, with_faults
 from vaoi_station.runs.states.tables import RunState, RunStep
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, Job, LinkJob, OpenRun, PictureJob, Reply
 
@@ -159,7 +159,8 @@ class ActiveRuns:
 
     def _end(self, progress: Progress) -> None:
         self._before_end(progress)
-        progress.weaken_result()
+        if progress.result is not None:
+            progress.result = with_faults(progress.result, progress.faults)
         progress.advance(_final_step(progress))
         del self.active[progress.run]
         self._workers.close_run(progress.run)
@@ -174,9 +175,10 @@ def _board(progress: Progress) -> dict[str, str]:
 
 
 def _final_step(progress: Progress) -> RunStep:
-    if progress.stitch is None or progress.verdict is Status.FAILED:
+    verdict = conclude(progress).status
+    if progress.stitch is None or verdict is Status.FAILED:
         return RunStep.NOT_STITCHED
-    return RunStep.STITCHED if progress.verdict is Status.OK else RunStep.STITCHED_WEAKLY
+    return RunStep.STITCHED if verdict is Status.OK else RunStep.STITCHED_WEAKLY
 
 
 def camera_heads(config: StationConfig) -> tuple[CameraHead, ...]:

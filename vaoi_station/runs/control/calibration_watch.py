@@ -14,13 +14,11 @@ from vaoi_station.drift.checks import CameraCheck, KeptBaselines, LampBaseline, 
 from vaoi_station.drift.lamp_watch import BASELINE_RUNS, DimLamp, find_dim_lamps, only_baselines, with_baselines
 from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
 from vaoi_station.errors import StateError
-from vaoi_station.model import Calibration
+from vaoi_station.model import Calibration, Reason
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.states.calibration_schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
-from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.runs.states.schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
 from vaoi_station.runs.workers.jobs import CheckJob, Reply
-from vaoi_station.store.documents import digest_of
-from vaoi_station.store.history.calibration_checks import CalibrationChecks
+from vaoi_station.store.documents import CalibrationChecks, digest_of
 
 FIRST_CHECKS, LATEST_CHECKS = 50, 200
 """Numbers of checks that are evaluated: the first ones since the calibration came into force, and the latest ones."""

@@ -18,13 +18,13 @@ from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, StateError
-from vaoi_station.model import BoardType, FrameRecord, Stitch
+from vaoi_station.model import BoardType, FrameRecord, Reason, Stitch
 from vaoi_station.rendering import ChosenImages, ImageRequest
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
+from vaoi_station.runs.archive.finished_runs import RunFigures
 from vaoi_station.runs.archive.kept_runs import KeptRuns
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
-from vaoi_station.runs.archive.run_statistics import RunFigures
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.pictures import FrameAccess, ViewRequest
 from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
@@ -36,21 +36,21 @@ from vaoi_station.runs.run.memory import OWN
 from vaoi_station.runs.run.order import Order, Passing
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.run_views import detail_of
-from vaoi_station.runs.states.calibration_schemas import CalibrationStatus
 from vaoi_station.runs.states.schemas import (
     BoardTypeSummary,
+    CalibrationStatus,
     ComponentSummary,
     EventRecord,
     ImageFormat,
     LeaseStatus,
     ProcessStatus,
-    Reason,
+    ReferenceStatus,
     RunDetail,
     RunSummary,
     StationSnapshot,
+    StitchingMethod,
+    Timeline,
 )
-from vaoi_station.runs.states.stitching_schemas import ReferenceStatus, StitchingMethod
-from vaoi_station.runs.states.timeline_schemas import Timeline
 from vaoi_station.store import BoardTypeDirectory
 
 ARM_LIMIT_S = 30.0

@@ -11,6 +11,7 @@ from typing import assert_never
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError, VaoiError
+from vaoi_station.model import Reason
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
@@ -26,7 +27,6 @@ from vaoi_station.runs.run.order import Order, Passing, Resumed, StandingOrder
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.trigger_watch import TriggerWatch
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, LinkJob, Reply
 

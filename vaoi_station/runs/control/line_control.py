@@ -14,6 +14,7 @@ from vaoi_station.acquisition.process import messages
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, DeviceError, StateError, VaoiError
+from vaoi_station.model import Reason
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
@@ -21,7 +22,7 @@ from vaoi_station.runs.control.reasons import StationStateMachine
 from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order, Orders, Resumed, StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.states.schemas import ArmedWith, Reason
+from vaoi_station.runs.states.schemas import ArmedWith
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
 
 _log = logging.getLogger(__name__)

@@ -14,8 +14,8 @@ from vaoi_station.acquisition.controller.interface import Permit
 from vaoi_station.acquisition.process.messages import Health, PermitBoard
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
+from vaoi_station.model import Reason
 from vaoi_station.runs.control.reasons import sentence
-from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import StationState
 from vaoi_station.store.storage_trouble import PASSING
 

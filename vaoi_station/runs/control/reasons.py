@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 from vaoi_station.acquisition.process.messages import Trouble
 from vaoi_station.errors import StateError
+from vaoi_station.model import Reason
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import Reason
 from vaoi_station.runs.states.tables import ADVICE, STATION, StationState, StationStep
 
 TROUBLE_S = 10.0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
+from vaoi_station.model import Reason
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.core import Core, Parts
@@ -23,7 +24,6 @@ from vaoi_station.runs.states.schemas import (
     LeaseStatus,
     LineOutputStatus,
     ProcessStatus,
-    Reason,
     Retention,
     RingStatus,
     StationSnapshot,

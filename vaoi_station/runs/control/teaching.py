@@ -9,15 +9,14 @@ from pathlib import Path
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.images import Image
-from vaoi_station.model import BoardType, Calibration, Status, Stitch
+from vaoi_station.model import BoardType, Calibration, Reason, Status, Stitch
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.pictures import FrameAccess
 from vaoi_station.runs.run.inbox import Inbox
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import BoardTypeSummary, Reason
-from vaoi_station.runs.states.stitching_schemas import ReferenceRecord, ReferenceStatus, StitchingMethod
+from vaoi_station.runs.states.schemas import BoardTypeSummary, ReferenceRecord, ReferenceStatus, StitchingMethod
 from vaoi_station.stitching.expectation import refuse_unplaceable
 from vaoi_station.stitching.recordings.references import (
     CONFIRM,

@@ -9,7 +9,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from multiprocessing import Pipe, current_process
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,6 +19,7 @@ from typing import Any, NamedTuple
 
 from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
+from vaoi_station.plant.storage import Entry, Storage
 from vaoi_station.runs.host.processes import set_up_process
 
 LOWEST_PRIORITY = 19
@@ -110,7 +113,6 @@ def serve(connection: Connection[Any, Any]) -> None:
 
 def _add(connection: Connection[Any, Any], wanted: Addition) -> Added | Failed:
     from vaoi_station.plant.archive import Archive
-    from vaoi_station.runs.handover.paced_storage import PacedStorage
 
     def take_turn(size: int) -> None:
         connection.send(Turn(size))
@@ -129,3 +131,54 @@ def _add(connection: Connection[Any, Any], wanted: Addition) -> Added | Failed:
     except Exception as error:  # noqa: BLE001  the process must go on: it adds later runs
         cause = InputError(f"{type(error).__name__}: {error}.", action="Report it to the maintainer.")
         return Failed(cause, of_run=True)
+
+
+@dataclass(frozen=True)
+class PacedStorage:
+    """Passes everything on to another storage, after a call of `pace` with the number of bytes that are to be written.
+
+    Exceptions of `pace` end what is under way; what was written stays.
+    """
+
+    storage: Storage
+    pace: Callable[[int], None]
+
+    @property
+    def url(self) -> str:
+        """Address of the storage."""
+        return self.storage.url
+
+    def read(self, key: str) -> bytes:
+        """Return an object."""
+        self.pace(0)
+        return self.storage.read(key)
+
+    def write(self, key: str, content: bytes) -> None:
+        """Write an object."""
+        self.pace(len(content))
+        self.storage.write(key, content)
+
+    def entry(self, key: str) -> Entry | None:
+        """Return size and time of an object; None if it is absent."""
+        self.pace(0)
+        return self.storage.entry(key)
+
+    def names(self, prefix: str) -> list[str]:
+        """Return the names directly below a prefix."""
+        self.pace(0)
+        return self.storage.names(prefix)
+
+    def entries(self, prefix: str) -> Iterator[Entry]:
+        """Yield all objects below a prefix."""
+        self.pace(0)
+        return self.storage.entries(prefix)
+
+    def leftovers(self) -> Iterator[Entry]:
+        """Yield the unfinished files of writers."""
+        self.pace(0)
+        return self.storage.leftovers()
+
+    def delete(self, key: str) -> None:
+        """Delete an object, if it is there."""
+        self.pace(0)
+        self.storage.delete(key)

@@ -18,13 +18,12 @@ from typing import Any, Protocol
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import ArchiveConfig
 from vaoi_station.errors import DeviceError, StateError, VaoiError
-from vaoi_station.model import Status
+from vaoi_station.model import Reason, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.housekeeping import TASK_LIMIT_S
 from vaoi_station.runs.archive.recordings import Recordings
 from vaoi_station.runs.handover.adder import Added, Addition, Failed, Turn, launch_adder
-from vaoi_station.runs.states.schemas import Reason, RunSummary
-from vaoi_station.runs.states.storage_schemas import ArchiveStatus
+from vaoi_station.runs.states.schemas import ArchiveStatus, RunSummary
 from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)

@@ -24,8 +24,8 @@ from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, ProgramRow, Strict
-from vaoi_station.model.light_program import MOST_STEPS, Program
-from vaoi_station.model.note import Note
+from vaoi_station.model.reason import Note
+from vaoi_station.model.recording import MOST_STEPS, Program
 
 Limits = tuple[float, float]
 Origin = Literal["request", "board-type", "station", "cameras"]

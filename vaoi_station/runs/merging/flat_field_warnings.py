@@ -9,9 +9,9 @@ from pathlib import Path
 
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import VaoiError
+from vaoi_station.model import Reason
 from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import EXPIRED_DAYS, changed_ns
-from vaoi_station.runs.states.schemas import Reason
 
 _AGAIN = "Film a white target and darkness, and run 'vaoi flatfield' (docs/engineering/photometry.md)."
 

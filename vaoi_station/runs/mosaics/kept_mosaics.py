@@ -26,7 +26,7 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.recordings import DISK_RESERVE
 from vaoi_station.runs.mosaics.mosaics import Mosaics
-from vaoi_station.runs.mosaics.picture_names import PictureName
+from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.supervised_queue import SupervisedQueue

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vaoi_station.errors import BusyError, InputError, StateError
 from vaoi_station.files.images import encode_jpeg, encode_png
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, refuse_without_room, write_pyramid
-from vaoi_station.model.known_height import Heights, with_heights
+from vaoi_station.model.stitch_result import Heights, with_heights
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
 from vaoi_station.mosaic.deep_zoom import Box
 from vaoi_station.mosaic.grid import Region
@@ -26,12 +26,10 @@ from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.mosaics.board_checks import BoardChecks, Lease, Render, slots_of
-from vaoi_station.runs.mosaics.opened_mosaics import OpenedMosaic, OpenedMosaics, PlannedMosaic
+from vaoi_station.runs.mosaics.opened_mosaics import OpenedMosaic, OpenedMosaics, Overview, PictureName, PlannedMosaic
 from vaoi_station.runs.mosaics.overlays import overlay_of
-from vaoi_station.runs.mosaics.overview import Overview
-from vaoi_station.runs.mosaics.picture_names import PictureName
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.states.overlay_schemas import RunOverlay
+from vaoi_station.runs.states.schemas import RunOverlay
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
 from vaoi_station.runs.workers.picture_jobs import PlanJob, Slots, TileJob
 

@@ -1,16 +1,23 @@
-"""The mosaics of runs that are held in memory: what their tiles are made with, their plans and their overviews."""
+"""The mosaics of runs that are held in memory: their names, plans, and overviews, from which tiles are cut."""
 
 from __future__ import annotations
 
+import re
 import threading
 from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.errors import NotFoundError
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TileRenderer
+from vaoi_station.mosaic.deep_zoom import TILE_PX, Box
 from vaoi_station.mosaic.projection import FrameProjector
-from vaoi_station.runs.mosaics.overview import Overview
+from vaoi_station.mosaic.tiles import NODATA
 from vaoi_station.runs.workers.picture_jobs import Slots
 
 MOST_PLANS = 8
@@ -97,3 +104,113 @@ class OpenedMosaics:
                 if total > MOST_BYTES and other is not opened and other.nbytes:
                     total -= other.nbytes
                     del self._opened[key]
+
+
+class Overview:
+    """The levels of one mosaic, from the one that is reduced by `reduction` to one that fits into a tile."""
+
+    def __init__(self, picture: NDArray[Any] | None, reduction: int) -> None:
+        """Halve a mosaic that is reduced by `reduction`, a power of two, until it fits into a tile.
+
+        `picture` is None if no frame shows any of the board.
+        """
+        self.reduction = reduction
+        """By how much the largest level is reduced."""
+        self._levels = [] if picture is None else [picture]
+        while self._levels and max(self._levels[-1].shape[:2]) > TILE_PX:
+            self._levels.append(halved(self._levels[-1]))
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of all levels."""
+        return sum(level.nbytes for level in self._levels)
+
+    def level(self, reduction: int) -> NDArray[Any] | None:
+        """Return the board reduced by a factor, 0 where no frame shows it; None if none shows any of it.
+
+        Args:
+            reduction: a power of two, at least that of the largest level.
+        """
+        if not self._levels:
+            return None
+        steps = (reduction // self.reduction).bit_length() - 1
+        picture = self._levels[min(steps, len(self._levels) - 1)]
+        for _ in range(steps - len(self._levels) + 1):
+            picture = halved(picture)
+        return picture
+
+    def cut(self, reduction: int, box: Box) -> NDArray[Any]:
+        """Return a part of the board reduced by a factor; see `level`."""
+        picture = self.level(reduction)
+        x0, y0, x1, y1 = box
+        return np.full((y1 - y0, x1 - x0), NODATA, np.uint8) if picture is None else picture[y0:y1, x0:x1]
+
+
+def halved(picture: NDArray[Any]) -> NDArray[Any]:
+    """Average a picture of whole grey levels over blocks of 2 × 2 px, of which only those count that are shown."""
+    bottom, right = picture.shape[0] % 2, picture.shape[1] % 2
+    even = cv2.copyMakeBorder(picture, 0, bottom, 0, right, cv2.BORDER_CONSTANT, value=[NODATA] * 3)
+    h, w = even.shape[0] // 2, even.shape[1] // 2
+    half = np.asarray(cv2.resize(even, (w, h), interpolation=cv2.INTER_AREA))
+    if even.all():
+        return half
+    blocks = even.reshape(h, 2, w, 2, -1)
+    corners = [even[y::2, x::2].reshape(h, w, -1)[..., 0] != NODATA for y in (0, 1) for x in (0, 1)]
+    rows, columns = (np.logical_or.reduce(corners) & ~np.logical_and.reduce(corners)).nonzero()
+    few = blocks[rows, :, columns].reshape(len(rows), 4, blocks.shape[-1]).astype(np.uint32)
+    shown = np.maximum((few != NODATA).sum(1), 1)
+    half[rows, columns] = ((few.sum(1) + shown // 2) // shown).reshape(len(rows), *picture.shape[2:])
+    return half
+
+
+_FIRST = "board"
+_NUMBER = re.compile(r"\d{1,9}(\.\d{1,6})?")
+_RESERVED = re.compile(r"[~,/\x00-\x1f\x7f]")
+_WRITTEN = re.compile(r"~([0-9A-F]{2})")
+
+
+class PictureName(NamedTuple):
+    """Which frames a mosaic is made of."""
+
+    light: str | None = None
+    exposure_us: float | None = None
+    hdr: bool = False
+
+    def __str__(self) -> str:
+        parts = [_FIRST]
+        if self.light is not None:
+            parts.append(f"light={_RESERVED.sub(lambda match: f'~{ord(match[0]):02X}', self.light)}")
+        if self.exposure_us is not None:
+            parts.append(f"exposure={self.exposure_us:.6f}".rstrip("0").rstrip("."))
+        if self.hdr:
+            parts.append("hdr")
+        return ",".join(parts)
+
+
+def parse_name(text: str) -> PictureName:
+    """Parse the name of a mosaic.
+
+    Raises:
+        NotFoundError: it is no such name.
+    """
+    first, *options = text.split(",")
+    light: str | None = None
+    exposure_us: float | None = None
+    hdr = False
+    for option in options:
+        key, _, value = option.partition("=")
+        if key == "light" and value and light is None:
+            light = _WRITTEN.sub(lambda match: chr(int(match[1], 16)), value)
+        elif key == "exposure" and exposure_us is None and _NUMBER.fullmatch(value):
+            exposure_us = float(value)
+        elif option == "hdr" and not hdr:
+            hdr = True
+        else:
+            first = ""
+    if first != _FIRST:
+        raise NotFoundError(
+            f"there is no mosaic {text!r:.80}; names are 'board', with ',light=NAME', ',exposure=µs' or ',hdr' added.",
+            action="Take a name from the run's list of mosaics.",
+            code="no-such-mosaic",
+        )
+    return PictureName(light, exposure_us, hdr)

@@ -13,7 +13,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
 from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.runs.archive.finished_runs import FinishedRun
-from vaoi_station.runs.states.overlay_schemas import OverlayFiducial, OverlayFrame, OverlayLinks, Point, RunOverlay
+from vaoi_station.runs.states.schemas import OverlayFiducial, OverlayFrame, OverlayLinks, Point, RunOverlay
 
 
 def overlay_of(finished: FinishedRun) -> RunOverlay:

@@ -22,10 +22,9 @@ from vaoi_station.acquisition.process.messages import BoardMissed, MissedPassage
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.line_config import Line
-from vaoi_station.model import BoardType, RecordingHead, Stitch
+from vaoi_station.model import BoardType, Reason, RecordingHead, Stitch
 from vaoi_station.runs.run.order import Order, Orders
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.states.schemas import Reason
 
 UNWATCHED = frozenset({"controller-safe", "controller-reset", "events-lost"})
 """Codes of troubles during which boards may have passed without a report."""

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, GoneError
-from vaoi_station.runs.states.schemas import BayStatus, Reason
+from vaoi_station.model import Reason
+from vaoi_station.runs.states.schemas import BayStatus
 from vaoi_station.supervised_thread import SupervisedThread
 
 Use = Literal["free", "granted", "filming", "stitching", "finished"]

@@ -17,15 +17,15 @@ from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.config import MethodName, StationConfig
 from vaoi_station.errors import StateError, VaoiError
 from vaoi_station.line_config import Line
-from vaoi_station.model import BoardType, Calibration
+from vaoi_station.model import BoardType, Calibration, Reason
 from vaoi_station.runs.run.reference_store import ReferenceStore, StoredReference
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import ArmedWith, Reason
+from vaoi_station.runs.states.schemas import ArmedWith
 from vaoi_station.stitching.expectation import expectation_of, refuse_unplaceable
 from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
-from vaoi_station.store.standing import StandingDocuments
+from vaoi_station.store.documents import StandingDocuments
 
 _KEY = "armed"
 _MOST_FORMER = 16

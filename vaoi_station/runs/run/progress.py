@@ -10,15 +10,13 @@ from dataclasses import dataclass, field
 
 from vaoi_station.acquisition.process.messages import FrameSettled, RunFinished, RunStarted
 from vaoi_station.errors import VaoiError
-from vaoi_station.files.results import stitch_text
-from vaoi_station.model import FrameRecord, Pulse, RecordingHead, Status, Stitch, Verdict
+from vaoi_station.model import FrameRecord, Pulse, Reason, RecordingHead, Status, Stitch, Verdict
 from vaoi_station.model.recording import motion_time_s
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import Reason
-from vaoi_station.runs.states.tables import FINISHED, RUN, RunState, RunStep
-from vaoi_station.runs.states.timeline_schemas import TaskTiming
+from vaoi_station.runs.states.schemas import TaskTiming
+from vaoi_station.runs.states.tables import RUN, RunState, RunStep
 from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, LinkJob, OpenRun, Reply, RunContext
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import all_tasks, possible_tasks
@@ -100,14 +98,6 @@ class Progress:
     def stitch(self) -> Stitch | None:
         """The result without its tables of components; None while there is no result."""
         return self.result.without_components if self.result else None
-
-    @property
-    def verdict(self) -> Status | None:
-        """Verdict of the run; None while there is no result. Faults and doubts make a sound result degraded."""
-        if self.stitch is None:
-            return Status.FAILED if self.state in FINISHED else None
-        doubted = self.faults or (self.head is not None and self.head.doubts)
-        return Status.DEGRADED if self.stitch.status is Status.OK and doubted else self.stitch.status
 
     def advance(self, event: RunStep) -> None:
         """Change to the state that follows a step in the table `RUN`; `StateError` if the step is illegal."""
@@ -221,20 +211,6 @@ class Progress:
         """Add a fault to the reasons of the run, unless the same fault is present already."""
         if reason not in self.faults:
             self.faults.append(reason)
-
-    def weaken_result(self) -> None:
-        """Degrade an ok result of a run with faults: callers that read only the matrices must notice the faults."""
-        if self.result is None or not self.faults or self.result.without_components.status is not Status.OK:
-            return
-        whole = Stitch.model_validate_json(self.result.document)
-        change = {
-            "status": Status.DEGRADED,
-            "reasons": (*whole.reasons, *(fault.message for fault in self.faults)),
-            "reason_codes": (*whole.reason_codes, *(fault.code for fault in self.faults)),
-        }
-        self.result = Concluded(
-            self.result.without_components.model_copy(update=change), stitch_text(whole.model_copy(update=change))
-        )
 
     @property
     def board_id(self) -> str | None:

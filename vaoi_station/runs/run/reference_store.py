@@ -17,10 +17,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError
-from vaoi_station.files.atomic_directory import remove_directory
+from vaoi_station.files.directories import remove_directory
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType
-from vaoi_station.runs.states.stitching_schemas import ReferenceRecord
+from vaoi_station.runs.states.schemas import ReferenceRecord
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.recordings.references import open_reference
 from vaoi_station.store import Store

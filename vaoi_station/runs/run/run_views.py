@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
 from functools import cache
 
 import cv2
 import numpy as np
 
-from vaoi_station.acquisition.pairing.proof import ACTIONS, QUESTIONING_KINDS, TriggerProof, doubtful, doubts_of
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch, Verdict
-from vaoi_station.model.light_program import row_of
+from vaoi_station.model.recording import row_of
 from vaoi_station.runs.host.machine import clock_state
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.states.made_with import MadeWith
+from vaoi_station.runs.run.verdict import conclude
 from vaoi_station.runs.states.run_ids import utc, utc_of_host
 from vaoi_station.runs.states.schemas import (
+    BarrierTiming,
     BeltSpeed,
     Interruption,
-    Reason,
+    MadeWith,
+    RowTiming,
     RunDetail,
     RunSummary,
+    Timeline,
     Timings,
     Unseen,
     VerdictCounts,
     Versions,
 )
 from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
-from vaoi_station.runs.states.timeline_schemas import BarrierTiming, RowTiming, Timeline
 from vaoi_station.stitching.expectation import StitchTerms
 from vaoi_station.version import __version__
 
@@ -47,14 +47,14 @@ def detail_of(progress: Progress) -> RunDetail:
     order, recorded = progress.order, progress.recorded
     frames = tuple(progress.frames[key] for key in sorted(progress.frames))
     verdicts = [frame.verdict for frame in frames]
-    finished = progress.state in FINISHED
+    finished, verdict = progress.state in FINISHED, conclude(progress)
     return RunDetail(
         id=progress.run,
         board_type=order.board_type.name,
         board_id=progress.board_id,
         job_id=order.job_id,
         state=progress.state,
-        verdict=progress.verdict,
+        verdict=verdict.status,
         started=utc_of_host(progress.barrier_s),
         finished=utc() if finished else None,
         rows=recorded.head.rows if recorded else 1 + max(progress.pulses, default=-1),
@@ -65,7 +65,7 @@ def detail_of(progress: Progress) -> RunDetail:
             missing=verdicts.count(Verdict.MISSING),
             unproven=sum(frame.verdict is Verdict.OK and not frame.proven for frame in frames),
         ),
-        reasons=reasons_of(progress),
+        reasons=verdict.reasons,
         belt=_belt(progress),
         timings=_timings(progress),
         frames_available=progress.state in IN_MEMORY,
@@ -157,44 +157,6 @@ def _controller_times(progress: Progress) -> tuple[tuple[RowTiming, ...], tuple[
         BarrierTiming(blocked_s=b - zero, clear_s=None if c is None else c - zero) for b, c in recorded.interruptions
     )
     return tuple(rows), barrier
-
-
-def reasons_of(progress: Progress) -> tuple[Reason, ...]:
-    """Collect the reasons of a run from its result, its missing and incomplete frames, its trigger proof and faults.
-
-    Notes of the order come last.
-    """
-    stitch = progress.stitch
-    recorded = progress.recorded
-    # Doubts of the proof and faults of the run are reasons of the result too. From here they have codes and actions.
-    known = {*doubts_of(recorded.proof if recorded else None), *(fault.message for fault in progress.faults)}
-    words = []
-    if stitch:
-        codes = stitch.reason_codes or ("",) * len(stitch.reasons)
-        words = [
-            Reason(code=f"stitch-{stitch.status}", message=text, cause=code)
-            for text, code in zip(stitch.reasons, codes, strict=True)
-            if text not in known
-        ]
-    bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]
-    causes = {(f.verdict, f.cause) for f in bad}
-    for verdict, cause in sorted(causes):
-        where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))
-        words.append(Reason(code=f"frames-{verdict}", message=f"Frames (camera, row) {where} are {verdict}: {cause}."))
-    proof = recorded.proof if recorded else None
-    return (*words, *trigger_reasons(proof), *progress.faults, *progress.order.notes)
-
-
-def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
-    """Yield a reason for each finding of the trigger proof that is a doubt.
-
-    Findings that only explain missing frames give none: `reasons_of` reports those frames from their verdicts.
-    """
-    for f in doubtful(proof):
-        where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
-        unused = " Its frames are not used." if f.kind in QUESTIONING_KINDS and f.row is None else ""
-        unused = " The frame is not used." if f.kind in QUESTIONING_KINDS and f.row is not None else unused
-        yield Reason(code=f"trigger-{f.kind}", message=f"{where}: {f.text}.{unused}", action=ACTIONS[f.kind])
 
 
 def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:

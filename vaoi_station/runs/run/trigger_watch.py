@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from vaoi_station.acquisition.pairing.proof import ACTIONS, TriggerFinding, doubtful
 from vaoi_station.acquisition.process.messages import RunFinished
-from vaoi_station.runs.states.schemas import Reason
+from vaoi_station.model import Reason
 
 
 class TriggerChanges(NamedTuple):

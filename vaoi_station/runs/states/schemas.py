@@ -5,47 +5,132 @@ Points in time are strings, RFC 3339 in UTC. Durations are numbers (`_s`, `_ms`)
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import Field, model_validator
 
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.config import MethodName
-from vaoi_station.errors import VaoiError
-from vaoi_station.model import FrameRecord, Status
-from vaoi_station.model.board_type import UnseenCause
-from vaoi_station.runs.states.decision_schemas import Decision
-from vaoi_station.runs.states.identity_schemas import IdentitySummary
-from vaoi_station.runs.states.made_with import MadeWith, Origin
-from vaoi_station.runs.states.storage_schemas import ArchiveStatus, SetAsideFile
+from vaoi_station.model import FrameRecord, Reason, Status, Strict
+from vaoi_station.model.board_identity import IdentityDocument, IdentityState
+from vaoi_station.model.board_type import BoardTypeState, UnseenCause
 from vaoi_station.runs.states.tables import RunState, StationState
+from vaoi_station.stitching.expectation import StitchTerms
 
 ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 
 
-class Schema(BaseModel):
-    """Base class of all documents: immutable; unknown keys are refused."""
-
-    # By default, pydantic keeps up to 16,384 texts that it has read from JSON: the ids and times of each run.
-    model_config = ConfigDict(frozen=True, extra="forbid", cache_strings="keys")
+Choice = Literal["film-again", "use"]
+"""`film-again`: film the board again, do not use these pictures. `use`: use them in spite of the verdict."""
 
 
-class Reason(Schema):
-    """Explanation of a state or verdict, with the action that the user can take."""
+class Decision(Strict):
+    """What a person has decided about a run, with name and reason. The verdict stays as it is."""
 
-    code: str
-    message: str
-    action: str = ""
-    cause: str = ""
-    """For a reason of a run's result, its code in `reason_codes` of the matrices; otherwise empty."""
+    choice: Choice
+    name: str
+    """Name of the person."""
+    reason: str
+    decided: str
+    """Time of the decision, RFC 3339 in UTC."""
+
+
+class RunCounts(Strict):
+    """Numbers of boards since a time, by verdict."""
+
+    since: str
+    """RFC 3339 in UTC."""
+    ok: int
+    degraded: int
+    failed: int
+    """Runs with the verdict failed, and runs that ended without a result."""
+    missed: int
+    """Boards that passed without a run, and were noticed."""
+    complete: bool = True
+    """False: since then more than 20,000 boards have come, of which the newest are counted."""
+
+
+class IdentitySummary(Strict):
+    """Which board a run shows, in short; `runs/{id}/identity` has reasons and codes."""
+
+    state: IdentityState
+    board_id: str | None = None
+    """The id that was read from the board's code; `board_id` of the run is the one that the line was armed with."""
+    boards: dict[str, str] = {}  # noqa: RUF012  pydantic copies it
+    """On a panel: the id that was read of each board, by its position."""
 
     @staticmethod
-    def of(error: VaoiError) -> Reason:
-        """Return a reason with the code, message and action of an error."""
-        return Reason(code=error.code, message=error.message, action=error.action)
+    def of(document: IdentityDocument) -> IdentitySummary:
+        """Return the summary of an identity."""
+        return IdentitySummary(state=document.state, board_id=document.board_id, boards=document.boards)
 
 
-class ArmedWith(Schema):
+class MadeWith(Strict):
+    """What a run was made with besides software and calibration. Digests are 16 hex digits of a SHA-256."""
+
+    configuration: str
+    """Digest of the station's configuration; empty if it was not stored."""
+    board_type: str
+    """Digest of the board type as it was when the line was armed."""
+    board_type_revision: str | None = None
+    """The revision that the board type stated."""
+    board_type_state: BoardTypeState | None = None
+    method: MethodName
+    reference: str | None = None
+    """Id of the run against which the board was placed; None: without a reference."""
+    reference_digest: str | None = None
+    """Digest of the files of the reference."""
+    terms: StitchTerms | None = None
+    """What the station knew of line and lights; None for runs of earlier versions."""
+    clock_synchronised: bool | None = None
+    """Whether the machine's clock was kept right by a time server when the document was made; None: not known."""
+    clock_max_error_s: float | None = None
+    time_zone: str = ""
+    utc_offset_s: int = 0
+    """Local time of the station minus UTC, s."""
+
+
+class Origin(Strict):
+    """Where an imported run was filmed. Such a run is not announced: it is no board of this line."""
+
+    station: str
+    """Name of the station that filmed it."""
+    exported: str
+    """Time of the export, UTC."""
+    imported: str
+    """Time of the import into this station's history, UTC."""
+
+
+class SetAsideFile(Strict):
+    """A damaged, deleted or replaced database, of which a file was set aside beside the present one."""
+
+    file: str
+    """Name of the file in the data directory."""
+    code: str
+    """Code of the warning about it."""
+    acknowledged: bool
+    """Whether an administrator has acknowledged it, so that the station no longer warns."""
+
+
+class ArchiveStatus(Strict):
+    """The archive to which the station hands finished runs (`[archive]` of station.toml)."""
+
+    url: str
+    waiting: int
+    """Number of runs that wait for it on the station's disk."""
+    adding: str | None
+    """Id of the run that is being added; None if none is."""
+    added: int
+    """Number of runs since the start that are in the archive."""
+    dropped: int
+    """Number of runs since the start whose recordings were deleted before the archive took them."""
+    refused: int
+    """Number of runs since the start that could not be added for a reason of their own."""
+    problem: str
+    """Why the archive takes no runs at present; empty if it does."""
+
+
+class ArmedWith(Strict):
     """The order in force for the next boards; the caller's ids are returned with every result."""
 
     board_type: str
@@ -62,7 +147,7 @@ class ArmedWith(Schema):
     """Whether the order was in force before a restart and was taken up again by itself."""
 
 
-class CameraStatus(Schema):
+class CameraStatus(Strict):
     """State of one camera at the last heartbeat of the acquisition process."""
 
     camera: int
@@ -75,7 +160,7 @@ class CameraStatus(Schema):
     last_frame_age_s: float | None = None
     next_try: str | None = None
     """Time of the next attempt to open the camera; None while the camera is connected or being opened."""
-    counters: dict[str, int] = {}
+    counters: dict[str, int] = {}  # noqa: RUF012  pydantic copies it
     """Counters of the camera's driver for diagnosis, with the names that the driver uses."""
 
 
@@ -85,7 +170,7 @@ WAITING = "waiting for the workers"
 """Value of `ProcessStatus.doing` for the acquisition process before its first start."""
 
 
-class ProcessStatus(Schema):
+class ProcessStatus(Strict):
     """State of one process of the station. Its name is "acquisition", "fork server", "worker 0", "worker 1", …"""
 
     name: str
@@ -101,7 +186,7 @@ class ProcessStatus(Schema):
     """Time of the next start of the process; None while the process runs or is being started."""
 
 
-class LeaseStatus(Schema):
+class LeaseStatus(Strict):
     """A holder's time-limited right to the frames of a run. The frames are not evicted during this time."""
 
     run: str
@@ -110,7 +195,7 @@ class LeaseStatus(Schema):
     expires_in_s: float
 
 
-class BayStatus(Schema):
+class BayStatus(Strict):
     """Memory for the frames of one run, and its present use."""
 
     bay: int
@@ -120,7 +205,7 @@ class BayStatus(Schema):
     """Generation of the bay in the table of the ring; it is raised when the bay is given to another run."""
 
 
-class RingStatus(Schema):
+class RingStatus(Strict):
     """The shared memory for frames: its path, its size, and its use by runs."""
 
     path: str
@@ -129,7 +214,7 @@ class RingStatus(Schema):
     leases: tuple[LeaseStatus, ...]
 
 
-class Retention(Schema):
+class Retention(Strict):
     """Which data the station keeps, and for how long."""
 
     runs_in_memory: int
@@ -155,7 +240,7 @@ class Retention(Schema):
     """The archive to which runs are handed; None if none is configured."""
 
 
-class Versions(Schema):
+class Versions(Strict):
     """Versions of the software that computed the results."""
 
     station: str
@@ -163,7 +248,7 @@ class Versions(Schema):
     python: str
 
 
-class LineOutputStatus(Schema):
+class LineOutputStatus(Strict):
     """The controller's output "line ready" at the last heartbeat of the acquisition process."""
 
     high: bool
@@ -172,7 +257,7 @@ class LineOutputStatus(Schema):
     """Why the output is low; empty if it is high."""
 
 
-class StationSnapshot(Schema):
+class StationSnapshot(Strict):
     """State of the station at one moment."""
 
     name: str
@@ -212,7 +297,7 @@ class StationSnapshot(Schema):
     """How often the armed line had no memory for the next board since the station was started."""
 
 
-class BoardTypeSummary(Schema):
+class BoardTypeSummary(Strict):
     """One entry of the list of board types; `fault` is set if its file cannot be used."""
 
     name: str
@@ -226,7 +311,7 @@ class BoardTypeSummary(Schema):
     fault: Reason | None = None
 
 
-class VerdictCounts(Schema):
+class VerdictCounts(Strict):
     """Numbers of frames of a run by verdict. Frames that are not proven to belong to their row are not among `ok`."""
 
     ok: int
@@ -235,7 +320,7 @@ class VerdictCounts(Schema):
     unproven: int = 0
 
 
-class BeltSpeed(Schema):
+class BeltSpeed(Strict):
     """Belt velocity (x, y) in tester coordinates: nominal, and as measured from this board."""
 
     nominal_mm_s: tuple[float, float]
@@ -244,7 +329,7 @@ class BeltSpeed(Schema):
     """Measured speed divided by nominal speed."""
 
 
-class Timings(Schema):
+class Timings(Strict):
     """Durations of the steps of a run, by the host's clock."""
 
     filming_s: float
@@ -261,7 +346,7 @@ class Timings(Schema):
     """Number of these tasks that were done before the last frame arrived."""
 
 
-class RunSummary(Schema):
+class RunSummary(Strict):
     """One run, without its frames."""
 
     id: str
@@ -305,7 +390,7 @@ class RunSummary(Schema):
         return self.identity is None or self.identity.state != "pending"
 
 
-class Interruption(Schema):
+class Interruption(Strict):
     """One interruption of the light barrier; times are in seconds since row 0, by the controller's clock."""
 
     blocked_s: float
@@ -313,7 +398,7 @@ class Interruption(Schema):
     """None if the barrier was still interrupted when the run ended."""
 
 
-class Unseen(Schema):
+class Unseen(Strict):
     """A component that the good frames of a run show too little of, by the `visibility` that is asked for."""
 
     address: str
@@ -352,7 +437,7 @@ class RunDetail(RunSummary):
     """Positions of the boards of a panel that are crossed out; their components are not demanded."""
 
 
-class ComponentSummary(Schema):
+class ComponentSummary(Strict):
     """One component of a run's board type, and its position."""
 
     address: str
@@ -383,7 +468,7 @@ class ComponentSummary(Schema):
     """Corners of the footprint, going round, in CAD coordinates (unit of the board type)."""
 
 
-class EventRecord(Schema):
+class EventRecord(Strict):
     """One entry of the event log. Events are numbered from 1 without gaps, also across restarts of the station."""
 
     number: int
@@ -395,3 +480,255 @@ class EventRecord(Schema):
     code: str = ""
     message: str = ""
     action: str = ""
+
+
+class TaskTiming(Strict):
+    """Times of one task of a run, in seconds since the board interrupted the barrier, by the host's clock."""
+
+    kind: str
+    camera: int
+    row: int
+    other_camera: int | None
+    other_row: int | None
+    ready_s: float
+    """Time at which the last of the task's frames was settled."""
+    done_s: float
+    worker_ms: float
+
+
+class RowTiming(Strict):
+    """Pulse, light and exposure of one row."""
+
+    row: int
+    pulse_s: float
+    """Time of the pulse since the board interrupted the barrier, by the controller's clock."""
+    light: str = ""
+    """Name of the light; empty if lights have no names."""
+    led_us: float | None = None
+    """On-time of the LEDs by the light program; None if they shine for the whole exposure, or without a program."""
+    exposure_us: float
+    """Longest exposure of a camera in this row: for how long its shutter is open."""
+
+
+class BarrierTiming(Strict):
+    """One interruption of the light barrier, since the first one of the run, by the controller's clock."""
+
+    blocked_s: float
+    clear_s: float | None = None
+    """None if the barrier was still interrupted when the run ended."""
+
+
+class Timeline(Strict):
+    """Times of the steps of a run, in seconds since the board interrupted the barrier.
+
+    Frames, tasks and the result have the times of the host's clock, pulses and the barrier those of the controller's.
+    """
+
+    frames_settled_s: tuple[tuple[int, int, float], ...]
+    """(camera, row, time) of every settled frame."""
+    tasks: tuple[TaskTiming, ...]
+    last_frame_s: float
+    ready_s: float | None
+    rows: tuple[RowTiming, ...] = ()
+    """Every row; empty in runs of earlier versions, and where the controller reports no interruptions."""
+    barrier: tuple[BarrierTiming, ...] = ()
+    """The interruptions of the light barrier; empty likewise."""
+
+
+class ReferenceRecord(Strict):
+    """A run that is kept as the reference of its board type."""
+
+    run: str
+    taught: str
+    calibration: str
+    """Digest of the calibration with which the run was filmed."""
+    cameras: int
+    rows: int
+    frames: int
+    """Number of frames that are kept: a small set from each row."""
+    size_bytes: int
+    cad_sigma_px: float | None
+    """Standard deviation of positions by the run's CAD mapping, at the board's worst corner; None if unknown."""
+
+
+class ReferenceStatus(ReferenceRecord):
+    """The reference of a board type, and whether boards can be placed against it now."""
+
+    board_type: str
+    usable: bool
+    fault: Reason | None = None
+    """Reason why the reference is not usable; None if it is usable."""
+
+
+class StitchingMethod(Strict):
+    """The method by which runs of a board type are stitched."""
+
+    method: MethodName
+    chosen: Literal["board-type", "station"]
+    """Origin of the method: it was set for the board type, or it is the station's method."""
+
+
+class CameraDrift(Strict):
+    """Displacement of a camera since its calibration."""
+
+    size_px: float
+    """Root mean square of the displacement over all pixels of the frame."""
+    x_px: float
+    y_px: float
+    turn_px: float
+    since_run: str
+    """Id of the first run that shows the displacement."""
+    since: str
+    runs: int
+    """Number of runs that show the displacement."""
+    instead: tuple[int, ...] = ()
+    """Indices of cameras that may have moved instead of this one; pictures of boards cannot show which has moved."""
+
+
+class CameraMoment(Strict):
+    """Displacement of one camera in one run."""
+
+    run: str
+    time: str
+    x_px: float
+    y_px: float
+    turn_px: float
+    sigma_px: float
+    """The largest of the standard deviations of x, y and turn."""
+    rms_px: float | None = None
+    """Root mean square residual of the camera's links to its neighbours and of its fiducials; None without both."""
+    links: int
+    fiducials: int
+
+
+class CameraCalibration(Strict):
+    """The state of one camera since its calibration, and its displacement in each of the latest runs."""
+
+    camera: int
+    name: str
+    state: Literal["steady", "drifted", "unseen", "unknown"]
+    """"steady" or "drifted"; "unseen": the latest runs give no evidence of the camera's position; "unknown": no run was
+    checked."""
+    drift: CameraDrift | None = None
+    history: tuple[CameraMoment, ...] = ()
+    """The camera in each of the latest runs, oldest first."""
+
+
+class CalibrationStatus(Strict):
+    """The calibration in force, and the state of every camera."""
+
+    digest: str
+    """Digest of the calibration's content; the documents of runs refer to the calibration by it."""
+    created: str | None = None
+    runs: int
+    """Number of runs that were checked against this calibration."""
+    cameras: tuple[CameraCalibration, ...]
+
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+
+
+class HeightInterval(Strict):
+    """A range of heights that explain the pictures of a component."""
+
+    low_mm: Number
+    high_mm: Number
+    probability: Number = Field(description="Probability that the height lies in it.")
+
+
+class HeightEntry(Strict):
+    """The height of one component above the board."""
+
+    height_mm: Number | None = Field(None, description="Absent where several heights are probable.")
+    sigma_mm: Number | None = Field(None, description="Standard deviation of `height_mm`.")
+    views: int = Field(strict=True, description="Number of frames that show the component; a height needs two.")
+    low_mm: Number | None = Field(None, description="Interval that contains the height with a probability of 0.99:")
+    high_mm: Number | None = Field(None, description="absent if `height_mm` is known, or if nothing can be said.")
+    intervals: tuple[HeightInterval, ...] | None = Field(
+        None, description="The parts of this interval that explain the pictures, if there are several."
+    )
+    expected_mm: Number | None = Field(None, description="`body_height` of the board type.")
+    comparison: Literal["agrees", "lower", "higher", "ambiguous", "unknown"] | None = Field(
+        None,
+        description="Statement about `expected_mm`: `agrees` with a probability of at least 0.95, `lower` or `higher` "
+        "of at least 0.995. `ambiguous`: several `intervals` are left, compare the part by eye.",
+    )
+    probability: Number | None = Field(None, description="Probability of the statement, or of the best one.")
+
+    @model_validator(mode="after")
+    def _has_both_or_neither(self) -> Self:
+        if (self.height_mm is None) != (self.sigma_mm is None):
+            raise ValueError("has only one of height_mm and sigma_mm; must have both or neither")
+        return self
+
+
+class HeightList(Strict):
+    """The heights of a run's components, by address."""
+
+    heights: dict[str, HeightEntry]
+
+
+Point = tuple[float, float]
+
+
+class OverlayFrame(Strict):
+    """What one frame shows of the board."""
+
+    camera: int
+    row: int
+    usable: bool
+    """Whether it is complete and proven; other frames are not used."""
+    light: str = ""
+    corners: tuple[Point, ...]
+    """The corners of the frame on the board, going round."""
+    sigma_px: float | None = None
+    """Standard deviation of its matrix at its worst corner; None if it is not known."""
+
+
+class OverlayLinks(Strict):
+    """The links of two frames."""
+
+    a: tuple[int, int]
+    """Camera and row of the first frame."""
+    b: tuple[int, int]
+    found: int
+    used: int
+    """Number of links that have weight in the adjustment."""
+    at: Point | None = None
+    """Mean place of the used links; None without any."""
+    residual: Point | None = None
+    """Mean residual of the used links: from the point in the first frame to where the second one predicts it."""
+    residual_px: float | None = None
+    """Length of the mean residual."""
+    rms_px: float | None = None
+    """Root mean square of the residuals of single links."""
+    why: str = ""
+    """Why there are no links; empty if there are."""
+
+
+class OverlayFiducial(Strict):
+    """A fiducial of the board type, and where it was seen."""
+
+    name: str
+    at: Point
+    diameter: float
+    sightings: int
+    """Number of frames in which it was found."""
+    residual: Point | None = None
+    """Mean residual; None if it was not found."""
+    residual_px: float | None = None
+
+
+class RunOverlay(Strict):
+    """What is drawn over the mosaics of a run."""
+
+    unit: str
+    """Unit of the board type, of all places and residuals."""
+    px_per_mm: float
+    """Mean resolution of the cameras, to which px refer."""
+    outline: tuple[Point, ...] = ()
+    """Outline of the board: a polygon; empty if the board type has none."""
+    frames: tuple[OverlayFrame, ...]
+    links: tuple[OverlayLinks, ...]
+    """Pairs of frames that were searched for links; empty in runs of earlier versions but for those without links."""
+    fiducials: tuple[OverlayFiducial, ...]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, OtherMark, Reason, ReasonCode, Surface
-from vaoi_station.model.board_marks import Look
+from vaoi_station.model.board_type import Look
 from vaoi_station.stitching.components.places import OwnPlace
 from vaoi_station.stitching.geometry import FootprintViews, FrameIndex
 from vaoi_station.stitching.matching.evidence import FrameKey

@@ -271,7 +271,7 @@ def decide_verdict(f: Findings) -> tuple[Status, tuple[Reason, ...]]:
         # together.
         causes = (*absent, *(reason for reason in reasons if reason.code in _CAUSES_OF_FAILURE))
         failure = Reason(ReasonCode(f.found.code), f.found.reason)
-        sizes = () if causes else _other_sizes(f, failure.code)
+        sizes = () if causes else _other_sizes(f, ReasonCode(f.found.code))
         others = (reason for reason in reasons if reason not in causes)
         return Status.FAILED, (*causes, *sizes, failure, *others)
     return (Status.DEGRADED if reasons else Status.OK), reasons

@@ -29,7 +29,7 @@ from vaoi_station.files import (
     write_recording,
     write_stitch,
 )
-from vaoi_station.files.atomic_directory import new_directory, refuse_existing
+from vaoi_station.files.directories import new_directory, refuse_existing
 from vaoi_station.files.images import Image
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 from tests.api.held.setup_files import PITCH_MM, film_board
 from tests.api.held_station import PX_PER_MM
 from vaoi_station.api.setup.calibration import Trials
-from vaoi_station.files.layouts import Layout
+from vaoi_station.files.calibrations import Layout
 
 pytestmark = pytest.mark.browser
 FITTED_MS = 100_000

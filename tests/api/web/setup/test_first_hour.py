@@ -15,10 +15,9 @@ from tests.api.held.setup_files import film_board
 from tests.api.web.setup.test_types import choose_file
 from tests.board_data.readers import samples
 from vaoi_station.api.cameras.examination import Examination, Examinations
-from vaoi_station.files.layouts import Layout
-from vaoi_station.model import Status
+from vaoi_station.files.calibrations import Layout
+from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import Reason
 
 pytestmark = pytest.mark.browser
 GUIDE = Path(__file__).parents[4] / "docs" / "page" / "first-hour.md"

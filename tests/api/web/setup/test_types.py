@@ -11,7 +11,7 @@ from playwright.sync_api import Page, Route, expect
 from tests.api.routes.test_board_types import proposing
 from tests.api.web.contrast import contrast
 from tests.board_data.readers import samples
-from vaoi_station.model.board_marks import OtherMark
+from vaoi_station.model.board_type import OtherMark
 
 pytestmark = pytest.mark.browser
 

@@ -1,0 +1,266 @@
+"""Figures of a station's boards: kept when a run ends and when it is checked, returned whole, thinned and compared."""
+
+from __future__ import annotations
+
+import json
+import re
+import sqlite3
+import tracemalloc
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from inspect import getsource
+from typing import Any, get_args
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from vaoi_station.acquisition.process.messages import Grant
+from vaoi_station.errors import StateError
+from vaoi_station.runs.trends import figures, trends
+from vaoi_station.runs.trends.trends import (
+    MarkKind,
+    TrendHistory,
+    TrendSeries,
+    bin_width_s,
+    compare,
+    groups_of_boards,
+    groups_of_hours,
+    series_of_groups,
+    single_boards,
+)
+from vaoi_station.store import Store
+from vaoi_station.store.figures import BoardRow, HourRow, Span
+
+EVER = Span("2000-01-01T00:00:00.000Z", "2100-01-01T00:00:00.000Z")
+YEAR = Span("2026-01-01T00:00:00.000Z", "2027-01-01T00:00:00.000Z")
+
+
+def fill(store: Store, boards: int, kept: int = 10_000) -> TrendHistory:
+    """A board per 30 minutes from the begin of 2026 on."""
+    for n in range(boards):
+        time = f"2026-01-{1 + n // 48:02d}T{n % 48 // 2:02d}:{n % 2 * 30:02d}:00.000Z"
+        store.figures.add(
+            BoardRow(f"r{n:03d}", time, "b", {"ready_ms": float(n)}), {("software", ""): str(n // 9)}, kept
+        )
+    store.database.write(lambda _: None).result(10)
+    return TrendHistory(store.figures, ("a", "b"), 16)
+
+
+def test_figures_outlive_their_run(make_rig: Callable[..., Any], store: Store) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    trends = rig.coordinator.kept.trends
+    shown = rig.coordinator.kept.all_shown
+
+    def figures() -> set[str]:
+        return {series.figure for series in trends.trends(EVER, (), 100).series}
+
+    rig.wait_for(lambda: {"lost_frames", "drift_px"} <= figures(), "the figures of run and check")
+    assert shown(rig.coordinator.runs())[0].figures is None
+    of_run = shown(rig.coordinator.runs(), True)[0].figures
+    assert of_run["lost_frames"] == 0
+    assert {name.partition(":")[0] for name in of_run} == figures()
+    store.retention.forget_details([grant.run]).result(10)
+    store.database.write(lambda c: c.execute("DELETE FROM calibration_checks")).result(10)
+    store.retention.forget_runs([grant.run]).result(10)
+    found = trends.trends(EVER, (), 100)
+    assert (found.boards, found.runs, found.bin_s) == (1, (grant.run,), None)
+    assert {"lost_frames", "drift_px"} <= figures()
+
+
+def test_figures_that_cannot_be_kept_hold_up_no_result(
+    make_rig: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    for fault in (StateError("The database is closed."), ValueError("a fault")):
+        monkeypatch.setattr(rig.archive.figures, "add", Mock(side_effect=fault))
+        rig.board(grant)
+        assert rig.result_of(grant.run).verdict == "ok"
+        grant = rig.peer.expect(Grant)
+
+
+def test_a_fault_of_a_check_is_only_logged(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+    TrendHistory(store.figures, ("a",), 16).checked(Mock(run="r1", spec=["run"]))
+    assert "figures of run r1 were not kept" in caplog.text
+
+
+def test_long_spans_are_thinned(store: Store) -> None:
+    history = fill(store, 100)
+    one = history.trends(Span(YEAR.since, "2026-01-02T00:00:00.000Z"), (), 100)
+    assert (one.boards, one.bin_s, len(one.times)) == (48, None, 48)
+    binned = history.trends(Span(YEAR.since, "2026-01-04T00:00:00.000Z"), (), 24)
+    assert (binned.boards, binned.bin_s, len(binned.times)) == (100, 10800, 17)
+    assert binned.series[0].values[0] == 2.5
+    assert (binned.series[0].least or [None])[0] == 0
+    assert (binned.series[0].runs or [None])[0] == "r005"
+    assert [m.after for m in binned.marks] == [str(n) for n in range(1, 12)]
+    assert binned.complete
+
+
+def test_a_dim_board_is_found_in_a_bin_and_in_an_hour(store: Store) -> None:
+    history = TrendHistory(store.figures, ("a",), 16)
+    for n, percent in enumerate((100.0, 80.0, 103.0)):
+        row = BoardRow(f"r{n}", f"2026-01-01T00:0{n}:00.000Z", "b", {"brightness_percent:a": percent})
+        store.figures.add(row, {}).result(10)
+    (hour,) = store.figures.hours(store.figures.hour_numbers(YEAR))
+    assert hour.figures["brightness_percent:a"][4] == "r1"
+    assert history.trends(YEAR, (), 2).series[0].runs == ("r1",)
+
+
+def test_figures_per_hour_go_further_back(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vaoi_station.store.figures._EVERY", 100)
+    history = fill(store, 100, kept=10)
+    assert store.figures.count(YEAR) == 10
+    found = history.trends(Span(YEAR.since, "2026-02-01T00:00:00.000Z"), ["ready_ms"], 100)
+    assert (found.boards, found.bin_s, found.series[0].values[0]) == (100, 43200.0, 11.5)
+    recent = history.trends(Span("2026-01-02T22:00:00.000Z", "2026-02-01T00:00:00.000Z"), (), 100)
+    assert recent.boards == len(recent.runs or ()) == 8
+    monkeypatch.setattr(trends, "MOST_READ", 3)
+    assert history.trends(Span("2026-01-02T22:00:00.000Z", "2026-01-03T00:00:00.000Z"), (), 100).bin_s == 3600
+
+
+def test_an_answer_is_bounded_and_says_so(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    history = fill(store, 40)
+    monkeypatch.setattr(trends, "MOST_MARKS", 2)
+    found = history.trends(YEAR, (), 100)
+    assert [m.after for m in found.marks] == ["3", "4"]
+    assert not found.complete
+
+
+def test_many_boards_are_compared_by_every_nth(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    history = fill(store, 96)
+    monkeypatch.setattr(trends, "MOST_COMPARED", 12)
+    middle = "2026-01-02T00:00:00.000Z"
+    found = history.compared(Span(YEAR.since, middle), Span(middle, YEAR.until))
+    assert (found.before_boards, found.boards) == (48, 48)
+    (change,) = found.changes
+    assert change.before.boards == 12
+    assert change.change == 48
+    assert change.changed
+    assert len(found.marks) == 10
+
+
+@pytest.mark.parametrize("what", ["boards", "hours", "comparison"])
+def test_memory_does_not_grow_with_the_boards_that_are_read(store: Store, what: str) -> None:
+    figures = {f"seam_px:{n}-{n + 1}": n / 8 for n in range(40)}
+    document, hour = json.dumps(figures), json.dumps({k: (9, v, v, v, "r0") for k, v in figures.items()})
+    begin = datetime(2026, 1, 1, tzinfo=UTC)
+    hours = [((begin + timedelta(hours=n)).isoformat()[:13], hour) for n in range(1200)]
+
+    def write(connection: sqlite3.Connection) -> None:
+        rows = [(f"r{n:04d}", f"{hours[n // 5][0]}:{n % 5:02d}:00.000Z", document) for n in range(1200)]
+        connection.executemany("INSERT INTO board_figures VALUES (?, ?, 'b', ?)", rows if what != "hours" else ())
+        connection.executemany("INSERT INTO hourly_figures (hour, board_type, document) VALUES (?, 'b', ?)", hours)
+
+    store.database.write(write).result(10)
+    history, now = TrendHistory(store.figures, ("a",), 16), Span(hours[120][0], "2027")
+    tracemalloc.start()
+    if what == "comparison":
+        assert history.compared(Span("2025", now.since), now).boards == 600
+    else:
+        assert history.trends(YEAR, (), 10).boards == {"boards": 1200, "hours": 10_800}[what]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # Parsed, 1200 boards of 40 figures take 7 MB, as many hours 20 MB.
+    assert peak < 2.5e6
+
+
+def test_a_small_database_keeps_few_boards(store: Store) -> None:
+    assert TrendHistory(store.figures, (), 0.05)._kept == 2500
+    assert TrendHistory(store.figures, (), 16)._kept == 200_000
+
+
+def test_every_kind_of_mark_is_named() -> None:
+    kinds = set(re.findall(r'\("?([a-z-]+)", (?:""|name)\)', getsource(figures.made_with_of)))
+    assert kinds | {"light"} == set(get_args(MarkKind))
+
+
+def test_a_series_without_bins_has_neither_extremes_nor_runs() -> None:
+    series = TrendSeries(figure="ready_ms", at=(0,), values=(1.0,))
+    assert series.model_dump(exclude_none=True) == {"figure": "ready_ms", "part": "", "at": (0,), "values": (1.0,)}
+
+
+@pytest.mark.parametrize(
+    ("days", "points", "least_s", "width_s"),
+    [(1, 600, 0, 300), (1, 600, 3600, 3600), (28, 600, 0, 7200), (31, 10, 0, 7 * 86400), (3000, 10, 0, 7 * 86400)],
+)
+def test_a_width_is_chosen_by_the_number_of_points(days: int, points: int, least_s: float, width_s: float) -> None:
+    last = {1: "2026-01-02", 28: "2026-01-29", 31: "2026-02-01", 3000: "2034-03-20"}[days]
+    span = Span("2026-01-01T00:00:00.000Z", f"{last}T00:00:00.000Z")
+    assert bin_width_s(span, points, least_s) == width_s
+
+
+def test_a_bin_has_the_extremes_of_its_boards_and_names_one() -> None:
+    rows = [
+        BoardRow(f"r{n}", f"2026-01-01T00:{n:02d}:30.000Z", "b", {"seam_px:0-1": float(n % 3), "unknown": 1.0})
+        for n in range(7)
+    ]
+    groups = groups_of_boards(rows, 300)
+    assert [(g.time, g.boards) for g in groups] == [("2026-01-01T00:00:00.000Z", 5), ("2026-01-01T00:05:00.000Z", 2)]
+    (series,) = series_of_groups(groups, ())
+    assert (series.figure, series.part, series.upper) == ("seam_px", "0-1", 0.3)
+    assert (series.values, series.least, series.largest) == ((0.8, 1.0), (0.0, 0.0), (2.0, 2.0))
+    assert series.runs == ("r2", "r5")
+    assert series_of_groups(groups, ["ready_ms"]) == []
+
+
+def test_a_figure_that_a_board_lacks_is_left_out() -> None:
+    rows = [BoardRow("r1", "", "b", {"ready_ms": 1.0}), BoardRow("r2", "", "b", {"sigma_px": 0.1})]
+    boards = single_boards(iter(rows), ())
+    assert (boards.runs, boards.times) == (("r1", "r2"), ("", ""))
+    sigma, ready = boards.series
+    assert (sigma.figure, sigma.at, sigma.values) == ("sigma_px", (1,), (0.1,))
+    assert (ready.at, ready.values) == ((0,), (1.0,))
+
+
+def test_hours_of_all_types_are_joined() -> None:
+    one = {"lost_frames": (2, 1.0, 0.0, 2.0, "r1")}
+    rows = [HourRow("2026-01-01T04", name, one) for name in ("a", "b")]
+    (group,) = groups_of_hours(rows, 86400)
+    assert (group.time, group.boards) == ("2026-01-01T00:00:00.000Z", 4)
+
+
+def boards(count: int, seed: int, **means: float) -> list[BoardRow]:
+    random = np.random.default_rng(seed)
+    columns = {name: mean + 0.1 * abs(mean) * random.standard_normal(count) for name, mean in means.items()}
+    return [BoardRow(f"r{n}", "", "b", {k: float(v[n]) for k, v in columns.items()}) for n in range(count)]
+
+
+def test_the_largest_change_in_spreads_comes_first() -> None:
+    found = compare(
+        boards(50, 1, residual_px=1, seam_px=1, ready_ms=10, belt_mm_s=100),
+        boards(50, 2, residual_px=1.3, seam_px=2, ready_ms=10, belt_mm_s=50),
+    )
+    assert [c.figure for c in found] == ["seam_px", "belt_mm_s", "residual_px", "ready_ms"]
+    assert [c.changed for c in found] == [True, True, True, False]
+    assert [c.worse for c in found[:3]] == [True, None, True]
+    assert found[0].change == pytest.approx(1, abs=0.1)
+    assert found[0].before.spread == pytest.approx(0.1, rel=0.4)
+
+
+def test_few_boards_show_no_small_change() -> None:
+    (found,) = compare(boards(6, 1, sigma_px=1), boards(6, 2, sigma_px=1.05))
+    assert not found.changed
+    assert compare(boards(4, 1, sigma_px=1), boards(9, 2, sigma_px=9)) == ()
+
+
+def test_counts_are_compared_by_their_means() -> None:
+    def lost(share: int) -> list[BoardRow]:
+        return [BoardRow(f"r{n}", "", "b", {"lost_frames": float(n % share == 0)}) for n in range(400)]
+
+    (found,) = compare(lost(100), lost(4))
+    assert found.changed
+    assert (found.before.middle, found.now.middle) == (0.01, 0.25)
+    assert not compare(lost(100), lost(90))[0].changed
+
+
+def test_a_figure_without_spread_that_jumps_has_changed() -> None:
+    one, other = ([BoardRow(f"r{n}", "", "b", {"ready_ms": ms}) for n in range(5)] for ms in (80.0, 90.0))
+    assert compare(one, other)[0].changed
+    assert not compare(one, one)[0].changed

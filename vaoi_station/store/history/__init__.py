@@ -1,1 +1,0 @@
-"""What is kept of finished runs: which of them, the checks of the calibration, decisions of persons, and the search."""
