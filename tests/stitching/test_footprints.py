@@ -76,26 +76,3 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
 def test_a_board_without_components_has_its_corners_as_landmarks(workshop: Any) -> None:
     names, cad = landmarks(board_plane(board([]), workshop.camera()))
     assert (len(names), cad.tolist()) == (2, [[0, 0], [30, 20]])
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_many_points_on_many_components_match_a_search_one_by_one(workshop: Any, seed: int) -> None:
-    g = np.random.default_rng(seed)
-    parts = [
-        part(f"P{n}", *g.uniform((0, 0), (30, 20)), *g.uniform(0.2, 5, 2) ** 1.5, rotation=g.uniform(-180, 180))
-        for n in range(60)
-    ]
-    kind = board(parts)
-    plane = board_plane(kind, workshop.camera())
-    cad = g.uniform((-4, -4), (34, 24), (500, 2))
-    found = component_at(plane, C, apply_similarity(C, plane.flat(cad)))
-    for point, n in zip(cad, found, strict=True):
-        on = [k for k, p in enumerate(kind.components) if _on(kind, p, point)]
-        areas = [kind.components[k].width * kind.components[k].height for k in on]
-        assert n == (on[int(np.argmin(areas))] if on else -1)
-
-
-def _on(kind: BoardType, component: Any, point: Any) -> bool:
-    a = np.radians(component.rotation if kind.y_axis == "up" else -component.rotation)
-    u, v = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]]) @ (point - component.center)
-    return bool(abs(u) <= component.width / 2 + 0.3 and abs(v) <= component.height / 2 + 0.3)

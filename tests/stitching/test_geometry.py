@@ -67,11 +67,6 @@ def test_rotations_run_against_the_y_axis_that_points_down() -> None:
     assert ComponentIndex.of(board([part("U1", 0, 0, rotation=30)], "down")).angle_rad == pytest.approx([-math.pi / 6])
 
 
-@pytest.mark.parametrize("components", [[], [part("PAD", 0, 0, body_height=0.0)]])
-def test_without_bodies_all_points_are_board(components: list[dict[str, object]]) -> None:
-    assert ComponentIndex.of(board(components)).find(np.eye(3), np.zeros((2, 2))).tolist() == [-1, -1]
-
-
 def test_points_are_mapped_to_cad_first() -> None:
     index = ComponentIndex.of(board([part("U1", 10, 10)]))
     cad_from_board = np.array([[0.0, -1, 10], [1, 0, 10], [0, 0, 1]])

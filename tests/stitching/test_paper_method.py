@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.geometry import Euclidean, System, apply
+from vaoi_station.geometry import Euclidean, apply
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Status
 from vaoi_station.stitching import paper_method as paper
-from vaoi_station.stitching.paper_method import NO_MEASURE, as_motion, stitch_by_paper
+from vaoi_station.stitching.paper_method import NO_MEASURE, stitch_by_paper
 
 
 def error_mm(motion: Any, truth: Any, points: NDArray[np.float64]) -> float:
@@ -36,12 +36,6 @@ def test_the_papers_chain_works_with_larger_errors_than_ours(filmed: Any) -> Non
     assert theirs > 2 * ours
 
 
-def test_at_most_600_corners(filmed: Any) -> None:
-    found = paper.detect_features(filmed.frames[0, 2])
-    assert 100 < len(found.px) <= 600
-    assert found.descriptors.shape == (len(found.px), 128)
-
-
 def test_step_of_moved_features_is_the_motion(workshop: Any) -> None:
     g = np.random.default_rng(1)
     camera = workshop.camera()
@@ -59,28 +53,6 @@ def test_frames_without_features_fail_with_a_reason(workshop: Any) -> None:
     failed = paper.chain_rows((workshop.camera(),), 3, lambda camera, row: grey)
     assert isinstance(failed, Failure)
     assert failed.reason == "rows 0 and 1: 0 matches between two rows; 6 are needed"
-
-
-def test_a_camera_without_features_leaves_the_step_to_the_others(workshop: Any) -> None:
-    g = np.random.default_rng(2)
-    cameras = (workshop.camera((0, 0)), workshop.camera((18, 0)))
-    at, descriptors = g.uniform(20, 140, (40, 2)), g.uniform(0, 255, (40, 128)).astype(np.float32)
-    blind = paper.Features(np.zeros((0, 2)), np.zeros((0, 128), dtype=np.float32))
-    later = cameras[1].project(cameras[1].ground(at) + (0.1, 5.0))
-    step = paper.estimate_step(
-        [blind, paper.Features(at, descriptors)], [blind, paper.Features(later, descriptors)], cameras
-    )
-    assert isinstance(step, Euclidean)
-    assert step.matrix[:2, 2] == pytest.approx((-0.1, -5.0), abs=1e-4)
-
-
-def test_ambiguous_matches_are_left_out(workshop: Any) -> None:
-    """All descriptors are alike, so none is plainly the best."""
-    g = np.random.default_rng(3)
-    at, alike = g.uniform(20, 140, (50, 2)), np.ones((50, 128), dtype=np.float32)
-    failed = paper.estimate_step([paper.Features(at, alike)], [paper.Features(at + 3, alike)], [workshop.camera()])
-    assert isinstance(failed, Failure)
-    assert failed.reason == "0 matches between two rows; 6 are needed"
 
 
 def test_a_few_false_matches_do_not_change_the_step(workshop: Any) -> None:
@@ -104,12 +76,6 @@ def test_the_result_is_degraded_since_it_has_no_measure_of_its_error(by_paper: A
     assert by_paper.quality["timings_ms"]["whole"] > 0
 
 
-def test_matrices_are_products_of_camera_and_row(by_paper: Any, filmed: Any) -> None:
-    for i, rows in enumerate(by_paper.image_matrices):
-        for j, m in enumerate(rows):
-            np.testing.assert_allclose(m, filmed.calibration.camera_matrices[i] @ by_paper.row_motion[j], rtol=1e-9)
-
-
 def test_the_cad_matrix_is_near_the_truth(by_paper: Any, filmed: Any) -> None:
     low, high = filmed.board_type.extent()
     corners = np.array([(*low, 1.0), (*high, 1.0)])
@@ -131,10 +97,3 @@ def test_a_blank_row_breaks_the_chain(filmed: Any) -> None:
     assert result.reasons[0].startswith("the chain of rows is broken: rows 1 and 2: 0 matches")
     assert all(m is None for rows in result.image_matrices for m in rows)
     assert all(np.array_equal(d, np.eye(3)) for d in result.row_motion)
-
-
-def test_motion_has_the_rows_it_was_made_from(workshop: Any) -> None:
-    rows = [Euclidean.motion(0.01 * j, (0.2 * j, 5.0 * j), System.ROW, System.TESTER) for j in range(3)]
-    motion = as_motion(rows, (workshop.camera((0, 0)), workshop.camera((12, 3))))
-    assert motion.pivot == pytest.approx((6.0, 1.5))
-    np.testing.assert_allclose(motion.rows_from_tester, [d.matrix for d in rows], atol=1e-12)

@@ -37,11 +37,6 @@ def test_rows_without_links_follow_the_nominal_belt(workshop: Any) -> None:
     assert shift == pytest.approx([0, -5.5, -10.5, -16.5, -21.5])
 
 
-def test_links_of_one_row_move_nothing(workshop: Any) -> None:
-    seen = links(workshop.camera(), {(2, 2): 9.0})
-    np.testing.assert_allclose(chain_links(NOMINAL, seen).shift, NOMINAL.shift, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("pairs", "groups"),
     [

@@ -89,11 +89,6 @@ def test_points_in_a_box_are_those_that_a_row_moves_into_it(
                 np.testing.assert_allclose(found[j, n], at, atol=1e-8)
 
 
-def test_a_gauged_motion_is_returned_unchanged() -> None:
-    motion = nominal_motion(np.array([0.0, 0.1]), np.array([0.0, 50.0]), np.zeros(2))
-    assert motion.in_gauge() is motion
-
-
 def test_a_belt_at_nominal_velocity_has_no_residual() -> None:
     times, velocity = np.array([0.0, 0.1, 0.25]), np.array([30.0, 40.0])
     columns, a, b = belt_equations(nominal_motion(times, velocity, np.zeros(2)), times, velocity)

@@ -12,15 +12,12 @@ from hypothesis import strategies as st
 from vaoi_station.geometry import Lens, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.problem import (
-    REFERENCE,
     SIGMA_MM,
     CameraEstimate,
     FiducialPoints,
     LinkStore,
     basis,
     basis_at_board,
-    group_begins,
-    index_in_group,
     linked_steps,
     median_noise_px,
     patch_overlap,
@@ -69,12 +66,6 @@ def test_noise_is_propagated_to_the_ground(workshop: Any, bend: float) -> None:
     noisy = camera.ground(px + np.random.default_rng(0).multivariate_normal([0, 0], covariance, 20000))
     np.testing.assert_allclose(o.noise_mm2[0], np.cov(noisy.T), rtol=0.06, atol=1e-5)
     np.testing.assert_allclose(o.b_lean[0], camera.parallax(camera.ground(px)))
-
-
-def test_no_links_give_no_observations(workshop: Any) -> None:
-    o = to_observations([], (workshop.camera(),))
-    assert len(o) == 0
-    assert o.noise_mm2.shape == (0, 2, 2)
 
 
 def test_links_added_one_by_one_are_the_same_in_any_requested_order(workshop: Any) -> None:
@@ -153,12 +144,6 @@ def test_a_step_is_linked_if_any_link_spans_it(workshop: Any) -> None:
     assert linked_steps(o.select(np.zeros(0, np.int_)), 2).tolist() == [False]
 
 
-def test_links_are_counted_within_their_pair() -> None:
-    group = np.array([0, 0, 0, 1, 2, 2])
-    assert group_begins(group).tolist() == [0, 3, 4]
-    assert index_in_group(group).tolist() == [0, 1, 2, 0, 0, 1]
-
-
 def test_the_median_noise_is_that_of_the_chosen_links_in_px(workshop: Any) -> None:
     px, information = (
         [[20.0, 30.0], [40.0, 50.0], [60.0, 70.0]],
@@ -176,22 +161,6 @@ def points(count: int, which: int) -> FiducialPoints:
     sigma, px = g.uniform(0, 1, (2, count))
     camera = np.arange(count) % 3
     return FiducialPoints(np.arange(count), pairs[0], pairs[1], pairs[2], sigma, px, np.full(count, which), camera)
-
-
-def test_joined_points_keep_their_values_and_their_order() -> None:
-    first, second = points(3, 1), points(2, REFERENCE)
-    joined = FiducialPoints.joined([first, FiducialPoints.empty(), second])
-    assert joined.which.tolist() == [1, 1, 1, REFERENCE, REFERENCE]
-    assert joined.row.tolist() == [0, 1, 2, 0, 1]
-    for name in ("ground_mm", "lean", "cad", "sigma_mm", "px_per_mm", "camera"):
-        np.testing.assert_array_equal(getattr(joined, name)[3:], getattr(second, name))
-
-
-def test_an_empty_set_has_the_types_of_others() -> None:
-    empty, some = FiducialPoints.empty(), points(2, 0)
-    for name, values in vars(empty).items():
-        other = getattr(some, name)
-        assert (len(values), values.dtype, values.shape[1:]) == (0, other.dtype, other.shape[1:])
 
 
 def test_the_displacement_of_one_camera_alone_is_the_best_of_its_own() -> None:

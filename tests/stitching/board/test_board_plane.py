@@ -35,12 +35,6 @@ def test_matrix_and_similarity_map_points_alike(
     assert apply(plane.matrix(c), cad) == pytest.approx(apply_similarity(c, plane.flat(cad)), abs=1e-9)
 
 
-@given(st.booleans(), st.tuples(numbers, numbers))
-def test_cad_undoes_flat(mirrored: bool, place: tuple[float, float]) -> None:
-    plane = BoardPlane(board(), mirrored)
-    assert plane.cad(plane.flat(np.array([place]))) == pytest.approx(np.array([place]))
-
-
 @given(a=numbers, b=numbers, mirrored=st.booleans())
 def test_the_sign_of_the_determinant_is_the_handedness(a: float, b: float, mirrored: bool) -> None:
     matrix = BoardPlane(board(), mirrored).matrix(np.array([a, b, 1.0, 2.0]))

@@ -76,11 +76,6 @@ def truth_motion(filmed: Any) -> Motion:
     return Motion(np.arctan2(back[:, 1, 0], back[:, 0, 0]), back[:, :2, 2], np.zeros(2))
 
 
-def test_fiducials_of_one_kind_are_listed_once(filmed: Any) -> None:
-    ((shape, size_mm),) = mark_kinds(filmed.board_type)
-    assert (shape, size_mm) == ("circle", 1.0)
-
-
 def board(**keys: Any) -> BoardType:
     marks = [
         {"name": "A", "x": 0.1, "y": 0.1, "diameter": 0.04},

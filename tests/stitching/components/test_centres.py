@@ -28,7 +28,6 @@ from vaoi_station.stitching.components.centres import (
     likely_errors,
     measure_component_shift,
     reduced_patch,
-    reduction,
     two_that_place,
     unnoticed_mm,
 )
@@ -63,10 +62,6 @@ def test_a_board_type_without_components_has_no_views_of_them(workshop: Any) -> 
     motion = nominal_motion(np.zeros(1), np.zeros(2), np.zeros(2))
     views = FrameIndex((camera,), motion.rows_from_tester).views(np.array([[0.0, 0.0], [9.0, 9.0]]), np.eye(3))
     assert central_views(plane, np.eye(3), Scene((camera,), ((0, 0),), workshop), motion, views) == []
-
-
-def test_a_patch_is_reduced_by_an_odd_factor() -> None:
-    assert [reduction(np.array([half, 3.0]), 20) for half in (5.0, 20.0, 21.0, 60.0, 61.0)] == [1, 1, 3, 3, 5]
 
 
 def test_a_reduced_patch_is_that_about_the_nearest_pixel() -> None:

@@ -19,12 +19,9 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled
 from vaoi_station.stitching.matching.frames import read_only
 from vaoi_station.stitching.matching.refinement import (
-    ACROSS,
     BINOMIAL,
     BLUR_REACH,
-    DOWN,
     FRACTIONS,
-    INSIDE,
     NOISE_SHARE,
     PITCH_PX,
     SINC,
@@ -69,19 +66,6 @@ def test_the_interpolation_shifts_waves_of_blurred_texture(period_px: float) -> 
     found = SINC @ np.exp(2j * np.pi * at / period_px)
     shift_px = np.angle(found / exact) * period_px / (2 * np.pi)
     assert np.abs(shift_px).max() < 0.0025
-
-
-def test_the_padding_of_lines_is_zero() -> None:
-    for table in (INSIDE, ACROSS, DOWN):
-        assert not table.reshape(WINDOW_PX, PITCH_PX)[:, WINDOW_PX:].any()
-    assert INSIDE.sum() == WINDOW_PX**2
-    for table in (ACROSS, DOWN):
-        assert (table.min(), table.max()) == (-1, 1)
-        assert table.sum() == pytest.approx(0, abs=1e-4)
-    assert (
-        pytest.approx(DOWN.reshape(WINDOW_PX, PITCH_PX)[:, :WINDOW_PX].T)
-        == ACROSS.reshape(WINDOW_PX, PITCH_PX)[:, :WINDOW_PX]
-    )
 
 
 SIZE = WINDOW_PX + 2

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Observations, Problem
@@ -76,31 +74,6 @@ def test_largest_sigma_is_the_major_axis() -> None:
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     assert largest_sigma(turn @ np.diag([9.0, 4.0]) @ turn.T) == pytest.approx(3.0)
     assert largest_sigma(np.zeros((2, 2, 2))) == pytest.approx([0, 0])
-
-
-@given(st.floats(0, 5), st.floats(0, 5), st.floats(-3.2, 3.2))
-def test_largest_sigma_does_not_depend_on_the_axes(one: float, other: float, angle: float) -> None:
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    found = largest_sigma(turn @ np.diag([one**2, other**2]) @ turn.T)
-    assert found == pytest.approx(max(one, other), abs=1e-6)
-
-
-def test_a_pure_shift_moves_all_pixels_alike(workshop: Any) -> None:
-    """Without perspective and angle, the sigma in px is that in mm times the resolution, everywhere."""
-    rows = np.zeros((2, 3, 3))
-    rows[1, 1, 1] = rows[1, 2, 2] = 0.02**2
-    sigmas = matrix_sigmas([workshop.camera(), workshop.camera((50, 9), px_per_mm=20.0)], PIVOT, rows)
-    np.testing.assert_allclose(sigmas[:, 0], 0)
-    np.testing.assert_allclose(sigmas[:, 1], [[0.2, 0.2], [0.4, 0.4]], rtol=1e-9)
-
-
-def test_a_pure_angle_counts_by_the_distance_from_the_pivot(workshop: Any) -> None:
-    rows = np.zeros((1, 3, 3))
-    rows[0, 0, 0] = 1e-3**2
-    near, far = matrix_sigmas([workshop.camera(tuple(PIVOT)), workshop.camera((103.0, -2.0))], PIVOT, rows)
-    assert near[0, 0] == pytest.approx(0, abs=1e-9)
-    assert far[0, 0] == pytest.approx(1e-3 * 100 * 10)
-    assert far[0, 1] > far[0, 0]
 
 
 def points(which: list[int], sigma_px: list[float]) -> FiducialPoints:

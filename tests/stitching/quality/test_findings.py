@@ -62,11 +62,6 @@ def test_blank_rows_split_the_run_unless_cad_points_fix_both_parts(filmed: Any) 
     assert [g.tolist() for g in findings_of(filmed, frames).connected_groups] == [[0, 1], [4, 5]]
 
 
-def test_a_row_without_frames_is_not_placed(filmed: Any) -> None:
-    found = findings_of(filmed, {key: p for key, p in filmed.frames.items() if key[1] != 3})
-    assert found.placed == (True, True, True, False, True, True)
-
-
 def test_cameras_that_show_different_things_are_a_pair(filmed: Any) -> None:
     """Camera 1 shows the board 36 px further: what is left of the overlap does not match."""
     pushed = {key: np.roll(p, 36, 1) if key[0] == 1 else p for key, p in filmed.frames.items()}

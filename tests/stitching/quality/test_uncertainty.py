@@ -67,12 +67,6 @@ def predicted(scene: Scene, plane: Any, found: AdjustmentResult) -> PredictedSig
     return predict_sigma(scene, plane, found, FrameIndex(scene.cameras, rows).views(landmarks(plane)[1], matrix))
 
 
-def test_shift_uncertainty_scales_with_the_resolution(scene: Scene, plane: Any) -> None:
-    sigma = predicted(scene, plane, adjusted([0.0, 0.01, 0.03]))
-    assert sigma.rows_px == pytest.approx([MODEL_PX, np.hypot(0.1, MODEL_PX), np.hypot(0.3, MODEL_PX)])
-    assert sigma.worst_px == pytest.approx(np.hypot(0.3, MODEL_PX))
-
-
 def test_uncertainty_of_c_counts_in_every_row(scene: Scene, plane: Any) -> None:
     sigma = predicted(scene, plane, adjusted([0.0] * 3, c_sigma_mm=0.02))
     assert sigma.rows_px == pytest.approx([np.hypot(0.2, MODEL_PX)] * 3)
@@ -104,12 +98,6 @@ def test_influence_beside_an_unobserved_unknown_is_computed(scene: Scene, plane:
     sigma = predicted(scene, plane, replace(found, influence=influence))
     assert sigma.rows_px[1] > 1e9
     assert sigma.rows_px[2] == pytest.approx(np.hypot(0.1, 0.4), abs=0.01)
-
-
-def test_angle_uncertainty_grows_with_the_distance_from_the_pivot(scene: Scene, plane: Any) -> None:
-    """U28 is seen 4 mm from the pivot in row 0: an angle moves it across; the sigma is that across."""
-    sigma = predicted(scene, plane, adjusted([0.0] * 3, angle_sigma=0.01))
-    assert sigma.rows_px[0] == pytest.approx(np.hypot(0.01 * 4 * 10, MODEL_PX), rel=0.01)
 
 
 def test_without_c_rows_have_a_sigma_and_components_have_none(scene: Scene, plane: Any) -> None:

@@ -29,10 +29,8 @@ from vaoi_station.stitching.recordings.references import (
     open_reference,
     select_reference_frames,
     teach,
-    with_reference,
     write_reference,
 )
-from vaoi_station.stitching.work import StitchSetup
 
 BOARD = BoardType(name="b", outline=((0.0, 0.0), (60.0, 40.0)))
 """Its middle lies at tester (0, 0); cameras show 20 × 16 mm, one beside the other."""
@@ -244,12 +242,3 @@ def test_a_failed_result_is_no_reference(taught: Path, tmp_path: Path) -> None:
     write_stitch(tmp_path / "failed" / RESULT, failed)
     with pytest.raises(InputError, match="cannot be a reference: no fiducials"):
         opened(tmp_path / "failed")
-
-
-def test_a_setup_without_a_reference_stays_as_it_is(taught: Path) -> None:
-    head = open_recording(taught).head
-    cameras = read_calibration(taught / "calibration.json", head.cameras).cameras(head.cameras)
-    setup = StitchSetup(cameras, head.conveyor_mm_s, head.trigger_period_s, None)
-    assert with_reference(setup, None) is setup
-    stored = opened(taught)
-    assert with_reference(setup, stored).reference is stored.reference
