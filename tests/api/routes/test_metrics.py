@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.needs import need
-from vaoi_station.api.routes.metrics import Metric, as_text
+from vaoi_station.api.routes.metrics import sample
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "internals" / "metrics.md"
 SAMPLE = re.compile(r"^([a-z_:][a-z0-9_:]*)(?:\{(.*)\})? (\S+)$")
@@ -60,8 +60,7 @@ def test_every_metric_is_documented(client: Any) -> None:
 
 
 def test_labels_are_escaped() -> None:
-    text = as_text([Metric("a", "gauge", "x", (("", {"camera": 'a"b\\c\nd'}, 1.0),))])
-    assert text.splitlines()[-1] == r'a{camera="a\"b\\c\nd"} 1'
+    assert sample("a", {"camera": 'a"b\\c\nd'}, 1.0) == r'a{camera="a\"b\\c\nd"} 1'
 
 
 def test_prometheus_accepts_the_text(client: Any) -> None:

@@ -1,17 +1,15 @@
-"""`GET /metrics`: figures for Prometheus, in its text format (docs/internals/metrics.md lists them)."""
+"""`GET /metrics`: figures for Prometheus, in its text format, version 0.0.4 (docs/internals/metrics.md lists them)."""
 
 from __future__ import annotations
 
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 from fastapi import APIRouter, Response
 
-from vaoi_station.api.http_caching import LIVE
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.push.publisher import Publisher
@@ -23,16 +21,8 @@ from vaoi_station.store.storage_trouble import CODES
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
-Labels = Mapping[str, str]
-
-
-class Metric(NamedTuple):
-    """A metric: its name, type and description, and its samples, each with a suffix of the name, labels and a value."""
-
-    name: str
-    kind: str
-    help: str
-    samples: tuple[tuple[str, Labels, float], ...]
+Sample = tuple[Mapping[str, str], float | None]
+"""Labels and value; a value that is not known is left out."""
 
 
 def router(services: Services) -> APIRouter:
@@ -40,148 +30,148 @@ def router(services: Services) -> APIRouter:
     routes = rest_router(base="")
     coordinator, ask = services.coordinator, services.commands.ask
 
+    def text() -> str:
+        snapshot = coordinator.snapshot()
+        lines = itertools.chain(
+            _station(snapshot, coordinator.run_figures()),
+            _cameras(snapshot),
+            _processes(snapshot),
+            _publishing(services.publisher),
+            _archive(snapshot.retention.archive),
+            _storage(coordinator.storage.figures()),
+        )
+        return "\n".join(lines) + "\n"
+
     # Not part of the REST document: the format is that of Prometheus, and generated clients cannot use it.
     @routes.get("/metrics", include_in_schema=False)
     async def get_metrics() -> Response:
-        snapshot = await ask(coordinator.snapshot)
-        text = await ask(
-            lambda: as_text(
-                (
-                    *metrics_of(snapshot, coordinator.run_figures(), services.publisher),
-                    *_storage(coordinator.storage.figures()),
-                )
-            )
-        )
-        return Response(text, media_type=MEDIA_TYPE, headers={"Cache-Control": LIVE})
+        return Response(await ask(text), media_type=MEDIA_TYPE)
 
     return routes
 
 
-def metrics_of(
-    snapshot: StationSnapshot, figures: RunFigures, publisher: Publisher | None = None
-) -> tuple[Metric, ...]:
-    """Return all metrics of the station."""
-    free = sum(bay.use == "free" for bay in snapshot.ring.bays)
-    return (
-        _metric("vaoi_info", "gauge", "Always 1; the labels name station and version.",
-                ({"station": snapshot.name, "version": snapshot.versions.station}, 1)),
-        _metric("vaoi_state", "gauge", "1 for the present state of the station, 0 for all others.",
-                *(({"state": str(state)}, state is snapshot.state) for state in StationState)),
-        _metric("vaoi_reasons", "gauge", "Number of reasons for the present state.", ({}, len(snapshot.reasons))),
-        _metric("vaoi_warnings", "gauge", "Number of conditions that need attention.", ({}, len(snapshot.warnings))),
-        _metric("vaoi_runs_total", "counter", "Runs that ended since the start, by verdict.",
-                *(({"verdict": v}, figures.verdicts.get(v, 0)) for v in ("ok", "degraded", "failed", "none"))),
-        _metric("vaoi_frames_total", "counter", "Frames of ended runs since the start, by verdict.",
-                *(({"verdict": v}, n) for v, n in figures.frames.items())),
-        _latency(figures),
-        _metric("vaoi_boards_missed_total", "counter", "Boards that passed without a run.",
-                ({}, snapshot.boards_missed)),
-        _metric("vaoi_line_ready", "gauge", "1 if the next board may come, 0 if it must wait.",
-                ({}, snapshot.line_ready)),
-        _metric("vaoi_line_blocked_total", "counter", "Times without memory for the next board, since the start.",
-                ({}, snapshot.times_blocked)),
-        _metric("vaoi_ring_bays", "gauge", "Runs for which the ring has memory.", ({}, len(snapshot.ring.bays))),
-        _metric("vaoi_ring_bays_free", "gauge", "Runs for which the ring has memory that is free.", ({}, free)),
-        _metric("vaoi_ring_bytes", "gauge", "Size of the ring in shared memory.", ({}, snapshot.ring.size_bytes)),
-        _metric("vaoi_leases", "gauge", "Holds of callers on frames.", ({}, len(snapshot.ring.leases))),
-        *_cameras(snapshot),
-        *_processes(snapshot),
-        *_publishing(publisher),
-        *_archive(snapshot.retention.archive),
-    )  # fmt: skip
+def metric(name: str, text: str, *samples: Sample, kind: str = "") -> Iterator[str]:
+    """Yield the lines of a metric. Names of counters end with `_total`."""
+    full = f"vaoi_{name}"
+    yield f"# HELP {full} {text}"
+    yield f"# TYPE {full} {kind or ('counter' if name.endswith('_total') else 'gauge')}"
+    for labels, value in samples:
+        if value is not None:
+            yield sample(full, labels, value)
 
 
-def _storage(figures: StorageFigures) -> Iterable[Metric]:
-    """Yield the metrics of the data disk; what is not known has no value."""
-    sizes = (
-        ("vaoi_data_free_bytes", "Free space of the data disk.", figures.free_bytes),
-        ("vaoi_database_bytes", "Size of the database without its free pages.", figures.database_bytes),
-    )
-    for name, text, size in sizes:
-        yield _metric(name, "gauge", text, *(() if size is None else (({}, float(size)),)))
-    yield _metric("vaoi_runs_unstored", "gauge", "Finished runs that are in memory only.", ({}, figures.unstored))
-    yield _metric("vaoi_storage_trouble", "gauge", "1 for the present trouble of the storage, 0 for all others.",
-                  *(({"code": code}, code == figures.trouble) for code in sorted(CODES)))  # fmt: skip
+def sample(name: str, labels: Mapping[str, str], value: float) -> str:
+    """Return the line of one sample."""
+    escaped = {key: text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") for key, text in labels.items()}
+    inside = ",".join(f'{key}="{text}"' for key, text in escaped.items())
+    return f"{name}{f'{{{inside}}}' if inside else ''} {float(value):.17g}"
 
 
-def _archive(status: ArchiveStatus | None) -> Iterable[Metric]:
-    """Yield the metrics of the archive; without one they have no values."""
-    there = () if status is None else (status,)
-    outcomes = [(name, getattr(one, name)) for one in there for name in ("added", "dropped", "refused")]
-    yield _metric(
-        "vaoi_archive_up",
-        "gauge",
-        "1 if the archive takes runs, 0 if runs wait for it.",
-        *(({}, not one.problem) for one in there),
-    )
-    yield _metric(
-        "vaoi_archive_waiting", "gauge", "Runs that wait for the archive.", *(({}, one.waiting) for one in there)
-    )
-    yield _metric("vaoi_archive_runs_total", "counter", "Runs for the archive since the start, by outcome.",
-                  *(({"outcome": name}, count) for name, count in outcomes))  # fmt: skip
+def _by(label: str, values: Iterable[tuple[str, float | None]]) -> list[Sample]:
+    return [({label: name}, value) for name, value in values]
 
 
-def _latency(figures: RunFigures) -> Metric:
+def _station(now: StationSnapshot, figures: RunFigures) -> Iterator[str]:
+    ring, verdicts = now.ring, ("ok", "degraded", "failed", "none")
+    free = sum(bay.use == "free" for bay in ring.bays)
+    info = {"station": now.name, "version": now.versions.station}
+    yield from metric("info", "Always 1; the labels name station and version.", (info, 1))
+    states = ((str(state), state is now.state) for state in StationState)
+    yield from metric("state", "1 for the present state of the station, 0 for all others.", *_by("state", states))
+    yield from metric("reasons", "Number of reasons for the present state.", ({}, len(now.reasons)))
+    yield from metric("warnings", "Number of conditions that need attention.", ({}, len(now.warnings)))
+    runs = _by("verdict", ((verdict, figures.verdicts.get(verdict, 0)) for verdict in verdicts))
+    yield from metric("runs_total", "Runs that ended since the start, by verdict.", *runs)
+    frames = _by("verdict", figures.frames.items())
+    yield from metric("frames_total", "Frames of ended runs since the start, by verdict.", *frames)
+    yield from _latency(figures)
+    yield from metric("boards_missed_total", "Boards that passed without a run.", ({}, now.boards_missed))
+    yield from metric("line_ready", "1 if the next board may come, 0 if it must wait.", ({}, now.line_ready))
+    blocked = "Times without memory for the next board, since the start."
+    yield from metric("line_blocked_total", blocked, ({}, now.times_blocked))
+    yield from metric("ring_bays", "Runs for which the ring has memory.", ({}, len(ring.bays)))
+    yield from metric("ring_bays_free", "Runs for which the ring has memory that is free.", ({}, free))
+    yield from metric("ring_bytes", "Size of the ring in shared memory.", ({}, ring.size_bytes))
+    yield from metric("leases", "Holds of callers on frames.", ({}, len(ring.leases)))
+
+
+def _latency(figures: RunFigures) -> Iterator[str]:
+    name = "result_latency_seconds"
+    yield from metric(name, "Time from the last frame to the result.", kind="histogram")
     bounds = [*(f"{bound:g}" for bound in LATENCY_BOUNDS_S), "+Inf"]
     counts = itertools.accumulate(figures.latencies)  # a class of Prometheus also counts all smaller values
-    buckets: tuple[tuple[str, Labels, float], ...] = tuple(
-        ("_bucket", {"le": bound}, float(count)) for bound, count in zip(bounds, counts, strict=True)
-    )
-    ends: tuple[tuple[str, Labels, float], ...] = (
-        ("_sum", {}, figures.latency_sum_s),
-        ("_count", {}, float(sum(figures.latencies))),
-    )
-    return Metric(
-        "vaoi_result_latency_seconds", "histogram", "Time from the last frame to the result.", (*buckets, *ends)
-    )
+    for bound, count in zip(bounds, counts, strict=True):
+        yield sample(f"vaoi_{name}_bucket", {"le": bound}, count)
+    yield sample(f"vaoi_{name}_sum", {}, figures.latency_sum_s)
+    yield sample(f"vaoi_{name}_count", {}, sum(figures.latencies))
 
 
-def _cameras(snapshot: StationSnapshot) -> Iterable[Metric]:
-    cameras = [({"camera": camera.name}, camera) for camera in snapshot.cameras]
-    yield _metric("vaoi_camera_connected", "gauge", "Whether the camera is connected.",
-                  *((label, c.connected) for label, c in cameras))  # fmt: skip
-    yield _metric("vaoi_camera_frames_total", "counter", "Frames that the camera delivered.",
-                  *((label, c.delivered) for label, c in cameras))  # fmt: skip
-    yield _metric("vaoi_camera_incomplete_frames_total", "counter", "Frames that arrived with gaps.",
-                  *((label, c.incomplete) for label, c in cameras))  # fmt: skip
-    yield _metric("vaoi_camera_temperature_celsius", "gauge", "Temperature that the camera reports.",
-                  *((label, c.temperature_c) for label, c in cameras if c.temperature_c is not None))  # fmt: skip
+def _cameras(now: StationSnapshot) -> Iterator[str]:
+    for name, text, key in (
+        ("connected", "Whether the camera is connected.", "connected"),
+        ("frames_total", "Frames that the camera delivered.", "delivered"),
+        ("incomplete_frames_total", "Frames that arrived with gaps.", "incomplete"),
+        ("temperature_celsius", "Temperature that the camera reports.", "temperature_c"),
+    ):
+        yield from metric(f"camera_{name}", text, *_by("camera", ((c.name, getattr(c, key)) for c in now.cameras)))
 
 
-def _processes(snapshot: StationSnapshot) -> Iterable[Metric]:
-    children = [({"process": p.name}, p) for p in snapshot.processes]
-    yield _metric("vaoi_process_up", "gauge", "Whether the process runs.", *((label, p.alive) for label, p in children))
-    yield _metric("vaoi_process_restarts_total", "counter", "Restarts of the process since the start.",
-                  *((label, p.restarts) for label, p in children))  # fmt: skip
-    pids = {"station": os.getpid(), **{p.name: p.pid for p in snapshot.processes if p.pid is not None}}
-    used = {name: usage for name, pid in pids.items() if (usage := _usage(pid)) is not None}
-    for index, (name, kind, text) in enumerate(_USAGE):
-        yield _metric(name, kind, text, *(({"process": process}, usage[index]) for process, usage in used.items()))
+def _processes(now: StationSnapshot) -> Iterator[str]:
+    alive, restarts = ([(p.name, getattr(p, key)) for p in now.processes] for key in ("alive", "restarts"))
+    yield from metric("process_up", "Whether the process runs.", *_by("process", alive))
+    yield from metric("process_restarts_total", "Restarts of the process since the start.", *_by("process", restarts))
+    pids = {"station": os.getpid(), **{p.name: p.pid for p in now.processes if p.pid is not None}}
+    used = [(name, usage) for name, pid in pids.items() if (usage := _usage(pid)) is not None]
+    for index, (name, text) in enumerate(_USAGE):
+        yield from metric(
+            f"process_{name}", text, *_by("process", ((process, usage[index]) for process, usage in used))
+        )
 
 
-def _publishing(publisher: Publisher | None) -> Iterable[Metric]:
-    def metric(name: str, kind: str, text: str, value: Callable[[Publisher], float]) -> Metric:
-        samples = () if publisher is None else (({"receiver": publisher.name}, value(publisher)),)
-        return _metric(f"vaoi_push_{name}", kind, text, *samples)
+def _publishing(publisher: Publisher | None) -> Iterator[str]:
+    values: list[float | None] = [None] * 5
+    if publisher is not None:
+        state = publisher.state
+        values = [not publisher.is_failing, publisher.waiting, state.delivered, state.failures, state.skipped]
+    texts = {
+        "up": "1 if the broker accepts messages, 0 if it fails.",
+        "waiting": "Events that have not had their turn at the broker.",
+        "delivered_total": "Messages that the broker has accepted.",
+        "failures_total": "Attempts to publish that failed.",
+        "skipped_total": "Events that were not sent because too many waited.",
+    }
+    labels = {} if publisher is None else {"receiver": publisher.name}
+    for (name, text), value in zip(texts.items(), values, strict=True):
+        yield from metric(f"push_{name}", text, (labels, value))
 
-    yield metric("up", "gauge", "1 if the broker accepts messages, 0 if it fails.", lambda p: not p.is_failing)
-    yield metric("waiting", "gauge", "Events that have not had their turn at the broker.", lambda p: p.waiting)
-    yield metric("delivered_total", "counter", "Messages that the broker has accepted.", lambda p: p.state.delivered)
-    yield metric("failures_total", "counter", "Attempts to publish that failed.", lambda p: p.state.failures)
-    yield metric(
-        "skipped_total", "counter", "Events that were not sent because too many waited.", lambda p: p.state.skipped
-    )
+
+def _archive(status: ArchiveStatus | None) -> Iterator[str]:
+    there = () if status is None else (status,)
+    up = "1 if the archive takes runs, 0 if runs wait for it."
+    yield from metric("archive_up", up, *(({}, not one.problem) for one in there))
+    yield from metric("archive_waiting", "Runs that wait for the archive.", *(({}, one.waiting) for one in there))
+    outcomes = [(name, getattr(one, name)) for one in there for name in ("added", "dropped", "refused")]
+    total = "Runs for the archive since the start, by outcome."
+    yield from metric("archive_runs_total", total, *_by("outcome", outcomes))
+
+
+def _storage(figures: StorageFigures) -> Iterator[str]:
+    yield from metric("data_free_bytes", "Free space of the data disk.", ({}, figures.free_bytes))
+    yield from metric("database_bytes", "Size of the database without its free pages.", ({}, figures.database_bytes))
+    yield from metric("runs_unstored", "Finished runs that are in memory only.", ({}, figures.unstored))
+    troubles = _by("code", ((code, code == figures.trouble) for code in sorted(CODES)))
+    yield from metric("storage_trouble", "1 for the present trouble of the storage, 0 for all others.", *troubles)
 
 
 _USAGE = (
-    ("vaoi_process_resident_bytes", "gauge", "Resident memory of the process, shared memory included."),
-    ("vaoi_process_shared_bytes", "gauge", "Shared part of the resident memory: the ring and mapped files."),
-    ("vaoi_process_cpu_seconds_total", "counter", "Processor time of the process."),
-    ("vaoi_process_open_fds", "gauge", "Open file descriptors of the process."),
-    ("vaoi_process_threads", "gauge", "Threads of the process."),
-    ("vaoi_process_age_seconds", "gauge", "Time since the start of the process."),
+    ("resident_bytes", "Resident memory of the process, shared memory included."),
+    ("shared_bytes", "Shared part of the resident memory: the ring and mapped files."),
+    ("cpu_seconds_total", "Processor time of the process."),
+    ("open_fds", "Open file descriptors of the process."),
+    ("threads", "Threads of the process."),
+    ("age_seconds", "Time since the start of the process."),
 )
-"""Name, type and description of each metric that `_usage` returns, in the same order."""
+"""Name and description of each metric that `_usage` returns, in the same order."""
 
 
 def _usage(pid: int) -> tuple[float, ...] | None:
@@ -196,22 +186,3 @@ def _usage(pid: int) -> tuple[float, ...] | None:
         return None
     cpu_s, threads, started_s = (int(stat[11]) + int(stat[12])) / ticks, int(stat[17]), int(stat[19]) / ticks
     return (resident, shared, cpu_s, descriptors, threads, time.clock_gettime(time.CLOCK_BOOTTIME) - started_s)
-
-
-def _metric(name: str, kind: str, text: str, *samples: tuple[Labels, float]) -> Metric:
-    return Metric(name, kind, text, tuple(("", labels, value) for labels, value in samples))
-
-
-def as_text(metrics: Iterable[Metric]) -> str:
-    """Format metrics in the text format of Prometheus, version 0.0.4."""
-    lines = []
-    for metric in metrics:
-        lines += [f"# HELP {metric.name} {metric.help}", f"# TYPE {metric.name} {metric.kind}"]
-        for suffix, labels, value in metric.samples:
-            inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
-            lines.append(f"{metric.name}{suffix}{f'{{{inside}}}' if inside else ''} {float(value):.17g}")
-    return "\n".join(lines) + "\n"
-
-
-def _escaped(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
