@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.needs import need_emulator
+from tests.rig.known_boards import known_board
 from vaoi_station.rig.chip import build
 from vaoi_station.rig.rendering import RenderedBoard, render_boards
 from vaoi_station.simulation import Scenario, read_scenario, scenario_path
@@ -27,3 +28,9 @@ def boards(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> tuple[R
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     need_emulator()
     return build(tmp_path_factory.mktemp("rig") / "firmware")
+
+
+@pytest.fixture
+def known(tmp_path: Path) -> RenderedBoard:
+    """A board of two cameras and six rows."""
+    return known_board(tmp_path / "board")

@@ -1,4 +1,4 @@
-"""`vaoi rig run` against a scripted station and scripted devices: what it collects, waits for and reports."""
+"""`vaoi rig run` and `vaoi rig up` with a scripted station."""
 
 from __future__ import annotations
 
@@ -9,28 +9,115 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from tests.rig.known_boards import CAMERAS, PERIOD_NS, ROWS, known_board, passage_of, run_json
-from vaoi_station.errors import NotFoundError
+from vaoi_station.config import read_config
+from vaoi_station.demo.client import Client
+from vaoi_station.errors import DeviceError, NotFoundError
 from vaoi_station.rig import line as feeder_module
 from vaoi_station.rig import run as run_module
+from vaoi_station.rig import run as status_watch
+from vaoi_station.rig import run as up
 from vaoi_station.rig.chip import Pulse
-from vaoi_station.rig.faults import parse_fault
+from vaoi_station.rig.faults import Fault, parse_fault
 from vaoi_station.rig.line import BoardPassage
+from vaoi_station.rig.network import NAMESPACE_VARIABLE
 from vaoi_station.rig.rendering import RenderedBoard
 from vaoi_station.rig.report import RigReport
-from vaoi_station.rig.run import Plan, run_rig
+from vaoi_station.rig.run import Plan, StatusWatch, run_rig, run_until_interrupted
 from vaoi_station.rig.score import RingCheck
 from vaoi_station.simulation import Scenario
+
+TIMEOUT_S = 20.0
+
+
+class Station:
+    """A station whose state the test sets; None: it does not answer."""
+
+    def __init__(self) -> None:
+        self.state: str | None = "starting"
+        self.connected = [True, True]
+        self.polls = threading.Semaphore(0)
+
+    def get(self, path: str) -> dict[str, Any]:
+        assert path == "/station"
+        self.polls.release()
+        if self.state is None:
+            raise DeviceError("the station does not answer.")
+        return {"state": self.state, "cameras": [{"connected": c} for c in self.connected]}
+
+    def poll_twice(self) -> None:
+        """Wait until a poll that began after this call has ended."""
+        while self.polls.acquire(blocking=False):
+            pass
+        for _ in range(2):
+            assert self.polls.acquire(timeout=TIMEOUT_S)
+
+
+@pytest.fixture
+def station(monkeypatch: pytest.MonkeyPatch) -> Station:
+    monkeypatch.setattr(status_watch, "INTERVAL_S", 0.005)
+    return Station()
+
+
+@pytest.fixture
+def watch(station: Station) -> Iterator[StatusWatch]:
+    with StatusWatch(cast("Client", station)) as watch:
+        yield watch
+
+
+def test_a_condition_is_checked_on_replies_after_the_call(watch: StatusWatch, station: Station) -> None:
+    assert watch.wait(lambda s: s["state"] == "starting", TIMEOUT_S)
+    station.state = "idle"
+    assert watch.wait(lambda s: s["state"] == "idle", TIMEOUT_S)
+    assert watch.last["state"] == "idle"
+    assert not watch.wait(lambda s: s["state"] == "starting", 0.05)
+
+
+def test_ready_means_armed_with_all_cameras(watch: StatusWatch, station: Station) -> None:
+    station.state = "armed"
+    assert watch.wait_ready(TIMEOUT_S)
+    station.connected[1] = False
+    assert not watch.wait_ready(0.05)
+    station.connected[1] = True
+    station.state = "filming"
+    assert not watch.wait_ready(0.05)
+
+
+def test_ready_since_is_the_first_reply_of_an_unbroken_series(watch: StatusWatch, station: Station) -> None:
+    began_ns = time.monotonic_ns()
+    station.state = "armed"
+    assert watch.wait_ready(TIMEOUT_S)
+    station.state = "stopped"
+    assert watch.wait(lambda s: s["state"] == "stopped", TIMEOUT_S)
+    assert watch.ready_since(began_ns) is None
+    middle_ns = time.monotonic_ns()
+    station.state = "filming"
+    assert watch.wait(lambda s: s["state"] == "filming", TIMEOUT_S)
+    since_ns = watch.ready_since(began_ns)
+    assert since_ns is not None
+    assert middle_ns <= since_ns <= time.monotonic_ns()
+    assert watch.ready_since(time.monotonic_ns() + 10**12) is None
+
+
+def test_a_station_that_does_not_answer_changes_nothing(watch: StatusWatch, station: Station) -> None:
+    station.state = "armed"
+    assert watch.wait_ready(TIMEOUT_S)
+    since_ns = watch.ready_since(0)
+    station.state = None
+    station.poll_twice()
+    assert watch.last["state"] == "armed"
+    assert watch.ready_since(0) == since_ns
+
 
 SHORT_TIMEOUT_S = 0.2
 TIMES: dict[str, Any] = {"edges": ((0.0, True), (0.001, False)), "views": {"R1": ((0.0, 1.0, 10.0, 20.0),)}}
 
 
-class Station:
+class ScriptedStation:
     """A station that finishes one run for every board that passes."""
 
     def __init__(self) -> None:
@@ -99,7 +186,7 @@ class Station:
 class Devices:
     """Devices whose line records every board at once."""
 
-    def __init__(self, station: Station, folder: Path, on_row: Callable[[int, int], None]) -> None:
+    def __init__(self, station: ScriptedStation, folder: Path, on_row: Callable[[int, int], None]) -> None:
         self.station, self.on_row = station, on_row
         self.addresses, self.terminal = ("127.0.0.2", "127.0.0.3"), folder / "trigger"
         self.cameras = [SimpleNamespace(pid=None)] * CAMERAS
@@ -131,7 +218,7 @@ class Rig:
     """Runs `run_rig` with everything scripted."""
 
     def __init__(self, scenario: Scenario, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.scenario, self.station, self.lines = scenario, Station(), list[str]()
+        self.scenario, self.station, self.lines = scenario, ScriptedStation(), list[str]()
         self.caches: list[Path] = []
         self.unexpected = 0
         station = self.station
@@ -186,19 +273,13 @@ def test_every_board_is_matched_with_its_run(rig: Rig) -> None:
     report = rig.run(boards=3)
     assert (report.ok, report.failings) == (True, ())
     assert [board.run for board in report.boards] == ["r0", "r1", "r2"]
-    assert all(board.faultless for board in report.boards)
+    assert all(
+        (board.status, board.ok, board.wrong) == ("ok", board.rows_due * board.cameras, ()) for board in report.boards
+    )
     assert rig.station.commands == ["/station/arm small", *(f"/station/arm small board-{n}" for n in range(3))]
     assert [line for line in rig.lines if line.startswith("run")] == [
         f"run {n}: ok, 12 of 12 frames." for n in (1, 2, 3)
     ]
-
-
-def test_the_report_states_the_scenario_and_its_rate(rig: Rig) -> None:
-    report = rig.run(boards=1)
-    array = rig.scenario.array
-    assert (report.scenario, report.cameras) == ("small", array.cameras)
-    assert (report.width_px, report.height_px) == (array.width_px, array.height_px)
-    assert report.frames_per_s == pytest.approx(1 / rig.scenario.line.period_s, abs=1e-3)
 
 
 def test_a_board_without_a_run_is_reported_after_the_timeout(rig: Rig) -> None:
@@ -252,3 +333,82 @@ def test_rendered_boards_are_kept_only_where_asked(rig: Rig, tmp_path: Path) -> 
     rig.run(boards=1)
     assert rig.caches[0] == tmp_path / "kept"
     assert not rig.caches[1].parent.exists()
+
+
+COMMANDS: list[str] = []
+"""What the scripted devices were asked for, in order."""
+
+
+class ScriptedDevices:
+    """Devices whose chip ends at once, and whose line fails after some boards."""
+
+    passes = 3
+
+    def __init__(self, scenario: Scenario, folder: Path, frame_faults: Any, on_row: Callable[[int, int], None]) -> None:
+        self.addresses = tuple(f"127.0.0.{n + 2}" for n in range(scenario.array.cameras))
+        self.cameras, self.terminal = self.addresses, folder / "trigger"
+        self.chip = SimpleNamespace(alive=False, send=COMMANDS.append)
+        self.line = self
+
+    def __enter__(self) -> ScriptedDevices:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        COMMANDS.append("closed")
+
+    def lay_calibration_board(self) -> None:
+        COMMANDS.append("calibration board")
+
+    def start_passage(self, rendered: RenderedBoard) -> Any:
+        if COMMANDS.count("board") == self.passes:
+            raise DeviceError("the emulated chip has ended.")
+        COMMANDS.append("board")
+        return SimpleNamespace()
+
+
+@pytest.fixture
+def start(
+    small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., list[str]]:
+    """Run until the scripted end; the printed lines."""
+    COMMANDS.clear()
+    short = [SimpleNamespace(**{n: getattr(boards[0], n) for n in ("calibration", "board_type")}, duration_s=0.0)]
+    monkeypatch.setattr(up, "Devices", ScriptedDevices)
+    monkeypatch.setattr(up, "prepare_boards", lambda *_: short)
+    monkeypatch.setattr(up, "min_interval_s", lambda *_: 0.0)
+    monkeypatch.setattr("vaoi_station.rig.line.FEED_MARGIN_S", 0.0)
+
+    def run(*faults: Fault, still: bool = False) -> list[str]:
+        lines: list[str] = []
+        with pytest.raises(DeviceError, match="the emulated chip has ended"):
+            run_until_interrupted(small, faults, tmp_path, tmp_path / "rendered", 1, lines.append, still=still)
+        return lines
+
+    return run
+
+
+def test_boards_pass_again_and_again_until_the_chip_ends(start: Callable[..., list[str]]) -> None:
+    lines = start()
+    assert COMMANDS == ["calibration board", "board", "board", "board", "closed"]
+    assert lines[-1].startswith("Boards pass")
+
+
+def test_without_boards_only_the_calibration_board_is_there(start: Callable[..., list[str]]) -> None:
+    lines = start(still=True)
+    assert COMMANDS == ["calibration board", "closed"]
+    assert lines[-1].startswith("No board passes")
+
+
+def test_the_printed_command_starts_a_station_that_can_be_read(
+    start: Callable[..., list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(NAMESPACE_VARIABLE, "")
+    lines = start(still=True)
+    assert f"Start the station: vaoi serve --config {tmp_path / 'station.toml'}" in lines
+    assert f"2 cameras at 127.0.0.2 …, the controller at {tmp_path / 'trigger'}." in lines
+    assert read_config(tmp_path / "station.toml").name == "rig"
+
+
+def test_noise_is_injected_from_the_start(start: Callable[..., list[str]]) -> None:
+    start(parse_fault("noise:share=0.25"), still=True)
+    assert COMMANDS[0] == "noise 0.25 0.25"

@@ -97,10 +97,7 @@ class ClockModel:
         return self._device0_s + (host_s - self._host0_s) / (1 + self._slope)
 
     def bound_s(self, device_s: float | None = None) -> float:
-        """Return the bound of the error of `host_s` at a device time, in s; by default at the newest reading.
-
-        The bound is infinite before the first reading.
-        """
+        """Return the bound of the error of `host_s` at a device time, in s; by default at the newest reading."""
         # Without a device time the bound stored by the last fit is returned: this is called with every frame.
         if device_s is None or not self._readings:
             return self._bound_s

@@ -154,10 +154,7 @@ class RingLayout:
         return (bay * self.cameras + camera) * self.slots_per_camera + k
 
     def place(self, slot: int) -> tuple[int, int, int]:
-        """Return (bay, camera, k) for the number of a slot. k counts the slots of this camera in this bay.
-
-        This is the inverse of `slot`.
-        """
+        """Return (bay, camera, k) for the number of a slot. k counts the slots of this camera in this bay."""
         if not 0 <= slot < self.slots:
             raise InputError.field("ring", "slot", slot, f"0 … {self.slots - 1}")
         rest, k = divmod(slot, self.slots_per_camera)

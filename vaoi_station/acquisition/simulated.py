@@ -360,10 +360,7 @@ class SimulatedLine:
         self._thread.start()
 
     def accept(self, plan: TriggerPlan) -> TriggerPlan:
-        """Return the plan that is simulated; `accept_plan` states which plans are refused.
-
-        Boards that were rendered for another light program are rendered again.
-        """
+        """Return the plan that is simulated; `accept_plan` states which plans are refused."""
         accepted = accept_plan(plan, self._scenario_plan, self._twin.scenario.lights)
         with self._change:
             if accepted.program != self._plan.program:

@@ -79,17 +79,6 @@ class BoardScore(Strict):
     """Time, s, for which the conveyor held the board back until the output "line ready" was on; None: it did not come
     on, and the board passed nevertheless."""
 
-    @property
-    def sound(self) -> bool:
-        """Whether no frame is in a wrong row, no frame is lost without a fault, and every loss has a cause."""
-        proven = self.proven is None or self.proven == self.ok
-        return proven and not (self.wrong or self.mislit or self.innocent or self.unnamed or self.notes)
-
-    @property
-    def faultless(self) -> bool:
-        """Whether the score is sound, all frames arrived, and the run has the verdict ok."""
-        return self.sound and self.status == "ok" and self.ok == self.rows_due * self.cameras
-
 
 class Recovery(Strict):
     """Recovery of the station from one fault: when the device worked again, and when the station was ready again."""

@@ -228,10 +228,7 @@ def _affected_frame(cell: Cell, verdicts: tuple[str, str], done: str) -> Affecte
 
 
 def _mislit(passage: BoardPassage, run: Mapping[str, Any] | None, lighting: Lighting | None) -> Iterator[str]:
-    """Yield a text for each complete frame whose light or exposure the station states otherwise than the chip fired it.
-
-    The chip's pulses are those of its pins: which LEDs were on, and for how long.
-    """
+    """Yield a text for each complete frame whose light or exposure is stated otherwise than fired."""
     for frame in run["frames"] if run and lighting else ():
         camera, row = frame["camera"], frame["row"]
         if frame["verdict"] != "ok" or row >= len(passage.fired):

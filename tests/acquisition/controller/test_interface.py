@@ -2,15 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-
-import pytest
-
 from vaoi_station.acquisition.controller.interface import (
-    BarrierBlocked,
-    PulseFired,
-    PulseSkipped,
-    RunEnded,
     TriggerPlan,
 )
 from vaoi_station.acquisition.controller.trigger_rule import check_plan
@@ -50,17 +42,3 @@ def test_the_longest_board_limits_the_rows() -> None:
 
 def test_without_lights_every_row_has_the_same_one() -> None:
     assert tuple(TriggerPlan.of(LINE).lights) == ()
-
-
-@pytest.mark.parametrize(
-    "event",
-    [
-        BarrierBlocked(0, 1.0),
-        PulseFired(1, 1.3, 0, "top"),
-        PulseSkipped(2, 1.4, 1, "late"),
-        RunEnded(3, 2.0, 2, "clear"),
-    ],
-)
-def test_events_cannot_be_changed(event: BarrierBlocked) -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        event.number = 7  # type: ignore[misc]

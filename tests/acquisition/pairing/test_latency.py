@@ -1,15 +1,27 @@
-"""Tests of learning a camera's latency from the beginning of a run."""
+"""The latency of a camera, and how runs teach it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
+from tests.acquisition.recorder_script import PERIOD_S, RecorderScript
 from vaoi_station.acquisition.pairing.evidence import GATE_S
-from vaoi_station.acquisition.pairing.latency import Beginning, CameraLatency, LatencySettings, in_order_s, learn
+from vaoi_station.acquisition.pairing.latency import (
+    Beginning,
+    CameraLatency,
+    Latencies,
+    LatencySettings,
+    WaitingFrame,
+    in_order_s,
+    learn,
+)
+from vaoi_station.acquisition.pairing.proof import doubts_of
+from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
+from vaoi_station.model import Pulse, Verdict
 
 T = 0.03
 PULSES_S = [10.0 + k * T for k in range(5)]
@@ -117,3 +129,179 @@ def test_a_learnt_latency_follows_the_frames_and_is_learnt_again_after_a_jump() 
     latency.revise(None, None, assigned=0, extra=3)
     assert latency.value_s == pytest.approx(0.028)
     assert not latency.confirmed
+
+
+START_S = 1000.0
+
+
+def film(script: RecorderScript, run: str, start_s: float, latency_s: float, rows: list[int], *, of: int = 6) -> None:
+    """Schedule a run of one camera whose time stamps are late; `rows` are those of which a frame arrives."""
+    script.run(run, start_s, of, 0.001)
+    for row in range(of):
+        exposed_s = start_s + row * PERIOD_S
+        if row in rows:
+            arrives_s = 0.01 + latency_s
+            script.frame((run, 0, row), exposed_s, arrives_s, dated_s=exposed_s + latency_s)
+        else:
+            script.skip_id(0)
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.012, 0.05, 0.098, PERIOD_S, 1.3 * PERIOD_S])
+def test_every_latency_is_learnt_from_the_first_run(latency_s: float) -> None:
+    """98 ms at a period of 100 ms looks like 2 ms before the next pulse, which is impossible."""
+    script = RecorderScript(1)
+    for number, name in enumerate("ab"):
+        film(script, name, START_S + 3.0 * number, latency_s, list(range(6)))
+    script.play()
+    script.check()
+    for name in "ab":
+        assert set(script.verdicts(name).values()) == {Verdict.OK}
+        assert script.proofs[name].proven
+        assert not script.proofs[name].findings
+        assert script.proofs[name].cameras[0].latency_us == pytest.approx(latency_s * 1e6 + 7, abs=100)
+
+
+def test_without_a_frame_of_the_first_pulse_the_run_is_in_doubt_and_the_next_one_is_not() -> None:
+    script = RecorderScript(1)
+    film(script, "a", START_S, 0.028, [1, 2, 3, 4, 5])
+    film(script, "b", START_S + 3.0, 0.028, list(range(6)))
+    film(script, "c", START_S + 6.0, 0.028, [1, 2, 3, 4, 5])
+    script.play()
+    script.check()
+    assert [f.kind for f in script.proofs["a"].findings] == ["latency-ambiguous"]
+    assert "camera 0" in doubts_of(script.proofs["a"])[0]
+    assert not script.proofs["b"].findings
+    assert not script.proofs["c"].findings, "once confirmed, a lost first frame leaves no doubt"
+
+
+def test_a_belt_faster_than_planned_confirms_no_latency_that_is_one_pulse_off() -> None:
+    """The frame of the first pulse is lost; the others seem to follow the pulses by 0.82 trigger periods."""
+    latencies, run = Latencies([LatencySettings()], lambda _camera, _s: 1e-4), RunRecord("a", 0, PERIOD_S)
+    for row in range(4):
+        fired_s = START_S + row * 0.8 * PERIOD_S
+        run.pulses[row] = ObservedPulse(Pulse(index=row, time_s=fired_s), fired_s)
+    waiting = [WaitingFrame(run.pulses[row].host_s + 0.002, False) for row in (1, 2, 3)]
+    latencies.learn(0, [run], waiting, [], START_S + 1)
+    assert not latencies[0].confirmed
+    assert run.latency_known == {}
+
+
+def test_before_the_second_pulse_the_plan_states_how_soon_it_may_come() -> None:
+    """The plan allows 4 times the planned speed: a first frame after 8 ms may be that of the second pulse."""
+    latencies, run = Latencies([LatencySettings()], lambda _camera, _s: 1e-4), RunRecord("a", 0, 0.03)
+    run.pulses[0] = ObservedPulse(Pulse(index=0, time_s=START_S), START_S)
+    run.fastest_s = 0.03 / 4
+    latencies.learn(0, [run], [WaitingFrame(START_S + 0.0077, False)], [], START_S + 1)
+    assert not latencies[0].confirmed
+
+
+@pytest.mark.parametrize(("gap", "known"), [(1.7, {0: True}), (1.5, {})])
+def test_the_silence_before_a_run_is_as_short_as_its_intervals(gap: float, known: dict[int, bool]) -> None:
+    """On a belt of 1.25 times the planned speed, two intervals are 1.6 trigger periods."""
+    latencies = Latencies([LatencySettings()], lambda _camera, _s: 1e-4)
+    before, run = RunRecord("a", 0, PERIOD_S, finished=True), RunRecord("b", 0, PERIOD_S)
+    before.pulses[0] = ObservedPulse(Pulse(index=0, time_s=START_S), START_S)
+    for row in range(2):
+        fired_s = START_S + (gap + 0.8 * row) * PERIOD_S
+        run.pulses[row] = ObservedPulse(Pulse(index=row, time_s=fired_s), fired_s)
+    latencies.learn(0, [before, run], [WaitingFrame(run.first_s + 0.002, False)], [], START_S + 1)
+    assert run.latency_known == known
+
+
+def test_a_latency_that_grows_by_nearly_a_period_is_named_and_used_from_the_next_run_on() -> None:
+    script = RecorderScript(1)
+    film(script, "a", START_S, 0.0, list(range(6)))
+    film(script, "b", START_S + 3.0, 0.098, list(range(6)))
+    film(script, "c", START_S + 6.0, 0.098, list(range(6)))
+    script.play()
+    script.check_slots()
+    assert [f.kind for f in script.proofs["b"].findings] == ["latency-changed"]
+    assert "98.0 ms after the pulses" in script.proofs["b"].findings[0].text
+    assert not script.wrong_rows("b")
+    assert not script.proofs["c"].findings
+    assert set(script.verdicts("c").values()) == {Verdict.OK}
+
+
+@pytest.mark.parametrize(
+    ("latency_s", "found"), [(0.0, []), (0.098, ["latency-changed"]), (PERIOD_S, ["latency-changed"])]
+)
+def test_frames_taken_before_the_latency_came_into_doubt_count_as_well(latency_s: float, found: list[str]) -> None:
+    """Run b waits for its frames until the first ones of run c were taken; its own frames put the latency in doubt."""
+    script = RecorderScript(1)
+    film(script, "a", START_S, 0.0, list(range(6)))
+    film(script, "b", START_S + 3.0, 0.0, [])
+    for number in range(4):
+        stray_s = START_S + 3.03 + number * PERIOD_S
+        script.frame(("b", 0, -1), stray_s, 0.02)
+    film(script, "c", START_S + 3.0 + 5 * PERIOD_S + 0.35, latency_s, list(range(6)))
+    script.play()
+    assert [f.kind for f in script.proofs["c"].findings] == found
+    assert bool(script.wrong_rows("c")) <= bool(found)
+
+
+def test_a_given_latency_is_used_from_the_first_frame_on() -> None:
+    script = RecorderScript(1, [LatencySettings(given_s=0.098)])
+    film(script, "a", START_S, 0.098, [1, 2, 3, 4, 5])
+    script.play()
+    script.check()
+    assert script.proofs["a"].findings == ()
+
+
+def test_a_wrong_given_latency_is_named() -> None:
+    script = RecorderScript(1, [LatencySettings(given_s=0.0)])
+    film(script, "a", START_S, 0.098, list(range(6)))
+    script.play()
+    assert [f.kind for f in script.proofs["a"].findings] == ["latency-changed"]
+    assert not script.wrong_rows("a")
+
+
+@pytest.mark.parametrize(("gate_s", "good"), [(0.004, 5), (0.008, 6)])
+def test_the_gate_is_configurable(gate_s: float, good: int) -> None:
+    script = RecorderScript(1, [LatencySettings(gate_s=gate_s)])
+    script.run("a", START_S, 6, 0.001)
+    for row in range(6):
+        exposed_s = START_S + row * PERIOD_S
+        script.frame(("a", 0, row), exposed_s, 0.02, dated_s=exposed_s + (0.006 if row == 3 else 0.0))
+    script.play()
+    assert sum(v is Verdict.OK for v in script.verdicts("a").values()) == good
+    assert doubts_of(script.proofs["a"])
+
+
+fates = st.sampled_from(["ok"] * 6 + ["lost", "ignored", "incomplete", "extra"])
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_no_frame_is_accepted_in_a_wrong_row_without_a_doubt(data: st.DataObject) -> None:
+    """The latency may be anything below the period, and may change between runs."""
+    script = RecorderScript(1)
+    start_s, latency_s = START_S, data.draw(st.floats(0, 0.999 * PERIOD_S))
+    names = [f"run {n}" for n in range(data.draw(st.integers(1, 3)))]
+    complete: dict[str, bool] = {}
+    for name in names:
+        jump = data.draw(st.sampled_from([0.0] * 4 + [0.3, 0.5, 0.95]))
+        latency_s = (latency_s + jump * PERIOD_S) % (0.999 * PERIOD_S)
+        rows = data.draw(st.lists(fates, min_size=3, max_size=8))
+        script.run(name, start_s, len(rows), data.draw(st.floats(0, 0.05)))
+        complete[name] = not jump and set(rows) == {"ok"}
+        for row, fate in enumerate(rows):
+            exposed_s = start_s + row * PERIOD_S
+            arrives_s = latency_s + data.draw(st.floats(0.001, 0.02))
+            if fate == "lost":
+                script.skip_id(0)
+            elif fate != "ignored":
+                whole = fate != "incomplete"
+                script.frame((name, 0, row), exposed_s, arrives_s, complete=whole, dated_s=exposed_s + latency_s)
+            if fate == "extra":
+                off_s = data.draw(st.floats(0.2, 0.8)) * PERIOD_S
+                script.frame((name, 0, -1), exposed_s + off_s, arrives_s, dated_s=exposed_s + off_s + latency_s)
+        start_s += len(rows) * PERIOD_S + data.draw(st.floats(0.5, 2.0))
+    script.play()
+    script.check_slots()
+    for name in names:
+        if script.wrong_rows(name):
+            event("in a wrong row, with a doubt")
+            assert doubts_of(script.proofs[name])
+        if complete[name] and name == names[0]:
+            assert not script.proofs[name].findings
+            assert set(script.verdicts(name).values()) == {Verdict.OK}

@@ -1,13 +1,23 @@
-"""Tests of the proof of a run: trigger faults are found, and no frame is accepted in a row that is not its own."""
+"""The proof of a run, and the doubts that it leaves."""
 
 from __future__ import annotations
+
+from typing import get_args
 
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from tests.acquisition.recorder_script import PERIOD_S, RecorderScript
-from vaoi_station.acquisition.pairing.proof import QUESTIONING_KINDS, TriggerFinding, TriggerProof
+from vaoi_station.acquisition.pairing.proof import (
+    ACTIONS,
+    QUESTIONING_KINDS,
+    Kind,
+    TriggerFinding,
+    TriggerProof,
+    doubtful,
+    doubts_of,
+)
 from vaoi_station.model import Verdict
 
 START_S = 1000.0
@@ -245,3 +255,32 @@ def test_findings_survive_json(script: RecorderScript) -> None:
     again = TriggerProof.model_validate_json(proof.model_dump_json())
     assert again == proof
     assert isinstance(again.findings[0], TriggerFinding)
+
+
+def doubted_proof(*findings: tuple[int, int | None, Kind]) -> TriggerProof:
+    found = tuple(TriggerFinding(camera=c, row=r, kind=k, text=f"text of {k}") for c, r, k in findings)
+    return TriggerProof(proven=False, cameras=(), findings=found)
+
+
+def test_every_kind_but_an_ignored_trigger_is_a_doubt_with_an_action() -> None:
+    """An ignored trigger only explains a missing frame."""
+    assert set(get_args(Kind)) - set(ACTIONS) == {"ignored-trigger"}
+    assert set(ACTIONS) >= QUESTIONING_KINDS
+    assert doubtful(doubted_proof((0, 1, "ignored-trigger"))) == ()
+    assert doubtful(None) == ()
+
+
+def test_rows_of_one_camera_and_kind_are_one_sentence() -> None:
+    doubts = doubts_of(
+        doubted_proof((1, 4, "off-beat"), (1, 2, "off-beat"), (0, 3, "extra-frame"), (2, None, "runs-freely"))
+    )
+    assert doubts == (
+        "trigger of camera 1, rows 2, 4: text of off-beat; these frames are not used",
+        "trigger of camera 0, row 3: text of extra-frame",
+        "trigger of camera 2: text of runs-freely; these frames are not used",
+    )
+
+
+@pytest.mark.parametrize("proof", [None, TriggerProof(proven=True, cameras=(), findings=())])
+def test_a_proven_run_has_no_doubts(proof: TriggerProof | None) -> None:
+    assert doubts_of(proof) == ()

@@ -1,4 +1,4 @@
-"""Tests of filming in a process of its own, and of the export of runs as recordings."""
+"""Filming without a station, and runs as recordings."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.process.filming import (
     FilmingHandlers,
     FilmingProcess,
@@ -18,14 +19,76 @@ from vaoi_station.acquisition.process.filming import (
     film,
     film_pulses,
     fire_steadily,
+    recording_head,
 )
 from vaoi_station.acquisition.process.messages import Command, FireOne, Grant, Ready, RunFinished, Trouble
-from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, GoneError, InputError
 from vaoi_station.files import open_recording, read_calibration
-from vaoi_station.model import RecordingHead
+from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
+from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
 from vaoi_station.simulation import Twin, read_scenario
+
+WIDTH, HEIGHT = 18, 16
+
+
+@pytest.mark.parametrize("names", [("Mono12p", "BayerRG8"), ("Mono10Packed", "BayerGB12p")])
+def test_a_recording_holds_pictures_of_packed_frames(tmp_path: Path, names: tuple[str, str]) -> None:
+    """Recordings hold 16 bit grey or colour pictures, whatever the cameras send."""
+    layout = RingLayout(1, 1, tuple(FrameShape(WIDTH, HEIGHT, name) for name in names))
+    with Ring.create(tmp_path / "packed.ring", layout) as ring, Ring.attach(ring.path) as reader:
+        generation = ring.claim(0)
+        sent = [
+            np.random.default_rng(k).integers(0, 256, PIXEL_FORMATS[name].nbytes(WIDTH, HEIGHT), dtype=np.uint8)
+            for k, name in enumerate(names)
+        ]
+        for camera, frame in enumerate(sent):
+            ring.memory(camera)[:] = frame
+        frames = tuple(FrameRecord(camera=k, row=0, verdict=Verdict.OK, slot=k) for k in range(2))
+        head = RecordingHead(
+            format="vaoi-recording",
+            version=1,
+            cameras=(CameraHead(width=WIDTH, height=HEIGHT, exposure_us=250.0),) * 2,
+            rows=1,
+            trigger_period_s=0.1,
+            conveyor_mm_s=(0.0, 100.0),
+        )
+        finished = RunFinished("001", 0, head, frames, 0.0, "clear")
+        recording = export_run(tmp_path / "kept", finished, reader, generation)
+        for camera, (frame, name) in enumerate(zip(sent, names, strict=True)):
+            seen = picture(frame, WIDTH, HEIGHT, PIXEL_FORMATS[name])
+            assert (reader.frame(camera) == seen).all()
+            kept = recording.frame(camera, 0)
+            assert kept is not None
+            assert kept.dtype == seen.dtype
+            assert (kept == seen).all()
+
+
+def test_the_head_has_the_verdicts_and_the_proof_in_keys_of_its_own() -> None:
+    camera = CameraHead(width=WIDTH, height=HEIGHT, exposure_us=250.0)
+    head = RecordingHead(
+        format="vaoi-recording",
+        version=1,
+        cameras=(camera,),
+        rows=2,
+        trigger_period_s=0.1,
+        conveyor_mm_s=(0.0, 100.0),
+        missing=((0, 1),),
+    )
+    frames = (
+        FrameRecord(camera=0, row=0, verdict=Verdict.OK, slot=0),
+        FrameRecord(camera=0, row=1, verdict=Verdict.MISSING, cause="the camera did not expose"),
+    )
+    proof = TriggerProof(proven=True, cameras=(), findings=())
+    written = recording_head(RunFinished("r7", 0, head, frames, 0.0, "max-rows", proof=proof))
+    assert written.missing == head.missing
+    extra = written.model_extra or {}
+    assert (extra["x_run"], extra["x_ended"]) == ("r7", "max-rows")
+    assert extra["x_verdicts"] == [{"camera": 0, "row": 1, "verdict": "missing", "cause": "the camera did not expose"}]
+    assert TriggerProof.model_validate(extra["x_proof"]) == proof
+    assert "x_proof" not in (recording_head(RunFinished("r7", 0, head, frames, 0.0, "clear")).model_extra or {})
+
 
 IGNORE = FilmingHandlers(lambda *_: None, lambda _: None)
 FAULT = "[[faults.lost_frames]]\ncamera = 1\nrow = 2\n"
@@ -135,17 +198,14 @@ def test_a_device_that_does_not_open_is_an_error_with_the_limit(make_config: Mak
 
 def test_steady_pulses_are_no_faster_than_requested(make_config: Make, tmp_path: Path) -> None:
     runs: list[str] = []
-    complete: list[str] = []
 
     def finished(run: RunFinished, ring: Ring, generation: int) -> None:
         runs.append(run.run)
         assert all(ring.snapshot(f.slot, generation).any() for f in run.frames if f.slot is not None)
 
     started_s = time.monotonic()
-    handlers = FilmingHandlers(finished, lambda _: None, lambda report, *_: complete.append(report.run))
-    film_pulses(make_config(), 5, 10.0, handlers)
+    film_pulses(make_config(), 5, 10.0, FilmingHandlers(finished, lambda _: None))
     assert runs == ["001", "002", "003", "004", "005"]
-    assert complete == [run for run in runs for _ in range(2)]
     assert time.monotonic() - started_s >= 4 / 10.0
     assert list((tmp_path / "shm").iterdir()) == []
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from dataclasses import FrozenInstanceError
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 
@@ -46,19 +45,9 @@ EXAMPLES: list[Any] = [
 ]
 
 
-def test_there_is_an_example_of_every_message() -> None:
-    assert {type(e) for e in EXAMPLES} == {*get_args(messages.Command), *get_args(messages.Report)}
-
-
 @pytest.mark.parametrize("message", EXAMPLES, ids=lambda m: type(m).__name__)
 def test_a_message_passes_through_a_pipe_unchanged(message: Any) -> None:
     here, there = multiprocessing.Pipe()
     with here, there:
         here.send(message)
         assert there.recv() == message
-
-
-@pytest.mark.parametrize("message", EXAMPLES, ids=lambda m: type(m).__name__)
-def test_messages_are_frozen(message: Any) -> None:
-    with pytest.raises((FrozenInstanceError, TypeError)):
-        message.run = "other"

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from vaoi_station.rig.chip import raise_priority
+from vaoi_station.rig.device_process import raise_priority
 
 T = TypeVar("T")
 

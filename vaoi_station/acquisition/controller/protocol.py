@@ -443,10 +443,7 @@ class EventOrder:
         """Number before which all events are known to have occurred, whether received or not."""
 
     def add(self, event: Event) -> list[Event]:
-        """Add an event, and return the events that can be passed on now, in order.
-
-        Return none if the event is a repeat, or if an earlier event is missing.
-        """
+        """Add an event, and return the events that can be passed on now, in order."""
         if event.number >= self.next_number:
             self._early[event.number] = event
             self.announce(event.number + 1)

@@ -64,10 +64,7 @@ class Gap:
 
 
 def in_counting_order(ids: Mapping[int, int]) -> dict[int, int]:
-    """Return the same rows and frame ids, with the ids assigned to the rows in ascending order: {row: id}.
-
-    The returned ids differ from `ids` in those rows whose frames are exchanged.
-    """
+    """Return the same rows and frame ids, with the ids assigned to the rows in ascending order: {row: id}."""
     rows = sorted(ids)
     if not rows:
         return {}

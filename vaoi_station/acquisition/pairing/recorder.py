@@ -336,10 +336,7 @@ class Recorder:
         return self._known_until_s >= arrival.host_time_s
 
     def _candidates(self, arrival: Arrival) -> set[tuple[int, int]]:
-        """Return every (index of the run, row) to which an incomplete frame may belong.
-
-        Such a row has no frame yet, and its pulse was fired before the frame arrived, but not too long before.
-        """
+        """Return every (index of the run, row) to which an incomplete frame may belong."""
         found = set()
         for n, record in enumerate(self._runs):
             latest_s = record.period_s + self.limits.late_s

@@ -18,7 +18,6 @@ from vaoi_station.acquisition.process.messages import (
     Armed,
     BoardMissed,
     FireOne,
-    FrameSettled,
     Grant,
     Ready,
     RunFinished,
@@ -31,7 +30,7 @@ from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files import Recording, open_recording, write_recording
 from vaoi_station.files.directories import new_directory
 from vaoi_station.files.images import Image
-from vaoi_station.model import RecordingHead, Verdict
+from vaoi_station.model import RecordingHead
 
 
 def export_run(
@@ -46,10 +45,7 @@ def export_run(
 
 
 def recording_head(finished: RunFinished) -> RecordingHead:
-    """Return the head of the recording of a finished run.
-
-    Faults and the proof are stored under `x_` keys, which other readers ignore.
-    """
+    """Return the head of the recording of a finished run."""
     document = finished.head.model_dump(mode="json", exclude_none=True)
     document["x_run"] = finished.run
     document["x_ended"] = finished.reason
@@ -81,8 +77,6 @@ class FilmingHandlers:
     """Called with a finished run, the ring and the generation of the run's bay. The bay is reused after the return."""
     notice: Callable[[str], None]
     """Called with a sentence that the operator should see."""
-    frame_settled: Callable[[FrameSettled, Ring, int], None] | None = None
-    """Called as soon as a complete frame is assigned, with the frame's report, the ring and the bay's generation."""
 
 
 def film(config: StationConfig, runs: int, handlers: FilmingHandlers) -> None:
@@ -125,11 +119,7 @@ class FilmingProcess:
 
     def dispatch(self, report: object, *, fatal: bool) -> None:
         """Call the handler of a report. If `fatal`, raise an error for a reported fault instead."""
-        if isinstance(report, FrameSettled):
-            slot = report.frame.slot
-            if self.handlers.frame_settled is not None and slot is not None and report.frame.verdict is Verdict.OK:
-                self.handlers.frame_settled(report, self.ring, self.generations[self.ring.layout.place(slot)[0]])
-        elif isinstance(report, RunFinished):
+        if isinstance(report, RunFinished):
             if report.reason == "max-rows":
                 self.handlers.notice("The run ended before the board had left: it is too long, or it was stopped.")
             if (times := len(report.interruptions)) > 1:

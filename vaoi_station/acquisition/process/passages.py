@@ -191,10 +191,7 @@ class PassageWatch:
         return now_s - self._row_s > max(STILL_S, slow_s)
 
     def arm(self, plan: TriggerPlan, blocked: bool | None) -> None:
-        """Follow events from now on. The events of an arming before this one end with those of its run.
-
-        `blocked`: the level of the barrier after the controller was armed; None if it is not known.
-        """
+        """Follow events from now on. The events of an arming before this one end with those of its run."""
         self._plan = plan
         self._standing = bool(blocked) and not self.passing
 
@@ -204,10 +201,7 @@ class PassageWatch:
         self._standing, self._unreported_s = False, None
 
     def check_level(self, blocked: bool | None, now_s: float) -> None:
-        """Compare the level of the barrier with what was reported. Reports may be lost, and a controller may restart.
-
-        `blocked`: the level, at most a heartbeat old; None if it is not known.
-        """
+        """Compare the level of the barrier, at most a heartbeat old, with what was reported; reports may be lost."""
         if self._plan is None or self._row_s is not None or blocked is None:
             self._unreported_s = None
         elif not blocked:

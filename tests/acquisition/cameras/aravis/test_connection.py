@@ -1,21 +1,149 @@
-"""One connection: its settings, its stream, its warnings, and how failures of the camera are reported."""
+"""One connection: search, clock, settings, stream, warnings, and failures of the camera."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from queue import SimpleQueue
+from types import SimpleNamespace
 
 import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
 from vaoi_station.acquisition.cameras.aravis import connection as connection_module
 from vaoi_station.acquisition.cameras.aravis import network
-from vaoi_station.acquisition.cameras.aravis.connection import Connection, PortShare, check_silence
+from vaoi_station.acquisition.cameras.aravis.connection import (
+    FAKE_VENDOR,
+    Connection,
+    PortShare,
+    check_silence,
+    find_clock,
+)
+from vaoi_station.acquisition.cameras.aravis.network import FoundCamera
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
-from vaoi_station.errors import DeviceError
+from vaoi_station.acquisition.clocks import timed_reading
+from vaoi_station.errors import DeviceError, InputError
+
+
+def test_a_reading_lies_between_request_and_reply() -> None:
+    moments: list[float] = []
+
+    def read_s() -> float:
+        moments.append(time.monotonic())
+        return 3.0
+
+    before_s = time.monotonic()
+    reading = timed_reading(read_s)
+    after_s = time.monotonic()
+    assert reading.device_s == 3.0
+    assert abs(moments[0] - reading.host_s) <= reading.bound_s + 1e-9
+    assert 0 <= reading.bound_s <= (after_s - before_s) / 2 + 1e-9
+
+
+def test_the_time_is_latched_before_it_is_read() -> None:
+    camera = StandInCamera()
+    read_ns, is_remote = find_clock(camera, "camera c0")
+    assert is_remote
+    assert read_ns() == 5_000_000_000
+    assert camera.device.commands == ["TimestampLatch"]
+
+
+@pytest.mark.parametrize(("hertz", "wanted_ns"), [(125_000_000, 8_000), (1_000_000_000, 1_000), (0, 1_000)])
+def test_ticks_of_gige_vision_1_are_converted(hertz: int, wanted_ns: int) -> None:
+    camera = StandInCamera()
+    del camera.device.features["TimestampLatch"]
+    camera.device.features |= {"GevTimestampControlLatch": 0, "GevTimestampValue": 1_000}
+    camera.device.tick_hz = hertz
+    assert find_clock(camera, "camera c0")[0]() == wanted_ns
+
+
+def test_the_fake_camera_has_the_wall_clock_of_this_computer() -> None:
+    camera = StandInCamera(FAKE_VENDOR)
+    del camera.device.features["TimestampLatch"]
+    read_ns, is_remote = find_clock(camera, "camera c0")
+    assert not is_remote
+    before_ns = time.time_ns()
+    assert before_ns <= read_ns() <= time.time_ns()
+
+
+def test_a_camera_without_a_latch_is_refused() -> None:
+    camera = StandInCamera()
+    del camera.device.features["TimestampLatchValue"]
+    with pytest.raises(DeviceError, match="camera c0: has no time stamp that can be latched") as refused:
+        find_clock(camera, "camera c0")
+    assert refused.value.code == "clock-unknown"
+
 
 pytestmark = pytest.mark.usefixtures("_stand_in")
+
+BY_SERIAL = camera_config(address=None, serial="S2")
+FOUND = (FoundCamera("S1", "10.0.0.1"), FoundCamera("S2", "10.0.0.2"), FoundCamera("S3", "USB-1"))
+
+
+def library(monkeypatch: pytest.MonkeyPatch, **functions: object) -> None:
+    monkeypatch.setattr(connection_module, "aravis", lambda: SimpleNamespace(**functions))
+
+
+def test_the_device_with_the_serial_number_is_taken() -> None:
+    assert connection_module.find_by_serial(BY_SERIAL, FOUND) == FOUND[1]
+
+
+def test_an_absent_serial_number_names_those_that_reply() -> None:
+    with pytest.raises(DeviceError, match=r"'S2' answers; cameras that answer: S1 at 10\.0\.0\.1\.") as refused:
+        connection_module.find_by_serial(BY_SERIAL, FOUND[:1])
+    assert refused.value.code == "camera-absent"
+    with pytest.raises(DeviceError, match="cameras that answer: none"):
+        connection_module.find_by_serial(BY_SERIAL, ())
+
+
+def test_a_serial_number_that_two_devices_have_is_refused() -> None:
+    with pytest.raises(InputError, match=r"2 cameras have the serial number 'S2' \(10\.0\.0\.2, USB-2\)") as refused:
+        connection_module.find_by_serial(BY_SERIAL, (*FOUND, FoundCamera("S2", "USB-2")))
+    assert refused.value.code == "camera-ambiguous"
+
+
+def test_gige_cameras_are_searched_by_our_datagrams_and_usb_cameras_by_aravis(monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = [("GigEVision", "listed twice", "G"), ("USB3Vision", "S3", "USB-1"), ("USB3Vision", None, "USB-2")]
+    library(
+        monkeypatch,
+        update_device_list=lambda: None,
+        get_n_devices=lambda: len(listed),
+        get_device_protocol=lambda k: listed[k][0],
+        get_device_serial_nbr=lambda k: listed[k][1],
+        get_device_id=lambda k: listed[k][2],
+    )
+    monkeypatch.setattr(network, "discover", lambda: (FoundCamera("S1", "10.0.0.1"),))
+    assert connection_module.search() == (FOUND[0], FOUND[2], FoundCamera("", "USB-2"))
+
+
+def test_an_opened_camera_is_controlled_by_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = StandInCamera(is_gige=True)
+    library(monkeypatch, Camera=SimpleNamespace(new=lambda _address: camera))
+    assert connection_module.open_device(camera_config(), "10.0.0.1") is camera
+    camera.device.controlled = False
+    with pytest.raises(DeviceError, match=r"another program controls the camera at 10\.0\.0\.1") as refused:
+        connection_module.open_device(camera_config(), "10.0.0.1")
+    assert refused.value.code == "camera-in-use"
+
+
+def test_a_camera_that_cannot_be_opened_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_address: str) -> None:
+        raise StandInError("Can't connect.")
+
+    library(monkeypatch, Camera=SimpleNamespace(new=fail))
+    with pytest.raises(DeviceError, match=r"there is no camera at 10\.0\.0\.1 \(Can't connect\)") as refused:
+        connection_module.open_device(camera_config(), "10.0.0.1")
+    assert refused.value.code == "camera-absent"
+
+
+def test_an_address_without_a_reply_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    replies = {"10.0.0.1": True, "10.0.0.9": False}
+    monkeypatch.setattr(network, "is_reachable", replies.__getitem__)
+    connection_module.require_reply(camera_config(), "10.0.0.1")
+    with pytest.raises(DeviceError, match=r"camera c0: there is no camera at 10\.0\.0\.9 \(it does not answer\)"):
+        connection_module.require_reply(camera_config(), "10.0.0.9")
+
 
 RESULTS: SimpleQueue[SlotResult] = SimpleQueue()
 

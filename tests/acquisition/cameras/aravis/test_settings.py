@@ -2,14 +2,46 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
 from vaoi_station.acquisition.cameras.aravis import settings
-from vaoi_station.acquisition.cameras.aravis.settings import Setting, Value
+from vaoi_station.acquisition.cameras.aravis.settings import GENERIC, MAKES, Setting, Value, make_of
+from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader
+from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.errors import DeviceError
+
+
+@pytest.mark.parametrize(
+    ("vendor", "make", "line"),
+    [
+        ("FLIR", "flir", "Line0"),
+        ("Point Grey Research", "point grey", "Line0"),
+        ("Teledyne FLIR", "teledyne", "Line0"),
+        ("Basler", "basler", "Line1"),
+        ("Lucid Vision Labs", "lucid", "Line2"),
+        ("LUCID VISION LABS", "lucid", "Line2"),
+        ("Aravis", "aravis", "Line0"),
+    ],
+)
+def test_a_make_is_found_whatever_follows_its_name(vendor: str, make: str, line: str) -> None:
+    assert make_of(vendor) is MAKES[make]
+    assert make_of(vendor).line == line
+
+
+@pytest.mark.parametrize("vendor", ["", "Unknown GmbH", "The Basler Company"])
+def test_an_unknown_make_gets_the_recipe_that_all_cameras_accept(vendor: str) -> None:
+    assert make_of(vendor) is GENERIC
+    assert GENERIC.off_while_changing, "some cameras refuse another source while the mode is on"
+
+
+def test_makes_are_written_as_they_are_compared() -> None:
+    assert all(make == make.casefold() for make in MAKES)
+
 
 pytestmark = pytest.mark.usefixtures("_stand_in")
 
@@ -203,3 +235,163 @@ def test_a_camera_that_cannot_expose_for_the_width_is_refused(modes: list[str], 
     with pytest.raises(DeviceError, match=rf"width of the trigger \({words}\).* the first 80 µs") as caught:
         settings.apply_exposure(camera, wanted)
     assert caught.value.code == "exposure-mode"
+
+
+CONFIG = camera_config(exposure_by="sequencer")
+STEPS = ((300.0, 0.0), (90.0, 0.0), (90.0, 6.0))
+
+
+def sequenced(vendor: str = "Acme", **changes: Any) -> StandInCamera:
+    """Return a camera with a sequencer of four sets."""
+    camera = StandInCamera(vendor)
+    features = {
+        "SequencerMode": "On", "SequencerConfigurationMode": "Off", "SequencerSetSelector": 0, "SequencerSetNext": 0,
+        "SequencerTriggerSource": "Off", "SequencerSetSave": 0, "SequencerSetLoad": 0, "SequencerSetStart": 3,
+        "SequencerPathSelector": 0, "SequencerFeatureSelector": "Gain", "SequencerFeatureEnable": False,
+    }  # fmt: skip
+    camera.device.features |= features | changes
+    camera.bounds = {"SequencerSetSelector": (0, 3)}
+    camera.choices = {
+        "SequencerTriggerSource": ["Off", "FrameEnd", "FrameStart"],
+        "SequencerFeatureSelector": ["ExposureTime", "Gain"],
+    }
+    return camera
+
+
+def refusal(camera: StandInCamera, steps: tuple[tuple[float, float], ...] = STEPS) -> DeviceError:
+    with pytest.raises(DeviceError) as caught:
+        settings.program_sequencer(camera, CONFIG, steps)
+    return caught.value
+
+
+def test_every_set_is_saved_with_its_exposure_gain_and_next_set() -> None:
+    camera = sequenced()
+    kept: dict[int, dict[str, Any]] = {}
+    device, execute = camera.device, camera.device.execute_command
+
+    def keep(command: str) -> None:
+        execute(command)
+        names = ("ExposureTime", "Gain", "SequencerSetNext", "SequencerTriggerSource")
+        if command == "SequencerSetSave":
+            kept[device.features["SequencerSetSelector"]] = {name: device.features[name] for name in names}
+        else:
+            device.features |= kept[device.features["SequencerSetSelector"]]
+
+    device.execute_command = keep  # type: ignore[method-assign]
+    settings.program_sequencer(camera, CONFIG, STEPS)
+    assert [(s["ExposureTime"], s["Gain"], s["SequencerSetNext"]) for s in kept.values()] == [
+        (300.0, 0.0, 1), (90.0, 0.0, 2), (90.0, 6.0, 0),
+    ]  # fmt: skip
+    assert {s["SequencerTriggerSource"] for s in kept.values()} == {"FrameStart"}
+    assert device.features["SequencerFeatureEnable"] is True
+    assert (device.features["SequencerSetStart"], device.features["SequencerMode"]) == (0, "On")
+    assert device.features["SequencerConfigurationMode"] == "Off"
+
+
+def test_the_path_is_that_of_the_make() -> None:
+    for vendor, path in (("Basler", 1), ("Acme", 0)):
+        camera = sequenced(vendor, SequencerPathSelector=5)
+        del camera.device.features["SequencerSetLoad"]
+        settings.program_sequencer(camera, CONFIG, STEPS)
+        assert camera.device.features["SequencerPathSelector"] == path
+
+
+def test_a_set_that_was_not_saved_is_noticed() -> None:
+    error = refusal(sequenced())
+    assert error.code == "setting-ignored"
+    assert "ExposureTime was set to 300.0, but reads 90.0" in error.message
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        (((300.0, 0.0),) * 5, "its sequencer holds 4 sets, but the light program needs 5"),
+        (
+            ((300.0, 0.0), (10.0, 0.0)),
+            "its exposure has the limits 20 … 100000 µs, but step 1 of the light program has",
+        ),
+        (((300.0, 0.0), (300.0, 30.0)), "its gain has the limits 0 … 24 dB, but step 1 of the light program has 30 dB"),
+    ],
+)
+def test_what_the_sequencer_cannot_hold_is_refused_with_numbers(
+    steps: tuple[tuple[float, float], ...], words: str
+) -> None:
+    error = refusal(sequenced(), steps)
+    assert error.code == "sequencer-limits"
+    assert words in error.message
+
+
+def test_a_camera_without_a_sequencer_or_its_signal_is_refused() -> None:
+    bare = StandInCamera()
+    assert settings.missing_features(bare) == settings.SEQUENCER
+    assert (refusal(bare).code, "3 different steps" in refusal(bare).message) == ("sequencer-absent", True)
+    camera = sequenced()
+    camera.choices["SequencerTriggerSource"] = ["Off", "Line1"]
+    assert "its sequencer advances by Off, Line1, not once per frame" in refusal(camera).message
+    camera = sequenced()
+    del camera.device.features["Gain"]
+    assert "it has no gain to set" in refusal(camera).message
+
+
+def test_it_begins_anew_when_it_is_switched_on_again() -> None:
+    camera = sequenced()
+    settings.rewind_sequencer(camera, CONFIG)
+    assert camera.device.written == [("SequencerMode", "Off"), ("SequencerMode", "On")]
+
+
+def test_it_is_switched_off_after_its_configuration_and_only_if_it_is_on() -> None:
+    camera = sequenced(SequencerConfigurationMode="On")
+    for _ in range(2):
+        settings.switch_sequencer_off(camera, CONFIG)
+    assert camera.device.written == [("SequencerConfigurationMode", "Off"), ("SequencerMode", "Off")]
+
+
+CHUNK_CONFIG = camera_config(exposure_by="sequencer")
+
+
+class StandInParser:
+    """A parser that knows the exposure only, or both."""
+
+    def __init__(self, **values: float) -> None:
+        self.values = values
+
+    def get_float_value(self, _buffer: object, name: str) -> float:
+        if name not in self.values:
+            raise StandInError(f"node {name} is not found")
+        return self.values[name]
+
+
+def test_exposure_and_gain_are_switched_on() -> None:
+    camera = StandInCamera()
+    camera.device.features |= {"ChunkSelector": "Image", "ChunkEnable": False}
+    camera.choices["ChunkSelector"] = ["Image", "Gain", "ExposureTime"]
+    settings.switch_chunks_on(camera, CHUNK_CONFIG)
+    assert camera.device.written == [
+        ("ChunkModeActive", True),
+        ("ChunkSelector", "ExposureTime"),
+        ("ChunkEnable", True),
+        ("ChunkSelector", "Gain"),
+        ("ChunkEnable", True),
+    ]
+
+
+def test_a_camera_that_cannot_state_its_exposure_is_refused() -> None:
+    camera = StandInCamera()
+    for offered, words in (([], "ChunkSelector offers nothing"), (["Gain"], "cannot state ExposureTime as chunk data")):
+        camera.device.features["ChunkSelector"] = "Image"
+        camera.choices["ChunkSelector"] = offered
+        with pytest.raises(DeviceError, match=words) as caught:
+            settings.switch_chunks_on(camera, CHUNK_CONFIG)
+        assert caught.value.code == "sequencer-absent"
+
+
+def test_what_a_frame_states_is_read_or_not_known() -> None:
+    camera = StandInCamera()
+    for values, stated in (
+        ({"ChunkExposureTime": 90.0, "ChunkGain": 6.0}, StatedExposure(90.0, 6.0)),
+        ({"ChunkExposureTime": 90.0}, None),
+    ):
+        camera.create_chunk_parser = lambda values=values: StandInParser(**values)  # type: ignore[attr-defined]
+        assert ChunkReader(camera, 40).read(object()) == stated
+    del camera.device.features["Gain"]
+    assert ChunkReader(camera, 40).read(object()) == StatedExposure(90.0, None)

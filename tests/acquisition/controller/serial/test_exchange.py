@@ -1,19 +1,28 @@
-"""Requests over a terminal: replies, refusals, resets, silence and a port that goes."""
+"""The serial port, its requests and replies, and the time of the controller."""
 
 from __future__ import annotations
 
+import fcntl
 import os
+import termios
+import threading
 import time
-from collections.abc import Callable, Iterator
+import tty
+from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.acquisition.controller.serial.fake_firmware import FakeFirmware
+from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.protocol import (
     MAX_TRIES,
     RETRY_S,
+    TICK_S,
     ClockReply,
     EventReceived,
     EventsLost,
@@ -27,16 +36,230 @@ from vaoi_station.acquisition.controller.protocol import (
     number_request,
 )
 from vaoi_station.acquisition.controller.serial import exchange as exchange_module
+from vaoi_station.acquisition.controller.serial import exchange as port_module
 from vaoi_station.acquisition.controller.serial.exchange import (
+    BOOT_SPACING_S,
     Exchange,
     Port,
     PortLostError,
     RefusalError,
     ResetError,
     SilentError,
+    TickClock,
+    Timebase,
     Waker,
 )
+from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError
+
+TURN_S = 2**32 * TICK_S
+
+
+def tick_at(seconds: float) -> int:
+    """What the counter shows so long after the reset."""
+    return int(seconds / TICK_S) % 2**32
+
+
+def host_time(clock: TickClock, tick: int, near_s: float) -> float:
+    return clock.model.host_s(clock.device_s(tick, near_s))
+
+
+@given(
+    drift_ppm=st.floats(-100, 100),
+    offset_s=st.floats(0, 1e5),
+    start_s=st.floats(0, 3 * TURN_S),
+    delays=st.lists(st.tuples(st.floats(1e-4, 5e-3), st.floats(1e-4, 5e-3)), min_size=3, max_size=30),
+    ahead_s=st.floats(-5, 5),
+)
+def test_the_host_time_of_a_tick_is_within_the_bound(
+    drift_ppm: float, offset_s: float, start_s: float, delays: list[tuple[float, float]], ahead_s: float
+) -> None:
+    """There and back take different times; the bound must allow for that."""
+    clock = TickClock()
+    rate = 1 + drift_ppm * 1e-6
+    host_s = start_s
+    for there_s, back_s in delays:
+        host_s += 1.0
+        clock.add(tick_at((host_s + there_s) * rate), offset_s + host_s, offset_s + host_s + there_s + back_s)
+    event_s = host_s + ahead_s
+    if event_s < 0:
+        return
+    tick, near_s = tick_at(event_s * rate), offset_s + host_s
+    error_s = abs(host_time(clock, tick, near_s) - (offset_s + event_s))
+    assert error_s <= clock.model.bound_s(clock.device_s(tick, near_s)) + 2 * TICK_S
+
+
+def test_ticks_are_unambiguous_across_several_wraps() -> None:
+    clock = TickClock()
+    for k in range(200):  # an hour and 40 minutes, asked every half minute
+        host_s = 100.0 + 30.0 * k
+        clock.add(tick_at(30.0 * k), host_s - 1e-4, host_s + 1e-4)
+    assert clock.model.restarts == 0
+    assert host_time(clock, tick_at(30.0 * 199 - 900), 100 + 30.0 * 199) == pytest.approx(
+        100 + 30.0 * 199 - 900, abs=1e-3
+    )
+
+
+BAUD = 250_000
+THERE_S, BACK_S = 100 / BAUD, 140 / BAUD
+"""Question and answer on the line."""
+
+
+@given(
+    delays=st.lists(st.tuples(st.floats(1e-6, 2e-3), st.floats(0, 2e-3)), min_size=1, max_size=20),
+    start_s=st.floats(0, 1e5),
+)
+def test_a_reading_is_never_further_off_than_its_bound(delays: list[tuple[float, float]], start_s: float) -> None:
+    """Whatever bridges and kernels add on either way; ticks wrap every 36 minutes, and these are 10 minutes apart."""
+    timebase = Timebase(BAUD)
+    for k, (before_s, after_s) in enumerate(delays):
+        true_s = start_s + 600.0 * k
+        tick = round((true_s - start_s) * 2e6) % 2**32
+        reading = timebase.add_reply(tick, true_s - THERE_S - before_s, true_s + BACK_S + after_s)
+        assert reading.device_s == pytest.approx(600.0 * k, abs=1e-6)
+        assert abs(reading.host_s - true_s) <= reading.bound_s + 1e-6
+        assert reading.bound_s == pytest.approx((before_s + after_s) / 2, abs=1e-6)
+
+
+def test_an_answer_faster_than_the_line_is_not_believed_to_be_better() -> None:
+    assert Timebase(BAUD).add_reply(0, 10.0, 10.0004).bound_s == pytest.approx(0.0002)
+
+
+def test_every_start_is_a_jump_that_a_clock_model_notices() -> None:
+    timebase, model = Timebase(BAUD), ClockModel("controller")
+    for k in range(10):
+        model.add(timebase.add_reply(2_000_000 * k, 100.0 + k - 0.001, 100.0 + k + 0.001))
+    last_s = timebase.time_s(20_000_000, 110.0)
+    timebase.restart()
+    reading = timebase.add_reply(1000, 111.0, 111.002)
+    assert reading.device_s == pytest.approx(last_s + BOOT_SPACING_S + 0.0005)
+    model.add(reading)
+    assert model.restarts == 1
+    assert abs(model.host_s(reading.device_s) - 111.001) <= reading.bound_s
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, str]]:
+    """The other end of a terminal, and the name of this one."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    yield ours, os.ttyname(theirs)
+    os.close(theirs)
+    os.close(ours)
+
+
+@pytest.fixture
+def waker() -> Iterator[Waker]:
+    with closing(Waker()) as waker:
+        yield waker
+
+
+def test_bytes_arrive_as_they_were_sent(terminal: tuple[int, str], waker: Waker) -> None:
+    with closing(Port(terminal[1], 250_000, waker)) as port:
+        os.write(terminal[0], bytes(range(256)))
+        received = b""
+        while len(received) < 256:
+            received += port.read(5.0)
+        assert received == bytes(range(256))
+        assert port.received == 256
+        port.write(b"\0\1\2\xff")
+        assert os.read(terminal[0], 100) == b"\0\1\2\xff"
+
+
+def test_a_read_ends_without_bytes(terminal: tuple[int, str], waker: Waker) -> None:
+    with closing(Port(terminal[1], 250_000, waker)) as port:
+        assert port.read(0.001) == b""
+
+
+def test_another_thread_ends_a_read(terminal: tuple[int, str], waker: Waker) -> None:
+    with closing(Port(terminal[1], 250_000, waker)) as port:
+        timer = threading.Timer(0.01, waker.wake)
+        timer.start()
+        assert port.read(60.0) == b""
+        timer.join()
+        assert port.read(0.001) == b"", "the wake-up is used up"
+
+
+def test_a_wake_up_before_the_read_ends_it_too(terminal: tuple[int, str], waker: Waker) -> None:
+    with closing(Port(terminal[1], 250_000, waker)) as port:
+        for _ in range(100_000):  # more than the pipe holds
+            waker.wake()
+        assert port.read(60.0) == b""
+
+
+def test_a_device_that_hangs_up_is_an_error(waker: Waker) -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    name = os.ttyname(theirs)
+    os.close(theirs)
+    with closing(Port(name, 250_000, waker)) as port:
+        os.close(ours)
+        with pytest.raises(OSError, match=r"hung up|Input/output error"):
+            port.read(5.0)
+
+
+def test_a_port_that_takes_no_bytes_is_an_error(
+    terminal: tuple[int, str], waker: Waker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(port_module, "WRITE_S", 0.01)
+    with closing(Port(terminal[1], 250_000, waker)) as port, pytest.raises(OSError, match="takes no bytes"):
+        port.write(bytes(1 << 20))  # more than a terminal's buffer holds
+
+
+def test_a_port_that_is_not_there(tmp_path: Path, waker: Waker) -> None:
+    with pytest.raises(DeviceError) as refused:
+        Port(str(tmp_path / "vaoi-trigger"), 250_000, waker)
+    assert refused.value.code == "port-absent"
+    assert "71-vaoi-controller.rules" in refused.value.action
+
+
+def test_a_file_is_no_port(tmp_path: Path, waker: Waker) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DeviceError) as refused:
+        Port(str(tmp_path / "file"), 250_000, waker)
+    assert refused.value.code == "port-unusable"
+
+
+def test_a_port_in_use(terminal: tuple[int, str], waker: Waker) -> None:
+    """Serial programs agree on this lock."""
+    handle = os.open(terminal[1], os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    with pytest.raises(DeviceError) as refused:
+        Port(terminal[1], 250_000, waker)
+    os.close(handle)
+    assert refused.value.code == "port-in-use"
+    assert "fuser" in refused.value.action
+
+
+def test_a_port_without_permission(waker: Waker, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_arguments: object, **_options: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("serial.Serial", forbidden)
+    with pytest.raises(DeviceError) as refused:
+        Port("/dev/any", 250_000, waker)
+    assert refused.value.code == "port-forbidden"
+    assert "dialout" in refused.value.action
+
+
+def test_closing_a_port_does_not_reset_the_board_behind_it(terminal: tuple[int, str], waker: Waker) -> None:
+    """DTR falls at the last close only if HUPCL is set."""
+    handle = os.open(terminal[1], os.O_RDWR | os.O_NOCTTY)
+    flags = termios.tcgetattr(handle)
+    flags[2] |= termios.HUPCL
+    termios.tcsetattr(handle, termios.TCSANOW, flags)
+    Port(terminal[1], 250_000, waker).close()
+    assert not termios.tcgetattr(handle)[2] & termios.HUPCL
+    os.close(handle)
+
+
+def test_the_udev_rule_makes_the_name_that_is_opened_by_default() -> None:
+    rules = (Path(__file__).resolve().parents[4] / "deploy" / "71-vaoi-controller.rules").read_text()
+    name = ControllerConfig().port.removeprefix("/dev/")
+    assert f'SYMLINK+="{name}"' in rules
+    assert 'ATTR{latency_timer}="1"' in rules
+    assert 'ENV{ID_MM_DEVICE_IGNORE}="1"' in rules
+
 
 Device = tuple[str, FakeFirmware]
 
@@ -145,9 +368,3 @@ def test_a_port_that_goes(bench: Bench, monkeypatch: pytest.MonkeyPatch, failing
     with pytest.raises(PortLostError, match="has gone") as lost:
         bench.exchange.request(Request(Type.STATUS))
     assert lost.value.code == "port-lost"
-
-
-def test_the_errors_have_the_codes_of_the_documentation() -> None:
-    kinds: list[Callable[..., DeviceError]] = [SilentError, PortLostError, ResetError, RefusalError]
-    codes = [kind("x").code for kind in kinds]
-    assert codes == ["controller-silent", "port-lost", "controller-reset", "controller-refused"]

@@ -247,10 +247,7 @@ def command(number: int, request_id: int, content: bytes = b"") -> bytes:
 
 
 def is_reply(datagram: bytes, number: int, request_id: int) -> bool:
-    """Return whether received bytes acknowledge a command.
-
-    A refusal counts as an acknowledgement, because it proves that the camera is present.
-    """
+    """Return whether received bytes acknowledge a command."""
     if len(datagram) < _HEADER.size:
         return False
     _, _, acknowledged, _, acknowledged_id = _HEADER.unpack_from(datagram)

@@ -357,10 +357,7 @@ class Supervisor:
             exchange.port.close()
 
     def drop_arming(self) -> None:
-        """Set the wanted state to disarmed, and end the run.
-
-        The controller is disarmed as soon as it can be reached.
-        """
+        """Set the wanted state to disarmed, and end the run."""
         self.arming = None
         self.translator.end("disarmed")
 
@@ -399,10 +396,7 @@ class Supervisor:
         exchange.request(arm(arming.number, program.crc))
 
     def _report_reset(self) -> None:
-        """Report that the controller was reset, its cause and its effects.
-
-        A run under way ends with the rows it has.
-        """
+        """Report that the controller was reset, its cause and its effects."""
         causes = [words for bit, words in _RESET_CAUSES.items() if self.ident.reset_cause & bit]
         with self.lock:
             cost = (
@@ -663,10 +657,7 @@ class SerialController:
         self._release()
 
     def _do(self, job: Callable[[], T]) -> T:
-        """Let the controller's thread do a job, and wait for its outcome.
-
-        Raise DeviceError at once if it is not reachable.
-        """
+        """Let the controller's thread do a job, and wait for its outcome."""
         if self._thread.ident is None:
             return job()
         with self._supervisor.lock:

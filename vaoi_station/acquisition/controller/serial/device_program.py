@@ -78,10 +78,7 @@ class DeviceProgram:
         return self.lights[row % len(self.lights)] if self.lights else ""
 
     def lit(self, row: int, channels: int) -> str:
-        """Return the name of the light of these LED channels (bits), which the controller lit for a row.
-
-        Channels that are no light have their numbers in place of a name.
-        """
+        """Return the name of the light of these LED channels (bits), which the controller lit for a row."""
         if not channels:
             return ""
         # Several lights may have the same channels. The one that the program has for the row comes first.

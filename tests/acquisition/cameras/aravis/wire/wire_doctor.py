@@ -14,7 +14,7 @@ import pytest
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
 from tests.doctor.conftest import assert_problem, only
 from vaoi_station.config import StationConfig
-from vaoi_station.doctor.camera_checks import aravis, cameras
+from vaoi_station.doctor.camera_checks import cameras
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.doctor.running_station import CheckContext
@@ -92,19 +92,6 @@ def test_a_camera_that_another_program_uses(device: Plug, station: Make, tmp_pat
     assert_problem(finding, Level.FAULT, "another program controls the camera")
 
 
-def test_an_absent_serial_number(device: Plug, station: Make) -> None:
-    config = station(device(0))
-    camera = config.cameras[0].model_copy(update={"address": None, "serial": "NONE"})
-    finding = only(cameras(context(config.model_copy(update={"cameras": (camera,)}))))
-    assert_problem(finding, Level.FAULT, "no camera with serial number 'NONE'", "WIRE0")
-    assert finding.action.endswith("Try: arv-tool-0.8")
-
-
-def test_two_with_one_serial_number(device: Plug, station: Make) -> None:
-    found = list(cameras(context(station(device(0, serial="TWIN"), device(1, serial="TWIN")))))
-    assert_problem(found[2], Level.FAULT, "c0, c1 have the same serial number 'TWIN'")
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -128,15 +115,3 @@ def test_small_packets_are_reported(device: Plug, station: Make) -> None:
     *_, port = cameras(context(station(device(0), packet_bytes=8000)))
     assert_problem(port, Level.WARNING, "c0 is configured for 8000")
     assert port.action == "ip link set dev lo mtu 8000"
-
-
-def test_a_port_that_cannot_carry_a_row(device: Plug, station: Make) -> None:
-    config = station(device(0), device(1), link_mbit_s=1.0)
-    *_, port = cameras(context(config))
-    assert_problem(port, Level.FAULT, "2 cameras on port lo need")
-
-
-def test_the_version_of_the_library_is_reported(station: Make, device: Plug) -> None:
-    finding = only(aravis(context(station(device(0)))))
-    assert finding.level is Level.OK
-    assert str(finding.figures["aravis"]).startswith("0.8.")

@@ -11,7 +11,7 @@ import pytest
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
 from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.errors import DeviceError
 
 Plug = Callable[..., Device]
 Make = Callable[..., StationConfig]
@@ -90,34 +90,6 @@ def test_cameras_of_one_cable_leave_each_other_room(device: Plug, station: Make,
     opened(station(*cameras, link_mbit_s=1000.0, packet_bytes=1500))
     for camera in cameras:
         assert camera.second_client().gv_get_packet_delay() == (1500 + 38) * 8
-
-
-def test_a_cable_that_is_too_slow_is_refused(device: Plug, station: Make) -> None:
-    config = station(device(0), device(1), link_mbit_s=0.5)
-    with pytest.raises(DeviceError, match=r"2 cameras on port lo need .* ms for a row at 0 Mbit/s"):
-        open_aravis_cameras(config)
-
-
-def test_an_address_without_a_camera(device: Plug, station: Make) -> None:
-    gone = device(0)
-    gone.unplug()
-    with pytest.raises(DeviceError, match=r"camera c0: there is no camera at 127\.0\.0\.2") as caught:
-        open_aravis_cameras(station(gone))
-    assert caught.value.code == "camera-absent"
-
-
-def test_a_serial_number_without_a_camera(device: Plug, station: Make) -> None:
-    there = device(0)
-    with pytest.raises(DeviceError, match=r"serial number 'OTHER' answers; cameras that answer: WIRE0 at 127\.0\.0\.2"):
-        open_aravis_cameras(by_serial(station(there), "OTHER"))
-
-
-def test_two_cameras_with_one_serial_number(device: Plug, station: Make) -> None:
-    one, two = device(0, serial="SAME"), device(1, serial="SAME")
-    with pytest.raises(InputError, match=r"2 cameras have the serial number 'SAME' \(127\.0\.0\.2, 127\.0\.0\.3\)"):
-        open_aravis_cameras(by_serial(station(one), "SAME"))
-    with pytest.raises(InputError, match="cameras c0, c1: have the same serial number 'SAME'"):
-        open_aravis_cameras(station(one, two))
 
 
 def test_a_camera_that_another_program_controls(

@@ -1,0 +1,525 @@
+"""The serial protocol: framing, messages, order of events, refusals, and the link."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.hw.emulated.vectors import IDENT
+from vaoi_station.acquisition.controller.interface import Permit
+from vaoi_station.acquisition.controller.protocol import (
+    HEARTBEAT_S,
+    MAX_TRIES,
+    PAYLOAD_LONGEST,
+    REPLY,
+    RETRY_S,
+    ClockReply,
+    Event,
+    EventOrder,
+    EventReceived,
+    EventsLost,
+    FrameReader,
+    Ident,
+    Kind,
+    Link,
+    Message,
+    Nak,
+    Notification,
+    Reason,
+    Refused,
+    Replied,
+    Request,
+    Restarted,
+    Status,
+    Step,
+    Timing,
+    Type,
+    Unanswered,
+    check_ident,
+    check_interlock,
+    cobs,
+    config_crc,
+    configuration,
+    crc16,
+    decode,
+    describe,
+    encode,
+    number_request,
+    ready,
+    uncob,
+)
+from vaoi_station.errors import DeviceError
+
+MESSAGES = st.builds(
+    Message,
+    st.integers(0, 255),
+    st.integers(0, 255),
+    st.binary(max_size=PAYLOAD_LONGEST) | st.just(bytes(PAYLOAD_LONGEST)),
+)
+
+
+@given(st.binary(max_size=200))
+def test_cobs_takes_out_zeros_and_puts_them_back(content: bytes) -> None:
+    stuffed = cobs(content)
+    assert b"\0" not in stuffed
+    assert len(stuffed) == len(content) + 1
+    assert uncob(stuffed) == content
+
+
+@given(st.lists(MESSAGES, max_size=6), st.data())
+def test_messages_come_out_as_they_went_in_however_they_are_cut(messages: list[Message], data: st.DataObject) -> None:
+    stream = b"".join(encode(m) for m in messages)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
+    reader = FrameReader()
+    pieces = [stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
+    assert [m for piece in pieces for m in reader.feed(piece)] == messages
+    assert reader.bad == 0
+
+
+@given(st.binary(max_size=400), MESSAGES)
+def test_after_any_noise_the_next_frame_is_understood(noise: bytes, message: Message) -> None:
+    reader = FrameReader()
+    reader.feed(noise + b"\0")
+    assert reader.feed(encode(message)) == [message]
+
+
+@given(MESSAGES, st.data())
+def test_up_to_two_wrong_bits_are_always_noticed(message: Message, data: st.DataObject) -> None:
+    """Within the content, where the checksum stands for 65 bytes: the polynomial sees every pair of bits there."""
+    content = bytes([message.type, message.sequence]) + message.payload
+    content += crc16(content).to_bytes(2, "little")
+    bits = data.draw(st.sets(st.integers(0, 8 * len(content) - 1), min_size=1, max_size=2))
+    damaged = bytearray(content)
+    for bit in bits:
+        damaged[bit // 8] ^= 1 << bit % 8
+    assert decode(cobs(bytes(damaged))) is None
+
+
+def test_a_payload_that_is_too_long_is_our_own_mistake() -> None:
+    with pytest.raises(ValueError, match="58 is the longest"):
+        encode(Message(1, 1, bytes(59)))
+
+
+U8, U16, U32 = st.integers(0, 0xFF), st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF)
+TIMING = Timing(0, 2, 50, 40_000, 40_000, 60_000, 40_000, 4_000, 20_000, 200)
+STEPS = (Step(1, 500), Step(6, 300))
+
+
+@pytest.mark.parametrize(
+    ("kind", "size"), [(Timing, 30), (Step, 4), (Ident, 52), (Status, 48), (Event, 16), (ClockReply, 8), (Nak, 8)]
+)
+def test_sizes_are_those_of_the_protocol(kind: Any, size: int) -> None:
+    """The firmware asserts the same numbers at compile time (protocol.h)."""
+    assert len(kind.unpack(bytes(size)).pack()) == size
+    too_few = (kind.OLDEST_BYTES or size) - 1
+    with pytest.raises(ValueError, match=f"has {size} bytes, not {too_few}"):
+        kind.unpack(bytes(too_few))
+
+
+@pytest.mark.parametrize("kind", [Ident, Status])
+def test_a_higher_minor_version_may_append_fields(kind: Any) -> None:
+    size = kind.LAYOUT.size
+    assert kind.unpack(bytes(size) + b"more") == kind.unpack(bytes(size))
+
+
+@pytest.mark.parametrize(("kind", "size"), [(Ident, 48), (Status, 44)])
+def test_fields_that_firmware_1_1_does_not_send_are_zero(kind: Any, size: int) -> None:
+    old = kind.unpack(bytes(range(1, size + 1)))
+    assert old.pack() == bytes(range(1, size + 1)) + bytes(kind.LAYOUT.size - size)
+
+
+def test_the_checksum_is_that_of_zlib_over_what_is_sent() -> None:
+    requests = configuration(TIMING, STEPS)
+    sent = requests[0].payload + b"".join(r.payload[1:] for r in requests[1:-1])
+    assert config_crc(TIMING, STEPS) == zlib.crc32(sent)
+
+
+def test_a_configuration_is_committed_last_with_its_checksum() -> None:
+    requests = configuration(TIMING, STEPS)
+    assert [r.type for r in requests] == [Type.TIMING, Type.STEP, Type.STEP, Type.COMMIT]
+    assert [r.payload[0] for r in requests[1:3]] == [0, 1]
+    assert int.from_bytes(requests[-1].payload, "little") == config_crc(TIMING, STEPS)
+
+
+def event(number: int) -> Event:
+    return Event(number, 10 * number, Kind.PULSE, 1, 0, 0)
+
+
+def numbers(events: list[Event]) -> list[int]:
+    return [e.number for e in events]
+
+
+@given(st.lists(st.integers(0, 12), max_size=60))
+def test_each_event_comes_out_once_and_in_order(arrivals: list[int]) -> None:
+    order, passed = EventOrder(), list[int]()
+    for number in arrivals:
+        passed += numbers(order.add(event(number)))
+    assert passed == list(range(len(passed)))
+    first_gap = next(k for k in range(14) if k not in arrivals)
+    assert len(passed) == first_gap == order.next_number
+
+
+def test_an_early_event_waits_and_its_predecessor_is_missing() -> None:
+    order = EventOrder()
+    assert numbers(order.add(event(1))) == []
+    assert order.missing() == 0
+    assert numbers(order.add(event(0))) == [0, 1]
+    assert order.missing() is None
+
+
+def test_a_repeated_event_is_not_passed_on_again() -> None:
+    order = EventOrder()
+    order.add(event(0))
+    assert order.add(event(0)) == []
+
+
+def test_a_status_can_show_that_events_are_missing() -> None:
+    order = EventOrder()
+    order.announce(3)
+    assert order.missing() == 0
+    order.announce(1)
+    assert order.missing() == 0, "a late status takes nothing back"
+
+
+def test_what_was_overwritten_is_counted_and_what_arrived_early_is_kept() -> None:
+    order = EventOrder()
+    for number in (1, 4, 5):
+        order.add(event(number))
+    lost, events = order.skip_to(4)
+    assert lost == 3  # 0, 2 and 3
+    assert numbers(events) == [1, 4, 5]
+    assert order.next_number == 6
+
+
+@given(st.sets(st.integers(0, 20)), st.integers(0, 20))
+def test_after_a_skip_nothing_before_it_is_missing(early: set[int], number: int) -> None:
+    order = EventOrder()
+    passed = [n for k in sorted(early) for n in numbers(order.add(event(k)))]
+    lost, events = order.skip_to(number)
+    passed += numbers(events)
+    assert passed == sorted(set(passed))
+    assert lost == sum(k not in early for k in range(number))
+    assert (order.missing() or number) >= number
+
+
+def test_our_own_controller_is_accepted() -> None:
+    assert check_ident(IDENT.pack()) == IDENT
+    assert check_ident(replace(IDENT, minor=9).pack() + b"further fields").minor == 9
+
+
+def test_another_major_version_is_refused_with_the_remedy() -> None:
+    with pytest.raises(DeviceError, match=r"speaks protocol 2\.0, this station 1\.3") as caught:
+        check_ident(b"\2\0 and whatever that version says")
+    assert caught.value.code == "protocol-version"
+    assert "flash" in caught.value.action
+
+
+def test_a_foreign_device_is_named() -> None:
+    with pytest.raises(DeviceError, match="calls itself b'printer'"):
+        check_ident(replace(IDENT, board=b"printer\0").pack())
+
+
+def test_old_firmware_is_refused_with_the_remedy() -> None:
+    with pytest.raises(DeviceError, match=r"has firmware 0\.9\.3 with protocol 1\.3, but needs 1\.1\.0") as caught:
+        check_ident(replace(IDENT, firmware_major=0, firmware_minor=9, firmware_patch=3).pack())
+    assert caught.value.code == "firmware-too-old"
+    assert "flash" in caught.value.action
+
+
+def test_firmware_1_1_is_used_without_an_interlock() -> None:
+    old = check_ident(replace(IDENT, minor=1, firmware_minor=1).pack()[:48])
+    assert old.ready_longest_ms == 0
+    with pytest.raises(DeviceError, match=r"firmware 1\.1\.3, which has no output 'line ready'") as caught:
+        check_interlock(old)
+    assert caught.value.code == "interlock-missing"
+    assert "flash" in caught.value.action
+    check_interlock(check_ident(IDENT.pack()))
+
+
+@pytest.mark.parametrize(
+    ("nak", "words"),
+    [
+        (Nak(Type.COMMIT, Reason.RANGE, 4, 10000), "COMMIT was refused: period is out of range, .* 10000"),
+        (Nak(Type.COMMIT, Reason.LED_LIMIT, 17, 2000), "step 1 asks more of the LEDs than their limit of 2000 ticks"),
+        (Nak(Type.ARM, Reason.STATE, 0, 3), "ARM was refused: the controller is SAFE"),
+        (Nak(Type.ARM, Reason.CHECKSUM, 0, 0xABC), "0x00000abc"),
+        (Nak(Type.FIRE_ONE, Reason.LED_BUDGET, 2, 0), "channel 2 have not cooled down"),
+        (Nak(0x3F, Reason.UNKNOWN, 0, 0), "request 0x3f was refused: this firmware does not know it"),
+        (Nak(Type.CLOCK, 99, 0, 0), "CLOCK was refused: 99"),
+    ],
+)
+def test_refusals_are_sentences(nak: Nak, words: str) -> None:
+    assert re.search(words, describe(nak))
+
+
+STATUS = Status.unpack(bytes(44))
+PING = number_request(Type.CLOCK, 7)
+
+
+def sent(link: Link, now_s: float) -> Message | None:
+    """The message that the link sends now."""
+    messages = FrameReader().feed(link.outgoing(now_s))
+    return messages[0] if messages else None
+
+
+def reply(link: Link, payload: bytes, now_s: float = 0.0) -> list[Notification]:
+    """Send the next request and reply to it."""
+    request = sent(link, now_s)
+    assert request is not None
+    return link.receive(encode(Message(request.type | REPLY, request.sequence, payload)), now_s)
+
+
+def link_event(number: int, boots: int) -> bytes:
+    return encode(Message(Type.EVENT, boots % 256, Event(number, 0, Kind.PULSE, 1, number, 0).pack()))
+
+
+def known(boots: int = 1, events: int = 0) -> Link:
+    """A link that knows the boot."""
+    link = Link()
+    link.request(Request(Type.STATUS))
+    reply(link, replace(STATUS, boots=boots, events_next=events).pack())
+    return link
+
+
+def test_one_request_is_under_way_at_a_time() -> None:
+    link = Link()
+    link.request(PING)
+    link.request(Request(Type.SAFE))
+    first = sent(link, 0.0)
+    assert first is not None
+    assert first.type == Type.CLOCK
+    assert sent(link, RETRY_S / 2) is None
+    link.receive(encode(Message(first.type | REPLY, first.sequence, bytes(8))), 0.01)
+    second = sent(link, 0.02)
+    assert second is not None
+    assert (second.type, second.sequence) == (Type.SAFE, first.sequence + 1)
+
+
+def test_a_request_is_repeated_with_the_same_sequence_number_and_then_given_up() -> None:
+    link = Link(first_sequence=250)
+    link.request(PING)
+    messages = [sent(link, 1.1 * k * RETRY_S) for k in range(MAX_TRIES)]
+    assert {m.sequence for m in messages if m} == {250}
+    assert None not in messages
+    assert link.retries == MAX_TRIES - 1
+    assert link.receive(b"", 1.1 * (MAX_TRIES - 0.5) * RETRY_S) == []
+    assert link.receive(b"", 1.1 * MAX_TRIES * RETRY_S) == [Unanswered(PING)]
+    assert sent(link, 99.0) is None
+
+
+def test_a_reply_is_dated_from_the_first_transmission() -> None:
+    link = Link()
+    link.request(PING)
+    sent(link, 1.0)
+    (replied,) = reply(link, bytes(8), 1.2)
+    assert replied == Replied(PING, bytes(8), 1.0, 1.2)
+
+
+@pytest.mark.parametrize(
+    "message", [Message(Type.CLOCK | REPLY, 9, bytes(8)), Message(Type.SAFE | REPLY, 0), Message(Type.NAK, 5, bytes(8))]
+)
+def test_replies_to_other_requests_are_counted_and_ignored(message: Message) -> None:
+    link = Link()
+    link.request(PING)
+    sent(link, 0.0)
+    assert link.receive(encode(message), 0.0) == []
+    assert link.unmatched == 1
+    assert sent(link, RETRY_S) is not None, "the request is still pending"
+
+
+def test_a_refusal_reaches_the_caller() -> None:
+    link = Link()
+    link.request(PING)
+    request = sent(link, 0.0)
+    assert request is not None
+    nak = Nak(Type.CLOCK, Reason.STATE, 0, 1)
+    assert link.receive(encode(Message(Type.NAK, request.sequence, nak.pack())), 0.0) == [Refused(PING, nak)]
+
+
+def test_a_reply_of_impossible_size_leaves_the_request_pending() -> None:
+    link = Link()
+    link.request(Request(Type.STATUS))
+    assert reply(link, b"short") == []
+    assert link.unmatched == 1
+    assert sent(link, RETRY_S) is not None
+
+
+def test_the_heartbeat_goes_before_requests_and_keeps_its_interval() -> None:
+    link = Link(heartbeat=True)
+    link.request(PING)
+    types = []
+    for k in range(100):
+        if message := sent(link, k * 0.01):
+            types.append(message.type)
+            link.receive(encode(Message(message.type | REPLY, message.sequence, STATUS.pack()[:44])), k * 0.01)
+    assert types[:2] == [Type.BEAT, Type.CLOCK]
+    assert types.count(Type.BEAT) == round(1.0 / HEARTBEAT_S)
+
+
+def test_a_queued_request_is_sent_after_an_unanswered_heartbeat() -> None:
+    """A heartbeat is given up after more than its interval, so the next one is due already."""
+    link = Link(heartbeat=True)
+    link.request(PING)
+    sent_types: list[int] = []
+    unanswered: list[Notification] = []
+    for k in range(1000):
+        if message := sent(link, k * 0.01):
+            sent_types.append(message.type)
+        unanswered += link.receive(b"", k * 0.01)
+    assert sent_types[: 2 * MAX_TRIES + 1] == [Type.BEAT] * MAX_TRIES + [Type.CLOCK] * MAX_TRIES + [Type.BEAT]
+    assert unanswered[:3] == [Unanswered(Request(Type.BEAT)), Unanswered(PING), Unanswered(Request(Type.BEAT))]
+
+
+@pytest.mark.parametrize("kind", [Type.STATUS, Type.READ_EVENT])
+def test_a_queued_request_is_sent_after_an_unanswered_request_of_the_link(kind: Type) -> None:
+    link = known(events=0 if kind == Type.STATUS else 1)
+    if kind == Type.STATUS:
+        link.receive(link_event(0, boots=2), 0.0)
+    link.request(PING)
+    sent_types: list[int] = []
+    unanswered: list[Notification] = []
+    for k in range(250):
+        if message := sent(link, k * 0.01):
+            sent_types.append(message.type)
+        unanswered += link.receive(b"", k * 0.01)
+    assert sent_types[: 2 * MAX_TRIES] == [kind] * MAX_TRIES + [Type.CLOCK] * MAX_TRIES
+    assert unanswered[1] == Unanswered(PING)
+
+
+def test_after_a_reply_the_heartbeat_goes_first_again() -> None:
+    link = Link(heartbeat=True)
+    for k in range(MAX_TRIES + 1):
+        sent(link, 1.1 * k * RETRY_S)
+        link.receive(b"", 1.1 * k * RETRY_S)
+    beat = sent(link, 2.0)
+    assert beat is not None
+    assert beat.type == Type.BEAT
+    link.receive(encode(Message(beat.type | REPLY, beat.sequence, STATUS.pack())), 2.0)
+    link.request(PING)
+    following = sent(link, 2.0 + HEARTBEAT_S)
+    assert following is not None
+    assert following.type == Type.BEAT
+
+
+def test_an_event_of_another_boot_is_not_passed_on_until_the_boot_is_known() -> None:
+    link = known(boots=1)
+    assert link.receive(link_event(0, boots=2), 0.0) == []
+    assert not link.up_to_date
+    restarted = reply(link, replace(STATUS, boots=2, events_next=1).pack())
+    assert restarted == [Restarted(2)]
+    read = sent(link, 0.0)
+    assert read is not None
+    assert (read.type, read.payload) == (Type.READ_EVENT, bytes(4))
+
+
+def test_a_reset_returns_queued_requests_as_unanswered() -> None:
+    link = known(boots=1)
+    link.request(Request(Type.STATUS))
+    link.request(PING)
+    notifications = reply(link, replace(STATUS, boots=2).pack())
+    assert notifications[:2] == [Restarted(2), Unanswered(PING)]
+    assert isinstance(notifications[2], Replied)
+
+
+def test_events_are_acknowledged_when_nothing_else_is_to_be_done() -> None:
+    link = known()
+    (received,) = link.receive(link_event(0, boots=1), 0.0)
+    assert isinstance(received, EventReceived)
+    assert link.status_is_outdated
+    link.request(PING)
+    assert reply(link, bytes(8))
+    acknowledgement = sent(link, 0.0)
+    assert acknowledgement is not None
+    assert (acknowledgement.type, acknowledgement.payload) == (Type.ACK_EVENTS, bytes([1, 0, 0, 0]))
+
+
+def test_events_that_the_controller_has_overwritten_are_reported_as_lost() -> None:
+    link = known(events=5)
+    request = sent(link, 0.0)
+    assert request is not None
+    assert request.type == Type.READ_EVENT
+    nak = Nak(Type.READ_EVENT, Reason.GONE, 0, 3)
+    assert link.receive(encode(Message(Type.NAK, request.sequence, nak.pack())), 0.0) == [EventsLost(3)]
+    assert not link.up_to_date, "3 and 4 can still be read"
+
+
+def test_events_of_an_earlier_process_are_skipped() -> None:
+    link = known(events=5)
+    link.skip_history()
+    assert link.up_to_date
+    (received,) = link.receive(link_event(5, boots=1), 0.0)
+    assert isinstance(received, EventReceived)
+
+
+def test_damaged_bytes_are_counted() -> None:
+    link = Link()
+    link.receive(b"noise\0" + encode(Message(1, 1)), 0.0)
+    assert (link.bad_frames, link.messages) == (1, 1)
+
+
+def permitting(until_s: float = 10.0) -> Link:
+    """A link to a controller with an interlock, with a permit that has not been sent."""
+    link = known()
+    link.ready_longest_ms, link.permit = 1000, Permit(5, until_s)
+    return link
+
+
+def stated(link: Link, now_s: float) -> bytes | None:
+    """The payload of the READY that the link sends now, replied to; None if it sends no READY."""
+    request = sent(link, now_s)
+    if request is None:
+        return None
+    assert request.type == Type.READY
+    link.receive(encode(Message(Type.READY | REPLY, request.sequence, replace(STATUS, boots=1).pack())), now_s)
+    return request.payload
+
+
+def test_a_permit_is_sent_at_once_renewed_and_withdrawn_at_once() -> None:
+    link = permitting()
+    assert stated(link, 0.0) == ready(5, 1000).payload
+    assert stated(link, 0.9 * HEARTBEAT_S) is None
+    assert stated(link, HEARTBEAT_S) == ready(5, 1000).payload
+    link.permit = None
+    assert stated(link, HEARTBEAT_S + 0.01) == ready(5, 0).payload
+    assert stated(link, 5.0) is None, "withdrawn once"
+
+
+def test_a_permit_is_never_stated_for_longer_than_it_is_valid() -> None:
+    link = permitting(until_s=0.6)
+    assert stated(link, 0.0) == ready(5, 600).payload
+    assert stated(link, HEARTBEAT_S) == ready(5, 350).payload
+    assert stated(link, 0.6) == ready(5, 0).payload
+    assert stated(link, 1.0) is None
+
+
+def test_a_repeated_ready_states_what_is_valid_when_it_is_repeated() -> None:
+    """A late reply to the first transmission does not confirm the second."""
+    link = permitting(until_s=0.5)
+    first = sent(link, 0.0)
+    link.permit = None
+    again = sent(link, RETRY_S)
+    assert first is not None
+    assert again is not None
+    assert (first.payload, again.payload) == (ready(5, 500).payload, ready(5, 0).payload)
+    link.receive(encode(Message(Type.READY | REPLY, first.sequence, replace(STATUS, boots=1).pack())), RETRY_S)
+    assert sent(link, 2 * RETRY_S) is not None, "still without a reply"
+
+
+def test_ready_is_not_sent_to_a_controller_without_an_interlock() -> None:
+    link = permitting()
+    link.ready_longest_ms = 0
+    assert sent(link, 0.0) is None
+
+
+def test_a_permit_is_stated_anew_after_a_reset_of_the_controller() -> None:
+    link = permitting()
+    stated(link, 0.0)
+    link.request(Request(Type.STATUS))
+    reply(link, replace(STATUS, boots=2).pack(), 0.01)
+    assert stated(link, 0.02) == ready(5, 1000).payload

@@ -1,0 +1,292 @@
+"""The end of a run: causes, outages, lights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from vaoi_station.acquisition.cameras.interface import StatedExposure
+from vaoi_station.acquisition.clocks import ClockJump
+from vaoi_station.acquisition.controller.interface import PulseSkipped
+from vaoi_station.acquisition.pairing.conclusion import (
+    Outages,
+    conclude_run,
+    contradicted_frames,
+    contradicted_rows,
+    contradiction,
+    judge_run,
+)
+from vaoi_station.acquisition.pairing.evidence import NO_PACKET
+from vaoi_station.acquisition.pairing.proof import TriggerProof
+from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
+from vaoi_station.model import FrameRecord, ProgramRow, Pulse, Verdict
+
+
+def test_an_outage_is_the_cause_from_its_begin_to_its_end() -> None:
+    outages = Outages()
+    outages.begin(1, 10.0, "no answer")
+    assert outages.cause_at(1, 9.9) == ""
+    assert outages.cause_at(1, 1e9) == "the camera was lost: no answer"
+    assert outages.cause_at(0, 10.5) == ""
+    outages.end(1, 12.0)
+    outages.begin(1, 20.0, "unplugged")
+    outages.end(1, 21.0)
+    assert [outages.cause_at(1, s) for s in (11.0, 12.5, 20.5, 21.5)] == [
+        "the camera was lost: no answer",
+        "",
+        "the camera was lost: unplugged",
+        "",
+    ]
+
+
+def test_only_the_newest_outages_are_kept() -> None:
+    outages = Outages(keep=2)
+    for second in range(5):
+        outages.begin(0, second, str(second))
+        outages.end(0, second + 0.5)
+    assert [outages.cause_at(0, second + 0.2) for second in range(5)] == [
+        "",
+        "",
+        "",
+        *(f"the camera was lost: {k}" for k in "34"),
+    ]
+
+
+def test_times_between_the_readings_of_a_clock_that_jumped_are_unknown() -> None:
+    outages = Outages()
+    jump = ClockJump(37.0, 10.0, 10.5)
+    outages.add_jump(1, jump)
+    assert [outages.jump_between(1, s, s) for s in (9.9, 10.2, 10.6)] == [None, jump, None]
+    assert outages.jump_between(1, 9.9, 10.1) is jump
+    assert outages.jump_between(0, 10.2, 10.2) is None
+    assert [outages.count_ended(1, s) for s in (10.4, 10.5)] == [0, 1], "its clock begins a new epoch"
+
+
+LEFT = ProgramRow("left", (200.0, 200.0), (0.0, 6.0), 80.0)
+RIGHT = ProgramRow("right", (200.0, 200.0), (0.0, 0.0), 80.0)
+
+
+def pulse(
+    light: str,
+    row: int = 0,
+    on_us: float | None = None,
+    exposures_us: tuple[float, ...] = (),
+    gains: tuple[float, ...] = (),
+) -> ObservedPulse:
+    return ObservedPulse(Pulse(index=row, time_s=float(row), light=light), float(row), exposures_us, 0.0, gains, on_us)
+
+
+@pytest.mark.parametrize(
+    ("reported", "words"),
+    [
+        (pulse("left"), ""),
+        (pulse("left", on_us=80.5, exposures_us=(80.0, 80.0), gains=(1.0, 1.9953)), ""),
+        (pulse("right"), "its pulse was fired with light 'right', but the light program has 'left'"),
+        (pulse(""), "its pulse was fired with no light, but the light program has 'left'"),
+        (pulse("left", on_us=60.0), "light 'left' was on for 60 µs, but the light program has 80 µs"),
+        (pulse("left", exposures_us=(80.0, 40.0)), "camera 1 had exposure 40 µs, but the light program has 80 µs"),
+        (pulse("left", gains=(1.0, 1.0)), "camera 1 had gain 1, but the light program has 1.99526"),
+    ],
+)
+def test_a_pulse_agrees_with_its_step_or_the_difference_is_stated(reported: ObservedPulse, words: str) -> None:
+    assert contradiction(reported, LEFT) == words
+
+
+def test_the_width_of_the_trigger_is_the_exposure() -> None:
+    by_width = ProgramRow("left", (200.0,), (0.0,), 80.0, 200.0)
+    assert contradiction(replace(pulse("left"), trigger_us=200.5), by_width) == ""
+    assert contradiction(pulse("left"), by_width) == "", "the controller did not report it"
+    words = "its trigger was high for 100 µs, but the light program has an exposure of 200 µs"
+    assert contradiction(replace(pulse("left"), trigger_us=100.0), by_width) == words
+
+
+def test_rows_are_compared_with_the_step_of_their_turn() -> None:
+    pulses = {0: pulse("left", 0), 1: pulse("left", 1), 3: pulse("right", 3)}
+    assert list(contradicted_rows(pulses, (LEFT, RIGHT))) == [1]
+    assert contradicted_rows(pulses, ()) == {}
+
+
+def stating(row: int | None, exposure_us: float, gain_db: float | None = 0.0) -> ObservedFrame:
+    return ObservedFrame(row, 1, 0.0, 0.0, 0.0, stated=StatedExposure(exposure_us, gain_db))
+
+
+def test_frames_state_the_exposure_and_gain_of_their_row() -> None:
+    """Sensors expose whole lines: within its tolerance a frame fits, and it fits one step only."""
+    program = (ProgramRow("left", (9.0, 100.0), (0.0, 0.0)), ProgramRow("left", (9.0, 140.0), (0.0, 0.6)))
+    fitting = [stating(0, 81.0), stating(0, 119.9, 0.2), stating(1, 120.1, 0.4), stating(2, 100.0, None)]
+    fitting.append(stating(None, 5.0))
+    assert contradicted_frames(1, [*fitting, ObservedFrame(3, 1, 0.0, 0.0, 0.0)], program) == {}
+    other = contradicted_frames(1, [stating(4, 120.0), stating(5, 140.0, 0.3)], program)
+    assert {row: text.split(":")[0] for row, text in other.items()} == {
+        4: "its frame states an exposure of 120 µs, but the light program has 100 µs",
+        5: "its frame states a gain of 0.3 dB, but the light program has 0.6 dB",
+    }
+    assert contradicted_frames(1, [stating(0, 5.0)], ()) == {}
+    assert list(contradicted_frames(1, [stating(0, math.nan), stating(2, 100.0, math.nan)], program)) == [0, 2]
+
+
+PERIOD_S = 0.1
+START_S = 100.0
+
+
+def run_with_frames(ids: dict[int, int], rows: int = 6, name: str = "a", start_s: float = START_S) -> RunRecord:
+    """Return a run of one camera: row → frame id of the frames that arrived."""
+    run = RunRecord(name, 0, PERIOD_S, pulse_count=rows)
+    for row in range(rows):
+        pulse = Pulse(index=row, time_s=start_s + row * PERIOD_S)
+        run.pulses[row] = ObservedPulse(pulse, start_s + row * PERIOD_S, reported_s=start_s + row * PERIOD_S)
+    for row, frame_id in ids.items():
+        fired_s = run.pulses[row].host_s
+        run.taken.add((0, row))
+        run.complete_frames[0].append(ObservedFrame(row, frame_id, fired_s, fired_s, fired_s + 0.02))
+        run.frames[0, row] = FrameRecord(camera=0, row=row, verdict=Verdict.OK, slot=row)
+    return run
+
+
+def concluded(
+    run: RunRecord,
+    unassigned: Sequence[Sequence[ObservedFrame]],
+    outages: Outages,
+    bound_s: float,
+    previous: RunRecord | None = None,
+) -> tuple[list[FrameRecord], TriggerProof]:
+    missing, proof = judge_run(run, unassigned, outages, bound_s, previous)
+    conclude_run(run, missing, proof)
+    return missing, proof
+
+
+def causes(run: RunRecord, outages: Outages | None = None, previous: RunRecord | None = None) -> dict[int, str]:
+    missing, _ = concluded(run, [[]], outages or Outages(), 1e-4, previous)
+    return {frame.row: frame.cause for frame in missing}
+
+
+def test_every_row_has_a_record_afterwards() -> None:
+    run = run_with_frames({0: 1, 2: 3, 5: 6})
+    missing, proof = concluded(run, [[]], Outages(), 1e-4)
+    assert {key for key, frame in run.frames.items() if frame.verdict is Verdict.MISSING} == {(0, 1), (0, 3), (0, 4)}
+    assert [frame.row for frame in missing] == [1, 3, 4]
+    assert all(run.frames[0, frame.row] is frame for frame in missing)
+    assert proof.proven
+
+
+def test_frames_whose_stamps_fit_no_pulse_were_sent() -> None:
+    """A camera with another latency needs no new cable."""
+    run = run_with_frames({}, rows=3)
+    unassigned = [
+        ObservedFrame(None, n, at, at, at + 0.02) for n, at in enumerate(START_S + 0.05 + 0.1 * k for k in (0, 1))
+    ]
+    missing, _ = concluded(run, [unassigned], Outages(), 1e-4)
+    assert {m.cause for m in missing} == {"the camera sent 2 frame(s) in this run, but no time stamp fits a pulse"}
+    assert set(causes(run_with_frames({}, rows=1)).values()) == {
+        "the camera sent no frame in this run; check its cable, its power and its trigger line"
+    }
+
+
+def test_a_skipped_row_has_the_reason_of_the_controller() -> None:
+    run = run_with_frames({0: 1, 2: 2}, rows=3)
+    del run.pulses[1]
+    run.skipped[1] = PulseSkipped(0, START_S + PERIOD_S, 1, "the LEDs must cool down")
+    assert causes(run) == {1: "the LEDs must cool down"}
+
+
+def test_a_row_without_a_report_and_without_a_reason_is_a_lost_report() -> None:
+    run = run_with_frames({0: 1, 2: 3}, rows=3)
+    del run.pulses[1]
+    assert causes(run) == {1: "the controller's report of this pulse was lost"}
+
+
+def test_a_refused_frame_precedes_an_outage_and_an_outage_precedes_the_ids() -> None:
+    run, outages = run_with_frames({0: 1, 3: 4}, rows=4), Outages()
+    run.refused[0, 1] = "its run has no free slot for row 1"
+    outages.begin(0, START_S + 0.05, "no answer")
+    outages.end(0, START_S + 0.25)
+    assert causes(run, outages) == {
+        1: "its run has no free slot for row 1",
+        2: "the camera was lost: no answer",
+    }
+
+
+def test_ids_before_and_after_an_outage_are_not_compared() -> None:
+    """The camera restarts its ids: a comparison would find a gap of thousands of frames."""
+    run, outages = run_with_frames({0: 4711, 1: 4712, 4: 1, 5: 2}), Outages()
+    outages.begin(0, START_S + 0.15, "its cable")
+    outages.end(0, START_S + 0.35)
+    _, proof = concluded(run, [[]], outages, 1e-4)
+    assert proof.proven
+    assert proof.findings == ()
+
+
+@pytest.mark.parametrize(("first_id", "cause"), [(7, "did not expose"), (9, "lost in transfer")])
+def test_the_first_rows_are_compared_with_the_last_frame_of_the_run_before(first_id: int, cause: str) -> None:
+    previous = run_with_frames({row: row + 1 for row in range(6)}, name="before", start_s=START_S - 2.0)
+    run = run_with_frames({2: first_id, 3: first_id + 1}, rows=4)
+    assert all(cause in text for text in causes(run, previous=previous).values())
+
+
+def test_a_count_that_does_not_fit_the_run_before_is_ignored() -> None:
+    previous = run_with_frames({5: 6}, name="before", start_s=START_S - 2.0)
+    run = run_with_frames({2: 60, 3: 61}, rows=4)
+    assert set(causes(run, previous=previous).values()) == {"no frame arrived for the first pulses"}
+
+
+def test_a_finding_is_the_cause_of_its_complete_frame() -> None:
+    run = run_with_frames({0: 1, 1: 3, 2: 2, 3: 4}, rows=4)
+    _, proof = concluded(run, [[]], Outages(), 1e-4)
+    assert not proof.proven
+    assert {row for (_, row), frame in run.frames.items() if frame.cause} == {1, 2}
+    assert all(frame.verdict is Verdict.OK for frame in run.frames.values())
+
+
+def test_frames_of_the_time_in_which_a_clock_jumped_are_not_used() -> None:
+    """Two readings of the clock enclose the jump; before and after it each frame is proven."""
+    run, outages = run_with_frames({0: 1, 1: 2, 3: 4, 4: 5, 5: 6}), Outages()
+    for k, frame in enumerate(run.complete_frames[0]):
+        if frame.row in (4, 5):
+            run.complete_frames[0][k] = replace(frame, time_s=frame.time_s - 1.0)
+    outages.add_jump(0, ClockJump(-1.0, START_S + 0.15, START_S + 0.35))
+    missing, proof = concluded(run, [[]], outages, 1e-4)
+    assert [(frame.row, "its clock jumped by -1.00 s" in frame.cause) for frame in missing] == [(2, True)]
+    assert [(f.row, f.kind) for f in proof.findings] == [(3, "clock-jumped")]
+    assert (proof.proven, proof.cameras[0].proven) == (False, False)
+    assert {row for (_, row), frame in run.frames.items() if frame.usable} == {0, 1, 4, 5}
+
+
+def test_a_camera_whose_clock_jumped_by_one_period_does_not_run_freely() -> None:
+    """The frames of rows 2 and 3 took rows 3 and 4, so the next one, dated correctly again, found its row taken."""
+    run, outages = run_with_frames({0: 1, 1: 2, 3: 3, 4: 4, 5: 6, 6: 7, 7: 8}, rows=8), Outages()
+    for k, frame in enumerate(run.complete_frames[0]):
+        if frame.row in (3, 4):
+            run.complete_frames[0][k] = replace(frame, arrived_s=frame.arrived_s - PERIOD_S)
+    outages.add_jump(0, ClockJump(PERIOD_S, START_S - 0.1, START_S + 0.35))
+    displaced = ObservedFrame(None, 5, START_S + 0.4, START_S + 0.4, START_S + 0.42)
+    missing, proof = concluded(run, [[displaced]], outages, 1e-4)
+    assert {frame.row for frame in missing} == {2}
+    assert [(f.row, f.kind) for f in proof.findings] == [(row, "clock-jumped") for row in (0, 1, 3, 4)]
+    assert {row for (_, row), frame in run.frames.items() if frame.usable} == {5, 6, 7}
+
+
+def test_a_frame_that_a_jump_moved_to_another_run_is_no_extra_frame_there() -> None:
+    run, outages = run_with_frames({row: row + 1 for row in range(6)}), Outages()
+    outages.add_jump(0, ClockJump(37.0, START_S - 37.5, START_S - 36.5))
+    moved = ObservedFrame(None, 7, START_S + 0.23, START_S + 0.23, START_S - 36.8)
+    _, proof = concluded(run, [[moved]], outages, 1e-4)
+    assert proof.findings == ()
+
+
+def test_a_camera_that_answers_and_never_sent_a_packet_is_named() -> None:
+    run = run_with_frames({}, rows=2)
+    run.silent = frozenset({0})
+    assert causes(run) == dict.fromkeys(range(2), NO_PACKET)
+
+
+def test_a_frame_of_another_light_than_the_program_has_is_not_proven() -> None:
+    run = run_with_frames({0: 1, 1: 2, 2: 3}, rows=3)
+    run.program = (ProgramRow("", (100.0,), (0.0,)), ProgramRow("left", (100.0,), (0.0,)))
+    _, proof = concluded(run, [[]], Outages(), 1e-4)
+    assert [(f.kind, f.row) for f in proof.findings] == [("other-light", 1)]
+    assert not proof.proven
+    assert [run.frames[0, row].proven for row in range(3)] == [True, False, True]
+    assert "the light program has 'left'" in run.frames[0, 1].cause

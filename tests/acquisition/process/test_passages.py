@@ -1,0 +1,266 @@
+"""The passages of boards through the barrier."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading
+from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    BarrierBlockedAgain,
+    BarrierClear,
+    BarrierClearAfterRun,
+    BeltPacing,
+    BoardTooSoon,
+    ControllerEvent,
+    PulseFired,
+    RunEnded,
+    TriggerPlan,
+)
+from vaoi_station.acquisition.process.messages import BoardMissed
+from vaoi_station.acquisition.process.passages import (
+    STILL_S,
+    UNREPORTED_S,
+    BarrierLog,
+    OutdatedEvents,
+    PassageLog,
+    PassageWatch,
+    since_first,
+)
+
+
+def test_interruptions_are_collected_in_order() -> None:
+    log = BarrierLog()
+    states = [log.is_open]
+    log.blocked(10.0)
+    states.append(log.is_open)
+    log.clear(11.0)
+    states.append(log.is_open)
+    assert states == [False, True, False]
+    log.blocked(12.0)
+    assert log.interruptions == [(10.0, 11.0), (12.0, None)]
+    assert since_first(log.interruptions) == ((0.0, 1.0), (2.0, None))
+    assert since_first([]) == ()
+
+
+def test_a_second_end_extends_the_interruption_because_its_beginning_was_lost() -> None:
+    log = BarrierLog()
+    log.clear(1.0)
+    assert log.interruptions == []
+    log.blocked(2.0)
+    log.clear(3.0)
+    log.clear(5.0)
+    assert log.interruptions == [(2.0, 5.0)]
+
+
+def test_the_way_of_the_belt_at_the_edges_is_that_of_the_encoder() -> None:
+    log = BarrierLog()
+    for blocked, clear in (((10.0, 2**32 - 100), (40.0, 900)), ((41.0, 920), None)):
+        assert log.ways_mm(20.0) == (None if not log.interruptions else ((0.0, 50.0),))
+        log.blocked(*blocked)
+        if clear is not None:
+            log.clear(*clear)
+    assert log.ways_mm(20.0) == ((0.0, 50.0), (51.0, None)), "the counter wraps"
+    log.clear(42.0)
+    assert log.ways_mm(20.0) is None, "one edge came without a position"
+
+
+def test_an_encoder_that_does_not_count_forwards_measures_no_way() -> None:
+    for counts in (0, -40):
+        log = BarrierLog()
+        log.blocked(1.0, 1000)
+        log.clear(2.0, 1000 + counts)
+        assert log.ways_mm(20.0) is None
+    log.blocked(3.0, 1600)
+    log.clear(4.0, 1600 - 1)
+    assert log.ways_mm(20.0) is None, "it counted backwards before"
+    log = BarrierLog()
+    log.blocked(1.0, 1000)
+    log.clear(2.0, 1600)
+    log.blocked(3.0, 1598)
+    assert log.ways_mm(20.0) == ((0.0, 30.0), (29.9, None)), "a belt at rest shakes"
+
+
+def test_an_interruption_after_the_end_of_the_run_begins_another_passage() -> None:
+    log = BarrierLog()
+    log.blocked(1.0)
+    of_the_run = log.interruptions
+    log.over = True
+    log.blocked(7.0)
+    assert of_the_run == [(1.0, None)]
+    assert log.interruptions == [(7.0, None)]
+    assert not log.over
+
+
+AHEAD_S = 1000.0
+"""The host's time minus the controller's."""
+
+
+@pytest.fixture
+def log() -> PassageLog:
+    clock = ClockModel("controller")
+    clock.add(ClockReading(0.0, AHEAD_S, 1e-5))
+    return PassageLog(clock)
+
+
+def test_a_passage_has_all_interruptions_from_its_first_edge_on(log: PassageLog) -> None:
+    edges = [BarrierBlocked(0, 1.0), BarrierClear(1, 1.5), BarrierBlockedAgain(2, 1.6), BarrierClearAfterRun(3, 2.0)]
+    assert [log.add(event, AHEAD_S + 9.0) for event in edges] == [None] * 4
+    assert (log.edge_s, log.barrier.interruptions) == (AHEAD_S + 1.0, [(1.0, 1.5), (1.6, 2.0)])
+    log.add(BarrierBlocked(4, 3.0), AHEAD_S + 2.9)
+    assert log.edge_s == AHEAD_S + 2.9, "no edge lies in the future"
+    assert log.begin_run().interruptions == [(3.0, None)]
+    log.barrier.over = True
+    assert log.begin_run().interruptions == [], "the edge of this run was not reported"
+    log.begin_single(AHEAD_S + 5.0)
+    assert (log.edge_s, log.barrier.interruptions) == (AHEAD_S + 5.0, [])
+
+
+def test_a_board_without_a_run_is_missed_once(log: PassageLog) -> None:
+    stood = log.add(BarrierClearAfterRun(0, 1.0), AHEAD_S + 1.1)
+    assert stood == BoardMissed(AHEAD_S + 1.0, "it stood in the barrier when the line was armed")
+    soon = log.add(BoardTooSoon(1, 2.0, 0.25), AHEAD_S + 2.1)
+    assert soon == BoardMissed(AHEAD_S + 2.0, "it came 0.250 s after the one before had left")
+    assert log.add(BarrierClearAfterRun(2, 2.5), AHEAD_S + 2.6) is None
+
+
+BY_TIME = TriggerPlan(start_delay_s=0.2, period_s=0.1, tail_s=0.2, max_rows=9, debounce_s=0.005)
+BY_BELT = replace(BY_TIME, belt=BeltPacing(20.0, 400, 200, 400, 0.08))
+
+
+@pytest.fixture
+def watch() -> PassageWatch:
+    armed = PassageWatch()
+    armed.arm(BY_BELT, False)
+    return armed
+
+
+def test_a_board_passes_from_the_edge_to_the_end_of_its_run(watch: PassageWatch) -> None:
+    events = [BarrierBlocked(0, 1.0), PulseFired(1, 1.2, 0), BarrierClear(2, 1.3), RunEnded(3, 1.5, 1, "clear")]
+    assert [(watch.add(event, event.time_s), watch.passing) for event in events] == [
+        (True, True), (False, True), (False, True), (True, False),
+    ]  # fmt: skip
+
+
+def test_a_replay_that_reports_no_clear_barrier_leaves_none_blocked(watch: PassageWatch) -> None:
+    watch.add(BarrierBlocked(0, 1.0), 1.0)
+    assert watch.add(RunEnded(1, 1.5, 1, "clear"), 1.5)
+    assert not watch.passing
+
+
+def test_a_board_that_stays_after_its_rows_is_in_the_barrier_until_it_left(watch: PassageWatch) -> None:
+    watch.add(BarrierBlocked(0, 1.0), 1.0)
+    assert not watch.add(RunEnded(1, 1.5, 9, "max-rows"), 1.5)
+    assert not watch.belt_stopped(99.0), "without a run no row is awaited"
+    assert watch.add(BarrierClearAfterRun(2, 2.0), 2.0)
+
+
+def test_a_board_that_came_too_soon_is_in_the_barrier_until_it_left_or_its_edge_was_lost(watch: PassageWatch) -> None:
+    assert watch.add(BoardTooSoon(0, 1.0, 0.1), 1.0)
+    watch.forget_barrier()
+    assert not watch.passing
+    watch.add(BarrierBlocked(0, 1.0), 1.0)
+    watch.forget_barrier()
+    assert watch.passing, "the end of a run is always reported"
+
+
+def test_a_belt_that_spaces_the_rows_has_stopped_if_none_comes(watch: PassageWatch) -> None:
+    watch.add(BarrierBlocked(0, 1.0), 1.0)
+    assert not watch.belt_stopped(1.0 + STILL_S)
+    assert watch.belt_stopped(1.1 + STILL_S)
+    watch.add(PulseFired(1, 6.2, 0), 6.2)
+    assert not watch.belt_stopped(6.3)
+    watch.arm(replace(BY_BELT, start_delay_s=2.0), None)
+    assert not watch.belt_stopped(6.2 + 8.0), "a slow belt needs 8 s to the first row"
+    watch.arm(BY_TIME, None)
+    assert not watch.belt_stopped(99.0)
+
+
+def test_while_disarmed_nothing_passes(watch: PassageWatch) -> None:
+    watch.add(BarrierBlocked(0, 1.0), 1.0)
+    watch.disarm()
+    assert not watch.passing
+    assert not watch.add(PulseFired(1, 2.0, 0), 2.0), "a single pulse is no board"
+
+
+def shown(watch: PassageWatch) -> tuple[bool, bool]:
+    """Return whether a board stands in the barrier, and whether one passes."""
+    return watch.standing, watch.passing
+
+
+def test_a_board_that_is_in_the_barrier_when_the_line_is_armed_stands_until_it_left(watch: PassageWatch) -> None:
+    watch.arm(BY_TIME, True)
+    assert shown(watch) == (True, False)
+    watch.check_level(True, 1.0)
+    assert shown(watch)[0]
+    assert watch.add(BarrierClearAfterRun(0, 2.0), 2.0)
+    assert not shown(watch)[0]
+    watch.arm(BY_TIME, True)
+    watch.check_level(False, 3.0)
+    assert not shown(watch)[0], "no edge is reported of a level that did not last for the debounce"
+    watch.arm(BY_TIME, True)
+    assert watch.add(BarrierBlocked(1, 4.0), 4.0)
+    assert shown(watch) == (False, True), "it came just when the line was armed"
+    watch.arm(BY_TIME, True)
+    assert not shown(watch)[0], "the same plan again while it passes"
+    watch.disarm()
+    watch.check_level(True, 9.0)
+    assert not shown(watch)[0]
+
+
+def test_a_board_whose_edge_is_not_reported_stands_once_it_is_clear_that_none_will_come(watch: PassageWatch) -> None:
+    """The controller was reset and armed again while the board was in the barrier."""
+    watch.check_level(True, 10.0)
+    watch.check_level(True, 10.0 + UNREPORTED_S)
+    assert not shown(watch)[0], "the report of its edge may be under way"
+    watch.check_level(True, 10.1 + UNREPORTED_S)
+    assert shown(watch)[0]
+    watch.check_level(None, 12.0)
+    assert watch.standing, "the controller does not reply"
+    watch.check_level(False, 13.0)
+    assert not shown(watch)[0]
+
+
+def test_a_board_whose_run_was_cut_short_is_in_the_barrier_until_that_is_clear(watch: PassageWatch) -> None:
+    watch.add(BarrierBlocked(0, 1.0), 1.0)
+    watch.add(RunEnded(1, 1.5, 3, "the controller was reset"), 1.5)
+    assert (watch.passing, watch.standing) == (True, False)
+    watch.check_level(False, 1.9)
+    assert not shown(watch)[1]
+
+
+def given_up() -> OutdatedEvents:
+    clock = ClockModel("controller")
+    clock.add(ClockReading(0.0, 100.0, 1e-5))
+    outdated = OutdatedEvents(clock)
+    outdated.give_up()
+    return outdated
+
+
+def pulse(host_s: float) -> PulseFired:
+    return PulseFired(0, host_s - 100.0, 0)
+
+
+@pytest.mark.parametrize("end", [RunEnded(0, 9.0, 1, "single"), BarrierBlocked(0, 9.0)])
+def test_the_end_of_the_run_or_the_next_board_ends_it(end: ControllerEvent) -> None:
+    outdated = given_up()
+    assert outdated.has(pulse(108.0))
+    assert outdated.has(end) is isinstance(end, RunEnded)
+    assert not outdated.has(pulse(109.5))
+
+
+def test_a_pulse_counts_by_its_time_on_the_clock_of_the_host() -> None:
+    outdated = given_up()
+    outdated.expect_pulse(110.0)
+    assert outdated.has(pulse(109.0))
+    assert not outdated.has(pulse(110.1))
+    assert not outdated.has(pulse(109.0)), "one event in time ends it"
+
+
+def test_nothing_is_outdated_after_disarming_or_for_a_pulse_without_anything_given_up() -> None:
+    outdated = given_up()
+    outdated.forget()
+    outdated.expect_pulse(110.0)
+    assert not outdated.has(pulse(1.0))

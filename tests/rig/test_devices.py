@@ -1,0 +1,302 @@
+"""All devices of a rig, the files of its station, and injected faults."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.rig.known_boards import known_board
+from vaoi_station.config import StationConfig, read_config
+from vaoi_station.errors import DeviceError
+from vaoi_station.files import read_board_type, read_calibration
+from vaoi_station.rig import devices as assembly
+from vaoi_station.rig.devices import (
+    TERMINAL,
+    DeviceRecovery,
+    Devices,
+    FaultInjector,
+    build_site,
+    frame_faults_of,
+    prepare_boards,
+)
+from vaoi_station.rig.faults import parse_fault
+from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
+from vaoi_station.simulation import Scenario, Twin
+from vaoi_station.simulation.scenario import LightSection
+
+
+class Scripted:
+    """Stand-ins for all devices; they record their starts and ends in one list."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, fails: str = "") -> None:
+        self.log: list[str] = []
+        self.reports: dict[str, Any] = {}
+        scripted = self
+
+        class Device:
+            def __init__(self, *arguments: Any) -> None:
+                self.name = type(self).__name__
+                if self.name == "Camera":
+                    self.name, scripted.reports[arguments[1]] = f"camera {arguments[0]}", arguments[2]
+
+            def start(self) -> None:
+                scripted.step(f"start {self.name}")
+
+            def wait_ready(self) -> None:
+                scripted.step(f"wait {self.name}", fails)
+
+            def stop(self) -> None:
+                scripted.step(f"stop {self.name}")
+
+            def __enter__(self) -> Device:
+                scripted.step(f"start {self.name}", fails)
+                return self
+
+            def __exit__(self, *_: object) -> None:
+                self.stop()
+
+        class Addresses(Device): ...
+
+        class Camera(Device): ...
+
+        class Chip(Device): ...
+
+        class Renderer(Device):
+            def render(self, request: FrameRequest) -> Path:
+                scripted.step(f"render {request.board}")
+                return Path("late.raw")
+
+            close = Device.stop
+
+        for name, stand_in in {
+            "LoopbackAddresses": Addresses, "CameraProcess": Camera, "Chip": Chip, "FrameRenderer": Renderer,
+            "build": lambda folder: folder,
+        }.items():  # fmt: skip
+            monkeypatch.setattr(assembly, name, stand_in)
+
+    def step(self, name: str, fails: str = "") -> None:
+        self.log.append(name)
+        if fails and fails in name:
+            raise DeviceError(f"{name} fails.")
+
+
+def test_devices_end_in_the_reverse_order_of_their_start(
+    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripted = Scripted(monkeypatch)
+    with Devices(small, tmp_path) as devices:
+        assert devices.addresses == ("127.0.0.2", "127.0.0.3")
+        assert devices.terminal == tmp_path / TERMINAL
+        assert len(devices.cameras) == 2
+        started = [step for step in scripted.log if step.startswith("start")]
+        scripted.log.clear()
+    assert started == ["start Addresses", "start camera 127.0.0.2", "start camera 127.0.0.3", "start Chip"]
+    assert scripted.log == [
+        "stop Chip", "stop Renderer", "stop camera 127.0.0.3", "stop camera 127.0.0.2", "stop Addresses",
+    ]  # fmt: skip
+
+
+def test_all_cameras_start_before_the_first_is_waited_for(
+    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripted = Scripted(monkeypatch)
+    with Devices(small, tmp_path):
+        first_wait = scripted.log.index("wait camera 127.0.0.2")
+        assert scripted.log.index("start camera 127.0.0.3") < first_wait
+
+
+@pytest.mark.parametrize("fails", ["start Addresses", "wait camera 127.0.0.3", "start Chip"])
+def test_a_device_that_fails_takes_the_others_down(
+    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    scripted = Scripted(monkeypatch, fails)
+    with pytest.raises(DeviceError, match=f"{fails} fails"), Devices(small, tmp_path):
+        pass
+    started = {step.removeprefix("start ") for step in scripted.log if step.startswith("start")}
+    stopped = {step.removeprefix("stop ") for step in scripted.log if step.startswith("stop")}
+    failed = fails.split(" ", 1)[1] if fails.startswith("start") else ""
+    assert stopped - {"Renderer"} == started - {failed}
+
+
+def test_reports_of_cameras_reach_the_line_with_their_number(
+    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripted = Scripted(monkeypatch)
+    with Devices(small, tmp_path) as devices:
+        reports: list[tuple[int, str, int]] = []
+        monkeypatch.setattr(devices.line, "on_camera_report", lambda *report: reports.append(report))
+        scripted.reports["VAOI-01"]("sent", 4, 65400)
+    assert reports == [(1, "sent", 4)]
+
+
+def test_the_calibration_board_is_rendered_on_request(
+    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripted = Scripted(monkeypatch)
+    with Devices(small, tmp_path) as devices:
+        devices.lay_calibration_board()
+    assert "render None" in scripted.log
+
+
+@pytest.mark.parametrize(
+    ("faults", "boards", "different", "expected"),
+    [
+        ((), 5, 2, [0, 1, 0, 1, 0]),
+        ((), 2, 3, [0, 1]),
+        (("stuck:board=3",), 5, 2, [0, 1, 0, 3, 0]),
+        (("bounce:board=2", "kill:board=3"), 5, 2, [0, 1, 2, 1, 0]),
+    ],
+)
+def test_boards_pass_in_turn_and_those_with_faults_of_the_belt_only_once(
+    small: Scenario,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    faults: tuple[str, ...],
+    boards: int,
+    different: int,
+    expected: list[int],
+) -> None:
+    rendered: list[list[int]] = []
+
+    def render(_: Scenario, numbers: Sequence[int], directory: Path, progress: Any) -> tuple[RenderedBoard, ...]:
+        rendered.append(list(numbers))
+        progress("rendering")
+        return tuple(known_board(directory / str(n), n) for n in numbers)
+
+    monkeypatch.setattr(assembly, "render_boards", render)
+    lines: list[str] = []
+    found = prepare_boards(small, [parse_fault(f) for f in faults], boards, different, tmp_path, lines.append)
+    assert [board.metadata.board for board in found] == expected
+    assert rendered == [sorted(set(expected))]
+    assert lines == ["rendering"]
+
+
+ADDRESSES = ("127.0.0.2", "127.0.0.3")
+
+
+@pytest.fixture
+def config(small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path) -> StationConfig:
+    return site_of(small, boards[0], tmp_path)
+
+
+def site_of(scenario: Scenario, board: RenderedBoard, folder: Path) -> StationConfig:
+    path = build_site(scenario, board, folder, name="rig-7", addresses=ADDRESSES, port=folder / "trigger", workers=3)
+    assert path == folder / "station.toml"
+    return read_config(path)
+
+
+def test_the_files_beside_it_are_those_of_the_twin(small: Scenario, config: StationConfig, tmp_path: Path) -> None:
+    twin = Twin(small)
+    written = read_calibration(tmp_path / "calibration.json")
+    assert written.model_dump_json() == twin.calibration.model_dump_json()
+    assert read_board_type(tmp_path / "board-types" / "small.json") == twin.board_type
+    assert (config.calibration, config.board_types) == (tmp_path / "calibration.json", tmp_path / "board-types")
+    assert config.data == tmp_path / "data"
+    assert (config.name, config.workers) == ("rig-7", 3)
+
+
+def test_the_backends_are_the_real_ones(config: StationConfig, tmp_path: Path) -> None:
+    assert [camera.backend for camera in config.cameras] == ["aravis", "aravis"]
+    assert [camera.address for camera in config.cameras] == list(ADDRESSES)
+    assert (config.controller.backend, config.controller.port) == ("serial", str(tmp_path / "trigger"))
+    assert (config.simulation, config.replay) == (None, None)
+
+
+def test_cameras_have_the_size_and_the_nominal_view_of_the_array(small: Scenario, config: StationConfig) -> None:
+    for camera, head in zip(config.cameras, Twin(small).heads, strict=True):
+        assert (camera.width, camera.height, camera.exposure_us) == (head.width, head.height, head.exposure_us)
+        assert camera.nominal_center_mm == pytest.approx(head.nominal_center_mm)
+        assert camera.nominal_px_per_mm == head.nominal_px_per_mm
+        assert camera.pixel_format == "Mono8"
+
+
+def test_sixteen_bits_become_a_wider_pixel_format(
+    small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path
+) -> None:
+    deep = small.model_copy(update={"array": small.array.model_copy(update={"bits": 16})})
+    assert {camera.pixel_format for camera in site_of(deep, boards[0], tmp_path).cameras} == {"Mono16"}
+
+
+def test_leds_are_on_for_the_longest_exposure(
+    small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path
+) -> None:
+    scenario = small.model_copy(
+        update={
+            "array": small.array.model_copy(update={"exposures_us": (100.0, 400.0)}),
+            "line": small.line.model_copy(update={"lights": ("ring", "low")}),
+            "lights": {"ring": LightSection(), "low": LightSection()},
+        }
+    )
+    controller = site_of(scenario, boards[0], tmp_path).controller
+    assert {name: light.channels for name, light in controller.lights.items()} == {"ring": (0,), "low": (1,)}
+    assert {light.on_us for light in controller.lights.values()} == {400.0}
+    assert controller.order == ("ring", "low")
+
+
+def test_the_station_films_with_the_program_of_the_scenario(
+    small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path
+) -> None:
+    scenario = Scenario.model_validate({**small.model_dump(), "program": [{"light": "ring", "on_us": 80.0}]})
+    config = site_of(scenario, boards[0], tmp_path)
+    assert (config.program, config.controller.order) == (scenario.program, ())
+
+
+@pytest.fixture
+def process() -> Iterator[subprocess.Popen[bytes]]:
+    with subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE) as process:
+        yield process
+        process.kill()
+
+
+def test_a_stopped_process_resumes_at_the_end_of_the_context(process: subprocess.Popen[bytes]) -> None:
+    """The rig is taken down in the middle of a stop of a minute."""
+    with FaultInjector([parse_fault("stall:who=acquisition,board=0,row=1,for_s=60")]) as injector:
+        injector.set_process_source(lambda: {"acquisition": process.pid})
+        injector.on_row(0, 0)
+        assert injector.outages == []
+        injector.on_row(0, 1)
+        assert os.waitpid(process.pid, os.WUNTRACED)[0] == process.pid
+    _, status = os.waitpid(process.pid, os.WCONTINUED)
+    assert os.WIFCONTINUED(status)
+    [outage], [back] = injector.outages, injector.recoveries
+    assert outage.reason == "the acquisition process was stopped"
+    injector.close_outage(back, 12345)
+    assert injector.outages[0].until_ns == 12345
+
+
+def test_a_stopped_station_excuses_no_lost_frame(process: subprocess.Popen[bytes]) -> None:
+    with FaultInjector([parse_fault("stall:board=0,row=0,for_s=0.01")]) as injector:
+        injector.set_process_source(lambda: {"station": process.pid})
+        injector.on_row(0, 0)
+        injector.on_row(0, 0)
+        injector.finish()
+    assert injector.outages == []
+    assert [type(back) for back in injector.recoveries] == [DeviceRecovery]
+    assert injector.failed == []
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(10) == -signal.SIGTERM
+
+
+def test_a_fault_that_never_happened_is_reported() -> None:
+    with FaultInjector([parse_fault("reset:board=2,row=99"), parse_fault("loss")]) as injector:
+        injector.finish()
+    assert injector.failed == ["reset did not happen: board 2 had no row 99"]
+
+
+def test_a_missing_process_is_reported() -> None:
+    with FaultInjector([parse_fault("stall:who=worker 7,board=0,row=0")]) as injector:
+        injector.on_row(0, 0)
+    assert injector.failed == ["the station has no process 'worker 7' to stop"]
+
+
+def test_faults_of_frames_are_left_to_the_line() -> None:
+    words = ("loss:share=0.2", "ignored:camera=1,board=0,row=3", "kill")
+    frame_faults = frame_faults_of([parse_fault(word) for word in words])
+    assert (frame_faults.loss, frame_faults.ignored) == (0.2, frozenset({(0, 3, 1)}))

@@ -1,0 +1,377 @@
+"""Boards pass the virtual line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from tests.rig.host import Host
+from tests.rig.known_boards import known_board, passage_of
+from vaoi_station.acquisition.controller.protocol import Step
+from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.rig import line as feeder_module
+from vaoi_station.rig.camera_process import CameraProcess
+from vaoi_station.rig.chip import HZ, Chip, Edge, Pulse
+from vaoi_station.rig.line import (
+    LINE_READY,
+    READY_TIMEOUT_S,
+    BoardFeeder,
+    BoardPassage,
+    FrameFaults,
+    VirtualLine,
+    check_supported,
+    lighting_of,
+    min_interval_s,
+    wall_clock_ns,
+    with_cameras,
+)
+from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
+from vaoi_station.simulation import Scenario
+from vaoi_station.simulation.camera_array import ArraySection
+from vaoi_station.simulation.scenario import (
+    FaultSection,
+    IgnoredTrigger,
+    LightSection,
+    LineSection,
+    LostFrame,
+)
+
+RING_LIGHT = Step(0b0001, 500)
+"""250 us in ticks: as long as the exposure."""
+PATIENCE_S = 10.0
+
+
+@dataclass
+class Line:
+    stage: VirtualLine
+    chip: Chip
+    host: Host
+    rows: list[tuple[int, int]]
+    """Board and row, as they were on_row."""
+    views: list[FrameRequest]
+    """What was asked for that no rendered has."""
+
+
+@pytest.fixture
+def line(small: Scenario, built: Path, tmp_path: Path) -> Iterator[Line]:
+    rows: list[tuple[int, int]] = []
+    wires = [CameraProcess("127.0.0.2", "A"), CameraProcess("127.0.0.3", "B")]
+    frame_faults = FrameFaults(ignored=frozenset({(0, 2, 1)}))
+    views: list[FrameRequest] = []
+    stage = VirtualLine(
+        wires, lighting_of(small), frame_faults, lambda board, row: rows.append((board, row)), views.append
+    )
+    with Chip(built, tmp_path / "trigger", stage.on_edge, stage.on_chip_reset) as chip:
+        stage.attach_chip(chip)
+        with Host(chip.terminal) as host:
+            yield Line(stage, chip, host, rows, views)
+
+
+def pass_by(line: Line, rendered: RenderedBoard) -> BoardPassage:
+    """Let a board pass, and wait for all its pulses: the chip's clock may lag behind on a loaded machine."""
+    passage = line.stage.start_passage(rendered)
+    line.host.wait(rendered.duration_s + 0.3)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while len(passage.fired) < rendered.rows and time.monotonic() < deadline_s:
+        line.host.wait(0.1)
+    return passage
+
+
+def test_the_cameras_clock_is_read_without_a_gap_between_two_clocks() -> None:
+    """Sixty times, whatever else this computer does: all within what a clock is corrected by meanwhile."""
+    now_ns = time.monotonic_ns()
+    walls_ns = [wall_clock_ns(now_ns) for _ in range(60)]
+    assert max(walls_ns) - min(walls_ns) < 100_000
+    assert abs(walls_ns[-1] - (time.time_ns() - time.monotonic_ns() + now_ns)) < 1_000_000_000
+
+
+def test_every_pulse_comes_when_its_frames_were_rendered_for(
+    line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]
+) -> None:
+    line.host.arm(small, (RING_LIGHT,))
+    for board, rendered in enumerate(boards):
+        passage = pass_by(line, rendered)
+        assert [fired.row for fired in passage.fired] == list(range(rendered.rows))
+        assert max(abs(fired.offset_us) for fired in passage.fired) < 1.0
+        assert {fired.note for fired in passage.fired} == {""}
+        assert all(fired.brightness == [1.0, 1.0] for fired in passage.fired)
+        first_s = (passage.fired[0].pulse.host_ns - passage.blocked_ns) * 1e-9
+        assert first_s == pytest.approx(small.line.start_delay_s, abs=1e-5)
+        assert [row for number, row in line.rows if number == board] == list(range(rendered.rows))
+        ignored = {(2, 1)} if board == 0 else set()
+        outcomes = {(fired.row, n): outcome for fired in passage.fired for n, outcome in enumerate(fired.outcomes)}
+        assert {cell for cell, outcome in outcomes.items() if outcome == "ignored"} == ignored
+        assert {outcome for cell, outcome in outcomes.items() if cell not in ignored} == {"dead"}
+    assert line.stage.unexpected_pulses == []
+
+
+def test_light_is_what_the_leds_did(line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]) -> None:
+    """Half as long, on another channel, and not at all."""
+    line.host.arm(small, (Step(0b0001, 250), Step(0b0010, 500), Step(0, 0), RING_LIGHT))
+    passage = pass_by(line, boards[0])
+    assert [fired.brightness[0] for fired in passage.fired[:4]] == [pytest.approx(0.5, abs=0.002), 0.0, 0.0, 1.0]
+    assert [bool(fired.note) for fired in passage.fired[:4]] == [False, True, False, False]
+    assert "LED channels (1,) were lit, not those of 'ring'" in passage.fired[1].note
+
+
+def test_pulses_at_other_times_are_rendered_on_demand(
+    line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]
+) -> None:
+    """Pulses 1 ms later than the rendered's, and one while nothing passes."""
+    late = small.line.model_copy(update={"start_delay_s": small.line.start_delay_s + 0.001})
+    line.host.arm(small.model_copy(update={"line": late}), (RING_LIGHT,))
+    passage = line.stage.start_passage(boards[0])
+    line.host.wait(boards[0].duration_s + 0.3)
+    times_s = [t + 0.001 for t in boards[0].metadata.pulses_s]
+    fired = [fired for fired in passage.fired if fired.row is None]
+    assert len(fired) == len(passage.fired) > 0
+    assert {outcome for each in fired for outcome in each.outcomes} == {"late"}
+    assert {view.board for view in line.views} == {0}
+    assert {view.light for view in line.views} == {"ring"}
+    asked_s = sorted(view.time_s for view in line.views)
+    assert asked_s == pytest.approx(times_s[: len(asked_s)], abs=1e-6)
+
+
+def test_after_a_reset_the_barrier_still_follows_the_board(
+    line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]
+) -> None:
+    """The board leaves it at the cycle it would have: the next one is seen."""
+    line.host.arm(small, (RING_LIGHT,))
+    passage = line.stage.start_passage(boards[0])
+    line.host.wait(0.5)
+    line.chip.send("reset external")
+    line.host.wait(boards[0].duration_s)
+    fired = len(passage.fired)
+    assert fired < boards[0].rows
+    line.host.arm(small, (RING_LIGHT,))
+    again = line.stage.start_passage(boards[1])
+    line.host.wait(boards[1].duration_s + 0.3)
+    assert [pulse.row for pulse in again.fired] == list(range(boards[1].rows))
+    assert max(abs(pulse.offset_us) for pulse in again.fired) < 1.0
+    assert again.start_cycle - passage.start_cycle > boards[0].duration_s * HZ
+
+
+def test_a_chip_that_has_ended_ends_the_boards(line: Line, boards: tuple[RenderedBoard, ...]) -> None:
+    """The thread that waits for the boards gets the error, and does not wait for ever."""
+    os.kill(line.chip.pid or 0, signal.SIGKILL)
+    os.waitid(os.P_PID, line.chip.pid or 0, os.WEXITED | os.WNOWAIT)
+    with (
+        pytest.raises(DeviceError, match="the emulated chip has ended"),
+        BoardFeeder(line.stage, boards, 0.1) as feeder,
+    ):
+        assert feeder.finished.wait(30)
+    assert feeder.passages == []
+
+
+def test_stamps_come_late_from_a_board_on() -> None:
+    faults = FrameFaults(late_stamps=((1, 0, 0.02), (2, 0, 0.001), (0, 1, 0.1)))
+    assert [faults.stamp_delay_ns(board, 0) for board in range(3)] == [0, 20_000_000, 21_000_000]
+    assert faults.stamp_delay_ns(0, 1) == 100_000_000
+
+
+def test_the_conveyor_is_permitted_by_the_output_of_the_chip(small: Scenario) -> None:
+    stage = VirtualLine([], lighting_of(small))
+    assert not stage.wait_permitted(0.0)
+    stage.on_edge(Edge(10, LINE_READY, True, 625))
+    assert stage.wait_permitted(0.0)
+    stage.on_edge(Edge(20, LINE_READY, False, 1250))
+    assert not stage.wait_permitted(0.0)
+    stage.on_edge(Edge(30, LINE_READY, True, 1875))
+    stage._chip = cast("Chip", object())
+    stage.on_chip_reset()
+    assert not stage.wait_permitted(0.0), "a reset lowers all outputs"
+
+
+def test_a_larger_array_sees_a_wider_board() -> None:
+    scenario = Scenario()
+    larger = with_cameras(scenario, 5)
+    assert larger.array.cameras == 5
+    assert larger.board.width_mm == pytest.approx(scenario.board.width_mm + 2 * scenario.array.pitch_mm, abs=1e-3)
+    assert larger.board.name == "demo-5"
+    assert with_cameras(scenario, None) is scenario
+    assert with_cameras(scenario, 3) is scenario
+    with pytest.raises(InputError, match="--cameras is 1, but must be enough to see a board of 8 mm"):
+        with_cameras(scenario.model_copy(update={"board": scenario.board.model_copy(update={"width_mm": 70.0})}), 1)
+
+
+def test_cameras_that_do_wrong_by_themselves_are_asked_for_by_faults() -> None:
+    check_supported(Scenario(faults=FaultSection(lost_frames=(LostFrame(camera=0, row=1),))))
+    with pytest.raises(InputError, match=r"faults\.ignored_triggers apply to the cameras of the in-process twin only"):
+        check_supported(Scenario(faults=FaultSection(ignored_triggers=(IgnoredTrigger(camera=0, row=1),))))
+
+
+def scenario_of(lights: tuple[str, ...], exposures_us: tuple[float, ...] = (250.0,)) -> Scenario:
+    return Scenario(
+        array=ArraySection(exposures_us=exposures_us),
+        line=LineSection(lights=lights),
+        lights={name: LightSection() for name in lights},
+    )
+
+
+def pulse(channels: tuple[int, ...], on_us: float) -> Pulse:
+    return Pulse(0, 0, channels, on_us)
+
+
+def test_every_light_has_a_channel() -> None:
+    lighting = lighting_of(scenario_of(("ring", "low", "ring")))
+    assert lighting.channels == {"ring": (0,), "low": (1,)}
+    assert lighting.light_of(pulse((1,), 250.1)) == "low"
+    assert lighting.brightness(pulse((1,), 250.1), 0) == 1.0
+    assert lighting.light_of(pulse((0, 1), 250.0)) is None
+    assert lighting.brightness(pulse((0, 1), 250.0), 0) == 0.0
+    with pytest.raises(InputError, match="at most 4 different ones"):
+        lighting_of(scenario_of(("a", "b", "c", "d", "e")))
+
+
+def test_a_camera_sees_the_light_within_its_own_exposure() -> None:
+    lighting = lighting_of(scenario_of(("ring",), (250.0, 1000.0)))
+    assert lighting.brightness(pulse((0,), 1000.0), 0) == 1.0
+    assert lighting.brightness(pulse((0,), 500.0), 1) == 0.5
+
+
+@dataclass(frozen=True)
+class Short(RenderedBoard):
+    seconds: float = 0.0
+
+    @property
+    def duration_s(self) -> float:
+        return self.seconds
+
+
+def test_boards_do_not_come_faster_than_they_pass(boards: tuple[RenderedBoard, ...]) -> None:
+    scenario = scenario_of(("ring",))
+    assert min_interval_s(scenario, boards) == scenario.line.interval_s
+    assert min_interval_s(scenario, [Short(boards[0].directory, 7.13), *boards]) == 8.0
+
+
+def test_a_program_lights_each_row_for_its_time() -> None:
+    lit = {"left": LightSection(), "right": LightSection()}
+    steps = [{"light": "left", "on_us": 100.0}, {"light": "right"}]
+    scenario = Scenario.model_validate({"lights": lit, "line": {"lights": ["left"]}, "program": steps})
+    lighting = lighting_of(scenario)
+    assert lighting.channels == {"left": (0,), "right": (1,)}
+    assert [lighting.brightness(pulse((0,), on_us), 0, 0) for on_us in (100.0, 50.0)] == [1.0, 0.5]
+    assert lighting.brightness(pulse((1,), 250.0), 0, 1) == 1.0
+    assert lighting.brightness(pulse((0,), 200.0), 0, 2) == 2.0
+
+
+def test_a_camera_whose_exposures_differ_follows_the_width_of_the_trigger() -> None:
+    steps = [{"light": "left", "exposure_us": 100.0}, {"light": "left", "exposure_us": 400.0}]
+    scenario = Scenario.model_validate(
+        {"lights": {"left": LightSection()}, "line": {"lights": ["left"]}, "program": steps}
+    )
+    lighting = lighting_of(scenario)
+    register_us = lighting.exposures_us[0]
+    for row, width_us in enumerate((100.0, 400.0)):
+        fired = Pulse(0, 0, (0,), 1000.0, width_us)
+        assert lighting.brightness(fired, 0, row) == 1.0
+        timed, by_width = lighting.brightnesses(fired, 0, row)
+        assert timed == pytest.approx(register_us / width_us)
+        assert by_width == 1.0
+    assert lighting.brightness(Pulse(0, 0, (0,), 1000.0, 200.0), 0, 1) == 0.5
+
+
+TIMEOUT_S = 20.0
+
+
+class ScriptedLine:
+    """Records what passes; it fails at one board."""
+
+    def __init__(self, fails_at: int | None = None) -> None:
+        self.fails_at = fails_at
+        self.started: list[int] = []
+        self.one_started = threading.Event()
+
+    def start_passage(self, rendered: RenderedBoard) -> BoardPassage:
+        if rendered.metadata.board == self.fails_at:
+            raise DeviceError("the emulated chip has ended.")
+        self.started.append(rendered.metadata.board)
+        self.one_started.set()
+        return passage_of(rendered)
+
+
+@pytest.fixture
+def short_boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[RenderedBoard]:
+    """Three boards of a few milliseconds."""
+    monkeypatch.setattr(feeder_module, "FEED_MARGIN_S", 0.0)
+    times = {"edges": ((0.0, True), (0.001, False)), "pulses_s": (0.001,), "lights": ("ring",)}
+    return [known_board(tmp_path / str(k), k, **times) for k in range(3)]
+
+
+def feeder_of(
+    line: ScriptedLine,
+    boards: list[RenderedBoard],
+    interval_s: float = 0.0,
+    wait_ready: Callable[[float], bool] = lambda _: True,
+    wait_permitted: Callable[[float], bool] = lambda _: True,
+) -> BoardFeeder:
+    return BoardFeeder(cast("VirtualLine", line), boards, interval_s, wait_ready, wait_permitted)
+
+
+def test_all_boards_pass_in_order(short_boards: list[RenderedBoard]) -> None:
+    line = ScriptedLine()
+    with feeder_of(line, short_boards) as feeder:
+        assert feeder.finished.wait(TIMEOUT_S)
+    assert line.started == [0, 1, 2]
+    assert [passage.board for passage in feeder.passages] == [0, 1, 2]
+
+
+def test_every_board_waits_until_the_station_is_ready(short_boards: list[RenderedBoard]) -> None:
+    line = ScriptedLine()
+    waits: list[tuple[float, int]] = []
+
+    def wait_ready(timeout_s: float) -> bool:
+        waits.append((timeout_s, len(line.started)))
+        return False
+
+    with feeder_of(line, short_boards, wait_ready=wait_ready) as feeder:
+        assert feeder.finished.wait(TIMEOUT_S)
+    assert waits == [(READY_TIMEOUT_S, 0), (READY_TIMEOUT_S, 1), (READY_TIMEOUT_S, 2)]
+
+
+def test_a_board_is_held_back_until_the_line_is_ready(short_boards: list[RenderedBoard]) -> None:
+    line = ScriptedLine()
+    permits, passed = iter((True, False, True)), list[int]()
+
+    def wait_permitted(timeout_s: float) -> bool:
+        assert timeout_s == READY_TIMEOUT_S
+        passed.append(len(line.started))
+        return next(permits)
+
+    with feeder_of(line, short_boards, wait_permitted=wait_permitted) as feeder:
+        assert feeder.finished.wait(TIMEOUT_S)
+    assert passed == [0, 1, 2], "each board waits before it starts"
+    assert [passage.held_s is None for passage in feeder.passages] == [False, True, False]
+
+
+def test_the_end_of_the_context_stops_the_feeding(short_boards: list[RenderedBoard]) -> None:
+    line = ScriptedLine()
+    with feeder_of(line, short_boards, interval_s=3600.0) as feeder:
+        assert line.one_started.wait(TIMEOUT_S)
+    assert line.started == [0]
+    assert feeder.finished.is_set()
+
+
+def test_a_failure_is_raised_where_the_feeder_was_started(short_boards: list[RenderedBoard]) -> None:
+    line = ScriptedLine(fails_at=1)
+    with pytest.raises(DeviceError, match="has ended"), feeder_of(line, short_boards) as feeder:
+        assert feeder.finished.wait(TIMEOUT_S)
+    assert line.started == [0]
+
+
+def test_a_failure_does_not_hide_an_earlier_one(short_boards: list[RenderedBoard]) -> None:
+    def fail_outside() -> None:
+        with feeder_of(ScriptedLine(fails_at=0), short_boards) as feeder:
+            assert feeder.finished.wait(TIMEOUT_S)
+            raise KeyError("the caller's own failure")
+
+    with pytest.raises(KeyError, match="the caller's own failure"):
+        fail_outside()
