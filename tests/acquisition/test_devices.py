@@ -6,6 +6,9 @@ import threading
 import time
 from typing import Any
 
+import pytest
+
+from vaoi_station.acquisition import devices
 from vaoi_station.acquisition.devices import Devices, Feedback
 
 TIMEOUT_S = 10.0
@@ -15,20 +18,24 @@ def never() -> bool:
     return False
 
 
-def test_waiting_for_frames_ends_when_the_count_is_reached() -> None:
+def test_waiting_for_frames_ends_when_the_expected_ones_are_done() -> None:
     feedback = Feedback()
-    waiter = threading.Thread(target=feedback.wait_for_frames, args=(2, never, TIMEOUT_S))
+    feedback.expect_frames(2)
+    waiter = threading.Thread(target=feedback.wait_for_frames, args=(never,))
     waiter.start()
     feedback.frame_done()
-    assert feedback.frames_done() == 1
+    assert waiter.is_alive()
     feedback.frame_done()
     waiter.join(TIMEOUT_S)
     assert not waiter.is_alive()
 
 
-def test_waiting_for_frames_ends_after_the_timeout() -> None:
+def test_waiting_for_frames_ends_after_the_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "ROW_TIMEOUT_S", 0.01)
+    feedback = Feedback()
+    feedback.expect_frames(1)
     started_s = time.monotonic()
-    Feedback().wait_for_frames(1, never, 0.01)
+    feedback.wait_for_frames(never)
     assert 0.01 <= time.monotonic() - started_s < TIMEOUT_S
 
 
@@ -44,9 +51,10 @@ def test_waiting_for_memory_ends_when_there_is_memory() -> None:
 
 def test_a_stop_ends_all_waiting_after_wake() -> None:
     feedback, stop = Feedback(), threading.Event()
+    feedback.expect_frames(1)
     waiters = [
         threading.Thread(target=feedback.wait_for_memory, args=(stop.is_set,)),
-        threading.Thread(target=feedback.wait_for_frames, args=(1, stop.is_set, TIMEOUT_S)),
+        threading.Thread(target=feedback.wait_for_frames, args=(stop.is_set,)),
     ]
     for waiter in waiters:
         waiter.start()

@@ -28,7 +28,6 @@ from vaoi_station.acquisition.process.messages import BoardMissed, FireOne, Puls
 from vaoi_station.acquisition.replay import (
     GAP_S,
     LEAD_S,
-    FastPace,
     RecordedRow,
     ReplayCamera,
     ReplayController,
@@ -73,19 +72,19 @@ PLAN = TriggerPlan(start_delay_s=0.1, period_s=0.02, tail_s=0.1, max_rows=5, deb
 TIMES_S = (0.0, 0.020000001, 0.04)
 
 
-class CountingPace(FastPace):
+class CountingPace(Feedback):
     """Lets everything pass, and counts frames."""
 
     def __init__(self) -> None:
-        super().__init__(Feedback())
+        super().__init__()
         self.frames = 0
         self.woken = threading.Event()
 
-    def before_run(self, stop: Callable[[], bool]) -> None: ...
+    def wait_for_memory(self, stop: Callable[[], bool]) -> None: ...
 
-    def before_pulse(self, stop: Callable[[], bool]) -> None: ...
+    def wait_for_frames(self, stop: Callable[[], bool]) -> None: ...
 
-    def frames_coming(self, frames: int) -> None:
+    def expect_frames(self, frames: int) -> None:
         self.frames += frames
 
     def wake(self) -> None:

@@ -1,4 +1,9 @@
-"""Map the clock of a device to the host's `time.monotonic()`, with a bound of the error."""
+"""Map the clock of a device to the host's `time.monotonic()`, with a bound of the error.
+
+A reading states that the device's clock showed d when the host's showed h ± b, half the round trip of the request. The
+line h = h₀ + (1 + s)·(d − d₀) is fitted with weights 1/b², so that short round trips dominate, and a prior for the
+drift s. Its error is at most b plus the residual of a reading, and 3·σ_s·Δd more at a distance Δd from it.
+"""
 
 from __future__ import annotations
 

@@ -10,16 +10,19 @@ from vaoi_station.acquisition.cameras.interface import CameraDevice
 from vaoi_station.acquisition.controller.interface import Controller
 from vaoi_station.supervised_thread import SupervisedThread
 
+ROW_TIMEOUT_S = 2.0
+"""Longest time for which a fast replay waits until the frames of a row are processed, s."""
+Stop = Callable[[], bool]
+"""Whether a wait must end early; evaluated anew at every change, and after `Feedback.wake`."""
+
 
 class Feedback:
-    """The session's progress: the count of processed frames, and whether memory is available for a run.
-
-    A fast replay waits for this progress before it delivers the next row. Several threads may use the object.
-    """
+    """The session's progress, to which a fast replay adjusts its pace. Several threads may use the object."""
 
     def __init__(self) -> None:
         self._change = threading.Condition()
-        self._done = 0
+        self._done = self._expected = 0
+        """Frames that were assigned or refused, and how many of them there must be before the next pulse."""
         self._has_memory = False
 
     def frame_done(self) -> None:
@@ -34,19 +37,20 @@ class Feedback:
             self._has_memory = available
             self._change.notify_all()
 
-    def frames_done(self) -> int:
-        """Return the count of frames that were assigned or refused."""
-        return self._done
+    def expect_frames(self, frames: int) -> None:
+        """Await `frames` more frames before the next pulse."""
+        self._expected += frames
 
-    def wait_for_frames(self, count: int, stop: Callable[[], bool], timeout_s: float) -> None:
-        """Wait until at least `count` frames are done, until `stop()` is true, or until `timeout_s` has passed."""
-        with self._change:
-            self._change.wait_for(lambda: self._done >= count or stop(), timeout_s)
-
-    def wait_for_memory(self, stop: Callable[[], bool]) -> None:
-        """Wait until memory is available for a run, or until `stop()` is true."""
+    def wait_for_memory(self, stop: Stop) -> None:
+        """Wait until there is memory for a run, which begins with all frames done."""
         with self._change:
             self._change.wait_for(lambda: self._has_memory or stop())
+            self._expected = self._done
+
+    def wait_for_frames(self, stop: Stop) -> None:
+        """Wait until all expected frames are done, at most `ROW_TIMEOUT_S`: a frame without a slot is never done."""
+        with self._change:
+            self._change.wait_for(lambda: self._done >= self._expected or stop(), ROW_TIMEOUT_S)
 
     def wake(self) -> None:
         """Wake all waiting threads, so that each evaluates its function `stop` again."""

@@ -66,36 +66,11 @@ class RecordedRow:
     gains: tuple[float, ...] = ()
 
 
-class FastPace:
-    """The pace of a fast replay. A run begins when memory is available; a pulse comes when earlier frames are done."""
-
-    def __init__(self, feedback: Feedback) -> None:
-        self._feedback = feedback
-        self._expected = 0
-
-    def before_run(self, stop: Callable[[], bool]) -> None:
-        """Wait until there is memory for a run."""
-        self._feedback.wait_for_memory(stop)
-        self._expected = self._feedback.frames_done()
-
-    def before_pulse(self, stop: Callable[[], bool]) -> None:
-        """Wait until all delivered frames are done, at most `ROW_TIMEOUT_S`: a frame without a slot is never done."""
-        self._feedback.wait_for_frames(self._expected, stop, ROW_TIMEOUT_S)
-
-    def frames_coming(self, frames: int) -> None:
-        """Add `frames` to the number of frames that must be done before the next pulse."""
-        self._expected += frames
-
-    def wake(self) -> None:
-        """Let waiting threads evaluate their function `stop` again."""
-        self._feedback.wake()
-
-
 class ReplayController(Controller):
     """A `Controller` that plays recorded runs while it is armed. Each run is a list of rows."""
 
     def __init__(
-        self, runs: Iterator[list[RecordedRow]], clock: DeviceClock, pause_s: float, pace: FastPace | None
+        self, runs: Iterator[list[RecordedRow]], clock: DeviceClock, pause_s: float, pace: Feedback | None
     ) -> None:
         """Prepare to play `runs` in order, with pauses of `pause_s`. A `pace` replaces the clock and the pauses."""
         self._runs, self._clock, self._pause_s, self._pace = runs, clock, pause_s, pace
@@ -188,7 +163,7 @@ class ReplayController(Controller):
             return
         if self._pace is not None:
             with self._thread.waiting():
-                self._pace.before_run(stop)
+                self._pace.wait_for_memory(stop)
         # A paced replay runs faster than its clock, so the previous run may end in the future of this clock. The next
         # run begins after that, because device times must not overlap.
         barrier_s = max(self._clock.now_s() + LEAD_S, self._last_end_s + GAP_S if self._pace else 0.0)
@@ -223,7 +198,7 @@ class ReplayController(Controller):
             self._events.put(PulseFired(next(self._numbers), device_s, index, row.light, row.exposures_us, row.gains))
             frames = row.deliver(device_s)
             if self._pace is not None:
-                self._pace.frames_coming(frames)
+                self._pace.expect_frames(frames)
             return True
 
     def _end_run(self, time_s: float, reason: str) -> None:
@@ -234,7 +209,7 @@ class ReplayController(Controller):
         """Wait until a device time, or until the pace permits the next pulse. Return False if `stop()` becomes true."""
         if self._pace is not None:
             with self._thread.waiting():
-                self._pace.before_pulse(stop)
+                self._pace.wait_for_frames(stop)
             return not stop()
         return self._wait_until_host(self._clock.host_s(device_s), stop)
 
@@ -258,8 +233,6 @@ class ReplayController(Controller):
 
 CACHED_RECORDINGS = 4
 """Count of recordings whose decoded frames are kept in memory."""
-ROW_TIMEOUT_S = 2.0
-"""Longest time for which a fast replay waits until the frames of a row are processed, s."""
 
 Pixels = dict[tuple[int, int], NDArray[np.uint8]]
 
@@ -278,7 +251,7 @@ def open_replay(config: StationConfig) -> Devices:
     decode(recordings[0])
     order = cycle(recordings)
     runs = (_rows(r, cameras, decode(r)) for r in (islice(order, config.replay.runs) if config.replay.runs else order))
-    pace = FastPace(feedback) if config.replay.pace == "fast" else None
+    pace = feedback if config.replay.pace == "fast" else None
     return Devices(cameras, ReplayController(runs, clock, config.replay.pause_s, pace), feedback)
 
 

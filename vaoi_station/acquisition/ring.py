@@ -1,4 +1,10 @@
-"""The ring: frames in shared memory, written by cameras and read in place by other processes."""
+"""The ring: frames in shared memory, written by cameras and read in place by other processes (docs/internals/ring.md).
+
+    header page │ camera table │ bay table │ slot table │ bay 0: camera 0: slot 0, slot 1 … │ bay 1 …
+
+One process, the station, creates the file and unlinks it. A bay's **generation** changes when the bay is given to
+another board: a reader that finds the same one before and after it has read pixels knows to which run they belong.
+"""
 
 from __future__ import annotations
 

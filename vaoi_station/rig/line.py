@@ -1,4 +1,10 @@
-"""The virtual line: boards pass the barrier, the chip fires pulses, and the cameras send the twin's frames."""
+"""The virtual line: boards pass the barrier, the chip fires pulses, and the cameras send the twin's frames.
+
+    belt ──barrier edges──▶ chip ──edges of its pins──▶ pulses ──rendered frames──▶ cameras
+
+All times are cycles of the chip: edges are planned in cycles, and the cycle of a trigger decides at which position the
+frame shows the board. For the score, every pulse is recorded with the outcome of its frames.
+"""
 
 from __future__ import annotations
 

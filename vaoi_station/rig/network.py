@@ -1,4 +1,7 @@
-"""Addresses on loopback for the virtual cameras, in a network namespace if the kernel allows one."""
+"""Addresses on loopback for the virtual cameras, in a network namespace if the kernel allows one.
+
+GigE Vision uses one fixed UDP port (3956): two cameras need two addresses, and two rigs different ones or namespaces.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Render frames of the twin: whole boards before they pass, and single frames on demand."""
+"""Render frames of the twin: whole boards before they pass, and single frames on demand.
+
+The motion of a board follows from the scenario, and the firmware's rule is known: the times of all pulses can be
+computed beforehand to a fraction of a microsecond, even with bounces. Frames for unexpected pulses are rendered while
+the station waits; they arrive late.
+"""
 
 from __future__ import annotations
 

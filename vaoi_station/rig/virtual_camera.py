@@ -1,4 +1,21 @@
-"""A virtual GigE Vision camera."""
+"""A virtual GigE Vision camera: Aravis' fake camera with a hardware trigger, given frames and packet loss.
+
+    python -m vaoi_station.rig.virtual_camera 127.0.0.2 SERIAL
+
+Standard input takes one command per line:
+
+    film PATH                          raw frames in one file, each as large as the client's payload;
+                                       used by the triggers that follow
+    fire PICTURE STAMP LIGHT LOST WIDE a rising edge of the trigger line: send this picture of the file (-1: black)
+
+STAMP is the start of the exposure, ns of CLOCK_REALTIME (0: now). LIGHT is a factor on the brightness; WIDE is that in
+the ExposureMode TriggerWidth, or None for the same. LOST is the share of the packets that are not sent. Standard output
+has `ready ADDRESS`, then `sent PICTURE ID` for every frame, and `ignored PICTURE` for a trigger that came while no
+client had armed the camera. The program ends at the end of its standard input.
+
+The fake accepts a trigger only while its source register holds the number of *Software*. So the numbers of *Line0* and
+*Software* are exchanged in its GenICam description: a client that selects Line0 has selected what the rig triggers.
+"""
 
 from __future__ import annotations
 

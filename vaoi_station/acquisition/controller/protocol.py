@@ -1,4 +1,9 @@
-"""The serial protocol of the trigger controller without any port: bytes to messages and back (hw/protocol.md)."""
+"""The serial protocol of the trigger controller without any port (hw/protocol.md, version 1.3).
+
+A frame is COBS(type, sequence, payload, CRC-16/CCITT-FALSE) and a zero (Cheshire and Baker, 1999). Messages are
+little-endian, without padding, in ticks of 0.5 µs; `hw/protocol_vectors.json` has examples. Every request may be
+repeated safely, so a lost reply only costs time; a reset shows by the boot counter, and events count from 0 again.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The end of a run: the cause of every missing frame, and the proof of the frames that arrived. Pure logic."""
+"""The end of a run: the cause of every missing frame, and the proof of the frames that arrived. Pure logic.
+
+Frames between the two readings of a clock that has jumped cannot be dated: the old and the new time are both possible.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""What the frame ids and time stamps of a camera show: lost frames, exchanged frames, a free-running camera."""
+"""What the frame ids and time stamps of a camera show. Pure logic.
+
+A time stamp shows to which pulse a frame belongs; a frame id shows what was lost, because a camera counts the frames
+that it sends: a gap is a loss in transfer, and a missing frame without a gap was never exposed. Time stamp = a + (1 +
+s)·pulse time up to microseconds; s is the median slope over all pairs of frames (Theil, 1950; Sen, 1968), which
+tolerates 29 % of outliers.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""The latency of each camera: the time from a pulse to the time stamp of its frame. Pure logic."""
+"""The latency of each camera: the time from a pulse to the time stamp of its frame. Pure logic.
+
+It may be more than a trigger period T, and φ, φ + T and φ + 2 T fit the frames of a run equally well; a wrong one would
+move all frames by rows. Only the beginning of a run decides: no pulse was fired before it, and no frame has a time
+stamp before its pulse. Until a frame of the first pulse confirms the latency, the frames of the camera wait.
+"""
 
 from __future__ import annotations
 

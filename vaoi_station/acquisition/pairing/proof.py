@@ -1,4 +1,8 @@
-"""The proof of a run: the check that every frame belongs to its pulse, with findings that contradict this."""
+"""The proof of a run: the check that every frame belongs to its pulse, with findings that contradict this. Pure logic.
+
+Frames were assigned by time on the host's clock only. Three independent checks follow: the camera's time stamps fit the
+pulse times to microseconds, its frame ids match the pulses, and no frame arrived before its pulse was fired.
+"""
 
 from __future__ import annotations
 

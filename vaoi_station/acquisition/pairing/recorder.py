@@ -1,4 +1,9 @@
-"""Assign one frame per camera to every pulse, by time, and end every run with a verdict for each (camera, row)."""
+"""Assign one frame per camera to every pulse, by time, and end every run with a verdict for each (camera, row).
+
+Pure logic. A frame belongs to the pulse nearest to its time stamp minus its camera's latency, both on the host's clock,
+within a tolerance; the order of arrival never decides. Incomplete frames, whose stamps cannot be trusted, are assigned
+by elimination.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""What cameras do between two boards: begin their sequences anew, and film one pulse on trial."""
+"""What cameras do between two boards: begin their sequences anew, and film one pulse on trial.
+
+Every pulse leads a sequencer to its next set. To begin anew, the acquisition of a camera is stopped for milliseconds: a
+pulse meanwhile is not answered, so that it is never done while pulses may be fired.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""The acquisition process: one inbox and one loop; devices deliver into the inbox from their own threads."""
+"""The acquisition process: one inbox and one loop; devices deliver into the inbox from their own threads.
+
+The station starts the process and communicates with it over one pipe; a single thread takes all decisions. A process
+may be held up for a second while frames that arrived in time lie in the inbox, so deadlines are compared with the
+inbox's time. When the pipe ends, the process closes its devices; when a device fails, it reports this and continues.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The cameras of the array: each continues after a loss of its connection, because a supervisor opens it again."""
+"""The cameras of the array: each continues after a loss of its connection, because a supervisor opens it again.
+
+While a camera is lost, the `AravisCamera` object keeps its slots and gives them to the new connection. Only one camera
+of the process is opened at a time.
+"""
 
 from __future__ import annotations
 

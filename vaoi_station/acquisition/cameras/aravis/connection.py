@@ -1,4 +1,8 @@
-"""One connection to one camera, from its opening to its loss. Each reconnection is a new `Connection`."""
+"""One connection to one camera, found by address or serial number, from its opening to its loss.
+
+In Aravis only pushing and popping of buffers is thread-safe: all other access is guarded by one lock. The host time of
+a reading of the camera's clock is the middle of the round trip of its latch command.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""The network of GigE cameras: requests without control of the camera, packet size and delay, receive buffer."""
+"""The network of GigE cameras: packet size and delay, the kernel's receive buffer, and requests without control.
+
+Cameras of an array send at the same time, and those on one port share it: after every packet, each pauses for the time
+of one packet of every other camera. Aravis holds its lock for seconds while a camera is absent, and lists only one of
+two with the same name, so READREG and DISCOVERY (GVCP) are sent without it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Receive frames directly into slots of the ring: Aravis writes packets into the memory of the slots."""
+"""Receive frames directly into slots of the ring, and check that they are complete although Aravis says so.
+
+A slot belongs either to the stream or to the caller. Aravis reports success when all packet numbers of a frame were
+seen; after a packet with a number outside the frame, or a trailer that comes early, the memory keeps older pixels
+(tried with 0.8.26). A packet that comes twice may be another one under a wrong number (Aravis #311).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Exchange requests and replies over one serial port, and date what the controller reports."""
+"""Exchange requests and replies over one serial port, and date what the controller reports.
+
+The tick counter restarts every 35.8 minutes, which the host's time resolves, and with each reset, which begins a new
+interval of one time axis, far enough from the last one that a clock fit notices the jump.
+"""
 
 from __future__ import annotations
 
