@@ -39,7 +39,7 @@ def test_no_function_takes_too_many_parameters() -> None:
 def test_no_thread_of_the_station_has_a_lower_priority() -> None:
     """While such a thread holds the GIL, it waits for a core behind all workers, and with it every other thread."""
     processes = {
-        "vaoi_station/rig/chip.py": "the processes of emulated devices",
+        "vaoi_station/rig/device_process.py": "the processes of emulated devices",
         "vaoi_station/runs/handover/adder.py": "the process that adds runs to the archive of the plant",
     }
     found = {str(path) for path in modules("vaoi_station") if "os.setpriority(" in (ROOT / path).read_text("utf-8")}
