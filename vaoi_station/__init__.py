@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from vaoi_station.version import __version__
 
 if TYPE_CHECKING:
-    from vaoi_station.board_check.checked import CheckedBoardType
+    from vaoi_station.board_check.check import CheckedBoardType
     from vaoi_station.errors import (
         BusyError,
         DeviceError,
@@ -48,7 +48,7 @@ _LOCATIONS = {
     "BusyError": "errors",
     "Calibration": "model",
     "Component": "model",
-    "CheckedBoardType": "board_check.checked",
+    "CheckedBoardType": "board_check.check",
     "ComponentImage": "library.component_images",
     "ComponentImages": "library.component_images",
     "ComponentPictures": "library.picture_stream",

@@ -15,11 +15,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
-from vaoi_station.mosaic.projection import FrameProjector
-from vaoi_station.mosaic.whole_board import write_mosaic
+from vaoi_station.mosaic.tiles import write_mosaic
 from vaoi_station.steps import completed
 
 SCALE, WIDTH, HEIGHT, BOARD = 40.0, 1392, 1040, (400.0, 410.0)
@@ -61,7 +61,7 @@ def main(px_per_mm: float = SCALE) -> None:
         def read(camera: int, row: int) -> np.ndarray:
             return np.asarray(cv2.imread(str(files[(camera + 3 * row) % FILES]), cv2.IMREAD_UNCHANGED))
 
-        projector, began = FrameProjector(stitch, cameras), time.monotonic()
+        projector, began = FrameIndex(stitch, cameras), time.monotonic()
         base = MosaicGrid.of_board(board, SCALE)
         chosen = choose_frames(taken)
         plan = completed(make_plan(chosen, read, projector=projector, board_type=board, stitch=stitch, base=base))

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.board_check.correction import Group, Move, moved_board_type
-from vaoi_station.board_check.run_frames import CheckedRun
+from vaoi_station.board_check.overview import CheckedRun
 from vaoi_station.geometry import Camera, Lens, Projective, System, apply
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.stitching.geometry import ComponentIndex

@@ -7,13 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.board_check.conftest import ALL, MIDDLE, drawn_board, drawn_run, moved
 from vaoi_station.board_check import check
-from vaoi_station.board_check.check import check_board
+from vaoi_station.board_check.check import (
+    ABSENT,
+    FOUND,
+    STATED,
+    check_board,
+    checked_board_type,
+    distances_of_marks,
+    overlay,
+)
 from vaoi_station.board_check.correction import Group, Move
-from vaoi_station.board_check.report import BoardCheck
-from vaoi_station.board_check.run_frames import CheckedRun
+from vaoi_station.board_check.overview import CheckedRun
+from vaoi_station.board_check.report import BoardCheck, CheckWarning
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType
 
@@ -119,3 +128,63 @@ def test_too_few_components_and_a_wrong_unit_are_refused(run: CheckedRun, board:
         check_board(run, board.model_copy(update={"components": board.components[:2]}))
     with pytest.raises(InputError, match="Check the unit of the data, 'inch'"):
         check_board(run, board.model_copy(update={"unit": "inch"}))
+
+
+def test_a_check_has_a_picture_and_no_correction_where_nothing_is_wrong(run: CheckedRun, board: BoardType) -> None:
+    checked = checked_board_type(run, board)
+    assert checked.report.board_type == "drawn"
+    assert checked.corrected is None
+    assert checked.picture.shape[2] == 3
+
+
+def test_a_mark_is_measured_where_it_is_and_missed_where_it_is_not(run: CheckedRun, board: BoardType) -> None:
+    first, *rest = board.fiducials
+    near = first.model_copy(update={"name": "near", "x": first.x + 0.1})
+    bare = first.model_copy(update={"name": "bare", "x": 25.0, "y": 1.5})
+    far = first.model_copy(update={"name": "far", "x": 80.0})
+    changed = board.model_copy(update={"outline": None, "fiducials": (near, bare, far, *rest)})
+    found = distances_of_marks(run, changed, np.array(run.stitch.cad_matrix))
+    assert abs(found[0] - 0.1) < 0.01
+    assert math.isnan(found[1])
+    assert math.isnan(found[2])
+    assert max(found[3:]) < 0.01
+
+
+def test_a_mark_without_contrast_under_one_light_is_searched_under_another(run: CheckedRun, board: BoardType) -> None:
+    stitch = run.stitch
+    twice = {"row_motion": stitch.row_motion * 2, "image_matrices": tuple(m * 2 for m in stitch.image_matrices)}
+
+    def frame(camera: int, row: int) -> NDArray[np.generic] | None:
+        pixels = run.frame(camera, 0)
+        return np.full_like(pixels, 20) if pixels is not None and row == 0 else pixels
+
+    changed = replace(run, stitch=stitch.model_copy(update=twice), frame=frame)
+    matrix = np.array(stitch.cad_matrix)
+    assert all(math.isnan(distance) for distance in distances_of_marks(changed, board, matrix))
+    two_lights = replace(changed, lights=("dark", "bright"))
+    assert max(distances_of_marks(two_lights, board, matrix)) < 0.01
+
+
+def has(picture: np.ndarray, colour: tuple[int, int, int]) -> bool:
+    return bool((np.abs(picture.astype(int) - colour).sum(2) < 60).any())
+
+
+def test_bodies_are_drawn_where_they_are_stated_and_found(run: CheckedRun, board: BoardType) -> None:
+    c = np.array(run.stitch.cad_matrix)
+    found = c.copy()
+    found[0, 2] += 3.0
+    picture = overlay(run.overview, board, found, c, {"U1"})
+    assert picture.ndim == 3
+    assert 400 <= max(picture.shape) <= 1600
+    assert [has(picture, colour) for colour in (FOUND, STATED, ABSENT)] == [True] * 3
+    assert not has(overlay(run.overview, board, found, None, ()), STATED)
+    assert not has(overlay(run.overview, board, None, None, ()), FOUND)
+
+
+def test_a_report_without_a_correction_is_short() -> None:
+    warning = CheckWarning(code="not-found", message="nothing is found.")
+    report = BoardCheck(board_type="b", score=4.2, rival_score=4.1, components=9, measured=0, warnings=[warning])
+    document = report.model_dump(mode="json", exclude_none=True)
+    assert document["format"] == "vaoi-board-check"
+    assert not {"proposal", "residual", "tester_from_cad"} & document.keys()
+    assert BoardCheck.model_validate(document) == report

@@ -12,8 +12,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.heights.comparison import TOLERANCE_MM, TOLERANCE_SHARE, heights_document
-from vaoi_station.heights.estimates import measure_heights
+from vaoi_station.heights.estimates import TOLERANCE_MM, TOLERANCE_SHARE, heights_document, measure_heights
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.work import StitchSetup, stitch_frames
 

@@ -15,8 +15,7 @@ from vaoi_station.hdr import row_levels as module
 from vaoi_station.hdr.row_levels import row_levels
 from vaoi_station.photometry import FlatFields, NoiseModel, Taken
 from vaoi_station.photometry.flat_fields import FlatFieldDocument
-from vaoi_station.photometry.noise import grey_levels
-from vaoi_station.photometry.radiance import is_saturated
+from vaoi_station.photometry.noise import grey_levels, is_saturated
 
 
 def even_fields(board: StitchedBoard) -> FlatFields:

@@ -7,10 +7,20 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vaoi_station.geometry.transforms import apply
-from vaoi_station.heights.part_grids import Frames, Places
-from vaoi_station.heights.pictures import Pictures, collect_pictures, cut_pictures, picture_stack, surface_stack
+from vaoi_station.heights import pictures as resampling
+from vaoi_station.heights.pictures import (
+    Frames,
+    Pictures,
+    Places,
+    collect_pictures,
+    cut_pictures,
+    picture_stack,
+    surface_stack,
+)
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +93,114 @@ def test_outside_the_frame_there_are_no_values(opened: tuple[Places, Pictures]) 
     picture = picture_stack(places, pictures, cut_pictures(places, pictures, 0.0, 2.0), 300, 0.0)[0]
     assert np.isnan(picture[0, 0])
     assert np.isfinite(picture).any()
+
+
+def test_a_grid_lies_on_the_footprint_and_knows_the_frames_that_show_it(filmed: Any) -> None:
+    places, footprint = Places(filmed.board_type, filmed.stitch, filmed.cameras), filmed.board_type.footprint
+    camera = filmed.cameras[0]
+    for component in filmed.board_type.components:
+        grid = places.grid(component.ref, footprint(component))
+        assert grid is not None
+        corners = apply(filmed.stitch.cad_matrix, footprint(component))
+        middle = grid.tester_from_grid @ ((grid.width - 1) / 2, (grid.height - 1) / 2, 1.0)
+        np.testing.assert_allclose(middle, corners.mean(0))
+        seen = []
+        for row, motion in enumerate(filmed.stitch.row_motion):
+            px = camera.project(apply(motion, corners))
+            if (px.max(0) > 0).all() and (px.min(0) < (camera.width_px, camera.height_px)).all():
+                seen.append((0, row))
+        assert [tuple(key) for key in grid.keys.tolist()] == seen
+        feet = np.column_stack([grid.feet_px, np.ones(len(seen))]) @ grid.tester_from_grid.T
+        expected = [apply(np.linalg.inv(filmed.stitch.row_motion[row]), camera.foot_mm) for _, row in seen]
+        np.testing.assert_allclose(feet, expected, atol=1e-9)
+        np.testing.assert_allclose(grid.distance_mm, camera.working_distance_mm)
+    u1 = places.grid("U1", footprint(filmed.board_type.component("U1")))
+    assert u1 is not None
+    assert (u1.width, u1.height, u1.level) == (60, 50, 0)
+
+
+def test_points_of_a_grid_move_with_the_row(filmed: Any) -> None:
+    places = Places(filmed.board_type, filmed.stitch, filmed.cameras)
+    grid = places.grid("U2", filmed.board_type.footprint(filmed.board_type.component("U2")))
+    assert grid is not None
+    for (_, row), way in zip(grid.keys.tolist(), places.row_from_grid(grid), strict=True):
+        tester = grid.tester_from_grid @ (3.0, 5.0, 1.0)
+        np.testing.assert_allclose(way @ (3.0, 5.0, 1.0), apply(filmed.stitch.row_motion[row], tester))
+
+
+def test_large_footprints_have_larger_pixels_and_tiny_ones_no_grid(filmed: Any) -> None:
+    places = Places(filmed.board_type, filmed.stitch, filmed.cameras)
+    box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    large = places.grid("X", box * 8.0)
+    assert large is not None
+    assert large.level == 1
+    assert large.mm_per_px == pytest.approx(0.1)
+    assert places.grid("X", box * 0.1) is None
+
+
+def test_frames_are_reduced_by_block_means_and_missing_ones_stay_missing() -> None:
+    image = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    frames = Frames(lambda i, j: image if j == 0 else None)
+    reduced = frames.get((0, 0), 1)
+    assert reduced is not None
+    assert reduced.shape == (4, 4)
+    assert abs(float(reduced[0, 0]) - image[:2, :2].mean()) <= 0.5
+    assert frames.get((0, 1), 1) is None
+
+
+def sample(image: np.ndarray, nodes: np.ndarray, step: int, out: np.ndarray) -> None:
+    """Sample an image of which the whole is cut out."""
+    place = np.array([0, 0, 0, *image.shape[::-1]])
+    resampling.sample(image.astype(np.float32).ravel(), place, nodes, step, out)
+
+
+def mesh(x0: float, y0: float, scale: float) -> np.ndarray:
+    x, y = np.meshgrid(x0 + scale * 6 * np.arange(4), y0 + scale * 6 * np.arange(4))
+    return np.stack([x, y], -1)
+
+
+def test_whole_pixels_are_copied() -> None:
+    image = np.random.default_rng(1).integers(0, 255, (40, 40), dtype=np.uint8)
+    out = np.empty((18, 18), np.float32)
+    sample(image, mesh(5, 7, 1.0), 6, out)
+    np.testing.assert_allclose(out, image[7:25, 5:23], atol=1e-3)
+
+
+def test_a_slope_is_interpolated_between_pixels() -> None:
+    y, x = np.mgrid[:40, :40]
+    image = (100 + 2 * x + y).astype(np.uint8)
+    out = np.empty((18, 18), np.float32)
+    sample(image, mesh(5.3, 7.6, 0.7), 6, out)
+    rows, columns = np.mgrid[:18, :18]
+    np.testing.assert_allclose(out, 100 + 2 * (5.3 + 0.7 * columns) + 7.6 + 0.7 * rows, atol=0.1)
+
+
+def test_there_is_no_value_outside_the_image() -> None:
+    out = np.empty((18, 18), np.float32)
+    sample(np.full((40, 40), 9, np.uint8), mesh(-3, 30, 1.0), 6, out)
+    assert np.isnan(out[:, :4]).all()
+    assert np.isnan(out[9:]).all()
+    np.testing.assert_allclose(out[:6, 6:], 9, atol=1e-4)
+
+
+@given(st.floats(-12, 45), st.floats(-12, 45), st.floats(0.2, 3.0), st.booleans())
+def test_values_are_those_of_the_kernel_wherever_the_mesh_lies(x0: float, y0: float, scale: float, lost: bool) -> None:
+    """Also across the borders of the image, and beside nodes that have no position."""
+    image = np.random.default_rng(2).integers(0, 255, (40, 40), dtype=np.uint8)
+    nodes = mesh(x0, y0, scale)
+    if lost:
+        nodes[0, 0] = np.nan
+    out = np.empty((18, 18), np.float32)
+    sample(image, nodes, 6, out)
+    for y, x in ((0, 0), (5, 11), (8, 8), (17, 0), (17, 17)):
+        u, v = x0 + scale * x, y0 + scale * y
+        near = min(u - 2, v - 2, 37 - u, 37 - v)
+        if abs(near) < 1e-9:
+            continue  # rounding decides
+        if near < 0 or (lost and x < 6 and y < 6):
+            assert np.isnan(out[y, x])
+            continue
+        weights = [np.sinc(t) * np.sinc(t / 3) for t in (np.arange(-2, 4) - (p - int(p)) for p in (u, v))]
+        part = image[int(v) - 2 : int(v) + 4, int(u) - 2 : int(u) + 4]
+        expected = weights[1] @ part @ weights[0] / (weights[0].sum() * weights[1].sum())
+        assert abs(out[y, x] - expected) < 0.5

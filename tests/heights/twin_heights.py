@@ -13,8 +13,7 @@ from collections import defaultdict
 import numpy as np
 
 from tests.cases.heights import errors, row
-from vaoi_station.heights.comparison import heights_document
-from vaoi_station.heights.estimates import measure_heights
+from vaoi_station.heights.estimates import heights_document, measure_heights
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.work import StitchSetup, stitch_frames
 

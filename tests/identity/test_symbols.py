@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.identity.symbols import _proven, read_symbols
+from vaoi_station.benchmarks.codes import DottedCode, draw_dotted_code
+from vaoi_station.identity.dot_grids import MODULES_PX, dot_grids
+from vaoi_station.identity.symbols import _proven, read_dotted, read_symbols
 from vaoi_station.model.board_identity import Symbology
 from vaoi_station.simulation.board.printed_code import symbol
 
@@ -73,3 +75,79 @@ def test_little_contrast_and_inverted_codes_are_read() -> None:
     assert [s.text for s in read_symbols(picture("datamatrix", 5, low=20, high=34), None)] == [TEXT]
     assert [s.text for s in read_symbols(picture("datamatrix", 5, low=200, high=40), None)] == [TEXT]
     assert read_symbols(np.full((60, 60), 7, np.uint8), None) == []
+
+
+DISTURBED: dict[str, dict[str, Any]] = {
+    "small dots": {"dot": 0.7, "module_px": 8.0},
+    "light dots": {"dot": 0.75, "inverted": True},
+    "small modules": {"module_px": 4.0, "dot": 0.7, "inverted": True, "blur_px": 0.5},
+    "large modules": {"module_px": 10.0, "dot": 0.7},
+    "10 x 10": {"version": 1, "text": "123456", "dot": 0.7, "module_px": 8.0},
+    "26 x 26": {"version": 9, "text": "1234567890" * 8, "dot": 0.8, "turned_deg": 123.0},
+    "8 x 32": {"version": 26, "text": "12345678", "dot": 0.7, "turned_deg": 285.0},
+    "dots of other sizes and places": {"size_spread": 0.12, "displaced": 0.1, "version": 6},
+    "missing dots": {"missing": 0.04, "version": 6, "seed": 3},
+    "oblique view": {"oblique": 0.08, "version": 6, "turned_deg": 30.0, "dot": 0.7},
+    "brushed ground": {"brushed": 12.0, "dot": 0.75},
+    "little contrast": {"grey": (110.0, 122.0), "noise": 0.7, "dot": 0.7, "module_px": 7.0},
+    "shaded": {"shaded": 60.0, "dot": 0.7, "module_px": 7.0},
+    "parts": {"parts": 40, "dot": 0.8, "seed": 2},
+    "dark label": {"label": 1.5, "inverted": True, "dot": 0.8},
+    "light label": {"label": 1.5, "dot": 0.8, "turned_deg": 200.0},
+}
+
+
+def array_of_dots(rows: int, columns: int, pitch: float, hole: int = 0) -> NDArray[np.uint8]:
+    """Draw a full array of dots, as balls or vias are arranged, with a hole in its middle."""
+    y, x = np.mgrid[: int(pitch * (rows + 6)), : int(pitch * (columns + 6))] / pitch - 3
+    row, column = np.floor(y), np.floor(x)
+    there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    there &= np.maximum(abs(row - rows // 2), abs(column - columns // 2)) >= hole
+    dots = there & (np.hypot(y % 1 - 0.5, x % 1 - 0.5) < 0.4)
+    noise = np.random.default_rng(rows).normal(0, 3, dots.shape)
+    return np.asarray(np.clip(np.where(dots, 180, 60) + noise, 0, 255), np.uint8)
+
+
+@pytest.mark.parametrize("kind", DISTURBED)
+def test_code_of_dots_is_read_with_its_corners_to_a_pixel(kind: str) -> None:
+    code = DottedCode(**{"turned_deg": 77.0, "seed": 1, **DISTURBED[kind]})
+    picture, corners = draw_dotted_code(code)
+    assert read_symbols(picture, None, dotted=False) == []
+    [found] = read_symbols(picture, None)
+    assert (found.text, found.symbology) == (code.text, "datamatrix")
+    assert np.hypot(*(found.corners_px - corners).T).max() < 1.0
+    assert found.module_px == pytest.approx(code.module_px, rel=0.02)
+
+
+@pytest.mark.parametrize("turned", [0.0, 45.0, 90.0, 180.0, 271.0])
+def test_corners_start_at_the_upper_left_of_the_code_however_it_is_turned(turned: float) -> None:
+    picture, corners = draw_dotted_code(DottedCode(turned_deg=turned, dot=0.7))
+    [found] = read_dotted(picture)
+    assert np.abs(found.corners_px - corners).max() < 0.4
+
+
+def test_missing_dots_inside_use_up_error_correction() -> None:
+    whole, gaps = (read_dotted(draw_dotted_code(DottedCode(missing=m, version=6))[0])[0] for m in (0.0, 0.04))
+    assert whole.error_correction_used == 0
+    assert 0 < gaps.error_correction_used < 1
+    assert gaps.text == whole.text
+
+
+@pytest.mark.parametrize("size", [(10, 10), (16, 16), (26, 26), (8, 18)])
+@pytest.mark.parametrize("hole", [0, 3])
+def test_array_of_dots_has_no_text(size: tuple[int, int], hole: int) -> None:
+    for pitch in (4.5, 7.0):
+        picture = array_of_dots(*size, pitch, hole)
+        assert read_symbols(picture, None) == []
+        assert read_symbols(255 - picture, None) == []
+
+
+def test_noise_and_even_ground_have_no_grid() -> None:
+    noise = np.random.default_rng(4).normal(128, 40, (200, 200)).clip(0, 255).astype(np.uint8)
+    for picture in (noise, np.full((200, 200), 90, np.uint8), noise[:9, :9]):
+        assert [grid for module_px in MODULES_PX for grid in dot_grids(picture, module_px)] == []
+
+
+def test_all_codes_of_a_picture_are_read() -> None:
+    pictures = [draw_dotted_code(DottedCode(text=text, dot=0.7, module_px=7.0))[0] for text in ("11111111", "22222222")]
+    assert sorted(s.text for s in read_symbols(np.hstack(pictures), None)) == ["11111111", "22222222"]

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera, Lens, Projective, System, apply
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame
-from vaoi_station.mosaic.projection import FrameProjector
 
 SIZE = (320, 240)
 PX_PER_MM = 10.0
@@ -43,8 +43,8 @@ class Filmed:
     taken: tuple[TakenFrame, ...]
 
     @property
-    def projector(self) -> FrameProjector:
-        return FrameProjector(self.stitch, self.cameras)
+    def projector(self) -> FrameIndex:
+        return FrameIndex(self.stitch, self.cameras)
 
     @property
     def base(self) -> MosaicGrid:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from tests.mosaic.conftest import DARK, SIZE, Film
-from vaoi_station.mosaic.gains import estimate_gains
-from vaoi_station.mosaic.survey import FieldCache, survey
+from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, radiance
+from vaoi_station.geometry import apply
+from vaoi_station.mosaic.gains import BLOCK, COARSE_PX, FieldCache, estimate_gains, survey
+from vaoi_station.mosaic.reduction import BORDER_PX, Reduced, reduced
 from vaoi_station.photometry import FlatFields
 from vaoi_station.steps import completed
 
@@ -38,3 +41,75 @@ def test_without_overlaps_gains_stay_at_one(film: Film) -> None:
     assert gains.frame == {(0, 0): 0.0}
     assert gains.dark == 0.0
     assert gains.log_field(1, board.cameras[1], np.zeros((3, 2))).tolist() == [0, 0, 0]
+
+
+def test_copies_show_the_board_at_their_places(film: Film) -> None:
+    board = film(vignette=0.0, flicker=0.0)
+    fields = FieldCache(FlatFields.none(dark=DARK))
+    found = list(survey(board.taken, board.read, board.projector, board.base, fields))
+    assert len(found) == len(board.taken)
+    for s in found:
+        assert (s.x0 % BLOCK, s.y0 % BLOCK) == (0, 0)
+        y, x = np.argwhere(np.isfinite(s.values))[len(s.values) // 2 :: 50].T
+        at = np.stack([x + s.x0, y + s.y0], -1) * float(COARSE_PX) + (COARSE_PX - 1) / 2
+        expected = radiance(apply(board.base.cad_from_mosaic, at))
+        assert np.abs(s.values[y, x] * 250 - expected).max() < 4
+
+
+def test_missing_frames_and_saturated_places_are_left_out(board: Filmed) -> None:
+    frames = dict(board.frames)
+    del frames[0, 1]
+    frames[1, 1] = np.full_like(frames[1, 1], 255)
+    found = survey(
+        board.taken, lambda i, j: frames.get((i, j)), board.projector, board.base, FieldCache(FlatFields.none())
+    )
+    by_key = {(s.taken.camera, s.taken.row): s for s in found}
+    assert (0, 1) not in by_key
+    assert not np.isfinite(by_key[1, 1].values).any()
+
+
+def noise(size: tuple[int, int], dtype: Any = np.uint8, colours: tuple[int, ...] = ()) -> Reduced:
+    most = np.iinfo(dtype).max
+    pixels = np.random.default_rng(0).integers(0, most, (*size, *colours), dtype, endpoint=True)
+    return Reduced(pixels, pixels)
+
+
+@pytest.mark.parametrize(("dtype", "colours"), [(np.uint8, ()), (np.uint8, (3,)), (np.uint16, ()), (np.uint16, (3,))])
+@pytest.mark.parametrize("size", [(8, 12), (11, 13), (3, 9), (3, 2), (70, 129)])
+@pytest.mark.parametrize("factor", [2, 4, 32])
+def test_every_pixel_counts(size: tuple[int, int], dtype: Any, colours: tuple[int, ...], factor: int) -> None:
+    picture = noise(size, dtype, colours)
+    found = reduced(picture, factor)
+    h, w = (-(-n // factor) for n in size)
+    assert found.means.shape == found.largest.shape == (h, w, *colours)
+    assert found.means.dtype == found.largest.dtype == dtype
+    for y, x in np.ndindex(h, w):
+        block = picture.means[factor * y : factor * (y + 1), factor * x : factor * (x + 1)]
+        assert np.abs(found.means[y, x] - block.mean((0, 1))).max() <= 0.5 + 1e-3
+        np.testing.assert_array_equal(found.largest[y, x], block.max((0, 1)))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_bright_blocks_do_not_overflow(dtype: Any) -> None:
+    pixels = np.full((128, 128), np.iinfo(dtype).max, dtype)
+    for factor in (16, 32, 128):
+        assert (reduced(Reduced(pixels, pixels), factor).means == pixels[0, 0]).all()
+
+
+def test_a_part_of_a_frame_is_reduced_as_the_whole() -> None:
+    picture = noise((24, 32))
+    whole, part = reduced(picture, 4), reduced(picture.part((8, 4, 24, 16)), 4)
+    np.testing.assert_array_equal(part.means, whole.means[1:4, 2:6])
+
+
+def test_two_steps_give_the_means_of_one_but_for_rounding() -> None:
+    picture = noise((64, 96))
+    one, two = reduced(picture, 16), reduced(reduced(picture, 8), 2)
+    assert np.abs(one.means.astype(int) - two.means).max() <= 1
+    np.testing.assert_array_equal(one.largest, two.largest)
+
+
+def test_values_continue_beside_the_outermost_blocks() -> None:
+    picture = noise((3, 4))
+    for part, found in zip(picture, picture.bordered(), strict=True):
+        np.testing.assert_array_equal(found, np.pad(part, BORDER_PX, mode="edge"))

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
-from vaoi_station.errors import InputError
+from tests.mosaic.conftest import Filmed
+from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
-from vaoi_station.mosaic.grid import MosaicGrid
+from vaoi_station.mosaic.grid import (
+    MosaicGrid,
+    dzi_document,
+    dzi_reduction,
+    levels_of,
+    tile_box,
+)
 
 
 def board_type(**keys: Any) -> BoardType:
@@ -65,3 +73,21 @@ def test_too_large_a_mosaic_is_refused_with_its_size() -> None:
         MosaicGrid.of_board(board_type(), 950.0)
     with pytest.raises(InputError, match=r"px_per_mm is 0\.01, but must be a number from 0\.1 to 1000"):
         MosaicGrid.of_board(board_type(), 0.01)
+
+
+def test_levels_end_when_one_tile_holds_all(board: Filmed) -> None:
+    assert levels_of(board.base) == 3
+
+
+def test_levels_of_dzi_count_from_one_pixel(board: Filmed) -> None:
+    assert [dzi_reduction(board.base, k) for k in (0, 9, 10)] == [1024, 2, 1]
+    with pytest.raises(NotFoundError, match="levels 0 to 10; there is no level 11"):
+        dzi_reduction(board.base, 11)
+    document = ElementTree.fromstring(dzi_document(board.base, "jpg"))
+    assert document.attrib["Format"] == "jpg"
+
+
+def test_tiles_at_the_end_are_smaller(board: Filmed) -> None:
+    assert tile_box(board.base, 2, 1) == (512, 256, 520, 400)
+    with pytest.raises(NotFoundError, match="3×2 tiles"):
+        tile_box(board.base, 3, 0)

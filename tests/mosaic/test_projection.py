@@ -7,13 +7,15 @@ import pytest
 
 from tests.mosaic.conftest import Filmed
 from vaoi_station.errors import StateError
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
-from vaoi_station.mosaic.projection import FrameProjector, between, shrunk
+from vaoi_station.geometry.homographies import between
+from vaoi_station.mosaic.reduction import shrunk
 
 
 def test_matrix_of_a_part_agrees_with_the_projection(board: Filmed) -> None:
     projector, grid = board.projector, board.base
-    matrix = projector.raw_from_mosaic(1, 2, grid, (100, 60, 356, 300))
+    matrix = projector.matrix(1, 2, grid.cad_from_mosaic, (100, 60, 356, 300))
     for at in [(99.5, 59.5), (355.5, 299.5), (200.0, 150.0)]:
         exact = projector.raw_px(1, 2, apply(grid.cad_from_mosaic, at))
         assert apply(matrix, at) == pytest.approx(exact, abs=1e-6)
@@ -21,7 +23,7 @@ def test_matrix_of_a_part_agrees_with_the_projection(board: Filmed) -> None:
 
 def test_box_encloses_what_a_frame_shows(board: Filmed) -> None:
     projector, grid = board.projector, board.base
-    x0, y0, x1, y1 = projector.seen_box(0, 1, grid)
+    x0, y0, x1, y1 = projector.seen_box(0, 1, *grid.place)
     y, x = np.mgrid[: grid.height, : grid.width]
     raw = projector.raw_px(0, 1, apply(grid.cad_from_mosaic, np.stack([x, y], -1).astype(float)))
     seen = projector.cameras[0].sees(raw)
@@ -29,15 +31,15 @@ def test_box_encloses_what_a_frame_shows(board: Filmed) -> None:
     assert (y1 - y0) * (x1 - x0) < 1.1 * seen.sum()
 
 
-def test_slant_is_the_distance_from_the_foot(board: Filmed) -> None:
+def test_places_are_counted_from_the_foot_of_the_camera(board: Filmed) -> None:
     foot = board.cameras[0].foot_mm - (0.5, 1.0)
-    slant = board.projector.slant_mm(0, 0, np.array([foot, foot + (3, 4)]))
-    assert slant == pytest.approx([0, 5], abs=1e-6)
+    off = board.projector.from_foot_mm(0, 0, np.array([foot, foot + (3, 4)]))
+    np.testing.assert_allclose(off, [(0, 0), (3, 4)], atol=1e-6)
 
 
 def test_run_without_cad_mapping_is_refused(board: Filmed) -> None:
     with pytest.raises(StateError, match="no CAD mapping"):
-        FrameProjector(board.stitch.model_copy(update={"cad_matrix": None}), board.cameras)
+        FrameIndex(board.stitch.model_copy(update={"cad_matrix": None}), board.cameras)
 
 
 def test_matrices_between_reduced_grids_keep_places() -> None:

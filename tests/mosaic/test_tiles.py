@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 
 from tests.mosaic.conftest import BOARD_MM, DARK, Film, Filmed, radiance
 from tests.mosaic.test_plan import plan_of
@@ -14,8 +16,19 @@ from vaoi_station.errors import InputError
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 from vaoi_station.mosaic import MosaicGrid
+from vaoi_station.mosaic.plan import MosaicPlan, RaisedBody
 from vaoi_station.mosaic.tile_specs import TileRenderer
-from vaoi_station.mosaic.tiles import Scratch, render_tile
+from vaoi_station.mosaic.tiles import (
+    Cells,
+    FrameCache,
+    Nodes,
+    Pictures,
+    Scratch,
+    blend,
+    nodes_along,
+    render_tile,
+    write_mosaic,
+)
 from vaoi_station.photometry import FlatFields
 
 
@@ -199,3 +212,188 @@ def test_an_overview_shows_a_low_body_with_the_ground(film: Film) -> None:
     assert not spec.bodies
     ratio = picture * 250 / expected(grid)
     assert np.abs(ratio[y0:y1, x0:x1] / np.nanmedian(ratio) - 1).max() < 0.02
+
+
+def test_parts_are_the_frames_of_the_cells_of_a_tile(board: Filmed) -> None:
+    plan = plan_of(board)
+    renderer = TileRenderer(plan, board.projector, board.base)
+    spec = renderer.spec((64, 64, 320, 192))
+    assert (spec.width, spec.height) == (256, 128)
+    labels = plan.layers[0][4:12, 4:20]
+    shown = {plan.frames[n].taken[:2] for n in set(labels.ravel().tolist()) if n >= 0}
+    assert shown <= {(part.camera, part.row) for part in spec.parts}
+    for part in spec.parts:
+        x0, y0, x1, y1 = part.crop
+        assert x1 > x0
+        assert y1 > y0
+
+
+@pytest.mark.parametrize("factor", [1, 8])
+def test_parts_hold_only_the_cells_of_their_frames(board: Filmed, factor: int) -> None:
+    """All cells of a board in every part of its overview took 2 GB for 400 frames."""
+    plan, grid = plan_of(board), board.base.reduced(factor)
+    spec = TileRenderer(plan, board.projector, grid).spec((0, 0, grid.width, grid.height))
+    numbers = {frame.taken[:2]: n for n, frame in enumerate(plan.frames)}
+    found = np.full(spec.cell_shape, -1)
+    for part in spec.parts:
+        x0, y0, x1, y1 = part.cells
+        assert part.mine is not None
+        assert part.factor.shape == part.mine.shape == (y1 - y0, x1 - x0)
+        found[y0:y1, x0:x1][part.mine > 0] = numbers[part.camera, part.row]
+    np.testing.assert_array_equal(found, plan.layers[0])
+    assert sum(part.factor.size for part in spec.parts) < 2 * found.size
+
+
+def test_parts_of_a_large_picture_are_whole_tiles(board: Filmed) -> None:
+    renderer = TileRenderer(plan_of(board), board.projector, board.base)
+    assert renderer.block_px[0] in (256, 512, 1024, 2048, 4096)
+    wide = TileRenderer(plan_of(board, hdr=True), board.projector, board.base)
+    assert wide.block_px[0] <= 1024
+
+
+def test_parts_are_high_where_one_has_the_whole_width(board: Filmed) -> None:
+    """The board of 520 × 400 px is one part, but not with HDR, where a part has at most 1024 × 256 px."""
+    assert TileRenderer(plan_of(board), board.projector, board.base).block_px[1] >= 400
+    assert TileRenderer(plan_of(board, hdr=True), board.projector, board.base).block_px[1] <= 512
+
+
+def crowded(board: Filmed, height_mm: float) -> MosaicPlan:
+    """Plan the board with 3,100 bodies of 0.6 × 0.3 mm; of each hundred the last is twice as high."""
+    at = np.random.default_rng(1).uniform((1, 1), np.array(BOARD_MM) - 1, (3100, 2))
+    box = np.array([(-0.3, -0.15), (0.3, -0.15), (0.3, 0.15), (-0.3, 0.15)])
+    bodies = [RaisedBody(box + p, height_mm * (2 if n % 100 == 99 else 1)) for n, p in enumerate(at)]
+    return replace(plan_of(board, hdr=True), bodies=tuple(sorted(bodies, key=lambda body: body.height_mm)))
+
+
+def test_an_overview_shows_only_bodies_that_their_heights_displace(board: Filmed) -> None:
+    """The cameras are 300 mm above the board and see it up to 20 mm off their feet: 0.33 mm lean by 0.022 mm."""
+    lean = board.projector.largest_lean(0)
+    assert lean == pytest.approx(np.hypot(16, 12) / 300, rel=0.05)
+    plan, base = crowded(board, 0.1 / lean / 10.0), board.base
+    counts = {}
+    for factor in (1, 2, 4, 8):
+        grid = base.reduced(factor)
+        box = (0, 0, min(grid.width, 256), min(grid.height, 256))
+        spec = TileRenderer(plan, board.projector, grid).spec(box)
+        counts[factor] = len(spec.bodies)
+        assert len(spec.bodies) <= box[2] * box[3] / 256
+    # At full resolution all are displaced enough, and the highest of the tile are taken; at half, the higher ones.
+    assert counts == {1: 256, 2: 31, 4: 0, 8: 0}
+
+
+def test_bodies_of_less_than_a_pixel_are_part_of_the_ground(board: Filmed) -> None:
+    plan = crowded(board, 50.0)
+    sizes = [
+        len(TileRenderer(plan, board.projector, board.base.reduced(f)).spec((0, 0, 32, 25)).bodies) for f in (1, 16)
+    ]
+    assert sizes == [3, 0]
+
+
+WIDE = np.array([-1e6, -1e6, 1e6, 1e6])
+
+
+def pictures_of(
+    frames: list[Any], dark: float = 0.0, matrix: np.ndarray | None = None, limits: np.ndarray = WIDE
+) -> Pictures:
+    """Frames that all begin at the tile's first pixel."""
+    place = [(n * frames[0].size, 0, 0, frames[0].shape[1]) for n in range(len(frames))]
+    count = len(frames)
+    return Pictures(
+        np.concatenate([frame.ravel() for frame in frames]),
+        np.array(place),
+        np.full(count, dark, np.float32),
+        np.stack([np.eye(3) if matrix is None else matrix] * count),
+        np.stack([limits] * count),
+    )
+
+
+def one_frame(shape: tuple[int, int], factor: float = 1.0) -> Cells:
+    return Cells(np.zeros(shape, np.int32), np.full(shape, factor, np.float32))
+
+
+def test_corrections_are_interpolated_between_cells() -> None:
+    cells = Cells(np.zeros((2, 2), np.int32), np.array([[1, 2], [3, 4]], np.float32))
+    x, y = nodes_along(0.0, 0.25, 5, 2), nodes_along(0.0, 0.5, 3, 2)
+    out = np.empty((3, 5), np.uint8)
+    blend(pictures_of([np.full((3, 5), 22, np.uint8)], dark=2.0), cells, x, y, 1, 255.0, out)
+    share, down = np.arange(5) * 0.25, np.arange(3)[:, None] * 0.5
+    np.testing.assert_array_equal(out, 20 * (1 + share + 2 * down))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_frames_change_over_one_cell(channels: int) -> None:
+    cells = Cells(np.array([[0, 1, 1]] * 2, np.int32), np.ones((2, 3), np.float32))
+    x, y = nodes_along(0.0, 0.25, 9, 3), nodes_along(0.0, 0.5, 3, 2)
+    every = Nodes(np.repeat(x.cell, channels), np.repeat(x.share, channels))
+    frames = [np.full((3, 9, channels), grey, np.uint8) for grey in (100, 200)]
+    out = np.empty((3, 9 * channels), np.uint8)
+    blend(pictures_of(frames), cells, every, y, channels, 255.0, out)
+    expected = np.repeat([100, 125, 150, 175, 200, 200, 200, 200, 200], channels)
+    np.testing.assert_array_equal(out, np.broadcast_to(expected, out.shape))
+
+
+def test_cells_without_a_frame_take_the_neighbour_up_to_their_centre() -> None:
+    cells = Cells(np.array([[0, -1, -1]] * 2, np.int32), np.ones((2, 3), np.float32))
+    x, y = nodes_along(0.0, 0.25, 9, 3), nodes_along(0.0, 0.5, 3, 2)
+    out = np.empty((3, 9), np.uint8)
+    blend(pictures_of([np.full((3, 9), 50, np.uint8)]), cells, x, y, 1, 255.0, out)
+    np.testing.assert_array_equal(out, np.broadcast_to([50] * 4 + [0] * 5, (3, 9)))
+
+
+@pytest.mark.parametrize("turned", [np.eye(3), np.diag([-1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, 1.0])])
+def test_pixels_beside_the_frame_are_left_out(turned: np.ndarray) -> None:
+    nodes = nodes_along(0.0, 0.1, 8, 2)
+    matrix = turned if turned[2, 2] > 0 else -turned
+    limits = np.array([2.0, 3.0, 5.0, 6.0]) if matrix[0, 0] > 0 else np.array([-5.0, 3.0, -2.0, 6.0])
+    out = np.empty((8, 8), np.uint8)
+    frame = np.ones((8, 8), np.uint8)
+    blend(pictures_of([frame], 0.0, matrix, limits), one_frame((2, 2)), nodes, nodes, 1, 255.0, out)
+    expected = np.zeros((8, 8))
+    expected[3:7, 2:6] = 1
+    np.testing.assert_array_equal(out, expected)
+
+
+def test_grey_levels_are_rounded_and_what_is_shown_is_at_least_one() -> None:
+    out = np.empty((1, 4), np.uint8)
+    x, y = nodes_along(0.0, 0.0, 4, 1), nodes_along(0.0, 1.0, 1, 1)
+    frame = np.array([[7, 2, 0, 250]], np.uint8)
+    blend(pictures_of([frame], dark=1.0), one_frame((1, 1), 1.1), x, y, 1, 255.0, out)
+    assert out.tolist() == [[7, 1, 1, 255]]
+
+
+def test_nodes_end_at_the_last_cell() -> None:
+    nodes = nodes_along(-0.5, 1.0, 4, 3)
+    assert (nodes.cell + nodes.share).tolist() == [0.0, 0.5, 1.5, 2.0]
+    assert nodes_along(0.0, 1.0, 2, 1).cell.tolist() == [0, 0]
+
+
+def test_file_has_the_pixels_of_the_mosaic(board: Filmed, tmp_path: Path) -> None:
+    layout = write_mosaic(tmp_path / "b.tif", plan_of(board), board.projector, board.base, board.read)
+    with tifffile.TiffFile(tmp_path / "b.tif") as file:
+        series = file.series[0]
+        assert (len(series.levels), file.pages.first.is_tiled) == (layout.levels, True)
+        assert series.levels[0].shape == (400, 520)
+        assert (series.levels[0].asarray() > 0).all()
+    assert [p.name for p in tmp_path.iterdir()] == ["b.tif"]
+
+
+def test_colours_are_red_green_blue(film: Film, tmp_path: Path) -> None:
+    dimmed = np.array([2, 1, 1], np.uint8)  # blue first, the order of OpenCV
+    filmed = film(channels=3)
+    board = replace(filmed, frames={key: pixels // dimmed for key, pixels in filmed.frames.items()})
+    write_mosaic(tmp_path / "b.tif", plan_of(board), board.projector, board.base, board.read)
+    colour = tifffile.imread(tmp_path / "b.tif").reshape(-1, 3).mean(0)
+    assert colour[2] < 0.7 * colour[0]
+
+
+def test_frames_are_kept_up_to_a_number_of_bytes() -> None:
+    read: list[tuple[int, int]] = []
+
+    def frame(camera: int, row: int) -> np.ndarray:
+        read.append((camera, row))
+        return np.zeros(100, np.uint8)
+
+    cache = FrameCache(frame, most_bytes=250)
+    for key in [(0, 0), (0, 1), (0, 0), (0, 2), (0, 0), (0, 1)]:
+        cache(*key)
+    assert read == [(0, 0), (0, 1), (0, 2), (0, 1)]

@@ -6,11 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.photometry.white_recordings import DARK, EXPOSURE_US, HEIGHT, READ, SHOT, WIDTH, film, shade, white
 from vaoi_station.errors import InputError
 from vaoi_station.files import open_recording
-from vaoi_station.photometry.measurement import measure_flat_fields
+from vaoi_station.photometry.measurement import (
+    combine,
+    measure_darkness,
+    measure_flat_fields,
+    uncut_normal,
+    without_noise,
+)
 
 
 def test_one_field_per_camera_and_light_from_four_rows_each(tmp_path: Path) -> None:
@@ -114,3 +121,86 @@ def test_fields_state_the_serial_numbers_of_their_cameras(tmp_path: Path) -> Non
     made = measure_flat_fields(open_recording(tmp_path / "white")).document
     assert made is not None
     assert [camera.serial for camera in made.cameras] == [None, "A2"]
+
+
+@pytest.mark.parametrize(("level", "sigma"), [(2.0, 1.5), (0.5, 1.0), (20.0, 2.0)])
+def test_the_dark_level_is_right_although_grey_levels_are_cut_off_at_zero(level: float, sigma: float) -> None:
+    rng = np.random.default_rng(1)
+    frames = [np.clip(np.round(rng.normal(level, sigma, (96, 128))), 0, 255).astype(np.float32) for _ in range(4)]
+    found = measure_darkness(frames)
+    assert found.level == pytest.approx(level, abs=0.06)
+    assert found.read == pytest.approx(sigma, abs=0.06)
+    assert found.map is None
+
+
+def test_dark_columns_and_hot_pixels_are_kept_in_a_map() -> None:
+    rng = np.random.default_rng(2)
+    pattern = np.full((96, 128), 5.0)
+    pattern[:, 64:] += 2.0
+    pattern[30, 40] = 60.0
+    frames = [np.round(pattern + rng.normal(0, 1.0, pattern.shape)).clip(0).astype(np.float32) for _ in range(8)]
+    found = measure_darkness(frames)
+    assert found.map is not None
+    assert found.map[:, 90:].mean() - found.map[:, :40].mean() == pytest.approx(2.0, abs=0.1)
+    assert found.map[30, 40] == pytest.approx(60, abs=4)
+
+
+def test_one_single_grey_level_has_the_noise_of_quantisation() -> None:
+    assert uncut_normal(np.full(100, 4.0, np.float32)) == (4.0, 0.3)
+
+
+def test_noise_is_removed_and_dust_is_kept() -> None:
+    rng = np.random.default_rng(3)
+    residual = rng.normal(0, 0.01, (80, 80)).astype(np.float32)
+    residual[40:44, 40:44] -= 0.2
+    found = without_noise(residual, np.float32(1e-4))
+    assert found[:30].std() < 0.002
+    assert found[41:43, 41:43].mean() == pytest.approx(-0.2, abs=0.03)
+
+
+H, W = 96, 128
+
+
+def rows(count: int, pattern: NDArray[np.float64], seed: int = 1) -> list[NDArray[np.float32]]:
+    rng = np.random.default_rng(seed)
+    noise = np.sqrt(1.5**2 + 0.03 * pattern)
+    return [(pattern + rng.standard_normal(pattern.shape) * noise).astype(np.float32) for _ in range(count)]
+
+
+def vignette() -> NDArray[np.float64]:
+    x, y = np.meshgrid(np.linspace(-1, 1, W), np.linspace(-1, 1, H))
+    return np.asarray(150 * (1 - 0.2 * (x**2 + y**2)))
+
+
+def test_four_rows_give_the_surface_to_a_few_thousandths() -> None:
+    found = combine(rows(4, vignette()), [250.0] * 4)
+    error = found.surface * 250 / vignette() - 1
+    assert float(np.sqrt((error**2).mean())) < 0.003
+    assert abs(error[:4].mean()) < 0.003
+    assert found.structure < 0.01
+    assert found.motion < 0.01
+    np.testing.assert_allclose(found.variances, 1.5**2 + 0.03 * found.signals, rtol=0.12)
+
+
+def test_dust_on_the_lens_stays_and_dust_on_the_target_goes() -> None:
+    pattern = vignette()
+    pattern[20:24, 30:34] *= 0.8
+    taken = rows(6, pattern)
+    taken[2][60:64, 80:84] *= 0.5
+    found = combine(taken, [250.0] * 6).surface * 250 / vignette()
+    assert found[21:23, 31:33].mean() == pytest.approx(0.8, abs=0.02)
+    assert found[60:64, 80:84].mean() == pytest.approx(1.0, abs=0.01)
+
+
+def test_flickering_rows_and_other_exposures_are_scaled() -> None:
+    taken = [r * f for r, f in zip(rows(4, vignette()), (0.5, 0.51, 0.5, 0.49), strict=True)]
+    found = combine(taken, [125.0] * 4)
+    assert found.flicker == pytest.approx(0.02, abs=0.004)
+    assert found.level == pytest.approx(vignette().mean() / 250, rel=0.005)
+
+
+def test_a_board_is_structured_at_rest_and_moves_when_it_moves() -> None:
+    board = vignette() * np.kron(np.random.default_rng(4).uniform(0.5, 1, (12, 16)), np.ones((8, 8)))
+    assert combine(rows(4, board), [250.0] * 4).structure > 0.08
+    moving = [r for shift in range(0, 60, 15) for r in rows(1, np.roll(board, shift, 0), shift)]
+    assert combine(moving, [250.0] * 4).motion > 0.08

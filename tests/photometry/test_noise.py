@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.photometry.noise import NoiseModel, fit_line, grey_levels, noise_from_frames
+from vaoi_station.photometry.noise import NoiseModel, fit_line, grey_levels, is_saturated, noise_from_frames
 
 
 def noisy(level: NDArray[np.float64], read: float, shot: float, seed: int) -> NDArray[np.uint8]:
@@ -49,3 +51,18 @@ def test_a_line_without_read_noise_is_one_of_shot_noise() -> None:
     found = fit_line(np.array([50.0, 100, 200]), np.array([0.5, 2.5, 6.5]), np.ones(3))
     assert found.read == pytest.approx(0.3)
     assert found.shot > 0
+
+
+@pytest.mark.parametrize(("dtype", "full"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_saturated_pixels_and_their_neighbours_are_not_used(dtype: type, full: int) -> None:
+    pixels: NDArray[Any] = np.full((7, 9), full // 2, dtype)
+    pixels[3, 4] = full
+    assert is_saturated(pixels).sum() == 9
+    assert is_saturated(pixels)[2:5, 3:6].all()
+
+
+def test_one_saturated_colour_is_enough() -> None:
+    pixels = np.zeros((5, 5, 3), np.uint8)
+    pixels[0, 0, 2] = 255
+    assert is_saturated(pixels).sum() == 4
+    assert not is_saturated(pixels[2:]).any()

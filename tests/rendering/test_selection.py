@@ -4,15 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
+import cv2
+import numpy as np
 import pytest
 
+from tests.rendering.computed import compute_views
+from vaoi_station.api.rest_models import ViewEntry
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.rendering import View, compute_views
-from vaoi_station.rendering.measures import Measures
+from vaoi_station.library.component_images import FIELDS
+from vaoi_station.rendering import (
+    ChosenImages,
+    View,
+    ViewCalculator,
+    choose_all,
+    render,
+    render_chosen,
+)
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
-from vaoi_station.rendering.selection import ChosenView, FrameFacts, select
+from vaoi_station.rendering.selection import ChosenView, FrameFacts, Measures, describe, measure, select
 
 LIGHTS = ("even", "left", "right", "left")
 
@@ -129,3 +141,147 @@ def test_a_difference_takes_the_other_light_from_the_nearest_direction(views: tu
         expected = 100.0 * (choice.view.row + 1) / 300.0
         assert choice.ratio == pytest.approx(expected)
     assert chosen(tuple(v for v in views if v.row != 2), light="left", minus="right") == []
+
+
+FACTS = {
+    (i, j): FrameFacts(100.0 + 100 * j, 1.0, "left" if j % 2 else "right", 0.1 * j) for i in range(2) for j in range(4)
+}
+
+
+def chosen_of(s: Any, quality: dict[str, Any] | None = None, **options: Any) -> ChosenImages:
+    stitch = s.stitch.model_copy(update={"quality": quality or {}})
+    calculator = ViewCalculator(s.board_type, stitch, s.cameras)
+    wanted = ImageRequest.of(cast("ImageOptions", options))
+    frames = set(FACTS) - {(0, 0)}, FACTS
+    part = s.board_type.components[4]
+    return choose_all(calculator, [part], (s.board_type, stitch), frames, wanted, lambda _: None)[0]
+
+
+def test_only_usable_frames_are_taken(make: Any) -> None:
+    found = chosen_of(make(), min_coverage=0.2)
+    assert found.chosen
+    assert (0, 0) not in {(s.view.camera, s.view.row) for s in found.chosen}
+    assert (found.height, found.remark) == (None, None)
+
+
+def test_the_top_plane_is_at_the_measured_height_and_its_error_counts(make: Any) -> None:
+    s = make()
+    found = chosen_of(s, {"heights_mm": {"U4": 1.5}, "height_sigma_mm": {"U4": 0.3}}, plane="top")
+    assert {(x.view.plane, x.view.height_mm) for x in found.chosen} == {("top", 1.5)}
+    assert found.remark is None
+    choice, flat = found.chosen[0], [[0.0001, 0.0], [0.0, 0.0001]]
+    covariance = found.covariance_px2(choice, flat)
+    assert covariance is not None
+    extra = np.trace(covariance) - 0.0002
+    assert extra == pytest.approx(0.09 * (choice.view.lift_px**2).sum())
+    assert found.covariance_px2(choice, None) is None
+
+
+def test_a_part_without_a_height_is_answered_in_the_plane_of_the_board(make: Any) -> None:
+    found = chosen_of(make(), plane="top")
+    assert {(x.view.plane, x.view.height_mm) for x in found.chosen} == {("board", 0.0)}
+    assert "U4 has no height: the run measured none" in (found.remark or "")
+
+
+def test_without_a_working_distance_images_lie_on_the_board(make: Any) -> None:
+    s = make()
+    cameras = tuple(replace(camera, working_distance_mm=None) for camera in s.cameras)
+    found = chosen_of(SimpleNamespace(**{**vars(s), "cameras": cameras}), {"heights_mm": {"U4": 1.5}}, plane="top")
+    assert {x.view.plane for x in found.chosen} == {"board"}
+    assert "no working_distance_mm" in (found.remark or "")
+
+
+def test_a_difference_is_rendered_with_equal_exposures(make: Any) -> None:
+    s = make()
+    choice = next(x for x in chosen_of(s, light="left", minus="right").chosen if x.view.coverage == 1)
+    assert choice.minus is not None
+    scene = np.full((180, 240), 30.0)
+    frame, other = (np.asarray(scene * x.facts.exposure_us / 100, np.uint8) for x in (choice, choice.minus))
+    assert (render_chosen(choice, frame, other) == 128).all()
+    assert (render_chosen(choice, frame) == render(choice.view, frame)).all()
+
+
+def test_a_description_has_what_is_known(make: Any) -> None:
+    choice = chosen_of(make(), light="left", minus="right").chosen[0]
+    known = describe(choice, np.diag([0.0004, 0.0001]))
+    assert known["sigma_px"] == pytest.approx(0.02)
+    assert known["sigma_mm"] == pytest.approx(0.02 / choice.view.frame_px_per_mm)
+    assert (known["light"], known["exposure_us"], known["time_s"]) == choice.facts[2:3] + choice.facts[
+        0:1
+    ] + choice.facts[3:4]
+    assert known["minus"] == (choice.minus.view.camera, choice.minus.view.row) if choice.minus else None
+    assert (known["sharpness_per_mm"], known["saturated"]) == (None, None)
+    assert describe(choice, None)["sigma_mm"] is None
+
+
+@pytest.fixture(scope="module")
+def view(make: Any) -> View:
+    s = make()
+    return compute_views(s.board_type.components[4], s.board_type, s.stitch, s.cameras, min_coverage=1.0)[0]
+
+
+def scene(blur_px: float = 0.0, shape: tuple[int, ...] = (180, 240)) -> Any:
+    random = np.random.default_rng(2)
+    blocks = cv2.resize(random.uniform(40, 200, (60, 80)), shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    return cv2.GaussianBlur(blocks, (0, 0), blur_px) if blur_px else blocks
+
+
+def with_noise(values: Any, sigma: float) -> Any:
+    noise = np.random.default_rng(7).normal(0, sigma, values.shape) if sigma else 0.0
+    return np.clip(np.rint(values + noise), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+def test_sharpness_falls_with_every_blur(view: View, noise: float) -> None:
+    found = [
+        measure(view, with_noise(scene(blur), noise)).sharpness_per_mm or 0.0 for blur in (0.5, 0.8, 1.2, 1.8, 2.5)
+    ]
+    assert found == sorted(found, reverse=True)
+    assert found[0] > 1.5 * found[-1] > 0
+
+
+def test_sharpness_does_not_depend_on_exposure_noise_or_depth(view: View) -> None:
+    bright = measure(view, with_noise(scene(1.0), 0.0)).sharpness_per_mm
+    assert bright is not None
+    assert measure(view, with_noise(scene(1.0) / 3, 0.0)).sharpness_per_mm == pytest.approx(bright, rel=0.02)
+    assert measure(view, with_noise(scene(1.0) / 3, 2.0)).sharpness_per_mm == pytest.approx(bright, rel=0.1)
+    deep = measure(view, with_noise(scene(1.0), 0.0).astype(np.uint16) * 257)
+    assert deep.sharpness_per_mm == pytest.approx(bright, rel=1e-3)
+    colour = measure(view, cv2.merge([with_noise(scene(1.0), 0.0)] * 3))
+    assert colour.sharpness_per_mm == pytest.approx(bright, rel=0.02)
+
+
+def test_sharpness_of_a_wave_is_its_spatial_frequency(view: View) -> None:
+    """A wave of 20 px has 2π/20 radians per px, 8 px per mm; Sobel answers sin(ω)/ω as strongly as a derivative."""
+    x = np.mgrid[:180, :240][1]
+    omega = 2 * np.pi / 20
+    wave = np.rint(128 + 90 * np.cos(omega * x)).astype(np.uint8)
+    expected = np.sin(omega) * view.frame_px_per_mm
+    assert measure(view, wave).sharpness_per_mm == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_saturated_pixels_of_the_footprint_are_counted(view: View, dtype: Any) -> None:
+    frame = scene(1.0).astype(dtype)
+    left, top = np.ceil(view.outline_px.min(0)).astype(int) + 2
+    frame[top : top + 6, left : left + 5] = np.iinfo(dtype).max
+    frame[:10, :10] = np.iinfo(dtype).max  # outside the footprint
+    area = 40 * 24 * (view.frame_px_per_mm / 8.0) ** 2
+    assert measure(view, frame).saturated == pytest.approx(30 / area, rel=0.08)
+
+
+def test_a_flat_footprint_has_no_sharpness(view: View) -> None:
+    assert measure(view, np.full((180, 240), 90, np.uint8)) == Measures(None, 0.0)
+    assert measure(view, np.full((180, 240), 255, np.uint8)) == Measures(None, 1.0)
+
+
+def test_a_footprint_outside_the_frame_is_not_measured(view: View) -> None:
+    assert measure(view, np.zeros((20, 20), np.uint8)) == Measures(None, None)
+
+
+def test_names_are_those_of_the_rest_interface_and_of_the_library(make: Any) -> None:
+    s = make()
+    view = compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras)[0]
+    known = describe(ChosenView(view, FrameFacts()), None)
+    assert set(known) == set(ViewEntry.model_fields) - {"k", "url"}
+    assert set(FIELDS) <= set(known)

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.rendering.computed import compute_views
 from vaoi_station.errors import InputError
-from vaoi_station.rendering import ViewCalculator, compute_views, render, render_all
+from vaoi_station.rendering import ViewCalculator, render, render_all
 from vaoi_station.rendering.temporary import subtract
 
 BENT = (0.012, 0.001)

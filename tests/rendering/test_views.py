@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections import Counter
+from dataclasses import fields, replace
 from itertools import product
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from tests.rendering.computed import compute_views
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.geometry import apply
-from vaoi_station.rendering import View, ViewCalculator, compute_views
+from vaoi_station.geometry import Camera, Lens, Projective, System, apply
+from vaoi_station.geometry.homographies import rectangle_homographies, through
+from vaoi_station.model import BoardType, Component
+from vaoi_station.rendering import Framing, View, ViewCalculator
+from vaoi_station.rendering.frame_pairs import Crops
+from vaoi_station.rendering.views import MOST_PIXELS, cut_tiles, lay_out, sigma_px
 
 BENT = (0.012, 0.001)
 HARDLY_BENT = (0.0002,)
@@ -204,3 +213,315 @@ def test_without_working_distance_there_is_no_parallax(make: Any) -> None:
     view = compute_views(s.board_type.components[0], s.board_type, s.stitch, blind)[0]
     flat = s.raw_px(view.camera, view.row, view.cad_from_crop(pixels(view)))
     assert np.abs(view.image_from_crop(pixels(view)) - flat).max() < 1e-6
+
+
+@pytest.mark.parametrize(("y_axis", "side"), list(product(("up", "down"), ("top", "bottom"))))
+@pytest.mark.parametrize("surface", [False, True])
+def test_the_direction_is_that_of_the_line_of_sight(make: Any, y_axis: str, side: str, surface: bool) -> None:
+    """The line of sight: the CAD points that one pixel shows at two heights lie on it."""
+    s = make(y_axis=y_axis, side=side, surface=surface, unit="inch")
+    for component in s.board_type.components[::3]:
+        center = np.array(component.center)
+        height = float(s.stitch.surface.height_mm(center)) if surface else 0.0
+        for view in compute_views(component, s.board_type, s.stitch, s.cameras):
+            camera, d = s.cameras[view.camera], s.stitch.row_motion[view.row]
+            pixel = s.raw_px(view.camera, view.row, center, height)
+            above = camera.ground(pixel, height + 10.0)
+            cad = s.stitch.tester_from_cad.inverse()((above - d[:2, 2]) @ d[:2, :2])
+            along_mm = (cad - center) * s.board_type.mm_per_unit
+            assert view.angle_deg is not None
+            assert view.angle_deg == pytest.approx(math.degrees(math.atan2(np.hypot(*along_mm), 10.0)), abs=0.05)
+            if view.azimuth_deg is not None and view.angle_deg > 0.5:
+                expected = math.degrees(math.atan2(along_mm[1], along_mm[0]))
+                assert abs((view.azimuth_deg - expected + 180) % 360 - 180) < 0.5
+
+
+@pytest.mark.parametrize(("y_axis", "side"), list(product(("up", "down"), ("top", "bottom"))))
+def test_a_raised_point_moves_away_from_the_side_the_part_is_seen_from(make: Any, y_axis: str, side: str) -> None:
+    s = make(y_axis=y_axis, side=side)
+    for component in s.board_type.components:
+        for view in compute_views(component, s.board_type, s.stitch, s.cameras):
+            if view.picture_azimuth_deg is None or (view.angle_deg or 0) < 0.5:
+                continue
+            center = np.array(component.center)
+            raised = view.image_from_crop.inverse()(s.raw_px(view.camera, view.row, center, 2.0))
+            shift = raised - view.crop_from_cad(center)
+            away = math.degrees(math.atan2(-shift[1], shift[0])) + 180
+            assert abs((view.picture_azimuth_deg - away + 180) % 360 - 180) < 1.0
+
+
+def test_the_shift_per_mm_of_height_is_that_of_the_camera(make: Any) -> None:
+    s = make(surface=True)
+    for component in s.board_type.components:
+        center = np.array(component.center)
+        height = float(s.stitch.surface.height_mm(center))
+        for view in compute_views(component, s.board_type, s.stitch, s.cameras):
+            low, high = (s.raw_px(view.camera, view.row, center, height + h) for h in (-0.01, 0.01))
+            np.testing.assert_allclose(view.lift_px, (high - low) / 0.02, rtol=1e-3, atol=1e-6)
+
+
+def test_a_picture_at_the_top_of_the_part_is_right_there(make: Any) -> None:
+    s = make(surface=True)
+    component = s.board_type.components[4]
+    calculator = ViewCalculator(s.board_type, s.stitch, s.cameras)
+    height = float(s.stitch.surface.height_mm(np.array(component.center)))
+    views = calculator.compute(component, framing=Framing(plane="top"), height_mm=3.0)
+    assert views
+    for view in views:
+        assert (view.plane, view.height_mm) == ("top", 3.0)
+        corner = np.array([view.width - 1.0, 0.0])
+        truth = s.raw_px(view.camera, view.row, view.cad_from_crop(corner), height + 3.0)
+        assert view.image_from_crop(corner) == pytest.approx(truth, abs=1e-6)
+    unknown = calculator.compute(component, framing=Framing(plane="top"))
+    assert {(v.plane, v.height_mm) for v in unknown} == {("board", 0.0)}
+
+
+def test_without_working_distance_the_direction_is_unknown(make: Any) -> None:
+    s = make()
+    blind = tuple(replace(c, working_distance_mm=None) for c in s.cameras)
+    view = compute_views(s.board_type.components[0], s.board_type, s.stitch, blind)[0]
+    assert (view.angle_deg, view.azimuth_deg, view.picture_azimuth_deg) == (None, None, None)
+
+
+def test_the_uncertainty_of_a_height_adds_along_the_parallax(make: Any) -> None:
+    s = make()
+    view = compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras)[0]
+    flat = np.diag([0.0004, 0.0001])
+    assert sigma_px(flat) == pytest.approx(0.02)
+    assert view.covariance_px2(None) is None
+    assert sigma_px(None) is None
+    level = view.covariance_px2(flat)
+    raised = view.covariance_px2(flat, height_sigma_mm=0.5)
+    assert raised is not None
+    assert level is not None
+    np.testing.assert_allclose(level, flat)
+    assert raised.trace() - flat.trace() == pytest.approx(0.25 * (view.lift_px**2).sum())
+    assert view.frame_px_per_mm == pytest.approx(8.0, rel=0.01)
+
+
+def test_the_outline_is_that_of_the_footprint(make: Any) -> None:
+    parts = [{"ref": "U1", "center": [12, 14], "width": 6, "height": 3, "rotation": 30}]
+    s = make(components=parts)
+    for view in compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras, min_coverage=0.1):
+        truth = s.raw_px(view.camera, view.row, np.array(s.board_type.footprint(s.board_type.components[0])))
+        for corner in view.outline_px:
+            assert np.abs(truth - corner).max(1).min() < 1.0
+
+
+def test_a_table_is_a_mapping_from_addresses_to_views(make: Any) -> None:
+    s = make()
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
+    assert list(table) == [c.address for c in s.board_type.components]
+    assert len(table) == len(s.board_type.components)
+    assert "no such part" not in table
+    for address in table:
+        keys = [(v.camera, v.row) for v in table[address]]
+        assert keys
+        assert len(set(keys)) == len(keys)
+
+
+def test_the_views_of_one_component_are_those_made_with_all(make: Any) -> None:
+    s = make()
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
+    for number, views in enumerate(table.values()):
+        alone = table.views_of(number)
+        assert len(alone) == len(views) > 0
+        for own, view in zip(alone, views, strict=True):
+            for field in fields(View):
+                assert np.array_equal(getattr(own, field.name), getattr(view, field.name)), field.name
+
+
+def test_views_in_some_frames_are_counted(make: Any) -> None:
+    s = make()
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
+    everywhere = {(v.camera, v.row) for views in table.values() for v in views}
+    some = set(sorted(everywhere)[::2])
+    expected = Counter({a: sum((v.camera, v.row) in some for v in views) for a, views in table.items()})
+    assert table.counts_in(some) == {address: n for address, n in expected.items() if n}
+    assert sum(table.counts_in(everywhere).values()) == len(table.component)
+    assert table.counts_in(set()) == {}
+
+
+def test_views_are_collected_by_frame(make: Any) -> None:
+    s = make()
+    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
+    order, begins = table.by_frame()
+    assert sorted(order.tolist()) == [*range(len(table.key))]
+    ends = [*begins[1:], len(order)]
+    keys = [{tuple(key) for key in table.key[order[a:b]].tolist()} for a, b in zip(begins, ends, strict=True)]
+    assert all(len(own) == 1 for own in keys)
+    assert len(set.union(*keys)) == len(keys)
+    nothing = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all([])
+    assert nothing.by_frame()[1] == []
+
+
+SIDES = [(y, s) for y in ("up", "down") for s in ("top", "bottom")]
+
+
+def board(y_axis: str = "up", side: str = "top", unit: str = "mm") -> BoardType:
+    return BoardType.model_validate({"name": "b", "y_axis": y_axis, "side": side, "unit": unit})
+
+
+def crops_of(parts: list[Component], board_type: BoardType, px_per_mm: Any, **framed: Any) -> Crops:
+    return lay_out(parts, board_type, Framing(px_per_mm, **framed), 1.0)
+
+
+def part(rotation: float = 0.0, width: float = 4.0, height: float = 2.0) -> Component:
+    return Component(ref="U1", center=(10.0, 20.0), width=width, height=height, rotation=rotation)
+
+
+@pytest.mark.parametrize(("y_axis", "side"), SIDES)
+def test_the_edges_of_the_box_are_the_outer_edges_of_the_border_pixels(y_axis: str, side: str) -> None:
+    crops = crops_of([part()], board(y_axis, side), 10.0)
+    assert crops.size.tolist() == [[40, 20]]
+    corners = apply(crops.crop_from_cad[0], [[8, 19], [12, 21]])
+    assert np.sort(corners[:, 0]) == pytest.approx([-0.5, 39.5])
+    assert np.sort(corners[:, 1]) == pytest.approx([-0.5, 19.5])
+    assert apply(crops.crop_from_cad[0], (10, 20)) == pytest.approx([19.5, 9.5])
+
+
+@pytest.mark.parametrize(("y_axis", "side"), SIDES)
+def test_pictures_are_upright_on_the_side_of_the_camera(y_axis: str, side: str) -> None:
+    """CAD x runs to the right on the top and to the left on the bottom; CAD up is up."""
+    m = crops_of([part()], board(y_axis, side), 10.0).crop_from_cad[0]
+    assert m[0, 0] == pytest.approx(10 if side == "top" else -10)
+    assert m[1, 1] == pytest.approx(-10 if y_axis == "up" else 10)
+    assert (np.linalg.det(m) < 0) == ((y_axis == "up") != (side == "bottom")), "mirrors when CAD → image does"
+
+
+@pytest.mark.parametrize("rotation", [0.0, 90.0, 180.0, 270.0, -90.0, 450.0])
+def test_quarter_turns_swap_the_sides(rotation: float) -> None:
+    size = crops_of([part(rotation)], board(), 10.0).size[0].tolist()
+    assert size == ([40, 20] if rotation % 180 == 0 else [20, 40])
+
+
+def test_at_45_degrees_the_box_holds_the_part() -> None:
+    crops = crops_of([part(45.0)], board(), 100.0)
+    assert crops.size[0].tolist() == pytest.approx([6 / math.sqrt(2) * 100] * 2, abs=0.5)
+
+
+@given(
+    rotation=st.floats(-360, 360),
+    size=st.tuples(st.floats(0.01, 30), st.floats(0.01, 30)),
+    px_per_mm=st.floats(0.5, 60),
+    unit=st.sampled_from(["mm", "inch", "mil"]),
+    kind=st.sampled_from(SIDES),
+)
+def test_the_whole_footprint_is_in_the_picture_and_pixels_are_square_within_rounding(
+    rotation: float,
+    size: tuple[float, float],
+    px_per_mm: float,
+    unit: Literal["mm", "inch", "mil"],
+    kind: tuple[str, str],
+) -> None:
+    k = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}[unit]
+    board_type = board(*kind, unit)
+    component = part(rotation, size[0] / k, size[1] / k)
+    crops = crops_of([component], board_type, px_per_mm)
+    w, h = crops.size[0]
+    corners = apply(crops.crop_from_cad[0], board_type.footprint(component))
+    assert corners.min(0) == pytest.approx([-0.5, -0.5], abs=1e-6 * max(w, h))
+    assert corners.max(0) == pytest.approx([w - 0.5, h - 0.5], abs=1e-6 * max(w, h))
+    np.testing.assert_allclose(crops.cad_from_crop[0] @ crops.crop_from_cad[0], np.eye(3), atol=1e-8)
+    scale = np.abs(np.diag(crops.crop_from_cad[0])[:2]) / k
+    extent = (corners.max(0) - corners.min(0)) / scale
+    assert (np.abs(scale - px_per_mm) * extent <= 0.5 + 1e-6).all() or (crops.size[0] == 1).any()
+
+
+def test_a_picture_too_large_is_refused_by_name_with_the_largest_resolution() -> None:
+    says = r"U1: px_per_mm is 5000.0, but must be at most 1412.79, small enough for 16 megapixels"
+    with pytest.raises(InputError, match=says):
+        crops_of([part()], board(), 5000.0)
+    assert crops_of([part()], board(), 1412.79).size.prod() <= MOST_PIXELS
+    with pytest.raises(InputError, match=r"px_per_mm is 5000.0, but must be at most 92.95, small enough"):
+        crops_of([part()], board(), 5000.0, margin_mm=20.0)
+    assert crops_of([part()], board(), 92.95, margin_mm=20.0).size.prod() <= MOST_PIXELS
+
+
+def test_a_large_component_gets_the_resolution_that_fits() -> None:
+    parts = [part(), part(width=4000.0, height=3000.0)]
+    crops = lay_out(parts, board(), Framing(), 20.0)
+    assert crops.px_per_mm[0] == 20.0
+    assert crops.px_per_mm[1] < 2.0
+    assert 0.99 * MOST_PIXELS < crops.size.prod(1)[1] <= MOST_PIXELS
+    with pytest.raises(InputError, match="megapixels"):
+        crops_of(parts, board(), 20.0)
+
+
+def test_the_matrix_states_the_scale_and_px_per_mm_what_was_asked() -> None:
+    """The sides are whole pixels: 4 × 2 mm at 33.3 px/mm are 133 × 67 px."""
+    crops = crops_of([part()], board(), 33.3)
+    assert crops.size.tolist() == [[133, 67]]
+    assert crops.px_per_mm[0] == 33.3
+    assert np.abs(np.diag(crops.crop_from_cad[0])[:2]) == pytest.approx([133 / 4, 67 / 2])
+
+
+def test_a_tiny_component_has_one_pixel() -> None:
+    assert crops_of([part(width=1e-4, height=1e-4)], board(), 10.0).size.tolist() == [[1, 1]]
+
+
+@pytest.mark.parametrize(("y_axis", "side"), SIDES)
+@pytest.mark.parametrize("rotation", [0.0, 30.0, 90.0, 200.0])
+def test_a_turned_picture_shows_the_part_as_at_rotation_0(y_axis: str, side: str, rotation: float) -> None:
+    board_type = board(y_axis, side)
+    crops = crops_of([part(rotation)], board_type, 10.0, align="part")
+    straight = crops_of([part(0.0)], board_type, 10.0)
+    assert crops.size.tolist() == [[40, 20]]
+    corners, plain = (board_type.footprint(part(r)) for r in (rotation, 0.0))
+    turned = apply(crops.crop_from_cad[0], corners)
+    np.testing.assert_allclose(turned, apply(straight.crop_from_cad[0], plain), atol=1e-9)
+    np.testing.assert_allclose(crops.cad_from_crop[0] @ crops.crop_from_cad[0], np.eye(3), atol=1e-9)
+    assert np.sign(np.linalg.det(crops.crop_from_cad[0])) == np.sign(np.linalg.det(straight.crop_from_cad[0]))
+
+
+def test_a_margin_is_added_on_all_sides() -> None:
+    crops = crops_of([part(unit) for unit in (0.0, 90.0)], board(unit="inch"), 10.0, margin_mm=2.54)
+    assert crops.size.tolist() == [[1016 + 51, 508 + 51], [508 + 51, 1016 + 51]]
+    assert apply(crops.crop_from_cad[0], (10, 20)) == pytest.approx((crops.size[0] - 1) / 2)
+    assert not crops.bare.any()
+
+
+def test_a_margin_that_makes_the_picture_too_large_is_refused_with_the_largest() -> None:
+    with pytest.raises(InputError, match=r"U1: margin_mm is 90.0, but must be at most 18.5 at 100 px/mm") as refused:
+        crops_of([part()], board(), 100.0, margin_mm=90.0)
+    assert "18400×18200" in str(refused.value)
+    assert crops_of([part()], board(), 100.0, margin_mm=18.5).size.prod() <= MOST_PIXELS
+
+
+MATRIX = np.array([[1.02, 0.03, 20.0], [-0.02, 0.97, 15.0], [2e-5, -3e-5, 1.0]])
+
+
+def test_a_homography_takes_the_corners_to_their_points() -> None:
+    random = np.random.default_rng(3)
+    boxes = np.array([[0, 0, 99, 49], [-0.5, -0.5, 30, 20], [7, 9, 400, 12]], dtype=float)
+    x0, y0, x1, y1 = boxes.T
+    source = np.stack([x0, y0, x1, y0, x1, y1, x0, y1], -1).reshape(-1, 4, 2)
+    target = np.stack([apply(MATRIX, s) for s in source]) + random.normal(0, 0.5, (3, 4, 2))
+    found = rectangle_homographies(source, target)
+    np.testing.assert_allclose(through(found, source), target, atol=1e-9)
+    np.testing.assert_allclose(found[:, 2, 2], 1)
+
+
+def test_a_rectangle_without_area_has_no_homography() -> None:
+    source = np.array([[[0, 0], [0, 0], [0, 9], [0, 9]]], dtype=float)
+    assert np.isnan(rectangle_homographies(source, source + 1)).any()
+
+
+@pytest.mark.parametrize("bend_px", [0.03, 0.4, np.inf])
+def test_tiles_follow_the_lens(bend_px: float) -> None:
+    """A lens of 1 px at the corner of the frame, in a picture of nearly the whole frame."""
+    n = Projective(np.diag([8.0, 8.0, 1.0]), System.IMAGE, System.ROW)
+    camera = Camera(640, 480, n, Lens((319.5, 239.5), 400.0, (0.0025,)))
+    size = np.array([[560.0, 400.0], [40.0, 30.0]])
+    bends = np.array([bend_px, bend_px])
+    [whole, small] = cut_tiles(np.stack([MATRIX, MATRIX]), size, bends, lambda _, points: camera.lens.distort(points))
+    assert len(whole) >= len(small) >= 4
+    covered = np.zeros((400, 560), dtype=int)
+    for tile in whole:
+        covered[tile.y0 : tile.y1, tile.x0 : tile.x1] += 1
+        y, x = np.mgrid[tile.y0 : tile.y1, tile.x0 : tile.x1]
+        at = np.stack([x, y], -1).reshape(-1, 2).astype(float)
+        exact = camera.lens.distort(apply(MATRIX, at))
+        if bend_px >= 0.4:
+            assert np.abs(apply(tile.matrix, at - (tile.x0, tile.y0)) - exact).max() < 0.01
+    assert (covered == 1).all()

@@ -12,13 +12,12 @@ from tests.board_data.readers import samples
 from tests.stitching.conftest import Filmed
 from vaoi_station.board_data import Options, read_design, to_board_type
 from vaoi_station.files.documents import read_toml
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
-from vaoi_station.hdr.bodies import bodies_in
-from vaoi_station.hdr.parts import region_component, views_on_top
+from vaoi_station.hdr.merging import bodies_in, region_component, views_on_top
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.mosaic import MosaicGrid, choose_frames, make_plan
 from vaoi_station.mosaic.frames import frames_of_head
-from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.rendering import ViewCalculator
 from vaoi_station.simulation import Scenario, Twin, scenario_path
 from vaoi_station.steps import completed
@@ -148,7 +147,7 @@ def test_pictures_of_the_board_show_bodies_where_their_boards_lie(panel: Filmed)
     steps = make_plan(
         choose_frames(frames_of_head(panel.head), hdr=True),
         lambda _, __: None,
-        projector=FrameProjector(result, cameras),
+        projector=FrameIndex(result, cameras),
         board_type=board_type,
         stitch=result,
         base=MosaicGrid.of_board(board_type, 18.0),

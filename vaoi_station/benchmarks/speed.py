@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from vaoi_station.benchmarks.boards import BenchmarkBoard, cpu_ms, one_thread
 from vaoi_station.files.images import encode_jpeg
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.hdr import Exposed, merge_views
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.model import Stitch
 from vaoi_station.mosaic import MosaicGrid, TileRenderer, choose_frames, make_plan, render_tile
-from vaoi_station.mosaic.deep_zoom import TILE_PX, levels_of
 from vaoi_station.mosaic.frames import frames_of_head
-from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.grid import TILE_PX, levels_of
 from vaoi_station.mosaic.tiles import Scratch
 from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
 from vaoi_station.pixel_formats import eight_bit_grey
@@ -258,7 +258,7 @@ def measure_mosaic(board: BenchmarkBoard, repetitions: int = 5, stitch: Stitch |
 
 def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> MosaicFigures:
     found = stitch_board(board) if stitch is None else stitch
-    projector = FrameProjector(found, board.setup.cameras)
+    projector = FrameIndex(found, board.setup.cameras)
     grid = MosaicGrid.of_board(board.board_type, projector.px_per_mm)
     choice = choose_frames(frames_of_head(board.head, sorted(board.frames)))
 

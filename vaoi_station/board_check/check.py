@@ -1,26 +1,61 @@
-"""Check a board type against a stitched run: the entrance of this room."""
+"""Check a board type against a stitched run: residuals, what is absent, a correction, and a picture of it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from vaoi_station.board_check.body_edges import BodyEdges
 from vaoi_station.board_check.correction import Group, Move, moved_board_type
-from vaoi_station.board_check.fiducials import distances_of_marks
-from vaoi_station.board_check.pose_search import Pose, find_poses, middle_of, refine_pose
-from vaoi_station.board_check.presence import shares_weaker
+from vaoi_station.board_check.overview import CheckedRun, Overview
+from vaoi_station.board_check.pose_search import BodyEdges, Pose, find_poses, middle_of, refine_pose, shares_weaker
 from vaoi_station.board_check.report import BoardCheck, CheckedFiducial, CheckWarning, Residual, Unlikely
-from vaoi_station.board_check.run_frames import CheckedRun
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.model import BoardType
+from vaoi_station.marks import Mark, locate_mark
+from vaoi_station.model import BoardType, Fiducial
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
 from vaoi_station.stitching.components.centres import central_views, measure_component_shift
 from vaoi_station.stitching.expectation import turned_by
+from vaoi_station.stitching.geometry import ComponentIndex
+
+
+def distances_of_marks(run: CheckedRun, board: BoardType, tester_from_cad: Floats) -> list[float]:
+    """Return for each fiducial the distance of the mark that is there from its stated place, mm; NaN for none.
+
+    Each is searched in the frame that shows it nearest to its centre; if it is not found there, in the nearest frame of
+    every other light, because a mark may have no contrast under one.
+    """
+    views = run.views(np.array([(f.x, f.y) for f in board.fiducials]).reshape(-1, 2), tester_from_cad)
+    present, out = set(run.scene.present), []
+    for n, fiducial in enumerate(board.fiducials):
+        candidates = sorted(
+            (float(np.hypot(*(views.px[k] - run.cameras[int(views.camera[k])].center_px))), k)
+            for k in np.flatnonzero(views.point == n).tolist()
+            if (int(views.camera[k]), int(views.row[k])) in present
+        )
+        nearest: dict[str, int] = {}
+        for _, k in candidates:
+            nearest.setdefault(run.lights[int(views.row[k])] if run.lights else "", k)
+        found = (
+            _distance_mm(run, fiducial, board.mm_per_unit, (int(views.camera[k]), int(views.row[k])), views.px[k])
+            for k in nearest.values()
+        )
+        out.append(next((distance for distance in found if not math.isnan(distance)), math.nan))
+    return out
+
+
+def _distance_mm(run: CheckedRun, fiducial: Fiducial, mm_per_unit: float, frame: tuple[int, int], px: Floats) -> float:
+    """Return how far the mark in one frame is from the pixel where it should be, mm; NaN if there is none."""
+    resolution = run.cameras[frame[0]].px_per_mm
+    grey = run.scene.prepared(frame).grey
+    mark = locate_mark(grey, px, fiducial.shape, fiducial.diameter * mm_per_unit * resolution)
+    return float(np.hypot(*(mark.px - px))) / resolution if isinstance(mark, Mark) else math.nan
+
 
 LEAST_COMPONENTS = 3
 _LEAST_SCORE, _LEAST_LEAD = 6.0, 1.0
@@ -304,3 +339,81 @@ def _same_outline(own: BoardType | None, board: BoardType) -> bool:
 
 def _rounded(value: float) -> float | None:
     return None if math.isnan(value) else round(float(value), 4)
+
+
+_MARGIN_MM = 4.0
+_SIDE_PX = 1600
+"""Length to which the longer side of the picture is enlarged, at most by 4."""
+STATED, FOUND, ABSENT = (255, 160, 0), (0, 230, 255), (60, 60, 255)
+"""Colours, BGR: bodies where the run's C puts them, where they were found, and those that seem to be absent."""
+_MOST_LABELS = 300
+
+
+def picture_of_check(run: CheckedRun, board_type: BoardType, report: BoardCheck) -> NDArray[np.uint8]:
+    """Return the picture (h, w, 3), BGR, of a checked board type."""
+    found = None if report.tester_from_cad is None else np.array(report.tester_from_cad)
+    refs = {entry.ref for entry in report.unlikely}
+    return overlay(run.overview, board_type, found, run.stated_matrix(board_type), refs)
+
+
+def overlay(
+    overview: Overview, board: BoardType, found: Floats | None, stated: Floats | None, unlikely: Collection[str]
+) -> NDArray[np.uint8]:
+    """Return the picture (h, w, 3), BGR, in the orientation of the tester's axes.
+
+    Args:
+        overview: what was filmed.
+        board: the board type.
+        found: C by the components; None if they were not found.
+        stated: C of the run; None if it has none.
+        unlikely: addresses of components that seem to be absent.
+    """
+    index = ComponentIndex.of(board)
+    drawn = [
+        (colour, apply(overview.px_from_tester @ matrix, index.corners.reshape(-1, 2)).reshape(-1, 4, 2))
+        for colour, matrix in ((STATED, stated), (FOUND, found))
+        if matrix is not None
+    ]
+    h, w = overview.grey.shape
+    low, high = np.zeros(2), np.array([w, h], dtype=np.float64)
+    if drawn:
+        every, margin = drawn[-1][1].reshape(-1, 2), _MARGIN_MM * overview.px_per_mm
+        low = np.clip(np.floor(every.min(0) - margin), 0, high - 2)
+        high = np.clip(np.ceil(every.max(0) + margin), low + 2, high)
+    (x0, y0), (x1, y1) = low.astype(int), high.astype(int)
+    factor = float(np.clip(_SIDE_PX / max(x1 - x0, y1 - y0), 1, 4))
+    picture = cv2.cvtColor(np.ascontiguousarray(overview.grey[y0:y1, x0:x1]), cv2.COLOR_GRAY2BGR)
+    picture = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+    for colour, corners in drawn:
+        for address, body in zip(index.addresses, corners, strict=True):
+            absent = colour == FOUND and address in unlikely
+            at = (body - low + 0.5) * factor - 0.5
+            shade = ABSENT if absent else colour
+            # OpenCV takes sixteenths of a pixel; far-off corners would overflow.
+            points = np.rint(np.clip(at, -1e4, 1e5) * 16).astype(np.int32)
+            cv2.polylines(picture, [points], True, shade, 2 if absent else 1, cv2.LINE_AA, 4)
+            if colour == FOUND and (absent or len(index.addresses) <= _MOST_LABELS):
+                x, y = np.rint(np.clip(at.min(0), -1e4, 1e5)).astype(int).tolist()
+                cv2.putText(picture, address, (x, y - 2), cv2.FONT_HERSHEY_SIMPLEX, 0.35, shade, 1, cv2.LINE_AA)
+    return np.asarray(picture, np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedBoardType:
+    """The result of a check."""
+
+    report: BoardCheck
+    """Residuals with standard deviations, components that do not look as if they were there, warnings."""
+    picture: NDArray[np.uint8] = field(repr=False)
+    """(h, w, 3), BGR: bodies where the run's C puts them (blue), where they are (yellow), and unlikely ones (red)."""
+
+    @property
+    def corrected(self) -> BoardType | None:
+        """The corrected board type, a draft; None if there is nothing to correct."""
+        return self.report.proposal
+
+
+def checked_board_type(run: CheckedRun, board_type: BoardType) -> CheckedBoardType:
+    """Lay a board type over a run."""
+    report = check_board(run, board_type)
+    return CheckedBoardType(report, picture_of_check(run, board_type, report))

@@ -74,7 +74,7 @@ def write_images(run: StitchedRun, address: str, wanted: ImageRequest, out: Path
     """Write the images of a component that a request asks for, and their list; state how many there are."""
     from vaoi_station.files.documents import write_json
     from vaoi_station.files.images import write_image
-    from vaoi_station.rendering.description import component_covariances, describe
+    from vaoi_station.rendering.selection import component_covariances, describe
 
     chosen, covariances = run.choose(address, wanted), component_covariances(run.result, address)
     # On a panel the address is panel/ref. In a file name the slash would create a directory.

@@ -16,11 +16,9 @@ from vaoi_station.errors import InputError
 from vaoi_station.files import Recording
 from vaoi_station.files.documents import write_bytes, write_json
 from vaoi_station.hdr import Exposed, MergedPicture, merge_views
-from vaoi_station.hdr.bodies import bodies_in, merge_region, views_of_bodies
-from vaoi_station.hdr.encoding import LINEAR, MergedFormat, encode_merged
-from vaoi_station.hdr.parts import region_component, views_on_top
+from vaoi_station.hdr.encoding import LINEAR, MergedFormat, ToneCurve, encode_merged
+from vaoi_station.hdr.merging import bodies_in, merge_region, region_component, views_of_bodies, views_on_top
 from vaoi_station.hdr.row_levels import at_level, row_levels
-from vaoi_station.hdr.tone_mapping import ToneCurve
 from vaoi_station.model import Component, RecordingHead
 from vaoi_station.model.recording import usual_light
 from vaoi_station.model.stitch_result import known_height_mm

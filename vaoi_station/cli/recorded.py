@@ -232,9 +232,7 @@ def heights(
     from vaoi_station.cli.opened_case import Case, refuse_input
     from vaoi_station.files.documents import write_json
     from vaoi_station.files.images import write_image
-    from vaoi_station.heights.comparison import heights_document
-    from vaoi_station.heights.equalised_frames import equalised_frames
-    from vaoi_station.heights.estimates import measure_heights, open_places
+    from vaoi_station.heights.estimates import equalised_frames, heights_document, measure_heights, open_places
     from vaoi_station.heights.height_map import draw_map, measure_map
     from vaoi_station.photometry import FlatFields
 

@@ -1,6 +1,6 @@
 """Merged pictures of components and regions: frames of several exposures → linear radiance (paper, section 3.5)."""
 
+from vaoi_station.hdr.encoding import tone_map
 from vaoi_station.hdr.merging import Exposed, MergedPicture, merge_views
-from vaoi_station.hdr.tone_mapping import tone_map
 
 __all__ = ["Exposed", "MergedPicture", "merge_views", "tone_map"]

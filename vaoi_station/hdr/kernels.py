@@ -1,8 +1,7 @@
-"""Compiled inner loops of merging: grey levels → radiance of a part of a frame, and sums weighted by noise.
+"""Compiled inner loop of merging: grey levels → radiance of a part of a frame, and sums weighted by noise, in one pass.
 
-`add_shifted` does all of it in one pass for frames that are almost shifted in the picture, which is how cameras are
-mounted. Of other frames `linearise` and `accumulate` are the first and the last step, with OpenCV between them. The
-module is imported on first use, because Numba takes a moment to load.
+It serves frames that are almost shifted in the picture, which is how cameras are mounted. The module is imported on
+first use, because Numba takes a moment to load.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ BLOCK_SHIFT = 7
 """Binary logarithm of the side of a block, px, over which the flat field counts as constant for the noise.
 
 A flat field changes by a few per cent over it, and so do weights and standard deviations; the radiance does not."""
-_LEAST_FLAT = 0.02
+LEAST_FLAT = 0.02
 """Flat field below which a pixel sees nothing."""
 SHARPENING_PX2 = 0.25
 """Second moment, px², by which frames are sharpened along each axis before they are interpolated.
@@ -32,10 +31,10 @@ this blur would add light to dark places: by several per cent over two decades o
 _WITHOUT_SIGMA = 2
 """Number of sums of a merge whose standard deviation is not wanted."""
 _SIDE, _MIDDLE = -SHARPENING_PX2 / 2, 1 + SHARPENING_PX2
-_MOST_NOISE = 2 * _SIDE**2 + _MIDDLE**2
+MOST_NOISE = 2 * _SIDE**2 + _MIDDLE**2
 """Factor by which sharpening multiplies the variance of noise along one axis: the sum of the squared taps."""
-_LESS_NOISE = 2 * _MOST_NOISE - 4 * _SIDE * _MIDDLE
-"""Interpolation at a fraction f of a pixel reduces this factor by `_LESS_NOISE` · f (1 − f): squares of the taps of
+LESS_NOISE = 2 * MOST_NOISE - 4 * _SIDE * _MIDDLE
+"""Interpolation at a fraction f of a pixel reduces this factor by `LESS_NOISE` · f (1 − f): squares of the taps of
 both, convolved."""
 
 
@@ -111,7 +110,7 @@ def _line_of(
 ) -> None:
     """Do what `_linear_line` does with pixels of 8 or 16 bit."""
     to_grey, scale = np.float32(source.to_grey), np.float32(1 / source.exposure)
-    full, least, nothing = np.float32(source.full), np.float32(_LEAST_FLAT), np.float32(np.nan)
+    full, least, nothing = np.float32(source.full), np.float32(LEAST_FLAT), np.float32(np.nan)
     even, level = len(lines.flat) == 1, lines.dark[0]
     # Unsigned numbers, because the compiler uses vector registers only if no index can be negative; and one loop for
     # each case, because it does not if there is a test for every pixel.
@@ -133,23 +132,10 @@ def _line_of(
         out[goal + k] = value if f > least else nothing
 
 
-@compiled
-def linearise(source: Source, box: tuple[int, int, int, int], out: Floats32) -> None:
-    """Write (grey − dark) / (flat · exposure) of a part of a frame to `out`; NaN where `_linear_line` says.
-
-    `box` is the part: first column and row, and those after the last.
-    """
-    lines, values = _lines(source), out.reshape(-1)
-    _, columns = _size(source)
-    width = box[2] - box[0]
-    for y in range(box[1], box[3]):
-        _linear_line(source, lines, y * columns + box[0], width, values, (y - box[1]) * width)
-
-
 @inlined
 def _noise_factor(s: np.float32, t: np.float32) -> Any:
     """Return the variance of noise at fractions s and t of a pixel, divided by that of the frame's pixels."""
-    most, less, one = np.float32(_MOST_NOISE), np.float32(_LESS_NOISE), np.float32(1)
+    most, less, one = np.float32(MOST_NOISE), np.float32(LESS_NOISE), np.float32(1)
     return (most - less * s * (one - s)) * (most - less * t * (one - t))
 
 
@@ -167,52 +153,6 @@ def _weighted(value: np.float32, scale: np.float32, dark: np.float32, shot: np.f
 
 
 @compiled
-def noise_factors(matrix: Floats, out: Floats32) -> None:
-    """Write by how much sharpening and interpolation multiply the variance of noise, for each pixel of a picture.
-
-    `matrix` (3, 3) is the homography from pixels of the picture (h, w) to those of the frame.
-    """
-    m = matrix
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
-            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
-            out[y, x] = _noise_factor(np.float32(u - np.floor(u)), np.float32(v - np.floor(v)))
-
-
-@compiled
-def accumulate(
-    picture: tuple[Floats32, Floats32],
-    scales: NDArray[np.float64],
-    noise: tuple[float, float],
-    sums: tuple[Floats32, Floats32, Floats32],
-) -> None:
-    """Add one picture to the sums of a merge; NaN counts for nothing.
-
-    Args:
-        picture: radiance (h, w), and the factor of its variance by `noise_factors` (h, w).
-        scales: grey levels per unit of radiance, for each block of the picture.
-        noise: variance of a dark pixel, and variance per grey level of signal.
-        sums: sums (h, w) of value / variance, of 1 / variance, and of factor / variance, changed in place.
-    """
-    value, factors = picture
-    h, w = value.shape
-    dark, shot = np.float32(noise[0]), np.float32(noise[1])
-    for y in range(h):
-        for block in range(scales.shape[1]):
-            s = np.float32(scales[y >> BLOCK_SHIFT, block])
-            # The loop over one block has no branch, so that the compiler uses vector registers.
-            first, last = block << BLOCK_SHIFT, min((block + 1) << BLOCK_SHIFT, w)
-            line, factor = value[y, first:last], factors[y, first:last]
-            totals, weights, noises = sums[0][y, first:last], sums[1][y, first:last], sums[2][y, first:last]
-            for x in range(last - first):
-                part, one = _weighted(line[x], s, dark, shot)
-                totals[x] += part
-                weights[x] += one
-                noises[x] += one * factor[x]
-
-
-@compiled
 def add_shifted(
     source: Source, matrix: Floats, place: tuple[int, int, int, int], groups: NDArray[np.int64], sums: Floats32
 ) -> bool:
@@ -226,7 +166,7 @@ def add_shifted(
         place: first column and row of the part in the picture, its width and height.
         groups: (g,) numbers of the merges to which it is added.
         sums: (3, n, h, w) of n merges: sums of value / variance, of 1 / variance, and of factor / variance with the
-            factor of `noise_factors`, changed in place. (2, n, h, w): without the last ones.
+            factor of `_noise_factor`, changed in place. (2, n, h, w): without the last ones.
     """
     x0, y0, width, height = place
     if not is_almost_shift(matrix, width, height):
@@ -293,7 +233,7 @@ def _box(m: Floats, left: int, top: int, right: int, bottom: int, columns: int, 
 def _flat_at(flat: Floats32, x: int, y: int) -> np.float32:
     """Return the flat field at a place, or at the nearest one in the frame."""
     rows, columns = flat.shape
-    return max(flat[min(max(y, 0), rows - 1), min(max(x, 0), columns - 1)], np.float32(_LEAST_FLAT))
+    return max(flat[min(max(y, 0), rows - 1), min(max(x, 0), columns - 1)], np.float32(LEAST_FLAT))
 
 
 @inlined

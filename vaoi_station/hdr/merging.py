@@ -2,6 +2,7 @@
 
 Every frame is turned into radiance where the picture needs it, resampled into the picture (equation 22), and added with
 the inverse of its noise variance as weight. All pictures of one component lie on the same grid and in the same plane.
+Bodies in the picture of a region are merged in the planes of their tops.
 """
 
 from __future__ import annotations
@@ -9,21 +10,99 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.errors import InputError
+from vaoi_station.geometry.homographies import of_part, to_part
+from vaoi_station.geometry.polygon import pixels_inside
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.photometry import FieldMaps, Radiance, Taken
-from vaoi_station.photometry.noise import FULL_SCALE, Floats32
-from vaoi_station.photometry.radiance import pixels_at_limit
-from vaoi_station.rendering import View
-from vaoi_station.rendering.view import Tile
+from vaoi_station.model import BoardType, Component, Stitch
+from vaoi_station.model.stitch_result import known_height_mm
+from vaoi_station.photometry import FieldMaps, Taken
+from vaoi_station.photometry.noise import FULL_SCALE, Floats32, pixels_at_limit
+from vaoi_station.rendering import Framing, View, ViewCalculator
+from vaoi_station.rendering.views import MOST_PIXELS, Tile
 
 if TYPE_CHECKING:
     from vaoi_station.hdr.kernels import Source
+
+
+REGION = "region"
+"""Name of the picture of a region."""
+LEAST_COVERAGE = 0.02
+"""Least share of a component that a frame must show to be merged, if the caller does not choose another."""
+
+
+def views_on_top(
+    calculator: ViewCalculator,
+    component: Component,
+    height_mm: float,
+    *,
+    px_per_mm: float | None = None,
+    min_coverage: float | None = None,
+) -> tuple[View, ...]:
+    """Compute the views of a component in the plane of its top, in which its body lies still from view to view.
+
+    Args:
+        calculator: calculator of the run's views.
+        component: a component of the board type, or a region (`region_component`).
+        height_mm: height of its top above the board; 0 for the plane of the board.
+        px_per_mm: resolution; None for that of the cameras.
+        min_coverage: least share of the component in a frame; None for hardly any, since frames complement each other.
+    """
+    least = LEAST_COVERAGE if min_coverage is None else max(min_coverage, 1e-9)
+    return calculator.compute(
+        component,
+        px_per_mm=px_per_mm,
+        min_coverage=least,
+        framing=Framing(plane="top") if height_mm else None,
+        height_mm=height_mm or None,
+    )
+
+
+def region_component(
+    corners: Sequence[float], board_type: BoardType, px_per_mm: float, where: str = "--region"
+) -> Component:
+    """Return a region of the board as a component without a body.
+
+    Args:
+        corners: x0, y0, x1, y1 in CAD coordinates.
+        board_type: board type of the run.
+        px_per_mm: resolution of the picture.
+        where: how the caller names the region, for messages.
+
+    Raises:
+        InputError: the region has no area, does not touch the board, or is too large.
+    """
+    x0, y0, x1, y1 = (float(v) for v in corners)
+    shown, unit = f"{x0:g} {y0:g} {x1:g} {y1:g}", board_type.unit
+    if not all(map(math.isfinite, (x0, y0, x1, y1))) or x0 >= x1 or y0 >= y1:
+        raise InputError.field(
+            where, "X0 Y0 X1 Y1", shown, f"numbers with X0 < X1 and Y0 < Y1, in CAD coordinates ({unit})"
+        )
+    low, high = (corner.tolist() for corner in board_type.extent())
+    if x1 <= low[0] or y1 <= low[1] or x0 >= high[0] or y0 >= high[1]:
+        raise InputError.field(
+            where,
+            "X0 Y0 X1 Y1",
+            shown,
+            f"on the board, which reaches from {low[0]:g} {low[1]:g} to {high[0]:g} {high[1]:g} ({unit}, CAD)",
+        )
+    mm = board_type.mm_per_unit
+    pixels = (x1 - x0) * (y1 - y0) * (mm * px_per_mm) ** 2
+    if pixels > MOST_PIXELS:
+        most = px_per_mm * math.sqrt(MOST_PIXELS / pixels)
+        raise InputError(
+            f"{where}: {shown} is {(x1 - x0) * mm:.1f} × {(y1 - y0) * mm:.1f} mm, {pixels / 1e6:.0f} megapixels at "
+            f"{px_per_mm:.4g} px/mm, but the limit is {MOST_PIXELS / 1e6:.0f}.",
+            action=f"Ask for a smaller region, or for at most {math.floor(most * 10) / 10:g} px/mm.",
+        )
+    return Component(ref=REGION, center=((x0 + x1) / 2, (y0 + y1) / 2), width=x1 - x0, height=y1 - y0)
+
 
 _MARGIN_PX = 4
 """Pixels around the used part of a frame, for interpolation and sharpening."""
@@ -86,11 +165,6 @@ class MergedPicture:
         """The standard deviation of a picture that was merged with `sigma`."""
         assert self.deviation is not None, "merged without sigma"
         return self.deviation
-
-    @property
-    def radiance(self) -> Radiance:
-        """The picture with its standard deviation and validity."""
-        return Radiance(self.value, self.sigma, np.isfinite(self.value))
 
     @property
     def holes(self) -> float:
@@ -185,20 +259,66 @@ def distinct_exposures(views: Sequence[Exposed]) -> list[float]:
 
 def _add(exposed: Exposed, groups: NDArray[np.int64], sums: Floats32) -> None:
     """Add a frame to the sums of several merges, those of `add_shifted`."""
-    from vaoi_station.hdr.kernels import accumulate, add_shifted
+    from vaoi_station.hdr.kernels import add_shifted
 
     view, source = exposed.view, _source(exposed)
-    rest = []
-    for tile in view.tiles or (Tile(0, 0, view.width, view.height, view.matrix),):
-        x0, y0, x1, y1, matrix = tile
-        if not add_shifted(source, matrix, (x0, y0, x1 - x0, y1 - y0), groups, sums):
-            rest.append(tile)
-    if rest:
-        picture, scales = _warped(view, source, rest), _block_scales(view, source)
-        unwanted = np.empty_like(sums[0, 0])
-        for n in groups.tolist():
-            own = sums[0, n], sums[1, n], sums[2, n] if len(sums) > 2 else unwanted
-            accumulate(picture, scales, (source.read_variance, source.shot_variance), own)
+    for x0, y0, x1, y1, matrix in view.tiles or (Tile(0, 0, view.width, view.height, view.matrix),):
+        place = x0, y0, x1 - x0, y1 - y0
+        if not add_shifted(source, matrix, place, groups, sums):
+            _add_turned(source, matrix, place, groups, sums)
+
+
+def _add_turned(
+    source: Source, matrix: Floats, place: tuple[int, int, int, int], groups: NDArray[np.int64], sums: Floats32
+) -> None:
+    """Do what `add_shifted` does with a frame that is turned or tilted in the picture, block by block with OpenCV."""
+    from vaoi_station.hdr.kernels import BLOCK_SHIFT
+
+    side, (x0, y0, width, height) = 1 << BLOCK_SHIFT, place
+    for top in range(0, height, side):
+        for left in range(0, width, side):
+            right, bottom = min(left + side, width), min(top + side, height)
+            part = sums[:, :, y0 + top : y0 + bottom, x0 + left : x0 + right]
+            _add_block(source, of_part(matrix, left, top), groups, part)
+
+
+def _add_block(source: Source, matrix: Floats, groups: NDArray[np.int64], sums: Floats32) -> None:
+    """Add a frame to the sums (2 or 3, n, h, w) of a block; `matrix` is that from its pixels to those of the frame."""
+    from vaoi_station.hdr.kernels import LEAST_FLAT, LESS_NOISE, MOST_NOISE, SHARPENING_PX2
+
+    pixels, (height, width) = source.pixels if source.pixels.size else source.deep, sums.shape[2:]
+    ends = apply(matrix, np.array([(0, 0), (width, 0), (0, height), (width, height)], np.float64) - (0.5, 0.5))
+    x0, y0 = np.clip(np.floor(ends.min(0)).astype(int) - _MARGIN_PX, 0, pixels.shape[::-1]).tolist()
+    x1, y1 = np.clip(np.ceil(ends.max(0)).astype(int) + _MARGIN_PX, 0, pixels.shape[::-1]).tolist()
+    if x1 <= x0 or y1 <= y0:
+        return
+    area = np.s_[y0:y1, x0:x1]
+    dark, flat = (each[area] if each.size > 1 else each for each in (source.dark, source.flat))
+    grey = pixels[area].astype(np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = (grey * np.float32(source.to_grey) - dark) / (flat * np.float32(source.exposure))
+    value[(grey >= source.full) | (flat <= LEAST_FLAT)] = np.nan
+    # The taps turn NaN into NaN: the eight neighbours of a saturated pixel are out as well.
+    taps = np.array([-SHARPENING_PX2 / 2, 1 + SHARPENING_PX2, -SHARPENING_PX2 / 2], np.float32)
+    value = cv2.sepFilter2D(value, -1, taps, taps, borderType=cv2.BORDER_REPLICATE)
+    nan = (float("nan"),) * 4
+    value = cv2.warpPerspective(value, to_part(matrix, x0, y0), (width, height), flags=_FLAGS, borderValue=nan)
+    x, y = np.arange(width), np.arange(height)[:, None]
+    u, v, w = (row[0] * x + row[1] * y + row[2] for row in matrix)
+    u, v = u / w, v / w
+    # Over a block the flat field counts as constant for the noise.
+    middle = apply(matrix, np.array([width // 2, height // 2], np.float64))[::-1]
+    at = np.clip(np.floor(middle).astype(int), 0, np.array(source.flat.shape) - 1)
+    scale = max(float(source.flat[tuple(at)]), LEAST_FLAT) * source.exposure
+    # The variance of noise after sharpening and interpolation, divided by that of the frame's pixels.
+    factor = np.ones_like(u)
+    for fraction in (u - np.floor(u), v - np.floor(v)):
+        factor *= MOST_NOISE - LESS_NOISE * fraction * (1 - fraction)
+    seen = np.isfinite(value)
+    known = np.where(seen, value, 0)
+    weight = np.where(seen, scale**2 / (source.read_variance + source.shot_variance * scale * np.maximum(known, 0)), 0)
+    for total, part in zip(sums, (weight * known, weight, weight * factor), strict=False):
+        total[groups] += part.astype(np.float32)
 
 
 def _source(exposed: Exposed) -> Source:
@@ -217,73 +337,82 @@ def _source(exposed: Exposed) -> Source:
     return Source(*grey, dark, flat, FULL_SCALE / full, full, exposed.scale, noise.read**2, noise.shot * taken.gain)
 
 
-def _warped(view: View, source: Source, tiles: Sequence[Tile]) -> tuple[Floats32, Floats32]:
-    """Resample a frame into tiles of a picture, as radiance (h, w), with OpenCV, and with the factor of its variance.
+class Body(NamedTuple):
+    """A body in the picture of a region."""
 
-    The radiance is NaN elsewhere, outside the frame and beside saturated pixels.
+    part: Component
+    """The rectangle of the picture around its footprint, as a region of the board."""
+    height_mm: float
+    box: tuple[int, int, int, int]
+    """First column and row of that rectangle, and those after its last."""
+    corners: Floats
+    """(4, 2) corners of the footprint in pixels of the picture."""
+
+
+def bodies_in(view: View, board_type: BoardType, stitch: Stitch) -> list[Body]:
+    """Return the bodies of known height in the picture of a region, the highest last: it hides others.
+
+    `view` is any view of the region.
     """
-    from vaoi_station.hdr.kernels import SHARPENING_PX2, linearise, noise_factors
-
-    shape = view.height, view.width
-    out, factors = np.full(shape, np.nan, np.float32), np.ones(shape, np.float32)
-    taps = np.array([-SHARPENING_PX2 / 2, 1 + SHARPENING_PX2, -SHARPENING_PX2 / 2], np.float32)
-    for x0, y0, x1, y1, matrix in tiles:
-        box = _used_part(matrix, (x1 - x0, y1 - y0), max(source.pixels.shape, source.deep.shape))
-        if box is None:
+    heights = ((c, known_height_mm(c, board_type, stitch)) for c in board_type.components)
+    raised = [(c, height_mm) for c, height_mm in heights if height_mm]
+    footprints = stitch.footprints(board_type, [c for c, _ in raised])
+    found = []
+    for number, ((_, height_mm), footprint) in enumerate(zip(raised, footprints, strict=True)):
+        corners = apply(view.crop_matrix, footprint)
+        low = np.maximum(np.floor(corners.min(0) + 0.5), 0)
+        high = np.minimum(np.ceil(corners.max(0) + 0.5), (view.width, view.height))
+        if (high <= low).any():
             continue
-        # Numba compiles a separate version for parts of arrays.
-        part_factors = np.empty((y1 - y0, x1 - x0), np.float32)
-        noise_factors(matrix, part_factors)
-        factors[y0:y1, x0:x1] = part_factors
-        left, top, right, bottom = box
-        part = np.empty((bottom - top, right - left), np.float32)
-        linearise(source, box, part)
-        # The taps turn NaN into NaN: the eight neighbours of a saturated pixel are out as well.
-        part = cv2.sepFilter2D(part, -1, taps, taps, borderType=cv2.BORDER_REPLICATE)
-        nan = (float("nan"),) * 4
-        out[y0:y1, x0:x1] = cv2.warpPerspective(
-            part, _shifted(matrix, left, top), (x1 - x0, y1 - y0), flags=_FLAGS, borderValue=nan
-        )
-    return out, factors
+        # Half a pixel around the centres of its pixels: the picture of this part lies on the grid of the region.
+        ends = apply(view.cad_from_crop.matrix, np.stack([low, high]) - 0.5)
+        (x, y), (width, height) = ends.mean(0).tolist(), np.abs(ends[1] - ends[0]).tolist()
+        x0, y0, x1, y1 = (int(v) for v in (*low, *high))
+        part = Component(ref=f"{REGION} {number}", center=(x, y), width=width, height=height)
+        found.append(Body(part, height_mm, (x0, y0, x1, y1), corners))
+    return sorted(found, key=lambda body: body.height_mm)
 
 
-def _shifted(matrix: Floats, left: int, top: int) -> Floats:
-    """Return a matrix to the frame as one to the part of the frame that begins at (left, top)."""
-    out = matrix.copy()
-    out[0] -= left * matrix[2]
-    out[1] -= top * matrix[2]
-    return out
+def views_of_bodies(
+    calculator: ViewCalculator, bodies: Sequence[Body], px_per_mm: float
+) -> list[tuple[Body, tuple[View, ...]]]:
+    """Return the views of bodies in the planes of their tops, at the resolution of the region."""
+    views = calculator.compute_all(
+        [body.part for body in bodies],
+        px_per_mm=px_per_mm,
+        min_coverage=LEAST_COVERAGE,
+        framing=Framing(plane="top"),
+        heights_mm={body.part.address: body.height_mm for body in bodies},
+    )
+    return [(body, views[body.part.address]) for body in bodies]
 
 
-def _used_part(matrix: Floats, size: tuple[int, int], shape: tuple[int, ...]) -> tuple[int, int, int, int] | None:
-    """Return the part of a frame, first column and row and those after the last, that a picture needs; None if none."""
-    rows = matrix.tolist()
-    xs, ys = zip(*(_point(rows, x, y) for x in (0, size[0] - 1) for y in (0, size[1] - 1)), strict=True)
-    x0, y0 = max(math.floor(min(xs)) - _MARGIN_PX, 0), max(math.floor(min(ys)) - _MARGIN_PX, 0)
-    x1, y1 = math.ceil(max(xs)) + _MARGIN_PX + 1, math.ceil(max(ys)) + _MARGIN_PX + 1
-    x1, y1 = min(x1, shape[1]), min(y1, shape[0])
-    return None if x1 <= x0 or y1 <= y0 else (x0, y0, x1, y1)
+def merge_region(
+    views: Sequence[Exposed],
+    bodies: Sequence[tuple[Body, Sequence[Exposed]]],
+    *,
+    groups: bool = True,
+    sigma: bool = True,
+) -> list[MergedPicture]:
+    """Merge the views of a region as `merge_views` does, with its bodies in the planes of their tops.
+
+    Each picture shows its bodies by the frames of which its ground is merged.
+    """
+    pictures = merge_views(views, groups=groups, sigma=sigma)
+    for picture in pictures:
+        frames = {(view.camera, view.row) for view in picture.views}
+        for body, exposed in bodies:
+            if mine := [e for e in exposed if e.key in frames]:
+                _lay(picture, body, merge_views(mine, groups=False, sigma=sigma)[-1])
+    return pictures
 
 
-def _point(matrix: list[list[float]], x: float, y: float) -> tuple[float, float]:
-    """Project one point; for few points this is ten times as fast as arrays."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix
-    w = g * x + h * y + i
-    return (a * x + b * y + c) / w, (d * x + e * y + f) / w
-
-
-def _block_scales(view: View, source: Source) -> NDArray[np.float64]:
-    """Return the grey levels per unit of radiance for each block of the picture, (rows, columns)."""
-    from vaoi_station.hdr.kernels import BLOCK_SHIFT
-
-    side = 1 << BLOCK_SHIFT
-    rows, columns = -(-view.height // side), -(-view.width // side)
-    height, width = source.flat.shape
-    matrix, found = view.matrix.tolist(), np.empty((rows, columns))
-    for j in range(rows):
-        for i in range(columns):
-            right, bottom = min((i + 1) * side, view.width), min((j + 1) * side, view.height)
-            x, y = _point(matrix, (i * side + right) // 2, (j * side + bottom) // 2)
-            at = source.flat[min(max(int(y), 0), height - 1), min(max(int(x), 0), width - 1)]
-            found[j, i] = max(float(at), 0.02) * source.exposure
-    return found
+def _lay(picture: MergedPicture, body: Body, top: MergedPicture) -> None:
+    """Replace the pixels of a footprint by those in the plane of the body's top, where it has a value."""
+    x0, y0, x1, y1 = body.box
+    if top.value.shape != (y1 - y0, x1 - x0):
+        return  # a rounding of the sizes to whole pixels went the other way: its grid would be another one
+    mask = pixels_inside(body.corners - (x0, y0), x1 - x0, y1 - y0) & np.isfinite(top.value)
+    for whole, part in ((picture.value, top.value), (picture.deviation, top.deviation)):
+        if whole is not None and part is not None:
+            whole[y0:y1, x0:x1][mask] = part[mask]

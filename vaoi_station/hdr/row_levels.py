@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera
-from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.photometry import FlatFields, Taken
 from vaoi_station.photometry.noise import FULL_SCALE, grey_levels
@@ -90,7 +91,7 @@ def row_levels(
     lights = {row: of.light for (_, row), of in sorted(taken.items())}
     counts = Counter(lights.values())
     used = {key: of for key, of in taken.items() if counts[lights[key[1]]] <= MOST_ROWS}
-    samples = _samples(used, board_type, stitch, stitch.cameras(cameras), fields, frame, most_pixels)
+    samples = _samples(used, board_type, FrameIndex(stitch, cameras), fields, frame, most_pixels)
     for light in (light for light, count in counts.items() if count <= MOST_ROWS):
         rows = np.array([row for row in sorted(lights) if lights[row] == light])
         levels[rows] = np.exp(_solve(samples, rows, MOST_WORK * len(rows) // len(lights)))
@@ -105,8 +106,7 @@ def at_level(taken: Taken, level: float) -> Taken:
 def _samples(
     taken: Mapping[tuple[int, int], Taken],
     board_type: BoardType,
-    stitch: Stitch,
-    cameras: Sequence[Camera],
+    index: FrameIndex,
     fields: FlatFields,
     frame: Callable[[int, int], NDArray[Any] | None],
     most_pixels: float,
@@ -114,16 +114,14 @@ def _samples(
     low, high = board_type.extent()
     t = (np.arange(_POINTS) + 0.5) / _POINTS
     cad = np.stack(np.meshgrid(*(lo + (hi - lo) * t for lo, hi in zip(low, high, strict=True))), -1).reshape(-1, 2)
-    height = stitch.surface.height_mm(cad) if stitch.surface is not None else np.zeros(len(cad))
-    sights: dict[int, list[_Sight]] = {i: [] for i in range(len(cameras))}
+    sights: dict[int, list[_Sight]] = {i: [] for i in range(len(index.cameras))}
     for i, row in sorted(taken):
-        place = apply(np.asarray(stitch.row_motion[row]) @ np.asarray(stitch.cad_matrix), cad)
-        at = cameras[i].project(place, height)
-        seen = np.flatnonzero(cameras[i].sees(at, _SIDE_PX))
+        at = index.raw_px(i, row, cad)
+        seen = np.flatnonzero(index.cameras[i].sees(at, _SIDE_PX))
         if len(seen):
             sights[i].append(_Sight(row, seen, *at[seen].round().astype(int).T))
     found: list[tuple[NDArray[np.int_], NDArray[np.int_], Floats]] = []
-    chosen = _chosen(sights, cameras, most_pixels)
+    chosen = _chosen(sights, index.cameras, most_pixels)
     used = _used_points(sum(len(sight.point) for i in chosen for sight in sights[i]))
     for i in chosen:
         for row, *sight in sights[i]:

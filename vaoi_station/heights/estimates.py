@@ -1,11 +1,11 @@
-"""Estimate the height of the body of every component of a run from its frames."""
+"""Estimate the height of the body of every component of a run from its frames, and compare it with the expected one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +15,31 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.body_extents import EXTENTS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.levels import compare_heights, find_levels
-from vaoi_station.heights.matrix_errors import BodyEquations, combine
-from vaoi_station.heights.part_grids import Frames, PartGrid, Places
 from vaoi_station.heights.pictures import (
     CutPictures,
+    Frames,
+    PartGrid,
     Pictures,
+    Places,
     collect_pictures,
     cut_pictures,
     picture_stack,
     surface_stack,
 )
-from vaoi_station.heights.refinement import normal_equations
+from vaoi_station.heights.refinement import (
+    NOISE_AREA,
+    UNLIKE,
+    BodyEquations,
+    add_up,
+    combine,
+    normal_equations,
+    tile_weights,
+    weigh_tiles,
+)
 from vaoi_station.heights.sweep import Sweep, sweep
-from vaoi_station.heights.tile_equations import NOISE_AREA, UNLIKE, add_up, weigh_tiles
-from vaoi_station.heights.tile_weights import tile_weights
 from vaoi_station.model import BoardType, Component, Stitch
+from vaoi_station.photometry import FlatFields
+from vaoi_station.pixel_formats import eight_bit_grey
 
 HIGHEST_MM = 12.0
 """Largest height that is searched; components that are expected to be higher extend it."""
@@ -176,12 +186,6 @@ def _highest_mm(grid: PartGrid, body_height: float | None, board_type: BoardType
 
 def open_places(board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]) -> Places:
     """Return where the components of a run lie in its frames; raise StateError if heights cannot be computed."""
-    if stitch.tester_from_cad is None:
-        raise StateError(
-            "this run has no CAD mapping, so heights of components cannot be measured.",
-            action="; ".join(stitch.reasons),
-            code="no-cad-mapping",
-        )
     if all(camera.working_distance_mm is None for camera in cameras):
         raise StateError(
             "the calibration has no working_distance_mm, so heights of components cannot be measured.",
@@ -327,3 +331,118 @@ def _row_sigma_px(stitch: Stitch) -> float:
     """Return the typical standard deviation of a row's position, px; 0 in results that do not state it."""
     values = stitch.quality.get("row_sigma_px") or [0.0]
     return float(np.median(np.asarray(values, np.float64)))
+
+
+Comparison = Literal["agrees", "lower", "higher", "ambiguous", "unknown"]
+TOLERANCE_MM, TOLERANCE_SHARE = 0.1, 0.1
+"""A body may differ from its expected height by this, or by this share of it, whichever is larger."""
+_LEAST, _LEAST_OTHER = 0.95, 0.995
+"""Least probability of "agrees", and of "lower" and "higher": few bodies are other than expected."""
+
+_EDGE = 0.1
+"""Uncertainty of the ends of an interval, as a share of its width: the pictures fall off slowly there."""
+_WIDE, _WIDER = 0.03, 5.0
+"""Share of the heights that err more than their standard deviation says, and the factor by which it is too small."""
+
+
+def compare(height: PartHeight, expected_mm: float) -> tuple[Comparison, float]:
+    """Compare a height with the expected one; return the most probable statement and its probability.
+
+    The statement is "ambiguous" or "unknown" if none is probable enough: several intervals are left, or one, or
+    nothing is known. The probability is that of the most probable one of the others. The expected height has no part in
+    it, and an interval counts only for what all of it says.
+    """
+    tolerance = max(TOLERANCE_MM, TOLERANCE_SHARE * expected_mm)
+    low, high = expected_mm - tolerance, expected_mm + tolerance
+    if height.height_mm is not None and height.sigma_mm is not None:
+        lower = _beyond(height.height_mm - low, height.sigma_mm)
+        higher = _beyond(high - height.height_mm, height.sigma_mm)
+        agrees = max(0.0, 1 - lower - higher)
+    else:
+        lower = sum(i.probability for i in height.intervals if i.high_mm + _edge_mm(i) <= low)
+        higher = sum(i.probability for i in height.intervals if i.low_mm - _edge_mm(i) >= high)
+        agrees = sum(i.probability for i in height.intervals if low <= i.low_mm and i.high_mm <= high)
+    chances: dict[Comparison, float] = {"agrees": agrees, "lower": lower, "higher": higher}
+    best = max(chances, key=lambda name: chances[name])
+    if chances[best] >= (_LEAST if best == "agrees" else _LEAST_OTHER):
+        return best, chances[best]
+    return ("ambiguous" if len(height.intervals) > 1 else "unknown"), chances[best]
+
+
+def _edge_mm(interval: Interval) -> float:
+    """Return how uncertain the ends of an interval are, mm."""
+    return _EDGE * (interval.high_mm - interval.low_mm)
+
+
+def _beyond(distance_mm: float, sigma_mm: float) -> float:
+    """Return the probability that a height errs by more than a distance."""
+    z = distance_mm / (sigma_mm * math.sqrt(2))
+    return ((1 - _WIDE) * math.erfc(z) + _WIDE * math.erfc(z / _WIDER)) / 2
+
+
+def heights_document(heights: Mapping[str, PartHeight], board_type: BoardType) -> dict[str, dict[str, Any]]:
+    """Return the heights as they are written to files and served: one object per component, by address."""
+    out = {}
+    for component in board_type.components:
+        found = heights.get(component.address)
+        if found is None:
+            continue
+        entry: dict[str, Any] = {
+            "height_mm": _rounded(found.height_mm),
+            "sigma_mm": _rounded(found.sigma_mm),
+            "views": found.views,
+        }
+        if found.height_mm is None:
+            entry |= {
+                "low_mm": _rounded(found.intervals[0].low_mm) if found.intervals else None,
+                "high_mm": _rounded(found.intervals[-1].high_mm) if found.intervals else None,
+            }
+        if len(found.intervals) > 1:
+            entry["intervals"] = [{k: _rounded(v) for k, v in i._asdict().items()} for i in found.intervals]
+        if component.body_height is not None:
+            expected = component.body_height * board_type.mm_per_unit
+            statement, probability = compare(found, expected)
+            entry |= {
+                "expected_mm": _rounded(expected),
+                "comparison": statement,
+                "probability": _rounded(probability),
+            }
+        out[component.address] = entry
+    return out
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)
+
+
+_FULL = 255.0
+
+
+def equalised_frames(
+    frame: Callable[[int, int], NDArray[Any] | None], fields: FlatFields, lights: Sequence[str] = ()
+) -> Callable[[int, int], NDArray[Any] | None]:
+    """Return a function of camera and row that gives (grey − dark) / flat as 32-bit floats; None for a missing frame.
+
+    Saturated pixels stay saturated.
+
+    Args:
+        frame: function that returns the pixels of a camera and row.
+        fields: flat fields of the array.
+        lights: name of the light of every row; empty if all rows have one.
+    """
+
+    def equalised(camera: int, row: int) -> NDArray[Any] | None:
+        pixels = frame(camera, row)
+        if pixels is None:
+            return None
+        grey = eight_bit_grey(pixels)
+        maps = fields.maps(camera, lights[row] if lights else None)
+        flat = np.float32(1) if maps.flat is None else np.maximum(maps.flat, np.float32(0.02))
+        # In place, because a worker does this between the urgent tasks of a board that passes.
+        value = np.subtract(grey, np.asarray(maps.dark, np.float32), dtype=np.float32)
+        np.divide(value, flat, out=value)
+        full = grey >= _FULL
+        value[full] = np.maximum(value[full], np.float32(_FULL))
+        return value
+
+    return equalised

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.estimates import SATURATED, STEP_PX
-from vaoi_station.heights.part_grids import Frames, Places
-from vaoi_station.heights.pictures import collect_pictures, cut_pictures, surface_stack
+from vaoi_station.heights.pictures import Frames, Places, collect_pictures, cut_pictures, surface_stack
+from vaoi_station.heights.refinement import NOISE_AREA, UNLIKE
 from vaoi_station.heights.sweep import Sweep, sweep
-from vaoi_station.heights.tile_equations import NOISE_AREA, UNLIKE
 
 _TILE_PX, _STRIDE_PX = 12, 3
 _LONGEST_PX = 700

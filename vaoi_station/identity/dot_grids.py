@@ -16,11 +16,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.geometry.homographies import rectangle_homographies
 from vaoi_station.geometry.transforms import Floats, apply
 
 MODULES_PX = (4.4, 5.6, 7.2, 9.2)
 """Sides of modules at which a picture is searched; each finds modules from 0.78 to 1.28 of it."""
 
+_UNIT = np.array([[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]])
+"""Corners of the unit square, as those of one rectangle."""
 _SIZES = (
     *((n, n) for n in (10, 12, 14, 16, 18, 20, 22, 24, 26, 32, 36, 40, 44, 48)),
     *((8, 18), (8, 32), (12, 26), (12, 36), (16, 36), (16, 48)),
@@ -193,7 +196,7 @@ def _aligned(dots: NDArray[np.float32], corners: Floats, modules: NDArray[np.boo
     drawn = np.kron(np.pad(modules, 1), np.ones((_PX, _PX))).astype(np.float32)
     # The first pixel's centre is half a pixel inside the margin of one module.
     unit_from_drawn = np.array([[1, 0, 0.5 - _PX], [0, 1, 0.5 - _PX], [0, 0, 1]]) / [[_PX * columns], [_PX * rows], [1]]
-    start = _from_unit_square(corners[None])[0] @ unit_from_drawn
+    start = rectangle_homographies(_UNIT, corners[None])[0] @ unit_from_drawn
     ends = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-4)
     try:
         _, moved = cv2.findTransformECC(
@@ -201,7 +204,7 @@ def _aligned(dots: NDArray[np.float32], corners: Floats, modules: NDArray[np.boo
         )
     except cv2.error:  # it does not converge
         return corners
-    aligned = apply(np.asarray(moved, np.float64) @ np.linalg.inv(unit_from_drawn), [(0, 0), (1, 0), (1, 1), (0, 1)])
+    aligned = apply(np.asarray(moved, np.float64) @ np.linalg.inv(unit_from_drawn), _UNIT[0])
     return aligned if np.abs(aligned - corners).max() < _PX else corners
 
 
@@ -246,23 +249,9 @@ def _likeness(dots: NDArray[np.float32], corners: Floats, border: _Pattern) -> F
 def _values(dots: NDArray[np.float32], corners: Floats, pattern: _Pattern) -> Floats:
     """Return the pixels (n, places) at the places of a pattern that has its corners at (n, 4, 2)."""
     places = np.stack([pattern.x, pattern.y, np.ones_like(pattern.x)])
-    x, y, scale = np.moveaxis(_from_unit_square(corners) @ places, 1, 0)
+    x, y, scale = np.moveaxis(rectangle_homographies(_UNIT, corners) @ places, 1, 0)
     at = (x / scale).astype(np.float32), (y / scale).astype(np.float32)
     return np.asarray(cv2.remap(dots, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float64)
-
-
-def _from_unit_square(corners: Floats) -> Floats:
-    """Return the homographies (n, 3, 3) from the unit square to quadrilaterals (n, 4, 2), in closed form."""
-    a, b, c, d = np.moveaxis(corners, 1, 0)
-    p, q, r = b - c, d - c, a - b + c - d
-    area = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
-    u = (r[:, 0] * q[:, 1] - q[:, 0] * r[:, 1]) / area
-    v = (p[:, 0] * r[:, 1] - r[:, 0] * p[:, 1]) / area
-    matrices = np.ones((len(corners), 3, 3))
-    matrices[:, :2, 0], matrices[:, 2, 0] = b - a + u[:, None] * b, u
-    matrices[:, :2, 1], matrices[:, 2, 1] = d - a + v[:, None] * d, v
-    matrices[:, :2, 2] = a
-    return matrices
 
 
 def _odd(modules: float) -> int:

@@ -13,7 +13,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
 from vaoi_station.rendering.contact_sheet import Tile, contact_sheet
-from vaoi_station.rendering.view import Plane
+from vaoi_station.rendering.request import Plane
 
 FIELDS = (
     "camera", "row", "coverage", "px_per_mm", "distorted", "sigma_px", "sigma_mm", "view_azimuth_deg", "view_angle_deg",

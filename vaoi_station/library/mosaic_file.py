@@ -12,13 +12,13 @@ from vaoi_station.files import open_recording, read_board_type, read_calibration
 from vaoi_station.files.documents import write_json
 from vaoi_station.files.pyramids import PyramidLayout, refuse_existing
 from vaoi_station.files.results import read_heights
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.library.recordings import check_result
 from vaoi_station.model.stitch_result import with_heights
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, choose_frames, make_plan
 from vaoi_station.mosaic.frames import frames_of_head
 from vaoi_station.mosaic.grid import Region
-from vaoi_station.mosaic.projection import FrameProjector
-from vaoi_station.mosaic.whole_board import write_mosaic
+from vaoi_station.mosaic.tiles import write_mosaic
 from vaoi_station.photometry import FlatFields
 from vaoi_station.steps import completed
 from vaoi_station.stitching.recordings.origin import check_origin
@@ -71,7 +71,7 @@ def write_board(order: MosaicOrder) -> Iterator[str]:
     fields = FlatFields.open(order.flatfield) if order.flatfield else FlatFields.none()
     choice = choose_frames(frames_of_head(head), light=order.light, exposure_us=order.exposure_us, hdr=order.hdr)
     fields.check(head.cameras, None if choice.light is None else (choice.light,))
-    projector = FrameProjector(stitch, cameras)
+    projector = FrameIndex(stitch, cameras)
     resolution = projector.px_per_mm
     grid = MosaicGrid.of_board(board_type, order.px_per_mm or resolution, order.region)
     base = MosaicGrid.of_board(board_type, resolution, order.region, most_px=float("inf"))

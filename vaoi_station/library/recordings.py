@@ -11,8 +11,8 @@ from typing import Any, Literal, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.board_check.checked import CheckedBoardType, checked_board_type
-from vaoi_station.board_check.run_frames import CheckedRun
+from vaoi_station.board_check.check import CheckedBoardType, checked_board_type
+from vaoi_station.board_check.overview import CheckedRun
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files import Recording, read_stitch, write_stitch
 from vaoi_station.geometry import Camera, apply
@@ -30,13 +30,12 @@ from vaoi_station.rendering import (
     Measures,
     View,
     ViewCalculator,
-    choose_images,
+    choose_all,
     measure,
     render_all,
     render_chosen,
 )
-from vaoi_station.rendering.description import component_covariances, describe
-from vaoi_station.rendering.selection import frame_facts
+from vaoi_station.rendering.selection import component_covariances, describe, frame_facts
 from vaoi_station.stitching.matching.evidence import MethodName
 from vaoi_station.stitching.paper_method import stitch_by_paper
 from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
@@ -292,7 +291,7 @@ class StitchedRun:
         table = self._views.compute_all(parts, px_per_mm=px_per_mm, min_coverage=min_coverage)
         made = render_all(table, lambda i, j: None if (i, j) in missing else self.recording.frame(i, j))
         found: dict[str, list[NDArray[Any]]] = {address: [] for address in table.addresses}
-        for n, picture in zip(table.columns.component.tolist(), made, strict=True):
+        for n, picture in zip(table.component.tolist(), made, strict=True):
             if picture is not None:
                 found[table.addresses[n]].append(picture)
         return found
@@ -302,7 +301,7 @@ class StitchedRun:
         # A row with one good frame has matrices for all cameras, also for those whose frame never arrived.
         frames = set(self._facts) - set(self.recording.head.missing)
         run = self._board_type, self.result
-        return choose_images(self._views, self._part(ref), run, (frames, self._facts), wanted, self._measure)
+        return choose_all(self._views, [self._part(ref)], run, (frames, self._facts), wanted, self._measure)[0]
 
     def center(self, ref: str) -> tuple[float, float]:
         """Return the centre of a component in CAD coordinates, in the unit of the board type."""

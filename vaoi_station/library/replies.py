@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from vaoi_station.model.frozen_model import Matrix, Point, Positive, Whole
-from vaoi_station.rendering.view import Plane
+from vaoi_station.rendering.request import Plane
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.states.schemas import BoardTypeSummary
 

@@ -1,17 +1,21 @@
-"""The pixel grid of a mosaic: its size, its resolution and its transform from CAD coordinates.
+"""The pixel grid of a mosaic, its transform from CAD coordinates, and its levels and tiles as viewers ask for them.
 
 The mosaic shows a region of the board as temporary images do: upright, never mirrored, CAD "up" points up. The edges of
 the region are the outer edges of the border pixels, so the centre of pixel (0, 0) lies half a pixel inside the region.
+Level k is the mosaic reduced by 2ᵏ. Deep Zoom (DZI) counts from the other end: its level 0 has one pixel.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.frame_index import Box
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
 
@@ -74,6 +78,11 @@ class MosaicGrid:
         back = np.asarray(np.linalg.inv(matrix), np.float64)
         return cls(int(size[0]), int(size[1]), float(px_per_mm), matrix, back)
 
+    @property
+    def place(self) -> tuple[Floats, tuple[int, int]]:
+        """The transform from CAD coordinates, and the size: what the index of frames asks for."""
+        return self.mosaic_from_cad, (self.width, self.height)
+
     def reduced(self, factor: int) -> MosaicGrid:
         """Return the grid of the same region with pixels that are `factor` times as large; the last ones may overlap
         the region's end."""
@@ -100,3 +109,46 @@ def _corners(board_type: BoardType, region: Sequence[float]) -> tuple[Floats, Fl
             "mosaic", "region", text, f"on the board, {board}, or at most {MARGIN_MM:g} mm beside it"
         )
     return low, high
+
+
+TILE_PX = 256
+_DZI = "http://schemas.microsoft.com/deepzoom/2008"
+
+
+def levels_of(grid: MosaicGrid) -> int:
+    """Return the number of reductions for which a mosaic has tiles: until the smallest fits into one tile."""
+    return 1 + max(math.ceil(math.log2(max(grid.width, grid.height) / TILE_PX)), 0)
+
+
+def dzi_document(grid: MosaicGrid, suffix: str) -> str:
+    """Return the .dzi file of a mosaic whose tiles have this suffix."""
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<Image xmlns={quoteattr(_DZI)} Format={quoteattr(suffix)} Overlap="0" TileSize="{TILE_PX}">'
+        f'<Size Width="{grid.width}" Height="{grid.height}"/></Image>\n'
+    )
+
+
+def dzi_reduction(grid: MosaicGrid, level: int) -> int:
+    """Return the factor by which a level of DZI is reduced. Raise NotFoundError if there is no such level."""
+    last = math.ceil(math.log2(max(grid.width, grid.height)))
+    if not 0 <= level <= last:
+        raise NotFoundError(
+            f"the mosaic has the levels 0 to {last}; there is no level {level}.",
+            action="Take levels from the .dzi file.",
+            code="no-such-tile",
+        )
+    return int(2 ** (last - level))
+
+
+def tile_box(grid: MosaicGrid, column: int, row: int) -> Box:
+    """Return the part of a reduced mosaic that a tile shows. Raise NotFoundError if there is no such tile."""
+    columns, rows = -(-grid.width // TILE_PX), -(-grid.height // TILE_PX)
+    if not (0 <= column < columns and 0 <= row < rows):
+        raise NotFoundError(
+            f"this level has {columns}×{rows} tiles, counted from 0; there is no tile {column}_{row}.",
+            action="Take tiles of the level's size.",
+            code="no-such-tile",
+        )
+    x, y = column * TILE_PX, row * TILE_PX
+    return x, y, min(x + TILE_PX, grid.width), min(y + TILE_PX, grid.height)

@@ -38,6 +38,14 @@ class Reduced(NamedTuple):
         return Reduced(*(np.asarray(cv2.copyMakeBorder(p, n, n, n, n, cv2.BORDER_REPLICATE)) for p in self))
 
 
+def shrunk(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
+    """Return a picture averaged over blocks of factor × factor px; what is left at the end is cut off."""
+    if factor <= 1:
+        return pixels
+    h, w = (n // factor for n in pixels.shape[:2])
+    return np.asarray(cv2.resize(pixels[: h * factor, : w * factor], (w, h), interpolation=cv2.INTER_AREA))
+
+
 class ReducedFrames(NamedTuple):
     """Frames of a run that are reduced already."""
 

@@ -12,18 +12,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.frame_index import Box, FrameIndex
 from vaoi_station.geometry import apply
+from vaoi_station.geometry.homographies import between, of_part
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.mosaic.cells import CELL_PX, label_boxes
 from vaoi_station.mosaic.frames import TakenFrame
+from vaoi_station.mosaic.gains import Floats32
 from vaoi_station.mosaic.grid import MosaicGrid
-from vaoi_station.mosaic.plan import FIELD_PX, MosaicPlan, PlannedFrame
-from vaoi_station.mosaic.projection import FrameProjector, between
-from vaoi_station.mosaic.survey import Floats32
+from vaoi_station.mosaic.plan import CELL_PX, FIELD_PX, MosaicPlan, PlannedFrame, label_boxes
 from vaoi_station.photometry import NoiseModel
 
-Box = tuple[int, int, int, int]
-"""Part x0, y0, x1, y1 of a mosaic in pixels, ends excluded."""
 _LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _WIDEST_PX, _WIDEST_HDR_PX, _NARROW_PX = 4096, 1024, 256
 """Largest width of a part of a large picture, the same with HDR, and its smallest sides: those of a tile."""
@@ -97,7 +95,7 @@ class BodyPart(NamedTuple):
 class TileRenderer:
     """Prepares tiles of a plan on one grid; rendering them needs frames only."""
 
-    def __init__(self, plan: MosaicPlan, projector: FrameProjector, grid: MosaicGrid) -> None:
+    def __init__(self, plan: MosaicPlan, projector: FrameIndex, grid: MosaicGrid) -> None:
         self._plan, self._projector, self.grid = plan, projector, grid
         base_from_grid = plan.base.mosaic_from_cad @ grid.cad_from_mosaic
         self._cells_from_grid = between(base_from_grid, CELL_PX, 1)
@@ -127,7 +125,7 @@ class TileRenderer:
     def _bent(self, width: int, height: int) -> bool:
         """Return whether one matrix for a part of this size would deviate too much in some frame."""
         for taken, _ in self._plan.frames:
-            x0, y0, x1, y1 = self._projector.seen_box(taken.camera, taken.row, self.grid)
+            x0, y0, x1, y1 = self._projector.seen_box(taken.camera, taken.row, *self.grid.place)
             if min(x1 - x0, y1 - y0) >= _NARROW_PX:
                 across, down = min(width, x1 - x0), min(height, y1 - y0)
                 y = (y0 + y1 - down) // 2
@@ -140,7 +138,7 @@ class TileRenderer:
         """Return how far the matrix of a part deviates from the projection on a grid of points, px."""
         x, y = np.linspace(box[0], box[2], 5) - 0.5, np.linspace(box[1], box[3], 5) - 0.5
         at = np.stack(np.meshgrid(x, y), -1)
-        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, box)
+        matrix = self._projector.matrix(taken.camera, taken.row, self.grid.cad_from_mosaic, box)
         exact = self._projector.raw_px(taken.camera, taken.row, apply(self.grid.cad_from_mosaic, at))
         return float(np.abs(apply(matrix, at) - exact).max())
 
@@ -168,8 +166,7 @@ class TileRenderer:
         low = np.clip(np.floor(ends[0]).astype(int), 0, np.array(shape[::-1]) - 1)
         high = np.clip(np.ceil(ends[1]).astype(int) + 1, low + 1, shape[::-1])
         cells = np.s_[low[1] : high[1], low[0] : high[0]]
-        shift = np.array([[1, 0, x0], [0, 1, y0], [0, 0, 1]], dtype=np.float64)
-        cells_from_tile = self._cells_from_grid @ shift
+        cells_from_tile = of_part(self._cells_from_grid, x0, y0)
         cells_from_tile[:2, 2] -= low
         tile_from_cells = np.asarray(np.linalg.inv(cells_from_tile), np.float64)
         parts = []
@@ -193,9 +190,8 @@ class TileRenderer:
 
     def _matrix(self, taken: TakenFrame, place: Box, box: Box, above_mm: float) -> Floats:
         """Return the matrix from pixels of the tile `box` to raw pixels of a frame, which is right in `place`."""
-        matrix = self._projector.raw_from_mosaic(taken.camera, taken.row, self.grid, place, above_mm)
-        matrix[:, 2] += box[0] * matrix[:, 0] + box[1] * matrix[:, 1]
-        return matrix
+        matrix = self._projector.matrix(taken.camera, taken.row, self.grid.cad_from_mosaic, place, above_mm)
+        return of_part(matrix, box[0], box[1])
 
     def _part(
         self,
@@ -212,8 +208,7 @@ class TileRenderer:
         eye = self._projector.cameras[taken.camera]
         x0, y0, x1, y1 = window
         # Between the cells of one tile the lens matters less to the field than one of its pixels.
-        field_from_cells = between(matrix @ tile_from_cells, FIELD_PX, 1)
-        field_from_cells[:, 2] += cells[0] * field_from_cells[:, 0] + cells[1] * field_from_cells[:, 1]
+        field_from_cells = of_part(between(matrix @ tile_from_cells, FIELD_PX, 1), cells[0], cells[1])
         size = cells[2] - cells[0], cells[3] - cells[1]
         field = cv2.warpPerspective(
             photometry.field, field_from_cells, size, flags=_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -251,7 +246,7 @@ class _Bodies(NamedTuple):
     """(n,)"""
 
 
-def _displaced(plan: MosaicPlan, projector: FrameProjector, grid: MosaicGrid) -> _Bodies:
+def _displaced(plan: MosaicPlan, projector: FrameIndex, grid: MosaicGrid) -> _Bodies:
     """Return the bodies of a plan that are larger than a pixel of the grid, and displaced in it by their heights."""
     corners = np.array([body.corners for body in plan.bodies], np.float64).reshape(-1, 4, 2)
     height_mm = np.array([body.height_mm for body in plan.bodies], np.float64)

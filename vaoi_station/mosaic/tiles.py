@@ -11,24 +11,217 @@ exposure gives the value, which is a lower bound there.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.errors import InputError
+from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, write_pyramid
+from vaoi_station.frame_index import Box, FrameIndex
+from vaoi_station.geometry.homographies import between, of_part, to_part
 from vaoi_station.geometry.polygon import pixels_inside
 from vaoi_station.geometry.shifting import shift
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.mosaic.blending import Cells, Nodes, Pictures, blend, nodes_along
-from vaoi_station.mosaic.projection import between
+from vaoi_station.mosaic.gains import Floats32, ReadFrame
+from vaoi_station.mosaic.grid import MosaicGrid
+from vaoi_station.mosaic.plan import MosaicPlan
 from vaoi_station.mosaic.reduction import BORDER_PX, Reduced, ReducedFrames, reduced
-from vaoi_station.mosaic.survey import Floats32, ReadFrame
-from vaoi_station.mosaic.tile_specs import Box, FramePart, TileSpec
-from vaoi_station.photometry import Radiance, merge
-from vaoi_station.photometry.radiance import is_saturated, pixels_at_limit
+from vaoi_station.mosaic.tile_specs import FramePart, TileRenderer, TileSpec
+from vaoi_station.photometry.noise import grey_levels, is_saturated, pixels_at_limit
+from vaoi_station.version import __version__
+
+_NO_PART = -1
+_SEVERAL = -2
+
+
+class Nodes(NamedTuple):
+    """Where the pixels of a tile lie between the centres of cells, along one axis."""
+
+    cell: NDArray[np.int32]
+    """(n,) the cell before each pixel; the next one exists."""
+    share: Floats32
+    """(n,) weight of the next cell."""
+
+
+class Cells(NamedTuple):
+    """What each cell (h, w) of a tile shows."""
+
+    part: NDArray[np.int32]
+    """Number of the frame among those of the tile; −1 for none."""
+    factor: Floats32
+    """What grey levels of this frame are multiplied by here."""
+
+
+class Pictures(NamedTuple):
+    """The frames of a tile, resampled where they have a weight."""
+
+    pixels: NDArray[Any]
+    """(n,) grey levels of all frames, one rectangle after the other, of the tile's type and channels."""
+    place: NDArray[np.int64]
+    """(frames, 4) of each frame: where in `pixels` its rectangle starts; left, top and width of it, px of the tile."""
+    dark: Floats32
+    """(frames,) dark level."""
+    raw_from_tile: Floats
+    """(frames, 3, 3) matrices from pixels of the tile to raw pixels of the frame."""
+    limits: Floats
+    """(frames, 4) least x and y, largest x and y of raw pixels that count as inside."""
+
+
+class _Sums(NamedTuple):
+    """Sums over the cells around each value of a line, (n,)."""
+
+    total: Floats32
+    """Σ weight · (grey − dark) · factor."""
+    weight: Floats32
+    """Σ weight."""
+
+
+def nodes_along(first: float, step: float, count: int, cells: int) -> Nodes:
+    """Return the place of `count` pixels, the first at cell position `first`, among the centres of `cells` cells."""
+    at = np.clip(first + step * np.arange(count), 0, max(cells - 1, 0))
+    cell = np.minimum(np.floor(at).astype(np.int32), max(cells - 2, 0)).astype(np.int32)
+    return Nodes(cell, (at - cell).astype(np.float32))
+
+
+@inlined
+def _inside(m: Floats, limits: Floats, v: int, width: int) -> tuple[int, int]:
+    """Return the first pixel of line v that lies inside the frame, and the one after the last: it is convex."""
+    first, end = 0.0, float(width)
+    # a · s + b ≥ 0 for each border of the frame: raw x − least · w, largest · w − raw x, and the same for y.
+    for border in range(4):
+        axis, sign = border % 2, 1.0 if border < 2 else -1.0
+        a = sign * (m[axis, 0] - limits[border] * m[2, 0])
+        b = sign * (m[axis, 1] * v + m[axis, 2] - limits[border] * (m[2, 1] * v + m[2, 2]))
+        if a > 0:
+            first = max(first, np.ceil(-b / a))
+        elif a < 0:
+            end = min(end, np.floor(-b / a) + 1)
+        elif b < 0:
+            end = first
+    return int(min(first, float(width))), int(max(end, 0.0))
+
+
+@inlined
+def _lines_inside(pictures: Pictures, width: int, height: int, channels: int) -> NDArray[np.int64]:
+    """Return of each frame and line (frames, height, 2) the first value inside the frame, and the end of those."""
+    count = len(pictures.dark)
+    spans = np.empty((count, height, 2), np.int64)
+    for p in range(count):
+        for v in range(height):
+            first, end = _inside(pictures.raw_from_tile[p], pictures.limits[p], v, width)
+            spans[p, v, 0], spans[p, v, 1] = first * channels, end * channels
+    return spans
+
+
+@inlined
+def _mix(
+    pictures: Pictures,
+    cells: Cells,
+    x: Nodes,
+    y: Nodes,
+    spans: NDArray[np.int64],
+    at: tuple[int, int, int],
+    channels: int,
+    sums: _Sums,
+) -> None:
+    """Write the sums over four cells of several frames.
+
+    `at` is the line, the number of the first value in it, and that after the last. All lie between the same four cells.
+    """
+    v, left, right = at
+    rows, columns = cells.part.shape
+    for s in range(left, right):
+        sums.total[s] = sums.weight[s] = 0
+    for corner in range(4):
+        r, c = min(y.cell[v] + corner // 2, rows - 1), min(x.cell[left] + corner % 2, columns - 1)
+        p = cells.part[r, c]
+        if p >= 0:
+            down = y.share[v] if corner >= 2 else np.float32(1) - y.share[v]
+            # The weight along the line is offset + slope · share.
+            offset, slope = (np.float32(0), down) if corner % 2 == 1 else (down, -down)
+            factor, dark = cells.factor[r, c], pictures.dark[p]
+            first, end = max(left, spans[p, v, 0]), min(right, spans[p, v, 1])
+            before, top, width = pictures.place[p, 1], pictures.place[p, 2], pictures.place[p, 3]
+            start = np.uint64(pictures.place[p, 0] + ((v - top) * width - before) * channels + first)
+            # Unsigned numbers, because the compiler uses vector registers only if no index can be negative.
+            for n in range(max(end - first, 0)):
+                at_value = np.uint64(first) + np.uint64(n)
+                weight = offset + slope * x.share[at_value]
+                sums.total[at_value] += weight * factor * (np.float32(pictures.pixels[start + np.uint64(n)]) - dark)
+                sums.weight[at_value] += weight
+
+
+@compiled
+def blend(pictures: Pictures, cells: Cells, x: Nodes, y: Nodes, channels: int, full: float, out: NDArray[Any]) -> None:
+    """Render a tile: Σ weight · (grey − dark) · factor / Σ weight over the four cells around each pixel.
+
+    Values are rounded to whole grey levels from 1 to `full`; 0 where no frame has a weight.
+
+    Args:
+        pictures: the frames.
+        cells: the cells of the tile.
+        x: places of the pixels of a line; each is repeated for every channel.
+        y: places of the lines.
+        channels: 1 grey, 3 colour.
+        full: the largest grey level.
+        out: (h, w · channels) output.
+    """
+    # Most pixels lie between four cells of one frame. Runs of them are one loop over contiguous arrays, for which the
+    # compiler uses vector registers. Between cells of several frames, a run ends at the next cell.
+    height, width = out.shape
+    part, factor = cells
+    rows, columns = part.shape
+    pixels, place, dark, _, _ = pictures
+    spans = _lines_inside(pictures, width // channels, height, channels)
+    one, half, most, least = np.float32(1), np.float32(0.5), np.float32(full), np.float32(1e-6)
+    above, below = np.empty(width, np.float32), np.empty(width, np.float32)
+    sums = _Sums(np.empty(width, np.float32), np.empty(width, np.float32))
+    starts, owners = np.empty(width + 1, np.int64), np.empty(width, np.int64)
+    runs, row = 0, -1
+    for v in range(height):
+        j, q = y.cell[v], y.share[v]
+        k = min(j + 1, rows - 1)
+        if j != row:
+            row, runs = j, 0
+            for s in range(width):
+                i, t = x.cell[s], x.share[s]
+                n = min(i + 1, columns - 1)
+                above[s] = factor[j, i] + t * (factor[j, n] - factor[j, i])
+                below[s] = factor[k, i] + t * (factor[k, n] - factor[k, i])
+                p = part[j, i]
+                owner = p if part[j, n] == p and part[k, i] == p and part[k, n] == p else _SEVERAL
+                changed = runs == 0 or owners[runs - 1] != owner
+                if changed or (owner == _SEVERAL and x.cell[s] != x.cell[s - 1]):
+                    starts[runs], owners[runs] = s, owner
+                    runs += 1
+            starts[runs] = width
+        for run in range(runs):
+            left, right, owner = starts[run], starts[run + 1], owners[run]
+            if owner == _NO_PART:
+                out[v, left:right] = 0
+            elif owner == _SEVERAL:
+                _mix(pictures, cells, x, y, spans, (v, left, right), channels, sums)
+                for s in range(left, right):
+                    value = max(sums.total[s] / max(sums.weight[s], least), half) + half
+                    out[v, s] = np.int32(min(value, most)) if sums.weight[s] > least else 0
+            else:
+                first = min(max(left, spans[owner, v, 0]), right)
+                end = max(min(right, spans[owner, v, 1]), first)
+                out[v, left:first] = 0
+                out[v, end:right] = 0
+                at = place[owner, 0] + ((v - place[owner, 2]) * place[owner, 3] - place[owner, 1]) * channels + first
+                greys, line = pixels[at : at + end - first], out[v, first:end]
+                high, low, black = above[first:end], below[first:end], dark[owner]
+                for s in range(end - first):
+                    value = (high[s] + q * (low[s] - high[s])) * (np.float32(greys[s]) - black) + half
+                    line[s] = np.int32(min(max(value, one), most))
+
 
 Frames = ReadFrame | ReducedFrames
 """The frames of a run. Reduced ones serve tiles that are reduced at least as much."""
@@ -170,9 +363,7 @@ def _resampled(
         lines.flags.writeable = False
         # OpenCV takes a size of 0 for that of the source.
         for x0, y0, x1, y1 in boxes if area.size else ():
-            moved = matrix.copy()
-            moved[:, 2] += x0 * matrix[:, 0] + y0 * matrix[:, 1]
-            w, h = x1 - x0, y1 - y0
+            moved, w, h = of_part(matrix, x0, y0), x1 - x0, y1 - y0
             goal = np.array([[start // depth + (y0 - top) * width + x0 - left, width, w, h]])
             if not shift(lines, moved[None], depth, pixels, goal, False)[0]:
                 shown = area[y0 - top : y1 - top, x0 - left : x1 - left]
@@ -242,8 +433,8 @@ def _render_hdr(spec: TileSpec, frames: Frames) -> Floats32 | None:
         # One more pixel on each side: the noise is that of the mean of 3 × 3 px.
         x0, y0, x1, y1 = box = _grown(part.window, spec)
         size = x1 - x0, y1 - y0
-        matrix = _moved(source.matrix, box)
-        signal = cv2.warpPerspective(_grey_levels(source.pixels), matrix, size, flags=_LINEAR) - np.float32(part.dark)
+        matrix = of_part(source.matrix, x0, y0)
+        signal = cv2.warpPerspective(grey_levels(source.pixels), matrix, size, flags=_LINEAR) - np.float32(part.dark)
         factor = _spread(part.factor, part, spec, box)
         sigma = np.sqrt(part.noise.variance(cv2.blur(signal, (3, 3)), part.gain)) * factor
         weight = _weight(part, spec, box)
@@ -261,20 +452,28 @@ def _render_hdr(spec: TileSpec, frames: Frames) -> Floats32 | None:
         total += (weight * signal * factor, weight * sigma, weight)
     if not totals:
         return None
-    value = merge([_mean(total) for total in totals.values()]).value
+    merged, weights = np.zeros((2, *shape[1:]))
+    for total in totals.values():
+        mean, sigma = _mean(total)
+        # Pictures of one place are merged with the inverse of their variance (paper, section 3.5).
+        weight = np.where(np.isfinite(mean) & (sigma > 0), 1 / np.square(sigma, dtype=np.float64), 0.0)
+        merged += weight * np.nan_to_num(mean)
+        weights += weight
+    with np.errstate(invalid="ignore"):
+        value = (merged / weights).astype(np.float32)
     # The last layer is that of the shortest exposure.
     for _, total in sorted(clipped.items(), reverse=True):
-        value = np.where(np.isnan(value), _mean(total).value, value)
+        value = np.where(np.isnan(value), _mean(total)[0], value)
     return value
 
 
-def _mean(total: Floats32) -> Radiance:
-    """Return the radiance of one layer from its sums (3, h, w): of values, of their noise and of the weights."""
+def _mean(total: Floats32) -> tuple[Floats32, Floats32]:
+    """Return radiance and noise of one layer from its sums (3, h, w): of values, of their noise and of the weights."""
     value, noise, weights = total
     valid = weights > 1e-3
     share = np.where(valid, weights, np.float32(1))
     mean = np.where(valid, value / share, np.float32(np.nan))
-    return Radiance(mean, np.where(valid, noise / share, np.float32(np.inf)), valid)
+    return mean, np.where(valid, noise / share, np.float32(np.inf))
 
 
 def _partly_saturated(source: _Source, reduction: int) -> Floats32 | None:
@@ -308,8 +507,7 @@ def _source(part: FramePart, frames: Frames, *, whole: bool) -> _Source | None:
     picture, unit = found
     if whole and part.reduction == 1:
         return _Source(picture.means, part.raw_from_tile, picture.largest)
-    matrix = part.raw_from_tile.copy()
-    matrix[:2] -= np.array([(x0, y0)]).T * matrix[2]
+    matrix = to_part(part.raw_from_tile, x0, y0)
     shown = picture.part((x0 // unit, y0 // unit, -(-x1 // unit), -(-y1 // unit)))
     if part.reduction == 1:
         pixels = np.ascontiguousarray(shown.means)
@@ -335,16 +533,9 @@ def _grown(box: Box, spec: TileSpec) -> Box:
     return max(x0 - 1, 0), max(y0 - 1, 0), min(x1 + 1, spec.width), min(y1 + 1, spec.height)
 
 
-def _moved(matrix: Floats, box: Box) -> Floats:
-    """Return the matrix (2 or 3, 3) from pixels of a part of a tile for one from pixels of the tile."""
-    moved = matrix.copy()
-    moved[:, 2] += box[0] * matrix[:, 0] + box[1] * matrix[:, 1]
-    return moved
-
-
 def _spread(values: NDArray[Any], part: FramePart, spec: TileSpec, box: Box) -> Floats32:
     """Interpolate values (h, w) of the cells of a part over the pixels of a box of the tile."""
-    cells_from_box = _moved(spec.cells_from_tile, box)
+    cells_from_box = of_part(spec.cells_from_tile, *box[:2])
     cells_from_box[:, 2] -= part.cells[:2]
     size = (box[2] - box[0], box[3] - box[1])
     return np.asarray(
@@ -361,7 +552,7 @@ def _weight(part: FramePart, spec: TileSpec, box: Box) -> Floats32:
         weight = _spread(part.mine.astype(np.float32), part, spec, box)
     if part.wholly:
         return weight
-    m = _moved(part.raw_from_tile, box)
+    m = of_part(part.raw_from_tile, *box[:2])
     x, y = np.arange(width), np.arange(height)[:, None]
     for border, limit in enumerate(part.limits.tolist()):
         axis, sign = border % 2, 1.0 if border < 2 else -1.0
@@ -371,6 +562,72 @@ def _weight(part: FramePart, spec: TileSpec, box: Box) -> Floats32:
     return weight
 
 
-def _grey_levels(pixels: NDArray[Any]) -> Floats32:
-    grey = pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY))
-    return np.asarray(grey, np.float32) * np.float32(1.0 if grey.dtype == np.uint8 else 255 / 65535)
+CACHE_BYTES = 128_000_000
+"""Memory for frames that later tiles may need again."""
+
+
+class FrameCache:
+    """The frames that were read last, up to a number of bytes."""
+
+    def __init__(self, read: ReadFrame, most_bytes: int = CACHE_BYTES) -> None:
+        self._read, self._most = read, most_bytes
+        self._frames: OrderedDict[tuple[int, int], NDArray[Any] | None] = OrderedDict()
+        self._bytes = 0
+
+    def __call__(self, camera: int, row: int) -> NDArray[Any] | None:
+        """Return a frame, from memory if it was read lately."""
+        key = camera, row
+        if key in self._frames:
+            self._frames.move_to_end(key)
+            return self._frames[key]
+        frame = self._frames[key] = self._read(camera, row)
+        self._bytes += 0 if frame is None else frame.nbytes
+        while self._bytes > self._most and len(self._frames) > 1:
+            _, old = self._frames.popitem(last=False)
+            self._bytes -= 0 if old is None else old.nbytes
+        return frame
+
+
+def write_mosaic(
+    path: Path, plan: MosaicPlan, projector: FrameIndex, grid: MosaicGrid, read: ReadFrame
+) -> PyramidLayout:
+    """Render a mosaic and write it as a pyramidal TIFF; return what was written. The file appears when complete."""
+    cached = FrameCache(read)
+    sample = next((f for f in (read(p.taken.camera, p.taken.row) for p in plan.frames) if f is not None), None)
+    colour = sample is not None and sample.ndim == 3 and not plan.hdr
+    dtype = np.dtype(np.float32) if plan.hdr else np.dtype(np.uint8) if sample is None else sample.dtype
+    layout = PyramidLayout(
+        grid.width,
+        grid.height,
+        dtype,
+        3 if colour else 1,
+        "nan" if plan.hdr else str(NODATA),
+        grid.px_per_mm,
+        f"vaoi mosaic, vaoi_station {__version__}",
+    )
+    renderer = TileRenderer(plan, projector, grid)
+
+    columns, rows = (side // TILE_PX for side in renderer.block_px)
+    block: NDArray[Any] | None = None
+    rendered: tuple[int, int] | None = None
+    scratch = Scratch()
+
+    def tile(x: int, y: int) -> NDArray[Any]:
+        nonlocal block, rendered
+        place = x // columns, y // rows
+        if place != rendered:
+            rendered = place
+            x0, y0 = place[0] * columns * TILE_PX, place[1] * rows * TILE_PX
+            x1, y1 = x0 + columns * TILE_PX, y0 + rows * TILE_PX
+            box = x0, y0, min(x1, grid.width), min(y1, grid.height)
+            block = render_tile(renderer.spec(box), cached, scratch)
+        whole = np.full(layout.tile_shape, np.nan if plan.hdr else NODATA, dtype)
+        if block is not None:
+            left, top = x % columns * TILE_PX, y % rows * TILE_PX
+            part = block[top : top + TILE_PX, left : left + TILE_PX]
+            # TIFF has the channels in the order red, green, blue; frames have them in that of OpenCV.
+            whole[: part.shape[0], : part.shape[1]] = part if part.ndim == 2 else part[..., ::-1]
+        return whole
+
+    write_pyramid(path, layout, tile)
+    return layout

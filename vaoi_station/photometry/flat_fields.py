@@ -103,12 +103,6 @@ class FieldMaps:
             array.setflags(write=False)
         return found
 
-    def part(self, rows: slice, columns: slice) -> FieldMaps:
-        """Return the maps of a part of the frame."""
-        flat = None if self.flat is None else self.flat[rows, columns]
-        dark = self.dark if isinstance(self.dark, float) else self.dark[rows, columns]
-        return FieldMaps(flat, dark, self.noise)
-
 
 @dataclass(frozen=True, eq=False)
 class FlatFields:

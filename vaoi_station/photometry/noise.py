@@ -1,15 +1,11 @@
-"""The noise of a camera: read noise and shot noise, and their estimate from ordinary frames.
-
-No recording states the noise. It is measured with the flat fields (`measurement.py`), from the differences of rows that
-show the same white target; or, without flat fields, from the smoothest places of the frames themselves.
-"""
+"""Grey levels of frames: what they were taken with, where they are saturated, and the noise of their camera."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -120,3 +116,34 @@ def _blocks(values: Floats32) -> Floats32:
     """Return the means of blocks of `_BLOCK_PX` along each axis, (k,)."""
     h, w = (n // _BLOCK_PX for n in values.shape)
     return np.asarray(values.reshape(h, _BLOCK_PX, w, _BLOCK_PX).mean((1, 3)).ravel(), dtype=np.float32)
+
+
+_NEIGHBOURS_PX = 1
+"""Pixels around a saturated pixel that are not used: interpolation and the lens mix them with the saturated one."""
+
+
+class Taken(NamedTuple):
+    """What a frame was taken with."""
+
+    exposure_us: float
+    gain: float = 1.0
+    light: str | None = None
+
+
+def is_saturated(pixels: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where a frame (h, w) or (h, w, 3) of 8 or 16 bits is saturated, or touches a saturated pixel: (h, w)."""
+    saturated = pixels_at_limit(pixels).astype(np.uint8)
+    if saturated.any():
+        side = 2 * _NEIGHBOURS_PX + 1
+        saturated = np.asarray(cv2.dilate(saturated, np.ones((side, side), np.uint8)))
+    return saturated.astype(bool)
+
+
+def pixels_at_limit(pixels: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where a channel of a frame (h, w) or (h, w, 3) of 8 or 16 bits has its largest value: (h, w)."""
+    full = FULL_SCALE if pixels.dtype == np.uint8 else 65535
+    if pixels.ndim == 3:
+        # By OpenCV, because numpy takes ten times as long to reduce an axis of three channels.
+        blue, green, red = cv2.split(pixels)
+        pixels = np.asarray(cv2.max(cv2.max(blue, green), red))
+    return np.asarray(pixels >= full)

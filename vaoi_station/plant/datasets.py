@@ -40,9 +40,7 @@ from vaoi_station.plant.cluster import (
 from vaoi_station.plant.manifest import ArchivedRun, matches
 from vaoi_station.plant.selected_runs import SelectedRuns
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, ViewCalculator, choose_all, measure
-from vaoi_station.rendering.chooser import render_chosen
-from vaoi_station.rendering.description import component_covariances, describe
-from vaoi_station.rendering.selection import frame_facts
+from vaoi_station.rendering.selection import component_covariances, describe, frame_facts, render_chosen
 
 UNKNOWN = "unknown"
 """Category of components whose package the board type does not state."""

@@ -1,13 +1,17 @@
 """Temporary images: upright, CAD-aligned pictures of components, resampled from the frames (paper, section 3.4)."""
 
-from vaoi_station.rendering.chooser import ChosenImages, choose_all, choose_images, render_chosen
-from vaoi_station.rendering.framing import Framing
-from vaoi_station.rendering.measures import Measures, measure
-from vaoi_station.rendering.request import ImageOptions, ImageRequest
-from vaoi_station.rendering.selection import ChosenView, FrameFacts
+from vaoi_station.rendering.request import Framing, ImageOptions, ImageRequest
+from vaoi_station.rendering.selection import (
+    ChosenImages,
+    ChosenView,
+    FrameFacts,
+    Measures,
+    choose_all,
+    measure,
+    render_chosen,
+)
 from vaoi_station.rendering.temporary import render, render_all
-from vaoi_station.rendering.view import View
-from vaoi_station.rendering.views import ViewCalculator, compute_views
+from vaoi_station.rendering.views import View, ViewCalculator
 
 __all__ = [
     "ChosenImages",
@@ -20,8 +24,6 @@ __all__ = [
     "View",
     "ViewCalculator",
     "choose_all",
-    "choose_images",
-    "compute_views",
     "measure",
     "render",
     "render_all",

@@ -1,9 +1,8 @@
 """Compiled search for the frames that show components: what a frame shows of a footprint, and the matrix to it.
 
 For each component it takes all frames in turn, as a picture of a board is short: numpy would need some hundred calls,
-which take longer than the arithmetic, however few components there are. For the same reason footprints and the matrices
-of pictures are computed here; `crops` states what they are. The module is imported on first use, because Numba takes a
-moment to load.
+which take longer than the arithmetic, however few components there are. The module is imported on first use, because
+Numba takes a moment to load.
 """
 
 from __future__ import annotations
@@ -18,10 +17,33 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.projection_kernels import distort_point
 from vaoi_station.geometry.transforms import Floats
 
+FITTING = 0.999
+"""Share of the largest resolution that is used, because the sides of a picture are rounded to whole pixels."""
 GRID = 9
 """Points per side of the grid on which the coverage of a component is computed if the frame shows only a part of it."""
 _SHARES = np.arange(GRID * GRID + 1) / (GRID * GRID)
 """Coverage by number of points of that grid that a frame shows."""
+
+
+class Crops(NamedTuple):
+    """The pictures of k components, independent of any frame."""
+
+    center: Floats
+    """(k, 2) centres of the footprints, CAD."""
+    half: Floats
+    """(k, 2) half the width and half the height of the footprints before rotation."""
+    along: Floats
+    """(k, 2, 2) half the width (`[:, :, 0]`) and half the height (`[:, :, 1]`) as vectors in CAD."""
+    px_per_mm: Floats
+    """(k,) resolution of each picture."""
+    size: Floats
+    """(k, 2) width and height of each picture in px, whole numbers."""
+    crop_from_cad: Floats
+    """(k, 3, 3) matrices from CAD coordinates to the pixels of each picture."""
+    cad_from_crop: Floats
+    """(k, 3, 3) inverse matrices."""
+    bare: NDArray[np.bool_]
+    """(k,) whether a picture shows the footprint and nothing else."""
 
 
 class Frames(NamedTuple):
@@ -89,79 +111,56 @@ class Pairs(NamedTuple):
     """(p, 9, 2) raw pixels of 3×3 points over the picture, row by row."""
 
 
-class Boxes(NamedTuple):
-    """Rectangles in CAD, as the fields of `Footprints`."""
-
-    center: Floats
-    half: Floats
-    along: Floats
-    box: Floats
-
-
-class Upright(NamedTuple):
-    """Matrices between CAD and upright pictures, as the fields of `Crops`."""
-
-    crop_from_cad: Floats
-    cad_from_crop: Floats
-    bare: NDArray[np.bool_]
-
-
-@compiled
-def turn_boxes(rows: Floats, way: float) -> Boxes:
-    """Return rectangles and their bounding boxes.
-
-    Args:
-        rows: (n, 5) centres, width and height before rotation, rotation in degrees.
-        way: 1 if rotations count from x towards y, −1 if they count the other way.
-    """
-    n = len(rows)
-    boxes = Boxes(np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2)))
-    for k in range(n):
-        angle, w, h = math.radians(rows[k, 4]) * way, rows[k, 2] / 2, rows[k, 3] / 2
-        c, s, along = math.cos(angle), math.sin(angle), boxes.along[k]
-        along[0, 0], along[0, 1], along[1, 0], along[1, 1] = c * w, -s * h, s * w, c * h
-        boxes.half[k, 0], boxes.half[k, 1] = w, h
-        for i in range(2):
-            boxes.center[k, i], boxes.box[k, i] = rows[k, i], abs(along[i, 0]) + abs(along[i, 1])
-    return boxes
-
-
 @compiled
 def upright(
-    center: Floats, half: Floats, along: Floats, reach: Floats, size: Floats, way: tuple[float, float], turned: bool
-) -> Upright:
-    """Return the matrices between CAD and upright pictures of rectangles.
+    rows: Floats, way: tuple[float, float], turned: bool, margin: float, px_per_mm: tuple[float, float], most_px: float
+) -> Crops:
+    """Lay out upright pictures of rectangles.
 
     Args:
-        center: (n, 2) centres of the rectangles.
-        half: (n, 2) half of the width and height that are shown, without margin.
-        along: (n, 2, 2) as the field of `Footprints`.
-        reach: (n, 2) half of the width and height that are shown, with margin.
-        size: (n, 2) width and height of the pictures.
+        rows: (k, 5) centres, half of width and height before rotation, rotation in degrees.
         way: direction of the pictures' axes along those of CAD, 1 or −1, or along those of the rectangles if `turned`.
         turned: whether the pictures are turned as the rectangles are.
+        margin: strip of surroundings on all sides, CAD units.
+        px_per_mm: resolution, and size of a CAD unit in mm.
+        most_px: largest number of pixels of a picture without its margin; the resolution of larger ones is lower.
     """
-    n = len(center)
-    there, back, bare = np.zeros((n, 3, 3)), np.zeros((n, 3, 3)), np.empty(n, np.bool_)
+    n = len(rows)
+    out = Crops(
+        np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty((n, 2)), np.zeros((n, 3, 3)),
+        np.zeros((n, 3, 3)), np.empty(n, np.bool_),
+    )  # fmt: skip
+    turn, (resolution, mm) = np.empty((2, 2)), px_per_mm
     for k in range(n):
-        # The scale uses the rounded size, so that the box fills the picture exactly: sides change by less than a pixel.
+        angle = math.radians(rows[k, 4]) * -way[1]
+        c, s = math.cos(angle), math.sin(angle)
+        turn[0, 0], turn[1, 0], turn[0, 1], turn[1, 1] = c, s, -s, c
+        there, back, along = out.crop_from_cad[k], out.cad_from_crop[k], out.along[k]
         for i in range(2):
-            scale = way[i] * size[k, i] / (2 * reach[k, i])
+            out.center[k, i], out.half[k, i] = rows[k, i], rows[k, 2 + i]
+            along[i, 0], along[i, 1] = turn[i, 0] * rows[k, 2], turn[i, 1] * rows[k, 3]
+        across, down = abs(along[0, 0]) + abs(along[0, 1]), abs(along[1, 0]) + abs(along[1, 1])
+        out.px_per_mm[k] = min(resolution, FITTING * math.sqrt(most_px / (4 * across * down * mm * mm)))
+        shown = (rows[k, 2], rows[k, 3]) if turned else (across, down)
+        for i in range(2):
+            reach = shown[i] + margin
+            # The scale uses the rounded size, so that the box fills the picture exactly: sides change by less than a
+            # pixel.
+            out.size[k, i] = max(np.rint(2 * reach * out.px_per_mm[k] * mm), 1.0)
+            scale = way[i] * out.size[k, i] / (2 * reach)
             for j in range(2):
                 # The direction in CAD that runs along axis i of the picture.
-                axis = along[k, j, i] / half[k, i] if turned else (1.0 if i == j else 0.0)
-                there[k, i, j], back[k, j, i] = scale * axis, axis / scale
-        x, y = (size[k, 0] - 1) / 2, (size[k, 1] - 1) / 2
-        there[k, 0, 2] = x - (there[k, 0, 0] * center[k, 0] + there[k, 0, 1] * center[k, 1])
-        there[k, 1, 2] = y - (there[k, 1, 0] * center[k, 0] + there[k, 1, 1] * center[k, 1])
+                axis = turn[j, i] if turned else (1.0 if i == j else 0.0)
+                there[i, j], back[j, i] = scale * axis, axis / scale
+            there[i, 2] = (out.size[k, i] - 1) / 2 - (there[i, 0] * rows[k, 0] + there[i, 1] * rows[k, 1])
         for i in range(2):
-            back[k, i, 2] = center[k, i] - (back[k, i, 0] * x + back[k, i, 1] * y)
-        there[k, 2, 2] = back[k, 2, 2] = 1.0
+            x, y = (out.size[k, 0] - 1) / 2, (out.size[k, 1] - 1) / 2
+            back[i, 2] = rows[k, i] - (back[i, 0] * x + back[i, 1] * y)
+        there[2, 2] = back[2, 2] = 1.0
         # At whole quarter turns the bounding box is the footprint.
-        a, limit = along[k], 1e-9 * max(half[k, 0], half[k, 1])
-        straight = min(abs(a[0, 0]), abs(a[0, 1]), abs(a[1, 0]), abs(a[1, 1])) <= limit
-        bare[k] = (turned or straight) and reach[k, 0] == half[k, 0] and reach[k, 1] == half[k, 1]
-    return Upright(there, back, bare)
+        least = min(abs(along[0, 0]), abs(along[0, 1]), abs(along[1, 0]), abs(along[1, 1]))
+        out.bare[k] = margin == 0 and (turned or least <= 1e-9 * max(rows[k, 2], rows[k, 3]))
+    return out
 
 
 @inlined
@@ -250,8 +249,7 @@ def find_pairs(frames: Frames, parts: Parts, least: float) -> Pairs:
 
 def load() -> None:
     """Load the compiled functions, so that their first calls take no longer than others."""
-    boxes = turn_boxes(np.ones((1, 5)), 1.0)
-    upright(boxes.center, boxes.half, boxes.along, boxes.half, np.ones((1, 2)), (1.0, 1.0), False)
+    upright(np.ones((1, 5)), (1.0, 1.0), False, 0.0, (1.0, 1.0), 1.0)
     one, flags = np.ones((1, 2)), np.ones(1, np.bool_)
     matrix, numbers = np.eye(3)[None], np.ones(1)
     frames = Frames(

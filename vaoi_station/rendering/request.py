@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal, TypedDict, get_args
 
-from vaoi_station.errors import InputError
-from vaoi_station.rendering.framing import Alignment, Framing, check_number, check_word, is_number
-from vaoi_station.rendering.view import Plane
+import numpy as np
 
+from vaoi_station.errors import InputError
+
+Plane = Literal["board", "top"]
+"""Plane in which a temporary image is right: the board's surface, or the top of the component's body."""
+Alignment = Literal["cad", "part"]
+"""What is upright in a picture: CAD, or the component as the CAD library draws it, at rotation 0."""
 Side = Literal["left", "right", "front", "back"]
 """Side of the picture from which a component is seen; front is the picture's lower edge, back its upper edge."""
 Order = Literal["best", "sharpest"]
@@ -18,7 +22,41 @@ AZIMUTHS: dict[str, float] = {"right": 0.0, "back": 90.0, "left": 180.0, "front"
 WITHIN_DEG = 45.0
 """Largest difference from `seen_from` if none is stated."""
 MOST_IMAGES = 100_000
+MOST_MARGIN_MM = 100.0
+"""Largest margin around a component that a caller may request; the limit of pixels is usually reached before."""
 _LONGEST_US = 3.6e9
+_LIMITS = {
+    "px_per_mm": (0.1, 1000.0),
+    "margin_mm": (0.0, MOST_MARGIN_MM),
+    "min_coverage": (0.0, 1.0),
+    "min_exposure_us": (0.0, _LONGEST_US),
+    "max_exposure_us": (0.0, _LONGEST_US),
+    "max_angle_deg": (0.0, 90.0),
+    "min_angle_deg": (0.0, 90.0),
+    "min_sharpness_per_mm": (0.0, 1e6),
+    "max_saturated": (0.0, 1.0),
+    "within_deg": (0.0, 180.0),
+}
+"""Least and largest value of the options that are numbers."""
+_WORDS = {"align": get_args(Alignment), "plane": get_args(Plane), "order": get_args(Order)}
+
+
+@dataclass(frozen=True)
+class Framing:
+    """How temporary images are framed."""
+
+    px_per_mm: float | None = None
+    """Resolution; None for the mean resolution of the cameras."""
+    margin_mm: float = 0.0
+    """Strip of surroundings on all sides of the component."""
+    align: Alignment = "cad"
+    plane: Plane = "board"
+    """Plane in which the picture is right. Components without a known height are shown in the board's plane."""
+
+    def check(self) -> Framing:
+        """Return the framing. Raise InputError if a value is not of its type, or outside its limits."""
+        _check(self)
+        return self
 
 
 @dataclass(frozen=True)
@@ -36,15 +74,11 @@ class Bounds:
 
     def check(self) -> None:
         """Raise InputError if a value is not of its type, outside its limits, or contradicts another."""
-        check_number("min_coverage", self.min_coverage, 0.0, 1.0)
-        check_number("min_exposure_us", self.min_exposure_us, 0.0, _LONGEST_US, optional=True)
-        check_number("max_exposure_us", self.max_exposure_us, 0.0, _LONGEST_US, optional=True)
-        check_number("max_angle_deg", self.max_angle_deg, 0.0, 90.0)
-        check_number("min_angle_deg", self.min_angle_deg, 0.0, 90.0)
-        check_number("min_sharpness_per_mm", self.min_sharpness_per_mm, 0.0, 1e6, optional=True)
-        check_number("max_saturated", self.max_saturated, 0.0, 1.0, optional=True)
-        _in_order("angle_deg", self.min_angle_deg, self.max_angle_deg)
-        _in_order("exposure_us", self.min_exposure_us, self.max_exposure_us)
+        _check(self)
+        for name in ("angle_deg", "exposure_us"):
+            least, most = getattr(self, f"min_{name}"), getattr(self, f"max_{name}")
+            if least is not None and most is not None and least > most:
+                raise InputError.field("component images", f"min_{name}", least, f"at most max_{name}, {most:g}")
 
 
 @dataclass(frozen=True)
@@ -68,17 +102,16 @@ class Choice:
     def check(self) -> None:
         """Raise InputError if a value is not of its type, outside its limits, or needs another one."""
         if isinstance(self.seen_from, str):
-            check_word("seen_from", self.seen_from, get_args(Side))
-        elif self.seen_from is not None and not (is_number(self.seen_from) and 0 <= self.seen_from <= 360):
+            _check_word("seen_from", self.seen_from, get_args(Side))
+        elif self.seen_from is not None and not (_is_number(self.seen_from) and 0 <= self.seen_from <= 360):
             limit = "'left', 'right', 'front', 'back' or an azimuth in CAD from 0 to 360"
             raise InputError.field("component images", "seen_from", self.seen_from, limit)
-        check_number("within_deg", self.within_deg, 0.0, 180.0, optional=True)
+        _check(self)
         if self.within_deg is not None and self.seen_from is None:
             raise InputError(
                 f"component images: within_deg is {self.within_deg:g}, but no seen_from is given that it belongs to.",
                 action="Add seen_from.",
             )
-        check_word("order", self.order, get_args(Order))
         if self.limit is not None and not (type(self.limit) is int and 1 <= self.limit <= MOST_IMAGES):
             raise InputError.field("component images", "limit", self.limit, f"a whole number from 1 to {MOST_IMAGES}")
         if self.minus is not None and self.light is None:
@@ -165,6 +198,32 @@ def direction(text: str | None) -> str | float | None:
         return text
 
 
-def _in_order(name: str, least: float | None, most: float | None) -> None:
-    if least is not None and most is not None and least > most:
-        raise InputError.field("component images", f"min_{name}", least, f"at most max_{name}, {most:g}")
+def check_number(name: str, value: object, *, optional: bool = False) -> None:
+    """Raise InputError unless an option of component images is a number within its limits, or None if optional."""
+    least, most = _LIMITS[name]
+    if optional and value is None:
+        return
+    if not _is_number(value) or not least <= value <= most:  # type: ignore[operator]  # it is a number here
+        limit = f"{'None or ' if optional else ''}a number from {least:g} to {most:g}"
+        raise InputError.field("component images", name, value, limit)
+
+
+def _check(options: Framing | Bounds | Choice) -> None:
+    """Raise InputError for the first option that is not a number within its limits, or not one of its words."""
+    for option in fields(options):
+        value = getattr(options, option.name)
+        if option.name in _LIMITS:
+            check_number(option.name, value, optional=option.default is None)
+        elif option.name in _WORDS:
+            _check_word(option.name, value, _WORDS[option.name])
+
+
+def _check_word(name: str, value: object, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise InputError.field("component images", name, value, " or ".join(map(repr, known)))
+
+
+def _is_number(value: Any) -> bool:
+    """Return whether a value is a number other than NaN; booleans are none."""
+    real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return real and value == value  # noqa: PLR0124  NaN is the one number that differs from itself

@@ -8,17 +8,92 @@ the greatest sharpness.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.model import RecordingHead
-from vaoi_station.rendering.measures import Measures
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
+from vaoi_station.model.stitch_result import BodyHeight, body_height
 from vaoi_station.rendering.request import AZIMUTHS, WITHIN_DEG, Bounds, Choice, ImageRequest
-from vaoi_station.rendering.view import View
+from vaoi_station.rendering.temporary import render, subtract
+from vaoi_station.rendering.views import View, ViewCalculator, sigma_px
+
+_LEAST_PIXELS = 9
+"""Least number of pixels that are measured; fewer have no gradient worth a figure."""
+_SOBEL = 8.0
+"""Sum of the positive weights of the Sobel operator times the distance that they span: it gives grey levels per px."""
+_SOBEL_NOISE = 2 * 12 / _SOBEL**2
+"""Sum of the squared weights of both Sobel operators: share of the noise's variance in the squared gradient."""
+_NOISE_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+"""A mask that answers to noise, and hardly to edges (Immerkær 1996, Computer Vision and Image Understanding 64)."""
+_MEDIAN = 0.6745
+"""Median of the magnitude of a normal variable, in standard deviations."""
+
+
+class Measures(NamedTuple):
+    """How well a frame shows a component."""
+
+    sharpness_per_mm: float | None
+    """Root mean square of the gradient, divided by the standard deviation of the grey levels, 1/mm.
+
+    This is the mean spatial frequency of what the frame shows. It falls with every blur, and does not depend on
+    exposure and gain as long as nothing is saturated. It is None where the footprint has a single grey level.
+    """
+    saturated: float | None
+    """Share of the footprint's pixels that have the largest value that the frame can have; None without a pixel."""
+
+
+def measure(view: View, frame: NDArray[Any]) -> Measures:
+    """Measure the frame inside the footprint of the view's component.
+
+    Args:
+        view: the view; its footprint in the frame is used.
+        frame: (h, w) or (h, w, 3) pixels of the whole frame, 8 or 16 bit.
+    """
+    height, width = frame.shape[:2]
+    # One pixel around the footprint, for the gradients at its edge.
+    x0, y0 = (max(math.floor(v) - 1, 0) for v in view.outline_px.min(0).tolist())
+    x1, y1 = (
+        min(math.ceil(v) + 2, most) for v, most in zip(view.outline_px.max(0).tolist(), (width, height), strict=True)
+    )
+    if x1 - x0 < 3 or y1 - y0 < 3:
+        return Measures(None, None)
+    part = frame[y0:y1, x0:x1]
+    return _measure(part, _inside(view.outline_px - (x0, y0), part.shape[:2]), view.frame_px_per_mm)
+
+
+def _inside(outline_px: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return which pixels of a part of a frame (h, w) lie in a polygon."""
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillConvexPoly(mask, np.round(outline_px * 16).astype(np.int32), 1, shift=4)
+    return mask.astype(bool)
+
+
+def _measure(part: NDArray[Any], inside: NDArray[np.bool_], px_per_mm: float) -> Measures:
+    count = int(inside.sum())
+    if count < _LEAST_PIXELS:
+        return Measures(None, None)
+    at_limit = part == np.iinfo(part.dtype).max
+    saturated = float((at_limit if part.ndim == 2 else at_limit.any(2))[inside].mean())
+    grey = np.asarray(part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY), dtype=np.float32)
+    x = cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / _SOBEL)[inside]
+    y = cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / _SOBEL)[inside]
+    # Noise has a gradient as well: without this, a darker frame would be the sharper one.
+    answer = np.abs(cv2.filter2D(grey, cv2.CV_32F, _NOISE_MASK)[inside])
+    noise = (float(np.median(answer)) / _MEDIAN) ** 2 / float((_NOISE_MASK**2).sum())
+    gradient = float((x * x + y * y).mean()) - _SOBEL_NOISE * noise
+    variance = float(grey[inside].var(dtype=np.float64)) - noise
+    if variance <= max(noise / math.sqrt(count), 1e-9):
+        return Measures(None, saturated)
+    return Measures(math.sqrt(max(gradient, 0.0) / variance) * px_per_mm, saturated)
+
 
 Measure = Callable[[View], "Measures | None"]
 """Function that measures a view's frame; it returns None if the frame is no longer available."""
@@ -174,3 +249,146 @@ def _nearest(choice: ChosenView, others: list[ChosenView]) -> ChosenView:
 
 def _unit(view: View) -> np.ndarray:
     return np.asarray(view.toward / np.linalg.norm(view.toward))
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenImages:
+    """The temporary images of one component that a request asks for."""
+
+    part: Component
+    chosen: tuple[ChosenView, ...]
+    height: BodyHeight | None
+    """Height of the plane in which the images are right; None for the board's plane."""
+    remark: str | None
+    """Why the images lie in another plane than requested; None if they do not."""
+
+    def covariance_px2(self, choice: ChosenView, of_centre: Any) -> Floats | None:
+        """Return the covariance (2, 2) of the component's place in a frame, px²; None if it is not known.
+
+        `of_centre` is the covariance (2, 2) of its centre on the board's surface, from the result, or None.
+        """
+        flat = None if of_centre is None else np.array(of_centre, dtype=np.float64)
+        return choice.view.covariance_px2(flat, (self.height.sigma_mm or 0.0) if self.height else 0.0)
+
+
+def choose_all(
+    calculator: ViewCalculator,
+    parts: Sequence[Component],
+    run: tuple[BoardType, Stitch],
+    frames: tuple[Collection[tuple[int, int]], Mapping[tuple[int, int], FrameFacts]],
+    wanted: ImageRequest,
+    measure: Measure,
+) -> list[ChosenImages]:
+    """Compute the views of components, and choose the images of each; all at once takes a fraction of the time.
+
+    Args:
+        calculator: calculator of the run's views.
+        parts: the components.
+        run: board type and complete result of the run.
+        frames: the frames (camera, row) that may be used, and how all frames were taken.
+        wanted: the request.
+        measure: function that measures a view.
+
+    Raises:
+        InputError: a picture would be too large, or the run has no frame under a light that the request names.
+        StateError: the request names a direction, and directions are not known.
+    """
+    heights: dict[str, BodyHeight] = {}
+    remarks: dict[str, str] = {}
+    if wanted.framing.plane == "top":
+        for part in parts:
+            height = body_height(part, *run)
+            remark = plane_remark(part, height, calculator.knows_heights)
+            if remark is not None:
+                remarks[part.address] = remark
+            elif height is not None:
+                heights[part.address] = height
+    views = calculator.compute_all(
+        parts,
+        min_coverage=wanted.bounds.min_coverage,
+        framing=wanted.framing,
+        heights_mm={address: height.mm for address, height in heights.items()},
+    )
+    usable, facts = frames
+    found = []
+    for part in parts:
+        of_part = [v for v in views[part.address] if (v.camera, v.row) in usable]
+        chosen = select(of_part, facts, wanted, measure)
+        found.append(ChosenImages(part, chosen, heights.get(part.address), remarks.get(part.address)))
+    return found
+
+
+def render_chosen(choice: ChosenView, frame: NDArray[Any], other: NDArray[Any] | None = None) -> NDArray[Any]:
+    """Render one temporary image. `other` is the frame of the image that is subtracted, if there is one."""
+    image = render(choice.view, frame)
+    if choice.minus is None or other is None:
+        return image
+    return subtract(image, render(choice.minus.view, other), choice.ratio)
+
+
+def plane_remark(part: Component, height: BodyHeight | None, cameras_know: bool) -> str | None:
+    """Return why images that were requested in the plane of the body's top lie on the board; None if they do not.
+
+    `cameras_know` is whether the calibration states the working distance of the cameras.
+    """
+    if not cameras_know:
+        return (
+            "The calibration states no working_distance_mm, so a height has no known effect: the images are right in "
+            "the plane of the board."
+        )
+    if height is None:
+        return (
+            f"{part.address} has no height: the run measured none, and the board type states no body_height. Its "
+            "images are right in the plane of the board."
+        )
+    return None
+
+
+def component_covariances(result: Stitch, ref: str) -> dict[tuple[int, int], Floats]:
+    """Return the covariance (2, 2) in px² of a component's centre in each frame, by (camera, row)."""
+    try:
+        rows = result.quality.get("component_covariance_px2", {}).get(ref, [])
+        return {(int(c), int(j)): np.array([[xx, xy], [xy, yy]], dtype=np.float64) for c, j, xx, xy, yy in rows}
+    except (AttributeError, TypeError, ValueError) as error:
+        # `quality` accepts any keys and values, so that readers of older versions can open newer results.
+        raise InputError(
+            f"the result: quality.component_covariance_px2 of {ref!r} is not a list of [camera, row, xx, xy, yy].",
+            action="Stitch the recording again.",
+        ) from error
+
+
+def describe(choice: ChosenView, covariance_px2: Floats | None) -> dict[str, Any]:
+    """Return the figures and matrices of one temporary image; docs/rest.md defines each.
+
+    `covariance_px2` (2, 2) is that of the component's place in the frame, px²; None if it is not known. Figures that
+    are not known are None.
+    """
+    view, facts, measures = choice.view, choice.facts, choice.measures or Measures(None, None)
+    sigma = sigma_px(covariance_px2)
+    return {
+        "camera": view.camera,
+        "row": view.row,
+        "coverage": view.coverage,
+        "off_center": view.off_center,
+        "width_px": view.width,
+        "height_px": view.height,
+        "px_per_mm": view.px_per_mm,
+        "covariance_px2": None if covariance_px2 is None else covariance_px2.tolist(),
+        "sigma_px": sigma,
+        "sigma_mm": None if sigma is None else sigma / view.frame_px_per_mm,
+        "view_azimuth_deg": view.azimuth_deg,
+        "view_angle_deg": view.angle_deg,
+        "sharpness_per_mm": measures.sharpness_per_mm,
+        "saturated": measures.saturated,
+        "time_s": facts.time_s,
+        "exposure_us": facts.exposure_us,
+        "gain": facts.gain,
+        "light": facts.light,
+        "crop_from_cad": view.crop_from_cad.matrix.tolist(),
+        "cad_from_crop": view.cad_from_crop.matrix.tolist(),
+        "image_from_crop": view.image_from_crop.matrix.tolist(),
+        "plane": view.plane,
+        "height_mm": view.height_mm,
+        "minus": None if choice.minus is None else (choice.minus.view.camera, choice.minus.view.row),
+        "distorted": view.distorted,
+    }

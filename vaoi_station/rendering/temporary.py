@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
+from vaoi_station.geometry.homographies import through
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.rendering.tiles import rectangles, through
-from vaoi_station.rendering.view import Tile, View
-from vaoi_station.rendering.view_table import ViewTable
+from vaoi_station.rendering.views import Tile, View, ViewTable, rectangles
 
 _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _EXACT_PX = 64
@@ -48,9 +47,9 @@ def render_all(views: ViewTable, frame: Callable[[int, int], NDArray[Any] | None
     `frame` returns the pixels of a camera and row; images of a missing frame are None. The images of one frame are
     parts of one array.
     """
-    columns, (order, begins) = views.columns, views.by_frame()
-    size = views.crops.size.astype(np.int_)[columns.component[order]]
-    area, numbers, matrices, tiles = size.prod(1), order.tolist(), columns.matrix[order], columns.tiles
+    order, begins = views.by_frame()
+    size = views.crops.size.astype(np.int_)[views.component[order]]
+    area, numbers, matrices, tiles = size.prod(1), order.tolist(), views.matrix[order], views.tiles
     ends = area.cumsum()
     places = np.empty((len(numbers), 4), np.int_)
     places[:, 0], places[:, 1], places[:, 2:] = ends - area, size[:, 0], size
@@ -60,7 +59,7 @@ def render_all(views: ViewTable, frame: Callable[[int, int], NDArray[Any] | None
     made: list[NDArray[Any] | None] = []
     for begin, end in pairwise([*begins, len(numbers)]):
         mine = slice(begin, end)
-        if (pixels := frame(*columns.key[numbers[begin]].tolist())) is None:
+        if (pixels := frame(*views.key[numbers[begin]].tolist())) is None:
             made += [None] * (end - begin)
             continue
         origin, channels, kind = int(ends[begin] - area[begin]), pixels.shape[2:], pixels.dtype

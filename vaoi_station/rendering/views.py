@@ -1,46 +1,311 @@
 """The views of a component: the frames that show it, and the matrices from its picture to these frames (equation 22).
 
 The picture (paper, section 3.4) shows the component's bounding box, upright as CAD shows it and never mirrored: CAD x
-points right on the top side and left on the bottom side, and CAD "up" points up. On demand it has a margin, is turned
-to the component's own orientation, or is right at the top of the body instead of the board (`framing.Framing`). One
-matrix maps the pixels of the picture to CAD coordinates, another one to pixels of the frame. If the lens bends the
-picture so little that a matrix can represent it, the matrix to the frame includes the lens. Otherwise the view is
-`distorted`, and the picture is made in tiles, each with a matrix. If the board's surface is known, the footprint lies
-at the height of the surface.
+points right on the top side and left on the bottom side, and CAD "up" points up. A pixel is an area: the edges of the
+box are the outer edges of the border pixels. On demand the picture has a margin, is turned to the component's own
+orientation, or is right at the top of the body instead of the board (`request.Framing`). One matrix maps its pixels to
+CAD coordinates, another one to pixels of the frame. If the lens bends the picture so little that a matrix can represent
+it, the matrix to the frame includes the lens. Otherwise the view is `distorted`, and the picture is made in tiles.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import lru_cache
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.errors import StateError
-from vaoi_station.geometry import Camera
+from vaoi_station.errors import InputError
+from vaoi_station.frame_index import FrameIndex
+from vaoi_station.geometry import Camera, Projective, System
+from vaoi_station.geometry.homographies import rectangle_homographies, through
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component, Stitch
-from vaoi_station.rendering.crops import Crops, Footprints, compute_crops
-from vaoi_station.rendering.framing import Framing, check_number
-from vaoi_station.rendering.tiles import cut_tiles, rectangle_homographies, through
-from vaoi_station.rendering.view import Tile, View
-from vaoi_station.rendering.view_table import Columns, Sights, ViewTable
+from vaoi_station.rendering.request import Framing, Plane, check_number
 
 if TYPE_CHECKING:
-    from vaoi_station.rendering.frame_pairs import Pairs
+    from vaoi_station.rendering.frame_pairs import Crops, Pairs
 
+MOST_PIXELS = 16_000_000
+"""Largest number of pixels of a temporary image. A caller who exceeds it must ask for fewer pixels per mm."""
+_VERTICAL = 1e-3
+"""Tangent of the angle below which a view has no azimuth: it is seen from straight above."""
 _STRAIGHT_PX = 0.02
 """Largest deviation from a homography, px, with which a single matrix represents the lens for a whole picture."""
+_TILE_PX = 0.003
+"""Largest deviation of a tile's homography from the lens, px.
+
+It moves the grey level of a steep edge, 150 levels from pixel to pixel, by less than half a level."""
+_MOST_TILES = 24
+"""Largest number of tiles along one side of a picture; no usable lens needs as many."""
 _CORNERS = (0, 2, 8, 6)
 """Indices of the four corners, in order around the square, among 3×3 points in row order."""
 _STAYS = np.eye(3)
 """Displacement of a component that follows C."""
 _NEAR = 1.1
 """Factor on the size of a component in a frame, within which a frame may show it: perspective makes it larger."""
+
+
+class Tile(NamedTuple):
+    """A rectangular part of a picture: columns x0 to x1 and rows y0 to y1, ends excluded."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+    matrix: Floats
+    """(3, 3) from pixels of the tile, counted from its corner, to raw pixels of the frame."""
+
+
+@dataclass(eq=False, slots=True)
+class View:
+    """The view of one component in one frame. It is not changed after it is made."""
+
+    # Not `frozen`: a board has thousands of views, and `object.__setattr__` for every field would double their cost.
+    camera: int
+    row: int
+    width: int
+    height: int
+    px_per_mm: float
+    coverage: float
+    """Share of the component's footprint that lies inside the frame."""
+    off_center: float
+    """Distance from the component's centre to the frame's centre, in half diagonals; 0 is seen from straight above."""
+    crop_matrix: Floats
+    """(3, 3) matrix from CAD coordinates to pixels of the picture."""
+    matrix: Floats
+    """(3, 3) matrix from pixels of the picture to raw pixels of the frame; to undistorted pixels if `distorted`."""
+    tiles: tuple[Tile, ...]
+    """Parts of the picture, each with a matrix to raw pixels, if the view is `distorted`; otherwise empty."""
+    outline_px: Floats
+    """(4, 2) corners of the component's footprint in raw pixels of the frame, going round."""
+    toward: Floats
+    """(3,) vector from the component to the camera, mm: along CAD x, along CAD y, up; NaN if it is unknown."""
+    lift_px: Floats
+    """(2,) shift of the component's centre in the frame per mm of height, px."""
+    plane: Plane
+    """Plane in which the picture is right."""
+    height_mm: float
+    """Height of that plane above the board's surface."""
+
+    @property
+    def distorted(self) -> bool:
+        """Whether the lens distorts this picture too much for a single matrix."""
+        return bool(self.tiles)
+
+    @property
+    def crop_from_cad(self) -> Projective:
+        """Transform from CAD coordinates to pixels of the picture."""
+        return Projective(self.crop_matrix, System.CROP, System.CAD)
+
+    @property
+    def cad_from_crop(self) -> Projective:
+        """Transform from pixels of the picture to CAD coordinates."""
+        return self.crop_from_cad.inverse()
+
+    @property
+    def image_from_crop(self) -> Projective:
+        """Transform from pixels of the picture to pixels of the frame, with the matrix `matrix`."""
+        return Projective(self.matrix, System.IMAGE, System.CROP)
+
+    @property
+    def frame_px_per_mm(self) -> float:
+        """Resolution of the frame at the component's centre, px/mm."""
+        return self.image_from_crop.scale_at(((self.width - 1) / 2, (self.height - 1) / 2)) * self.px_per_mm
+
+    @property
+    def angle_deg(self) -> float | None:
+        """Angle between the line of sight to the component's centre and the vertical; None if it is unknown."""
+        x, y, z = self.toward.tolist()
+        return None if math.isnan(z) else math.degrees(math.atan2(math.hypot(x, y), z))
+
+    @property
+    def azimuth_deg(self) -> float | None:
+        """Direction in CAD from which the component is seen, from the x axis towards the y axis, 0 to 360.
+
+        None if it is unknown, or if the component is seen from straight above.
+        """
+        x, y, z = self.toward.tolist()
+        if math.isnan(z) or math.hypot(x, y) < _VERTICAL * z:
+            return None
+        return math.degrees(math.atan2(y, x)) % 360
+
+    @property
+    def picture_azimuth_deg(self) -> float | None:
+        """The same direction in the picture: 0 right, 90 up, 180 left, 270 down; None where `azimuth_deg` is None."""
+        if self.azimuth_deg is None:
+            return None
+        x, y = (self.crop_matrix[:2, :2] @ self.toward[:2]).tolist()
+        # The picture's y axis points down.
+        return math.degrees(math.atan2(-y, x)) % 360
+
+    def covariance_px2(self, of_centre: Floats | None, height_sigma_mm: float = 0.0) -> Floats | None:
+        """Return the covariance (2, 2) of the component's place in the frame, px²; None if it is unknown.
+
+        Args:
+            of_centre: covariance (2, 2) of the component's centre on the board's surface, from the result of the run.
+            height_sigma_mm: standard deviation of the height of the picture's plane above the surface.
+        """
+        if of_centre is None:
+            return None
+        return np.asarray(of_centre + np.outer(self.lift_px, self.lift_px) * height_sigma_mm**2, dtype=np.float64)
+
+
+def sigma_px(covariance_px2: Floats | None) -> float | None:
+    """Return the standard deviation, px, along the direction in which it is largest; None without a covariance."""
+    return None if covariance_px2 is None else math.sqrt(max(float(np.linalg.eigvalsh(covariance_px2)[-1]), 0.0))
+
+
+def lay_out(components: Sequence[Component], board_type: BoardType, framing: Framing, px_per_mm: float) -> Crops:
+    """Compute the pictures of components. `px_per_mm` is the resolution if `framing` states none.
+
+    It is lower for a picture that would be too large: one large component must not prevent the list of all. A
+    resolution or a margin that the caller has chosen is not changed.
+
+    Raises:
+        InputError: a picture would have more than `MOST_PIXELS`.
+    """
+    # Imported on first use, because Numba takes a moment to load.
+    from vaoi_station.rendering.frame_pairs import upright
+
+    rows = [(*c.center, c.width / 2, c.height / 2, c.rotation) for c in components]
+    values = np.array(rows, dtype=np.float64).reshape(-1, 5)
+    mm, turned = board_type.mm_per_unit, framing.align == "part"
+    # Pictures show the board as the camera sees it, never mirrored (docs/conventions.md). On the bottom side, CAD x
+    # runs to the left. Rotations count counter-clockwise as seen on the top of the board, wherever the y axis points.
+    way = 1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0
+    most = math.inf if framing.px_per_mm else float(MOST_PIXELS)
+    resolution = float(framing.px_per_mm or px_per_mm), float(mm)
+    crops = upright(values, way, turned, framing.margin_mm / mm, resolution, most)
+    for k in np.flatnonzero(crops.size[:, 0] * crops.size[:, 1] > MOST_PIXELS).tolist():
+        shown = crops.half[k] if turned else np.abs(crops.along[k]).sum(1)
+        raise _too_large(
+            components[k], (2 * shown * mm).tolist(), float(crops.px_per_mm[k]), framing, crops.size[k].tolist()
+        )
+    return crops
+
+
+def _too_large(
+    component: Component, sides_mm: list[float], px_per_mm: float, framing: Framing, size: list[float]
+) -> InputError:
+    """Return the refusal of a picture that is too large: its margin or its resolution."""
+    (a, b), most = sides_mm, MOST_PIXELS / px_per_mm**2
+    what = f"small enough for {MOST_PIXELS / 1e6:.0f} megapixels (this would be {size[0]:.0f}×{size[1]:.0f})"
+    if not framing.margin_mm or a * b > most:
+        area = (a + 2 * framing.margin_mm) * (b + 2 * framing.margin_mm)
+        limit = f"at most {_floored(0.999 * math.sqrt(MOST_PIXELS / area))}, {what}"
+        return InputError.field(component.address, "px_per_mm", px_per_mm, limit)
+    # The margin m at which (a + 2 m)(b + 2 m) is as large as a picture may be.
+    margin = (math.sqrt((a - b) ** 2 + 4 * most) - (a + b)) / 4
+    limit = f"at most {_floored(margin)} at {px_per_mm:g} px/mm, {what}"
+    return InputError.field(component.address, "margin_mm", framing.margin_mm, limit)
+
+
+def _floored(limit: float) -> str:
+    """Return a limit with two decimals that is not above it."""
+    return f"{math.floor(100 * limit) / 100:g}"
+
+
+@dataclass(frozen=True, eq=False)
+class ViewTable(Mapping[str, tuple[View, ...]]):
+    """The v views of n components by address, ordered by component, those of one component best first; as in `View`.
+
+    They are arrays, of which objects are made when the first one is read: to make an object of each view takes half as
+    long as to compute them all, and is not needed where views are only counted.
+    """
+
+    components: Sequence[Component]
+    crops: Crops
+    above_mm: Floats
+    """(n,) height of the plane of each picture above the board's surface."""
+    on_top: NDArray[np.bool_]
+    """(n,) whether this plane is the top of the body."""
+    component: NDArray[np.int_]
+    """(v,) number of the component."""
+    key: NDArray[np.int_]
+    """(v, 2) camera and row."""
+    coverage: Floats
+    off_center: Floats
+    matrix: Floats
+    """(v, 3, 3)."""
+    outline_px: Floats
+    """(v, 4, 2)."""
+    tiles: Mapping[int, tuple[Tile, ...]]
+    """By number of the view, for those that are distorted."""
+    sights: Callable[[], tuple[Floats, Floats]]
+    """Function that computes `toward` (v, 3) and `lift_px` (v, 2) of all views."""
+
+    def __getitem__(self, address: str) -> tuple[View, ...]:
+        """Return the views of a component; the first call makes those of all."""
+        return self._views[address]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._views)
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    @cached_property
+    def addresses(self) -> list[str]:
+        """The addresses of the components."""
+        return [component.address for component in self.components]
+
+    def views_of(self, number: int) -> tuple[View, ...]:
+        """Make the views of the component with a number, and keep none: they take several times the arrays' memory."""
+        first, end = np.searchsorted(self.component, (number, number + 1)).tolist()
+        return tuple(view for _, view in self._made(first, end))
+
+    def counts_in(self, frames: Collection[tuple[int, int]]) -> dict[str, int]:
+        """Return for each component the number of views in some frames."""
+        inside = [key in frames for key in map(tuple, self.key.tolist())]
+        count = np.bincount(self.component[inside], minlength=len(self.addresses))
+        return {address: n for address, n in zip(self.addresses, count.tolist(), strict=True) if n}
+
+    def by_frame(self) -> tuple[NDArray[np.int_], list[int]]:
+        """Return the numbers (v,) of all views, those of one frame together, and where those of each frame begin."""
+        order = np.lexsort(self.key.T)
+        changes = np.flatnonzero(np.diff(self.key[order], axis=0).any(1)) + 1
+        return order, [0, *changes.tolist()] if len(order) else []
+
+    @cached_property
+    def _views(self) -> dict[str, tuple[View, ...]]:
+        found: list[list[View]] = [[] for _ in self.addresses]
+        for k, view in self._made(0, len(self.component)):
+            found[k].append(view)
+        return {address: tuple(views) for address, views in zip(self.addresses, found, strict=True)}
+
+    @cached_property
+    def _sights(self) -> tuple[Floats, Floats]:
+        return self.sights()
+
+    @cached_property
+    def _pictures(self) -> list[tuple[int, int, float, Floats, Plane, float]]:
+        """Size, resolution, matrix from CAD, plane and height of the picture of each component."""
+        crops = self.crops
+        size, planes = crops.size.astype(int).T.tolist(), np.where(self.on_top, "top", "board").tolist()
+        return list(
+            zip(*size, crops.px_per_mm.tolist(), crops.crop_from_cad, planes, self.above_mm.tolist(), strict=True)
+        )
+
+    def _made(self, first: int, end: int) -> Iterator[tuple[int, View]]:
+        """Make the views from `first` to `end`, which is excluded; yield each with the number of its component."""
+        part = slice(first, end)
+        # Python's own numbers, and rows of arrays, made at once: one by one they take longer than the views themselves.
+        numbers = (v[part].tolist() for v in (self.component, self.key, self.coverage, self.off_center))
+        arrays = (v[part] for v in (self.matrix, self.outline_px, *self._sights))
+        for n, (k, (i, j), share, distance, matrix, corners, sight, shift) in enumerate(
+            zip(*numbers, *arrays, strict=True), first
+        ):
+            width, height, resolution, crop_matrix, plane, above_mm = self._pictures[k]
+            yield k, View(
+                i, j, width, height, resolution, share, distance, crop_matrix, matrix,
+                self.tiles.get(n, ()), corners, sight, shift, plane, above_mm,
+            )  # fmt: skip
 
 
 class ViewCalculator:
@@ -55,34 +320,17 @@ class ViewCalculator:
         # Imported on first use, because Numba takes a moment to load.
         from vaoi_station.rendering.frame_pairs import Frames
 
-        if stitch.cad_matrix is None:
-            raise StateError(
-                "this run has no CAD mapping, so components cannot be cut out.",
-                action="; ".join(stitch.reasons),
-                code="no-cad-mapping",
-            )
-        cameras = stitch.cameras(cameras)
-        self._board_type, self._surface, self._cameras = board_type, stitch.surface, cameras
-        px_per_mm = [c.px_per_mm for c in cameras]
-        self._resolution = sum(px_per_mm) / len(px_per_mm)
-        keys = [(i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None]
-        key = np.array(keys, dtype=np.int_).reshape(-1, 2)
-        i, row = key.T
-        motion = np.array(stitch.row_motion, dtype=np.float64).reshape(-1, 3, 3)
-        self._row_from_cad = (motion @ stitch.cad_matrix)[row]
-        image_from_row = np.array([c.image_from_row.matrix for c in cameras])
-        distance_mm = [c.working_distance_mm or math.inf for c in cameras]
-        eye = np.array([(*c.foot_mm.tolist(), 1.0) for c in cameras])
+        index = self._index = FrameIndex(stitch, cameras)
+        self._board_type = board_type
+        i, row = index.key.T
         # A height decreases the third column of CAD → image (`geometry.Camera`).
-        lean = (image_from_row @ eye[:, :, None])[:, :, 0] / np.array(distance_mm)[:, None]
-        eye[:, 2] = [math.nan if math.isinf(mm) else mm for mm in distance_mm]
-        self._eye = eye[i]
-        """(f, 3) centre of the camera in row coordinates; its height is NaN if it is unknown."""
-        limits = [(c.width_px, c.height_px, _bend(c), _NEAR * k) for c, k in zip(cameras, px_per_mm, strict=True)]
-        limit = np.array(limits, dtype=np.float64)[i]
+        eye = np.array([(*c.viewpoint[:2], 1.0) for c in index.cameras])
+        inverse = np.array([c.viewpoint[2] for c in index.cameras])
+        lean = (index.image_from_row @ eye[:, :, None])[:, :, 0] * inverse[:, None]
+        reach = np.array([(_bend(c), _NEAR * c.px_per_mm * board_type.mm_per_unit) for c in index.cameras])[i]
         self._frames = Frames(
-            image_from_row[i] @ self._row_from_cad, lean[i], limit[:, :2].copy(), limit[:, 2].copy(),
-            limit[:, 3] * board_type.mm_per_unit, key, *_lenses(cameras),
+            index.image_from_row[i] @ index.row_from_cad[row], lean[i], index.size_px, reach[:, 0].copy(),
+            reach[:, 1].copy(), index.key, *index.lenses,
         )  # fmt: skip
         self._own = stitch.displacements(c.address for c in board_type.components)
         """(3, 3) by address, for components with a C of their own: CAD coordinates → those of the same place by C."""
@@ -90,7 +338,7 @@ class ViewCalculator:
     @property
     def knows_heights(self) -> bool:
         """Whether the working distance of every camera is known, so that heights and directions can be computed."""
-        return not np.isnan(self._eye[:, 2]).any()
+        return not np.isnan(self._index.eye_mm[:, 2]).any()
 
     def compute(
         self,
@@ -101,7 +349,10 @@ class ViewCalculator:
         framing: Framing | None = None,
         height_mm: float | None = None,
     ) -> tuple[View, ...]:
-        """Compute the views of one component; see `compute_views`. `height_mm` is that of its body, if it is known."""
+        """Compute the views of one component: highest coverage first, then smallest distance from the frame's centre.
+
+        The arguments are those of `compute_all`; `height_mm` is that of its body, if it is known.
+        """
         heights = {} if height_mm is None else {component.address: height_mm}
         views = self.compute_all(
             [component], px_per_mm=px_per_mm, min_coverage=min_coverage, framing=framing, heights_mm=heights
@@ -119,48 +370,46 @@ class ViewCalculator:
     ) -> ViewTable:
         """Compute the views of many components at once; the keys are the components' addresses.
 
-        `px_per_mm` replaces the resolution of `framing`. `heights_mm` are the known heights of bodies above the board
-        by address; pictures of other components lie in the board's plane.
+        Args:
+            components: components of the board type.
+            px_per_mm: resolution of the pictures; by default that of `framing`, or the mean one of the cameras.
+            min_coverage: least share of the component inside a frame; frames that show less are left out.
+            framing: margin, orientation and plane of the pictures.
+            heights_mm: known heights of bodies above the board by address, for pictures in the plane of their tops;
+                those of other components lie in the board's plane.
+
+        Raises:
+            InputError: a picture would be too large, or a value is outside its limits.
         """
         framing = framing or Framing()
         framing = (framing if px_per_mm is None else replace(framing, px_per_mm=px_per_mm)).check()
-        check_number("min_coverage", min_coverage, 0.0, 1.0)
-        crops = self._crops(components, framing)
+        check_number("min_coverage", min_coverage)
+        crops = lay_out(components, self._board_type, framing, self._index.px_per_mm)
         tops = heights_mm if framing.plane == "top" and heights_mm else {}
-        addresses = [c.address for c in components]
-        above_mm, on_top = np.zeros(len(addresses)), np.zeros(len(addresses), np.bool_)
+        above_mm, on_top = np.zeros(len(components)), np.zeros(len(components), np.bool_)
         if tops:
-            above_mm[:] = [tops.get(address, 0.0) for address in addresses]
-            on_top[:] = [address in tops for address in addresses]
-        surface = self._surface
-        height_mm = above_mm if surface is None else above_mm + surface.height_mm(crops.footprints.center)
-        pairs = self._pairs(crops, height_mm, min_coverage)
+            above_mm[:] = [tops.get(c.address, 0.0) for c in components]
+            on_top[:] = [c.address in tops for c in components]
+        surface = self._index.surface
+        height_mm = above_mm if surface is None else above_mm + surface.height_mm(crops.center)
+        pairs = self._pairs(components, crops, height_mm, min_coverage)
         matrices, bend_px = self._through_lenses(crops, pairs)
-        tiles = self._tiles(crops, pairs, bend_px)
-        columns = Columns(
-            pairs.component, self._frames.key[pairs.frame], pairs.coverage, pairs.off_center, matrices,
-            pairs.outline_px, tiles,
+        return ViewTable(
+            components, crops, above_mm, on_top, pairs.component, self._frames.key[pairs.frame], pairs.coverage,
+            pairs.off_center, matrices, pairs.outline_px, self._tiles(crops, pairs, bend_px),
+            lambda: self._sights(crops, pairs, height_mm),
         )  # fmt: skip
-        return ViewTable(addresses, crops, above_mm, on_top, columns, lambda: self._sights(crops, pairs, height_mm))
 
-    def _crops(self, components: Sequence[Component], framing: Framing) -> Crops:
-        # A picture that would be too large at the cameras' resolution gets fewer pixels: one large component must not
-        # prevent the list of all components. A resolution or a margin that the caller has chosen is not changed.
-        shapes = Footprints.of(components, self._board_type)
-        chosen = framing.px_per_mm
-        return compute_crops(shapes, shapes.fitting(self._resolution) if chosen is None else chosen, framing)
-
-    def _pairs(self, crops: Crops, height_mm: Floats, min_coverage: float) -> Pairs:
+    def _pairs(self, components: Sequence[Component], crops: Crops, height_mm: Floats, min_coverage: float) -> Pairs:
         """Find the frames that show components, and what they show of them."""
         from vaoi_station.rendering.frame_pairs import Parts, find_pairs
 
-        shapes = crops.footprints
         # A footprint is shown if the centres of its outermost pixels are: a pixel of the picture has one place.
-        half_px = shapes.half * (crops.px_per_mm * self._board_type.mm_per_unit)[:, None]
-        inner = shapes.along * np.maximum(1 - 0.5 / half_px, 0)[:, None]
-        own = [self._own.get(c.address, _STAYS) for c in shapes.components] if self._own else []
+        half_px = crops.half * (crops.px_per_mm * self._board_type.mm_per_unit)[:, None]
+        inner = crops.along * np.maximum(1 - 0.5 / half_px, 0)[:, None]
+        own = [self._own.get(c.address, _STAYS) for c in components] if self._own else []
         moves = np.array(own, dtype=np.float64).reshape(-1, 3, 3)
-        parts = Parts(shapes.center, shapes.half, inner, height_mm, moves, crops.size, crops.cad_from_crop, crops.bare)
+        parts = Parts(crops.center, crops.half, inner, height_mm, moves, crops.size, crops.cad_from_crop, crops.bare)
         return find_pairs(self._frames, parts, min_coverage)
 
     def _through_lenses(self, crops: Crops, pairs: Pairs) -> tuple[Floats, Floats]:
@@ -191,20 +440,21 @@ class ViewCalculator:
         cut = cut_tiles(matrices, size, bend_px[bent], lambda k, points: self._distorted(frame[k], points))
         return dict(zip(bent.tolist(), cut, strict=True))
 
-    def _sights(self, crops: Crops, pairs: Pairs, height_mm: Floats) -> Sights:
+    def _sights(self, crops: Crops, pairs: Pairs, height_mm: Floats) -> tuple[Floats, Floats]:
         """Compute the vector from each component to the camera (p, 3), CAD axes, mm, and the shift per mm of height."""
         k, frame = pairs.component, pairs.frame
-        center = _homogeneous(crops.footprints.center)[k, :, None]
-        turn = self._row_from_cad[frame, :2, :2]
-        sight = self._eye[frame, :2] - (self._row_from_cad[frame, :2] @ center)[..., 0]
+        row_from_cad, eye = self._index.row_from_cad[self._frames.key[frame, 1]], self._index.eye_mm[frame]
+        center = np.column_stack([crops.center, np.ones(len(crops.center))])[k, :, None]
+        turn = row_from_cad[:, :2, :2]
+        sight = eye[:, :2] - (row_from_cad[:, :2] @ center)[..., 0]
         # Row from CAD is a similarity: its transpose, divided by its scale, turns vectors back and keeps their length.
         scale = np.sqrt(np.abs(turn[:, 0, 0] * turn[:, 1, 1] - turn[:, 0, 1] * turn[:, 1, 0]))
         flat = (turn.swapaxes(1, 2) @ sight[:, :, None])[..., 0] / scale[:, None]
-        toward = np.column_stack([flat, self._eye[frame, 2] - height_mm[k]])
+        toward = np.column_stack([flat, eye[:, 2] - height_mm[k]])
         at = (pairs.image_from_cad @ center)[..., 0]
         lean = self._frames.lean[frame]
         lift = (at[:, :2] / at[:, 2:] * lean[:, 2:] - lean[:, :2]) / at[:, 2:]
-        return Sights(toward, lift)
+        return toward, lift
 
     def _distorted(self, frame: NDArray[np.int_], points: Floats) -> Floats:
         """Return the raw pixels (p, n, 2) of undistorted pixels of p frames. `points` is overwritten."""
@@ -212,48 +462,57 @@ class ViewCalculator:
         # Few cameras see one component.
         for i in set(of[self._frames.lensed[of]].tolist()):
             mine = np.flatnonzero(of == i)
-            points[mine] = self._cameras[i].lens.distort(points[mine])
+            points[mine] = self._index.cameras[i].lens.distort(points[mine])
         return points
 
 
-def compute_views(
-    component: Component,
-    board_type: BoardType,
-    stitch: Stitch,
-    cameras: Sequence[Camera],
-    *,
-    px_per_mm: float | None = None,
-    min_coverage: float = 0.5,
-    framing: Framing | None = None,
-) -> tuple[View, ...]:
-    """Compute the views of a component: highest coverage first, then smallest distance from the frame's centre.
+def cut_tiles(
+    matrices: Floats, size: Floats, bend_px: Floats, distort: Callable[[NDArray[np.int_], Floats], Floats]
+) -> list[tuple[Tile, ...]]:
+    """Cut each of k pictures into tiles, whose corners are mapped through the lens exactly; return the tiles of each.
 
     Args:
-        component: a component of the board type.
-        board_type: board type of the run; its unit, axes and side are used.
-        stitch: result of the run; its matrices and surface are used.
-        cameras: cameras of the calibration with which the run was stitched.
-        px_per_mm: resolution of the pictures; by default that of `framing`, or the mean resolution of the cameras.
-        min_coverage: least share of the component inside a frame; frames that show less are left out.
-        framing: margin, orientation and plane of the pictures.
-
-    Raises:
-        StateError: the run has no CAD mapping.
-        InputError: the picture would be too large, or a value is outside its limits.
+        matrices: (k, 3, 3) from pixels of the picture to undistorted pixels of the frame.
+        size: (k, 2) width and height of the pictures.
+        bend_px: (k,) largest deviation of the lens from a homography over the whole picture.
+        distort: function that takes the number of a picture for each of t tiles, and undistorted pixels (t, 4, 2) of
+            their corners; it returns raw pixels.
     """
-    return ViewCalculator(board_type, stitch, cameras).compute(
-        component, px_per_mm=px_per_mm, min_coverage=min_coverage, framing=framing
-    )
+    # The deviation falls with the square of the number of tiles along a side.
+    parts = np.ceil(np.sqrt(np.minimum(bend_px / _TILE_PX, _MOST_TILES**2))).astype(int)
+    boxes: list[tuple[int, int, int, int]] = []
+    of = []
+    for (width, height), n in zip(size.astype(int).tolist(), parts.tolist(), strict=True):
+        # About square tiles: along its shorter side a picture needs fewer.
+        longer = max(width, height)
+        own = rectangles(width, height, math.ceil(n * width / longer), math.ceil(n * height / longer))
+        boxes += own
+        of.append(len(own))
+    # All tiles of all pictures at once: most pictures have few tiles.
+    x0, y0, x1, y1 = np.array(boxes, dtype=np.float64).T - 0.5
+    corners = np.stack([x0, y0, x1, y0, x1, y1, x0, y1], -1).reshape(-1, 4, 2)
+    picture = np.repeat(np.arange(len(of)), of)
+    raw = distort(picture, through(matrices[picture], corners))
+    found = rectangle_homographies(corners - corners[:, :1] - 0.5, raw)
+    tiles = list(map(Tile, *zip(*boxes, strict=True), found))
+    ends = np.cumsum(of).tolist()
+    return [tuple(tiles[begin:end]) for begin, end in zip([0, *ends], ends, strict=False)]
 
 
-def _lenses(cameras: Sequence[Camera]) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return `radial`, `lens` and `lensed` of `Frames`."""
-    lensed = np.array([not c.lens.ideal for c in cameras])
-    radial = np.zeros((len(cameras), max(len(c.lens.radial) for c in cameras)))
-    shapes = np.zeros((len(cameras), 5))
-    for n in np.flatnonzero(lensed).tolist():
-        radial[n, : len(cameras[n].lens.radial)], shapes[n] = cameras[n].lens.radial, cameras[n].lens.shape
-    return radial, shapes, lensed
+def rectangles(width: int, height: int, columns: int, rows: int) -> list[tuple[int, int, int, int]]:
+    """Cut a picture into about equal parts; return x0, y0, x1, y1 of each, ends excluded."""
+    # OpenCV computes 16 pixels of a row at a time, and the rest of a row one by one.
+    x, y = _cuts(width, columns, 16 if width >= 32 * columns else 1), _cuts(height, rows, 1)
+    return [(a, b, c, d) for b, d in pairwise(y) for a, c in pairwise(x)]
+
+
+def _cuts(length: int, parts: int, step: int) -> list[int]:
+    """Return the positions, both ends included, at which a side of this length is cut into parts.
+
+    Positions between the ends are multiples of `step`.
+    """
+    parts = max(min(parts, length // 2), 1)
+    return [0, *(round(k * length / parts / step) * step for k in range(1, parts)), length]
 
 
 def _bend(camera: Camera) -> float:
@@ -262,10 +521,6 @@ def _bend(camera: Camera) -> float:
         return 0.0
     corners = _grid(np.array([[camera.width_px, camera.height_px]]), 3)[0]
     return float(np.abs(camera.lens.undistort(corners) - corners).max())
-
-
-def _homogeneous(points: Floats) -> Floats:
-    return np.column_stack([points, np.ones(len(points))])
 
 
 def _grid(size: Floats, n: int) -> Floats:

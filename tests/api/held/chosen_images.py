@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.model import Verdict
-from vaoi_station.rendering import ChosenImages, FrameFacts, ImageRequest, ViewCalculator, choose_images, measure
+from vaoi_station.rendering import ChosenImages, FrameFacts, ImageRequest, ViewCalculator, choose_all, measure
 
 if TYPE_CHECKING:
     from tests.api.held_station import HeldStation
@@ -21,11 +21,11 @@ def chosen_images(station: HeldStation, run: str, ref: str, wanted: ImageRequest
     records = station.run(run).frames
     whole = {(r.camera, r.row) for r in records if r.verdict == Verdict.OK}
     facts = {(r.camera, r.row): FrameFacts(r.exposure_us, r.gain, r.light, 0.1 * r.row) for r in records}
-    return choose_images(
+    return choose_all(
         ViewCalculator(board_type, stitch, station.cameras),
-        component,
+        [component],
         (board_type, stitch),
         (whole, facts),
         wanted,
         lambda view: measure(view, station.pixels[run, view.camera, view.row]),
-    )
+    )[0]

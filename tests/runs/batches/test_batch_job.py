@@ -14,7 +14,7 @@ from vaoi_station.api.rest_models import ViewEntry
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.model import Component
 from vaoi_station.rendering import ImageRequest, render_chosen
-from vaoi_station.rendering.description import describe
+from vaoi_station.rendering.selection import describe
 from vaoi_station.runs.batches import batch_job
 from vaoi_station.runs.batches.batch_job import BatchJob, folder_of, picture_member
 from vaoi_station.runs.batches.batch_request import BatchRequest

@@ -11,8 +11,7 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from vaoi_station.errors import BusyError
-from vaoi_station.heights.comparison import heights_document
-from vaoi_station.heights.estimates import NOTHING, Interval, PartHeight
+from vaoi_station.heights.estimates import NOTHING, Interval, PartHeight, heights_document
 from vaoi_station.model import BoardType, FrameRecord, Reason, RecordingHead, Strict, Verdict
 from vaoi_station.runs.archive.recordings import bytes_of_frames
 from vaoi_station.runs.states import schemas

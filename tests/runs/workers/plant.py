@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from tests.rendering.computed import compute_views
 from tests.runs.conftest import a_board_type, a_calibration, a_config
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
-from vaoi_station.rendering import compute_views
 from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, Reply, RunContext
 from vaoi_station.runs.workers.picture_jobs import RenderJob

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.rendering.computed import compute_views
 from tests.runs.workers.conftest import CHECK, RingBoard
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
@@ -22,7 +23,6 @@ from vaoi_station.drift.lamps import is_comparable
 from vaoi_station.errors import GoneError, InternalError
 from vaoi_station.files.images import write_image
 from vaoi_station.model import Status
-from vaoi_station.rendering import compute_views
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers import evidence_log
 from vaoi_station.runs.workers import worker as module

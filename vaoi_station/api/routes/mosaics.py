@@ -21,7 +21,7 @@ from vaoi_station.api.rest_models import KeptMosaicEntry, MosaicEntry, MosaicLis
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.files.images import narrowed_jpeg
-from vaoi_station.mosaic.deep_zoom import dzi_document, dzi_reduction, levels_of, tile_box
+from vaoi_station.mosaic.grid import dzi_document, dzi_reduction, levels_of, tile_box
 from vaoi_station.runs.mosaics.mosaics import Download
 from vaoi_station.runs.mosaics.opened_mosaics import parse_name
 

@@ -29,9 +29,8 @@ from vaoi_station.api.rest_models import ComponentEntry, ComponentList, Componen
 from vaoi_station.api.routes.services import Services
 from vaoi_station.model import Strict
 from vaoi_station.rendering import ImageRequest
-from vaoi_station.rendering.description import component_covariances, describe
-from vaoi_station.rendering.framing import MOST_MARGIN_MM, Framing
-from vaoi_station.rendering.request import MOST_IMAGES, Bounds, Choice, direction
+from vaoi_station.rendering.request import MOST_IMAGES, MOST_MARGIN_MM, Bounds, Choice, Framing, direction
+from vaoi_station.rendering.selection import component_covariances, describe
 from vaoi_station.runs.batches.batches import merged_entry
 from vaoi_station.runs.merging.merged_pictures import MergeRequest
 from vaoi_station.runs.states.schemas import ImageFormat as Rendered

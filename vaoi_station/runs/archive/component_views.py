@@ -24,10 +24,10 @@ from vaoi_station.rendering import (
     ImageRequest,
     View,
     ViewCalculator,
-    choose_images,
+    choose_all,
 )
 from vaoi_station.rendering.selection import Measure, select
-from vaoi_station.rendering.view_table import ViewTable
+from vaoi_station.rendering.views import ViewTable
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
 from vaoi_station.stitching.geometry import ComponentIndex, Coverage, FrameIndex
@@ -112,7 +112,7 @@ def images_of_component(
     calculator = finished.view_calculator
     stitch = with_heights(finished.result, heights_mm or {}) if on_top else finished.stitch or finished.result
     frames = usable_frames(finished), frame_facts(finished)
-    return choose_images(calculator, part, (finished.board_type, stitch), frames, wanted.check(), measure)
+    return choose_all(calculator, [part], (finished.board_type, stitch), frames, wanted.check(), measure)[0]
 
 
 def image_of_component(

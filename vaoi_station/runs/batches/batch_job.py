@@ -30,7 +30,7 @@ from vaoi_station.rendering import (
     measure,
     render_chosen,
 )
-from vaoi_station.rendering.description import describe
+from vaoi_station.rendering.selection import describe
 from vaoi_station.runs.batches.containers import ContainerName, Member, Packed, pack
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers.jobs import PictureJob, Priority

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vaoi_station.errors import InputError
-from vaoi_station.hdr.parts import region_component
+from vaoi_station.hdr.merging import region_component
 from vaoi_station.model import BoardType, Component
 from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.archive.component_views import component_of

@@ -22,7 +22,7 @@ from vaoi_station.errors import GoneError, InputError, NotFoundError, VaoiError
 from vaoi_station.hdr.encoding import MergedFormat
 from vaoi_station.model import Component
 from vaoi_station.model.stitch_result import Heights, with_heights
-from vaoi_station.rendering import choose_images
+from vaoi_station.rendering import choose_all
 from vaoi_station.runs.archive.component_views import frame_facts, tables_of
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.batches.batch_job import (
@@ -162,8 +162,8 @@ class BatchAccess:
         elif components:
             # A light or a direction that the run does not have is refused here, before the first byte.
             part = smallest(components)
-            choose_images(
-                calculator, part, (finished.board_type, result), (slots, facts), request.images, lambda _: None
+            choose_all(
+                calculator, [part], (finished.board_type, result), (slots, facts), request.images, lambda _: None
             )
         detail = finished.detail
         modified_s = int(datetime.fromisoformat(detail.finished or detail.started).timestamp())

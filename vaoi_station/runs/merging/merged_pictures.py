@@ -20,10 +20,15 @@ import numpy as np
 from vaoi_station.errors import GoneError, InputError, InternalError, NotFoundError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.hdr import Exposed
-from vaoi_station.hdr.bodies import bodies_in, views_of_bodies
 from vaoi_station.hdr.encoding import LINEAR, MergedFormat
-from vaoi_station.hdr.merging import distinct_exposures, exposure_groups
-from vaoi_station.hdr.parts import region_component, views_on_top
+from vaoi_station.hdr.merging import (
+    bodies_in,
+    distinct_exposures,
+    exposure_groups,
+    region_component,
+    views_of_bodies,
+    views_on_top,
+)
 from vaoi_station.hdr.row_levels import at_level
 from vaoi_station.model import FrameRecord
 from vaoi_station.model.recording import usual_light

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from vaoi_station.errors import BusyError, InputError, StateError
 from vaoi_station.files.images import encode_jpeg, encode_png
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, refuse_without_room, write_pyramid
+from vaoi_station.frame_index import Box, FrameIndex
 from vaoi_station.model.stitch_result import Heights, with_heights
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
-from vaoi_station.mosaic.deep_zoom import Box
 from vaoi_station.mosaic.grid import Region
-from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.mosaic.tiles import NODATA
 from vaoi_station.photometry import FlatFields
@@ -325,8 +324,8 @@ class Mosaics:
         plan, reduction, picture = self._render(job, "plan of the mosaic")
         return PlannedMosaic(plan, None if choice.hdr else Overview(picture, reduction))
 
-    def _projector(self, finished: FinishedRun) -> FrameProjector:
-        return FrameProjector(finished.stitch or finished.result, finished.cameras)
+    def _projector(self, finished: FinishedRun) -> FrameIndex:
+        return FrameIndex(finished.stitch or finished.result, finished.cameras)
 
 
 def _box(grid: MosaicGrid, x: int, y: int) -> Box:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import NotFoundError
+from vaoi_station.frame_index import Box, FrameIndex
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TileRenderer
-from vaoi_station.mosaic.deep_zoom import TILE_PX, Box
-from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.grid import TILE_PX
 from vaoi_station.mosaic.tiles import NODATA
 from vaoi_station.runs.workers.picture_jobs import Slots
 
@@ -42,7 +42,7 @@ class OpenedMosaic:
 
     grid: MosaicGrid
     """The largest grid."""
-    projector: FrameProjector
+    projector: FrameIndex
     slots: Slots
     """Slots of the usable frames of the run."""
     planning: threading.Lock = field(default_factory=threading.Lock)

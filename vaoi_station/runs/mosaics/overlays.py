@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from vaoi_station.files.results import quality_of
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType
-from vaoi_station.mosaic.projection import FrameProjector
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import OverlayFiducial, OverlayFrame, OverlayLinks, Point, RunOverlay
 
@@ -25,7 +25,7 @@ def overlay_of(finished: FinishedRun) -> RunOverlay:
     """
     quality = quality_of(finished.text)
     stitch, board_type = finished.stitch or finished.result, finished.board_type
-    projector = FrameProjector(stitch, finished.cameras)
+    projector = FrameIndex(stitch, finished.cameras)
     assert stitch.cad_matrix is not None, "the projector refuses a run without it"
     cad_from_tester: Floats = np.asarray(np.linalg.inv(stitch.cad_matrix), np.float64)
     return RunOverlay(
@@ -47,7 +47,7 @@ def _outline(board_type: BoardType) -> tuple[Point, ...]:
     return (x0, y0), (x1, y0), (x1, y1), (x0, y1)
 
 
-def _frames(finished: FinishedRun, projector: FrameProjector, quality: dict[str, Any]) -> Iterator[OverlayFrame]:
+def _frames(finished: FinishedRun, projector: FrameIndex, quality: dict[str, Any]) -> Iterator[OverlayFrame]:
     sigma = quality.get("matrix_sigma_px") or []
     for frame in finished.detail.frames:
         i, j = frame.camera, frame.row

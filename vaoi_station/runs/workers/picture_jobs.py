@@ -16,28 +16,31 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.board_check.check import check_board
-from vaoi_station.board_check.picture import picture_of_check
+from vaoi_station.board_check.check import check_board, picture_of_check
+from vaoi_station.board_check.overview import CheckedRun
 from vaoi_station.board_check.report import BoardCheck
-from vaoi_station.board_check.run_frames import CheckedRun
 from vaoi_station.files.images import encode_jpeg, encode_png, encode_tiff, read_kept_image
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.hdr import Exposed
-from vaoi_station.hdr.bodies import Body, merge_region
 from vaoi_station.hdr.encoding import encode_merged
+from vaoi_station.hdr.merging import Body, merge_region
 from vaoi_station.hdr.row_levels import row_levels
-from vaoi_station.heights.comparison import heights_document
-from vaoi_station.heights.equalised_frames import equalised_frames
-from vaoi_station.heights.estimates import PartMeasure, combine_parts, measure_part, open_places
-from vaoi_station.heights.part_grids import Frames as PartFrames
-from vaoi_station.identity.code_reader import CodeReader, Progress
-from vaoi_station.identity.region_pictures import RegionPictures
+from vaoi_station.heights.estimates import (
+    PartMeasure,
+    combine_parts,
+    equalised_frames,
+    heights_document,
+    measure_part,
+    open_places,
+)
+from vaoi_station.heights.pictures import Frames as PartFrames
+from vaoi_station.identity.code_reader import CodeReader, Progress, RegionPictures
 from vaoi_station.model import BoardReading, BoardType, Stitch
 from vaoi_station.mosaic import FrameChoice, MosaicGrid, MosaicPlan, TileRenderer, make_plan
-from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.gains import COARSE_PX
 from vaoi_station.mosaic.reduction import Reduced, ReducedFrames
-from vaoi_station.mosaic.survey import COARSE_PX
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.mosaic.tiles import NODATA, Frames, Scratch, render_tile
 from vaoi_station.photometry import FlatFields, Taken
@@ -267,7 +270,7 @@ class PlanJob(SteppedJob):
 
     def steps(self, frame: ReadSlot) -> Steps[PlannedPicture]:
         """Survey the frames of the run, make the plan and by it the picture, from the reduced frames of the survey."""
-        read, projector = _reader(self.slots, frame), FrameProjector(self.stitch, self.cameras)
+        read, projector = _reader(self.slots, frame), FrameIndex(self.stitch, self.cameras)
         reduction = 1
         while self.grid.width * self.grid.height > OVERVIEW_PX * reduction**2:
             reduction *= 2

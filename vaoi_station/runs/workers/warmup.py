@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.hdr.kernels import Source, accumulate, add_shifted, by_depth, linearise, mean, noise_factors
+from vaoi_station.hdr.kernels import Source, add_shifted, by_depth, mean
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan, tiles
-from vaoi_station.mosaic.cells import label_boxes
-from vaoi_station.mosaic.projection import FrameProjector
+from vaoi_station.mosaic.plan import label_boxes
 from vaoi_station.rendering import frame_pairs
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.frames import resample
@@ -101,7 +101,7 @@ def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: ND
         make_plan(
             choose_frames(taken),
             partial(_frame, picture),
-            projector=FrameProjector(stitch, setup.cameras),
+            projector=FrameIndex(stitch, setup.cameras),
             board_type=board_type,
             stitch=stitch,
             base=MosaicGrid.of_board(board_type, _PX_PER_MM),
@@ -116,12 +116,8 @@ def _merge() -> None:
     for array in (one, flat := np.ones((6, 6), np.float32)):
         array.flags.writeable = False
     source = Source(*by_depth(np.ones((6, 6), np.uint8)), one, flat, 1.0, 255.0, 1.0, 1.0, 1.0)
-    linearise(source, (1, 1, 5, 5), out)
     add_shifted(source, np.eye(3), (0, 0, 4, 4), groups, sums)
-    noise_factors(np.eye(3), out)
-    own = sums[0, 0], sums[1, 0], sums[2, 0]
-    accumulate((out, out), np.ones((1, 1)), (1.0, 1.0), own)
-    mean(*own[:2], out)
+    mean(sums[0, 0], sums[1, 0], out)
 
 
 def _setup() -> StitchSetup:
