@@ -75,7 +75,7 @@ def broken(root: Path, promises: Sequence[Promise]) -> list[str]:
     names = {kind: [p.name for p in promises if p.kind == kind] for kind in kinds}
     found = []
     with closing(Store(Database(root / "data" / "station.db"))) as store:
-        found += [notice.message for notice in store.notices]
+        found += [notice.message for notice in store.database.notices]
         fault = store.database.read("PRAGMA integrity_check")[0][0]
         found += [] if fault == "ok" else [fault]
         for run in names["run"]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sqlite3
 from pathlib import Path
 
@@ -12,9 +11,7 @@ import pytest
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.store import Database
 from vaoi_station.store.database_file import (
-    connect,
     earlier_notices,
-    identity_of,
     is_empty,
     open_database,
     rescue,
@@ -104,17 +101,6 @@ def test_a_transaction_that_sqlite_has_rolled_back_does_not_hide_its_cause(path:
     connection.close()
 
 
-def test_the_identity_changes_with_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "f"
-    assert identity_of(path) is None
-    path.write_text("1")
-    first = identity_of(path)
-    (tmp_path / "g").write_text("2")
-    (tmp_path / "g").replace(path)
-    assert first != identity_of(path) is not None
-    connect(tmp_path / "h").close()
-
-
 FULL, READ_ONLY = StorageTrouble("storage-full", "full"), StorageTrouble("storage-read-only", "read-only")
 
 
@@ -171,18 +157,6 @@ def test_a_damaged_or_older_database_is_waited_for(path: Path) -> None:
     path.write_bytes(b"SQLite format 3\0" * 300)
     assert stand_in(path, FULL, 1) is None
     assert stand_in(path, StorageTrouble("database-newer", "newer"), 1) is None
-
-
-def test_a_deleted_file_is_written_back_with_all_that_was_committed(path: Path) -> None:
-    connection, _ = open_database(path)
-    connection.execute("INSERT INTO events VALUES (1, '{}')")
-    shutil.rmtree(path.parent)
-    assert rescue(connection, path, lambda: None).code == "database-deleted"
-    connection.close()
-    again, notice = open_database(path)
-    assert [tuple(row) for row in again.execute("SELECT * FROM events")] == [(1, "{}")]
-    assert notice is None
-    again.close()
 
 
 def test_a_large_file_is_written_back_with_a_heartbeat(path: Path) -> None:

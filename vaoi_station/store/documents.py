@@ -22,7 +22,7 @@ from vaoi_station.store.figures import BoardFigures
 from vaoi_station.store.retention import RunRetention
 from vaoi_station.store.run_search import RunSearch
 from vaoi_station.store.schema import ANY_OF, DOUBTFUL, PACKED, keys_of, packed, unpacked
-from vaoi_station.store.storage_trouble import StorageTrouble, translated_errors
+from vaoi_station.store.storage_trouble import translated_errors
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
@@ -327,26 +327,6 @@ class Store:
         self.retention = RunRetention(database)
         self.standing = StandingDocuments(database)
         self.configurations = Configurations(database)
-
-    @property
-    def trouble(self) -> StorageTrouble | None:
-        """The trouble that prevents writing to the database at present; None if writes succeed."""
-        return self._database.trouble
-
-    @property
-    def notices(self) -> tuple[StorageTrouble, ...]:
-        """Troubles since the start by which data were lost or moved."""
-        return self._database.notices
-
-    @property
-    def history_unread(self) -> bool:
-        """Whether the station began without a database because the disk was full; an older one may appear later."""
-        return self._database.history_unread
-
-    @property
-    def free_bytes(self) -> int | None:
-        """Free space for the database at the last check, bytes; None if it is not known."""
-        return self._database.free_bytes
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
         """Store a board type or a calibration in the form in which it was used, and return its digest."""

@@ -18,6 +18,9 @@ from vaoi_station.store import StorageTrouble, Store
 @dataclass
 class Acknowledgements:
     acknowledged: frozenset[Path] = frozenset()
+    trouble: StorageTrouble | None = None
+    notices: tuple[StorageTrouble, ...] = ()
+    free_bytes: int | None = None
 
     def acknowledge(self, name: str) -> None:
         self.acknowledged |= {Path(name)}
@@ -32,9 +35,6 @@ class Sizes:
 class Storage:
     retention: Sizes = field(default_factory=Sizes)
     database: Acknowledgements = field(default_factory=Acknowledgements)
-    trouble: StorageTrouble | None = None
-    notices: tuple[StorageTrouble, ...] = ()
-    free_bytes: int | None = None
 
 
 @dataclass
@@ -65,13 +65,13 @@ def test_a_trouble_is_published_once_and_is_a_warning_while_it_lasts(
 ) -> None:
     watch.tick()
     assert (watch.warnings(), events.codes, watch.in_trouble) == ((), [], False)
-    storage.trouble = StorageTrouble("storage-full", "The disk is full.", "Free space.")
+    storage.database.trouble = StorageTrouble("storage-full", "The disk is full.", "Free space.")
     for _ in range(3):
         watch.tick()
     [warning] = watch.warnings()
     assert (warning.code, warning.message) == ("storage-full", "The disk is full. 3 finished runs wait in memory.")
     assert (events.codes, watch.in_trouble) == (["storage-full"], True)
-    storage.trouble = None
+    storage.database.trouble = None
     watch.tick()
     assert (watch.warnings(), events.codes) == ((), ["storage-full", "storage-back"])
 
@@ -79,7 +79,10 @@ def test_a_trouble_is_published_once_and_is_a_warning_while_it_lasts(
 def test_figures_name_the_trouble_and_the_sizes(
     watch: StorageWatch, storage: Storage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    storage.free_bytes, storage.trouble = 5, StorageTrouble("storage-full", "The disk is full.", "Free space.")
+    storage.database.free_bytes, storage.database.trouble = (
+        5,
+        StorageTrouble("storage-full", "The disk is full.", "Free space."),
+    )
     watch.tick()
     assert watch.figures() == (5, 4096, 3, "storage-full")
 
@@ -91,21 +94,21 @@ def test_figures_name_the_trouble_and_the_sizes(
 
 
 def test_what_happened_to_the_database_stays_a_warning(watch: StorageWatch, storage: Storage, events: Events) -> None:
-    storage.notices = (StorageTrouble("database-damaged", "Set aside."),)
+    storage.database.notices = (StorageTrouble("database-damaged", "Set aside."),)
     watch.tick()
     watch.tick()
-    storage.notices = (*storage.notices, StorageTrouble("database-deleted", "Written back."))
+    storage.database.notices = (*storage.database.notices, StorageTrouble("database-deleted", "Written back."))
     watch.tick()
     assert events.codes == ["database-damaged", "database-deleted"]
     assert [warning.code for warning in watch.warnings()] == events.codes
 
 
 def test_little_space_is_a_warning(watch: StorageWatch, storage: Storage, events: Events) -> None:
-    storage.free_bytes = module.LOW_BYTES - 1
+    storage.database.free_bytes = module.LOW_BYTES - 1
     watch.tick()
     watch.tick()
     assert [warning.code for warning in watch.warnings()] == events.codes == ["storage-low"]
-    storage.free_bytes = module.LOW_BYTES
+    storage.database.free_bytes = module.LOW_BYTES
     watch.tick()
     assert watch.warnings() == ()
 
@@ -114,7 +117,9 @@ def test_the_warning_about_a_file_ends_when_it_is_acknowledged(
     watch: StorageWatch, storage: Storage, events: Events
 ) -> None:
     files = [Path("station.db.damaged-1Z"), Path("station.db.deleted-2Z")]
-    storage.notices = tuple(StorageTrouble("database-damaged", f"{file}: was set aside.", kept=file) for file in files)
+    storage.database.notices = tuple(
+        StorageTrouble("database-damaged", f"{file}: was set aside.", kept=file) for file in files
+    )
     watch.tick()
     assert len(watch.warnings()) == 2
     watch.acknowledge(files[0].name)

@@ -63,7 +63,7 @@ class EveryStart(RuleBasedStateMachine):
         self.finished: list[str] = []
         self.full = False
         assert self.store.unfinished() == []
-        if self.store.notices:
+        if self.store.database.notices:
             self.safe.clear()  # a notice says that the history was lost
         for run, number in self.safe.items():
             row = self.store.run(run)

@@ -116,7 +116,7 @@ class Archive:
         """Held while runs are announced, so that runs are announced in their order, whichever thread does it."""
         last = store.last_finished()
         # Without the history, numbers begin above all that it can have: it counts runs, this counts seconds.
-        self._finished = int(time.time()) if store.history_unread else last.finish_number or 0 if last else 0
+        self._finished = int(time.time()) if store.database.history_unread else last.finish_number or 0 if last else 0
         """Highest finish number that was given to a run. That run may not have been announced yet."""
         self._before = self._finished
         """Highest finish number before this start. Frames of runs up to it are gone, whatever the database states."""
@@ -308,7 +308,7 @@ class Archive:
         self._before = self._announced = self._finished
         # Awaited, so that later calls read what was written. A disk that takes nothing does not keep the station from
         # filming: until it does, the runs are in memory as they are.
-        while wait(saved, timeout=0.05).not_done and self._store.trouble is None:
+        while wait(saved, timeout=0.05).not_done and self._store.database.trouble is None:
             pass
         for future, waiting in saved.items():
             if future.done():

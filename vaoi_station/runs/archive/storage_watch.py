@@ -46,14 +46,14 @@ class StorageWatch:
 
     def tick(self) -> None:
         """Publish what has changed since the last tick."""
-        before, self._trouble = self._trouble, self._store.trouble
+        before, self._trouble = self._trouble, self._store.database.trouble
         now = self._trouble
         if now is not None and (before is None or before.code != now.code):
             self._events.add("trouble", now.message, code=now.code, action=now.action)
         elif now is None and before is not None:
             self._events.add("storage", "The database is written again.", code="storage-back")
         # Notices come and go: one ends when the file that it names was cleared away.
-        notices = self._store.notices
+        notices = self._store.database.notices
         for notice in notices:
             if notice not in self._published:
                 self._events.add("trouble", notice.message, code=notice.code, action=notice.action)
@@ -78,7 +78,7 @@ class StorageWatch:
             used = self._store.retention.used_bytes()
         trouble = self._trouble
         return StorageFigures(
-            self._store.free_bytes, used, self._count_unstored(), "" if trouble is None else trouble.code
+            self._store.database.free_bytes, used, self._count_unstored(), "" if trouble is None else trouble.code
         )
 
     def warnings(self) -> tuple[Reason, ...]:
@@ -88,16 +88,15 @@ class StorageWatch:
             found.append(present)
         elif (low := self._low_space()) is not None:
             found.append(low)
-        known = self._store.database.acknowledged
-        found += [
-            Reason(code=n.code, message=n.message, action=n.action) for n in self._store.notices if n.kept not in known
-        ]
+        database = self._store.database
+        lost = (n for n in database.notices if n.kept not in database.acknowledged)
+        found += [Reason(code=n.code, message=n.message, action=n.action) for n in lost]
         return tuple(found)
 
     def set_aside(self) -> tuple[SetAsideFile, ...]:
         """Return the files of databases that were set aside and are still there."""
         known = self._store.database.acknowledged
-        kept = ((n.kept, n.code) for n in self._store.notices)
+        kept = ((n.kept, n.code) for n in self._store.database.notices)
         return tuple(SetAsideFile(file=k.name, code=code, acknowledged=k in known) for k, code in kept if k is not None)
 
     def acknowledge(self, file: str) -> None:
@@ -111,7 +110,7 @@ class StorageWatch:
         self._events.add("storage", f"The warning about {file} was acknowledged.", code="acknowledged")
 
     def _low_space(self) -> Reason | None:
-        free = self._store.free_bytes
+        free = self._store.database.free_bytes
         if free is None or free >= LOW_BYTES:
             return None
         return Reason(

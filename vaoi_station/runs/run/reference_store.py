@@ -130,9 +130,9 @@ class ReferenceStore:
             # would delete all of them.
             keep = self._directory / KEEP
             # While the disk takes no writes, the database may be an empty one that stands in for it.
-            if self._store.trouble is not None or self._store.history_unread:
+            if self._store.database.trouble is not None or self._store.database.history_unread:
                 return
-            if self._store.notices and self._directory.is_dir():
+            if self._store.database.notices and self._directory.is_dir():
                 keep.touch()
             if keep.exists():
                 return
