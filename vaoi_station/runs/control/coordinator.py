@@ -25,12 +25,17 @@ from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
 from vaoi_station.runs.archive.finished_runs import RunFigures
 from vaoi_station.runs.archive.kept_runs import KeptRuns
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
+from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.pictures import FrameAccess, ViewRequest
 from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
 from vaoi_station.runs.control.teaching import BoardTypeService
 from vaoi_station.runs.host.processes import GcPolicy
 from vaoi_station.runs.lighting.trials import Lighting
+from vaoi_station.runs.merging.merged_pictures import MergedAccess
+from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
+from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
+from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.run.inbox import Inbox
 from vaoi_station.runs.run.memory import OWN
 from vaoi_station.runs.run.order import Order, Passing
@@ -99,14 +104,18 @@ class StationCoordinator:
         self._gc_policy, self._core, self.storage = GcPolicy(), Core(parts, self._inbox.post), parts.archive.storage
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, parts.workers)
-        common, fields = (parts.archive, access.lease, access.render), parts.config.flat_fields
-        self.heights = MeasuredHeights(*common, access.bay_of, parts.events, fields)
-        self.mosaics = access.mosaics(parts.config, self.heights.known, parts.workers.hastened)
-        made = self.heights, access.kept_mosaics(parts.config, self.mosaics, parts.events)
-        self.kept = KeptRuns(parts.config, parts.archive, parts.events, access, *made, access.render)
-        access.heights, parts.watch.on_checked = self.heights.known, self.kept.trends.checked
-        access.recorded, self.merged = self.kept.recordings.frame_file, access.merged(parts.config)
-        self.batches = access.batches(self.merged, self.kept.shown)
+        config, events, fields = parts.config, parts.events, parts.config.flat_fields
+        pixels = parts.archive, access.lease, access.render
+        self.heights = MeasuredHeights(*pixels, access.bay_of, events, fields)
+        known, hastened = self.heights.known, parts.workers.hastened
+        self.mosaics = Mosaics(*pixels, fields, known, hastened, access.note_fetch, access.tile)
+        pictures = KeptMosaics(config.data / MOSAICS, config.keep, parts.archive, self.mosaics, access, events)
+        self.kept = KeptRuns(config, parts.archive, events, access, self.heights, pictures, access.render)
+        access.heights, parts.watch.on_checked = known, self.kept.trends.checked
+        recorded = access.recorded = self.kept.recordings.frame_file
+        of_runs = parts.archive.get, access.lease, recorded, access.render
+        self.merged = MergedAccess(*of_runs, fields, known)
+        self.batches = BatchAccess(*of_runs, self.merged, known, self.kept.shown)
         self._board_types = BoardTypeService(board_types, references, parts, self._core, self._inbox, access)
         self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core.trial, self._core.devices)
         self.board_type_history = BoardTypeHistory(board_types, self._board_types.put)
@@ -237,10 +246,7 @@ class StationCoordinator:
         return self._board_types.get(name)
 
     def put_board_type(self, board_type: BoardType) -> bool:
-        """Add or replace a board type; return True if the name is new.
-
-        Existing runs keep the board type they were filmed with. An armed line keeps the board type of its order.
-        """
+        """Add or replace a board type, for later runs; return True if the name is new."""
         return self._board_types.put(board_type)
 
     def delete_board_type(self, name: str) -> None:
@@ -252,17 +258,7 @@ class StationCoordinator:
         return self._board_types.reference(board_type)
 
     def teach_reference(self, board_type: str, run: str, *, confirm_orientation: bool = False) -> bool:
-        """Make a finished run the reference of its board type, from the next arming on.
-
-        Returns True if the board type had no reference before. With `confirm_orientation`, a person has confirmed how
-        the board lay, which settles a verdict that is degraded only because the orientation is ambiguous.
-
-        Raises:
-            NotFoundError: there is no such run or board type.
-            InputError: the run shows another board type.
-            StateError: the run has no result yet, or the verdict of its result is not ok.
-            GoneError: the frames of the run are no longer in memory.
-        """
+        """Make a finished run the reference of its board type, from the next arming on; True if it had none before."""
         return self._board_types.teach_reference(board_type, run, confirm_orientation=confirm_orientation)
 
     def forget_reference(self, board_type: str) -> None:
@@ -365,13 +361,7 @@ class StationCoordinator:
         return component_views.components_of(self._parts.archive.get(run))
 
     def images(self, run: str, ref: str, wanted: ImageRequest = ImageRequest()) -> ChosenImages:  # noqa: B008
-        """Choose the temporary images of a component; each can be rendered.
-
-        Args:
-            run: id of the run.
-            ref: address of the component, `panel/ref` or `ref`.
-            wanted: how images are framed, which are wanted, and in which order.
-        """
+        """Choose the temporary images of a component, by its address `panel/ref` or `ref`; each can be rendered."""
         return self._frames.images(self._parts.archive.get(run).detail, ref, wanted)
 
     def image(

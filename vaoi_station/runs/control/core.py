@@ -21,11 +21,10 @@ from vaoi_station.runs.control.line_control import Acquisition, Completion, Line
 from vaoi_station.runs.control.readiness import LinePermit
 from vaoi_station.runs.control.reasons import StationStateMachine, sentence
 from vaoi_station.runs.lighting.trials import CameraTrial
-from vaoi_station.runs.run.boards import UNWATCHED, BoardAccount
+from vaoi_station.runs.run.boards import UNWATCHED, BoardAccount, TriggerWatch
 from vaoi_station.runs.run.memory import BayRing, Leases, Memory
 from vaoi_station.runs.run.order import Order, Passing, Resumed, StandingOrder
 from vaoi_station.runs.run.progress import Progress
-from vaoi_station.runs.run.trigger_watch import TriggerWatch
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
 from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, LinkJob, Reply

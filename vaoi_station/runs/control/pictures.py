@@ -18,22 +18,15 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring import Ring
-from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
 from vaoi_station.files.images import read_kept_image
 from vaoi_station.model import FrameRecord
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, Measures, View, measure
 from vaoi_station.runs.archive import component_views
-from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.active_runs import Workers
 from vaoi_station.runs.control.core import Core
-from vaoi_station.runs.merging.merged_pictures import MergedAccess
-from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
-from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
-from vaoi_station.runs.mosaics.mosaics import Hastened, KnownHeights, Mosaics
-from vaoi_station.runs.pictures.small_pictures import SmallPictures
+from vaoi_station.runs.control.small_pictures import SmallPictures
 from vaoi_station.runs.run.inbox import Inbox
 from vaoi_station.runs.run.memory import OWN, Bay, Lease
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
@@ -168,39 +161,12 @@ class FrameAccess:
 
         return measured
 
-    def merged(self, config: StationConfig) -> MergedAccess:
-        """Return the access to merged pictures, with the flat fields of the station."""
-
-        def recorded(run: str, camera: int, row: int) -> Path | None:
-            return self.recorded(run, camera, row)
-
-        return MergedAccess(self._archive.get, self.lease, recorded, self.render, config.flat_fields, self.heights)
-
-    def batches(self, merged: MergedAccess, published: Callable[[RunDetail], RunDetail]) -> BatchAccess:
-        """Return the access to batches of pictures.
-
-        Args:
-            merged: makes those pictures that are merged.
-            published: returns the document of a run as callers see it.
-        """
-        pixels = self._archive.get, self.lease, self.recorded, self.render
-        return BatchAccess(*pixels, merged, self.heights, published)
-
-    def mosaics(self, config: StationConfig, heights: KnownHeights, hastened: Hastened) -> Mosaics:
-        """Return the access to mosaics of whole boards, whose small tiles this process renders itself."""
-        access = self._archive, self.lease, self.render
-        return Mosaics(*access, config.flat_fields, heights, hastened, self.note_fetch, self.tile)
-
     def tile(self, job: TileJob) -> bytes | None:
         """Render a tile in this thread; None if a worker has to, as while a board is filmed or stitched.
 
         Callers of tiles come in numbers. Rendered beside the workers, tiles of eight callers delayed matrices by 0.1 s.
         """
         return None if self.busy() else self.small.render(job)
-
-    def kept_mosaics(self, config: StationConfig, mosaics: Mosaics, events: EventLog) -> KeptMosaics:
-        """Return the small pictures of whole boards that are kept, which `mosaics` makes."""
-        return KeptMosaics(config.data / MOSAICS, config.keep, self._archive, mosaics, self, events)
 
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""

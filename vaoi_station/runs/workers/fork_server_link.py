@@ -18,7 +18,6 @@ from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.runs.host.processes import keep_freed_memory
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
-from vaoi_station.runs.workers import fork_server as messages
 from vaoi_station.runs.workers.fork_server import (
     Fork,
     Forked,
@@ -27,18 +26,17 @@ from vaoi_station.runs.workers.fork_server import (
     ServerReady,
     ServerStarting,
     WorkerEnded,
+    receive,
     run_fork_server,
+    send,
 )
 
 _log = logging.getLogger(__name__)
 
-NAME = "fork server"
-_MS_PER_S = 1000.0
 RESTART_POLICY = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=30.0)
 """Pauses before a worker or a fork server that has died is restarted."""
 START_LIMIT_S = 600.0
-"""Longest time for the start of the fork server. The first start after an installation compiles, which takes
-minutes."""
+"""Longest time for the start of the fork server: the first one after an installation compiles, which takes minutes."""
 PING_INTERVAL_S = 1.0
 """Time without a message after which the fork server is pinged."""
 REPLY_LIMIT_S = 10.0
@@ -46,10 +44,11 @@ REPLY_LIMIT_S = 10.0
 END_S = 5.0
 """Longest wait for the end of a process. A killed one is then given up: the kernel cannot end it while it waits for a
 disk."""
+_MS_PER_S = 1000.0
 
 
 class ChildProcess:
-    """One process. Its pidfd stands for this process alone, also after its pid was given to another one."""
+    """One process, also of another parent. Its pidfd stands for it alone, also after its pid was given to another."""
 
     def __init__(self, pid: int, pidfd: int) -> None:
         """Take over a pidfd. `close` closes it."""
@@ -94,6 +93,7 @@ class ForkServerLink:
         self._backoff = Backoff(RESTART_POLICY)
         self._spawned: SpawnProcess | None = None
         self._process: ChildProcess | None = None
+        """The same process by a pidfd: the `sentinel` would be open in its workers too, and thus not show its end."""
         self._control: socket.socket | None = None
         self.ready = False
         """Whether workers may be requested."""
@@ -115,7 +115,7 @@ class ForkServerLink:
         """Return the state of the fork server, for `GET station` and the page."""
         process, seen_s, due_s = self._process, self._seen_s, self._backoff.due_s
         return ProcessStatus(
-            name=NAME,
+            name="fork server",
             pid=process.pid if process else None,
             alive=process is not None,
             restarts=self._restarts,
@@ -140,12 +140,7 @@ class ForkServerLink:
         return worker.pid in self._workers
 
     def request(self, index: int, ring: str, pipe: int) -> None:
-        """Request a worker; `outcomes` reports what became of it.
-
-        Args:
-            index: index of the worker.
-            ring: path of the ring.
-            pipe: file descriptor of the worker's end of its pipe. It is copied.
+        """Request a worker for a ring; `outcomes` reports what became of it. `pipe` is its end of its pipe, copied.
 
         Raises:
             OSError: the fork server has ended, or does not read.
@@ -185,23 +180,37 @@ class ForkServerLink:
     def _start(self) -> None:
         self._backoff.start_attempt()
         try:
-            self._spawned, self._process, self._control = _spawn(self._count)
+            here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            here.setblocking(False)
+            # Not a daemon in the sense of `multiprocessing`, which may not have child processes.
+            spawned = multiprocessing.get_context("spawn").Process(
+                target=run_fork_server, args=(there, self._count), name="vaoi-forkserver"
+            )
+            try:
+                # The server has a copy of its end. If it were open here, the socket would outlive the server.
+                with there, keep_freed_memory():
+                    spawned.start()
+                assert spawned.pid is not None, "it was started"
+                self._process = ChildProcess(spawned.pid, os.pidfd_open(spawned.pid))
+            except OSError:
+                here.close()
+                raise
         except OSError as fault:
             # There is too little memory, or there are too many processes or files. This may pass.
             self._backoff.record_failure()
             self._report_end(f"The fork server could not be started ({fault}); it is tried again.")
             return
-        self._unanswered_s = time.monotonic()
+        self._spawned, self._control, self._unanswered_s = spawned, here, time.monotonic()
 
     def _send(self, message: Fork | Ping, *descriptors: int) -> None:
         assert self._control is not None
-        messages.send(self._control, message, *descriptors)
+        send(self._control, message, *descriptors)
         self._unanswered_s = self._unanswered_s or time.monotonic()
 
     def _received(self) -> Iterator[Outcome]:
         assert self._control is not None
         with suppress(BlockingIOError):
-            while (received := messages.receive(self._control)) is not None:
+            while (received := receive(self._control)) is not None:
                 self._seen_s = time.monotonic()
                 yield from self._handle(*received)
 
@@ -274,27 +283,3 @@ class ForkServerLink:
 def describe_silence(silent_s: float) -> str:
     """Describe how a process has ended that did not reply within a limit: the end of a sentence."""
     return f"did not answer for {silent_s:g} s, so that the station ended it"
-
-
-def _spawn(workers: int) -> tuple[SpawnProcess, ChildProcess, socket.socket]:
-    """Start a fork server, and return it, the same to watch it by a pidfd, and the station's end of its socket.
-
-    Raises:
-        OSError: the computer has too little memory, or too many processes or files.
-    """
-    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    here.setblocking(False)
-    spawn = multiprocessing.get_context("spawn")
-    # Not a daemon in the sense of `multiprocessing`, which may not have child processes.
-    spawned = spawn.Process(target=run_fork_server, args=(there, workers), name="vaoi-forkserver")
-    # The server has a copy of its end. If it were kept open here, the socket would stay open after the server's death.
-    with there:
-        try:
-            with keep_freed_memory():
-                spawned.start()
-            assert spawned.pid is not None, "it was started"
-            # The `sentinel` of the process would be open in its workers too, and thus not show its end.
-            return spawned, ChildProcess(spawned.pid, os.pidfd_open(spawned.pid)), here
-        except OSError:
-            here.close()
-            raise

@@ -16,9 +16,9 @@ from vaoi_station.files.images import decode
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.control import pictures
+from vaoi_station.runs.control import small_pictures as module
 from vaoi_station.runs.control.pictures import SMALL_PX
-from vaoi_station.runs.pictures import small_pictures as module
-from vaoi_station.runs.pictures.small_pictures import LARGEST_PX, SEATS
+from vaoi_station.runs.control.small_pictures import LARGEST_PX, SEATS
 from vaoi_station.runs.workers.evidence_log import EvidenceLog, shared_memory
 from vaoi_station.runs.workers.jobs import Numbered, Reply
 from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
