@@ -12,7 +12,7 @@ import numpy as np
 
 from tests.soak.series import Series, all_series
 from tests.soak.slopes import LEAST_BLOCKS, Slope, block_medians
-from vaoi_station.reporting.drawing.svg import drawing, label, polyline, tag
+from vaoi_station.reporting.drawing import drawing, label, polyline, tag
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "measured"
 TITLES = {"quiet": "Without faults", "faults": "With faults"}

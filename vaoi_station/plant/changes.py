@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vaoi_station.files.documents import write_bytes
-from vaoi_station.reporting.drawing.html_page import Section, facts, page, table
-from vaoi_station.reporting.drawing.scales import number
-from vaoi_station.reporting.drawing.svg import tag, text
+from vaoi_station.reporting.drawing import Section, facts, number, page, table, tag, text
 
 if TYPE_CHECKING:
     import duckdb

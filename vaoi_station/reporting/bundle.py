@@ -11,8 +11,8 @@ import numpy as np
 from vaoi_station.files import Recording, write_stitch
 from vaoi_station.files.directories import new_directory
 from vaoi_station.files.documents import write_bytes
+from vaoi_station.reporting.figures import detection_arrays, link_arrays
 from vaoi_station.reporting.html_report import write_report
-from vaoi_station.reporting.sections.embedded_data import detection_arrays, link_arrays
 from vaoi_station.reporting.stitched_run import StitchedRun
 
 REPORT, RESULT, LINKS, REFERENCE = "report.html", "result.json", "links.npz", "reference"

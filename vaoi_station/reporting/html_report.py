@@ -5,18 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from vaoi_station.files.documents import write_bytes
-from vaoi_station.reporting.drawing.html_page import page
-from vaoi_station.reporting.sections import (
-    board_maps,
-    frame_table,
-    provenance,
-    residual_vectors,
-    row_motion,
-    seams_and_fiducials,
-    summary,
-    tile_graph,
-)
-from vaoi_station.reporting.sections.embedded_data import data_block
+from vaoi_station.reporting import figures, maps
+from vaoi_station.reporting.drawing import page
+from vaoi_station.reporting.figures import data_block
 from vaoi_station.reporting.stitched_run import StitchedRun
 
 
@@ -24,19 +15,19 @@ def render_report(stitched: StitchedRun) -> str:
     """Return the whole report as one HTML document."""
     name = stitched.opened.recording.directory.resolve().name
     sections = [
-        summary.key_numbers(stitched),
-        tile_graph.tile_graph(stitched),
-        frame_table.frame_table(stitched),
-        row_motion.row_motion(stitched),
-        residual_vectors.residual_vectors(stitched),
-        seams_and_fiducials.seams(stitched),
-        seams_and_fiducials.fiducials(stitched),
-        board_maps.surface(stitched),
-        board_maps.components(stitched),
-        provenance.timings(stitched),
-        provenance.identity(stitched),
+        figures.key_numbers(stitched),
+        maps.tile_graph(stitched),
+        figures.frame_table(stitched),
+        figures.row_motion(stitched),
+        maps.residual_vectors(stitched),
+        figures.seams(stitched),
+        figures.fiducials(stitched),
+        maps.surface(stitched),
+        maps.components(stitched),
+        figures.timings(stitched),
+        figures.identity(stitched),
     ]
-    head = frame_table.picture_store(stitched) + summary.head(stitched, name)
+    head = figures.picture_store(stitched) + figures.head(stitched, name)
     return page(f"{name}: {stitched.result.status}", head, sections, data_block(stitched))
 
 

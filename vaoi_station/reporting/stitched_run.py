@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.model import RecordingHead, Stitch
-from vaoi_station.reporting.drawing.thumbnails import Thumbnail, thumbnail, thumbnail_width
+from vaoi_station.reporting.drawing import Thumbnail, thumbnail, thumbnail_width
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Links
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.recordings.opening import OpenedRun

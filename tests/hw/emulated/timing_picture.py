@@ -7,8 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from vaoi_station.reporting.drawing.scales import ticks
-from vaoi_station.reporting.drawing.svg import drawing, label, polyline, tag
+from vaoi_station.reporting.drawing import drawing, label, polyline, tag, ticks
 
 _PINS = {
     "PB0": "light barrier",

@@ -1,1 +1,0 @@
-"""The sections of the report. Each module makes one or two sections."""
