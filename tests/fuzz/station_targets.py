@@ -36,9 +36,8 @@ from vaoi_station.store.documents import digest_of
 from vaoi_station.transfer.backup import KIND as BACKUP
 from vaoi_station.transfer.backup import restore
 from vaoi_station.transfer.package import write_package
-from vaoi_station.transfer.run_export import BOARD_FILE, CALIBRATION_FILE
-from vaoi_station.transfer.run_export import KIND as RUN
-from vaoi_station.transfer.run_import import import_into_history
+from vaoi_station.transfer.runs import BOARD_FILE, CALIBRATION_FILE, import_into_history
+from vaoi_station.transfer.runs import KIND as RUN
 
 LARGEST_RING = 1 << 24
 """Size up to which the file of a ring is given the length that its header asks for."""

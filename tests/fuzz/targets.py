@@ -37,7 +37,7 @@ from vaoi_station.files.recordings import open_recording
 from vaoi_station.files.results import read_stitch
 from vaoi_station.simulation import read_scenario
 from vaoi_station.transfer.package import MANIFEST
-from vaoi_station.transfer.run_export import import_run
+from vaoi_station.transfer.runs import import_run
 
 GOLDEN = Path(__file__).parents[1] / "api" / "openapi.json"
 Target = Callable[[bytes, Path], object]

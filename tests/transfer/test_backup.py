@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+import sqlite3
+import subprocess
+import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import IO, Any
 
@@ -12,18 +16,19 @@ import pytest
 
 from tests.transfer.conftest import Site
 from vaoi_station.config import read_config
-from vaoi_station.errors import GoneError, InputError
+from vaoi_station.demo.station_files import write_station_files
+from vaoi_station.errors import DeviceError, GoneError, InputError
 from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.files.directories import files_below, remove_directory
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.simulation import scenario_path
 from vaoi_station.store import Database, Store
 from vaoi_station.transfer import backup
-from vaoi_station.transfer.backup import back_up, restore
-from vaoi_station.transfer.live_directories import open_files
-from vaoi_station.transfer.package import unpack_package, write_package
+from vaoi_station.transfer.backup import absent_files, back_up, check_database, copy_database, reading, restore
+from vaoi_station.transfer.package import open_files, unpack_package, write_package
 
 
 def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> None:
@@ -204,3 +209,73 @@ def test_a_backup_does_not_overwrite(site: Site, tmp_path: Path) -> None:
     (tmp_path / "backup").write_text("mine")
     with pytest.raises(InputError, match="exists already"):
         back_up(site.config, tmp_path / "backup")
+
+
+WRITER = """
+import sqlite3, sys
+c = sqlite3.connect(sys.argv[1], isolation_level=None, timeout=30)
+c.execute("PRAGMA synchronous = OFF")
+for n in range(1, 10**9):
+    c.execute("BEGIN IMMEDIATE")
+    c.execute("INSERT INTO events VALUES (?, ?)", (2 * n, "x" * 500))
+    c.execute("INSERT INTO events VALUES (?, ?)", (2 * n + 1, "x" * 500))
+    c.execute("COMMIT")
+    if n == 200:
+        print("on", flush=True)
+"""
+
+
+def test_a_copy_is_consistent_while_a_station_writes(tmp_path: Path) -> None:
+    Database(tmp_path / "station.db").close()
+    arguments = [sys.executable, "-c", WRITER, str(tmp_path / "station.db")]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE) as writer:
+        try:
+            assert writer.stdout is not None
+            assert writer.stdout.readline() == b"on\n"
+            for number in range(3):
+                copy = tmp_path / f"copy{number}.db"
+                copy_database(tmp_path / "station.db", copy)
+                check_database(copy)
+                with closing(sqlite3.connect(copy)) as opened:
+                    (rows,) = opened.execute("SELECT count(*) FROM events").fetchone()
+                assert rows >= 400
+                assert rows % 2 == 0, "the copy has half a transaction"
+        finally:
+            writer.kill()
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"), reading(tmp_path / "absent"):
+        pass
+    (tmp_path / "garbage").write_bytes(b"no database " * 1000)
+    with pytest.raises(DeviceError, match="cannot be read"), reading(tmp_path / "garbage"):
+        pass
+    with closing(sqlite3.connect(tmp_path / "other")) as other:
+        other.execute("PRAGMA user_version = 99")
+    (tmp_path / "other").touch()
+    with pytest.raises(InputError, match="version"), reading(tmp_path / "other"):
+        pass
+
+
+def test_a_damaged_copy_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "station.db"
+    Database(path).close()
+    content = bytearray(path.read_bytes())
+    content[-4096:] = b"\xa5" * 4096
+    path.write_bytes(content)
+    with pytest.raises(DeviceError):
+        check_database(path)
+
+
+def test_every_table_and_list_is_searched(tmp_path: Path) -> None:
+    path, _ = write_station_files(scenario_path("small"), tmp_path)
+    config = read_config(path)
+    (tmp_path / "station.pem").touch()
+    with path.open("a") as file:
+        file.write('\n[api]\ncertificate = "station.pem"\nprivate_key = "station.key"\n')
+        file.write('\n[push.mqtt]\nhost = "broker"\nuser = "a"\npassword_file = "mqtt.password"\n')
+    before = set(absent_files(config))
+    assert set(absent_files(read_config(path))) - before == {
+        ("api.private_key", tmp_path / "station.key"),
+        ("push.mqtt.password_file", tmp_path / "mqtt.password"),
+    }

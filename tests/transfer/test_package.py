@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.errors import DeviceError, GoneError, InputError
+from vaoi_station.files.directories import remove_directory
 from vaoi_station.transfer import package
-from vaoi_station.transfer.package import Entry, unpack_package, write_package
+from vaoi_station.transfer.package import Entry, open_files, unpack_package, write_package
 
 
 def make(path: Path) -> Path:
@@ -123,3 +124,25 @@ def test_a_long_name_comes_back(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     unpack_package(tmp_path / "p", "kind", tmp_path / "out")
     assert (tmp_path / "out" / name).read_bytes() == b"x"
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    for name in ("recording.json", "frames/c00_r000.tiff", "run.json"):
+        (tmp_path / "r1" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "r1" / name).write_text(name)
+    return tmp_path / "r1"
+
+
+def test_the_head_is_the_last_of_all_files(recording: Path) -> None:
+    found = [(name, content.read().decode()) for name, content in open_files(recording)]
+    assert found == [(name, name) for name in ("run.json", "frames/c00_r000.tiff", "recording.json")]
+
+
+@pytest.mark.parametrize("read", [0, 1, 2])
+def test_a_deleted_directory_is_named(recording: Path, read: int) -> None:
+    files = open_files(recording)
+    assert len([next(files) for _ in range(read)]) == read
+    remove_directory(recording)
+    with pytest.raises(GoneError, match="r1: was deleted while it was read"):
+        list(files)

@@ -174,7 +174,7 @@ def restore(
     ] = Path("station.toml"),
 ) -> None:
     """Restore a backup where no station is. Nothing is written before the whole backup was checked."""
-    from vaoi_station.transfer.absent_files import absent_files
+    from vaoi_station.transfer.backup import absent_files
     from vaoi_station.transfer.backup import restore as restore_backup
 
     station = restore_backup(file, config)
@@ -189,7 +189,7 @@ def export(
     config: ConfigOf = CONFIG,
 ) -> None:
     """Write a run to one file: result, record, calibration, board type, and frames if they were kept."""
-    from vaoi_station.transfer.run_export import export_run
+    from vaoi_station.transfer.runs import export_run
 
     recorded = export_run(config, run, out)
     typer.echo(f"{out}: run {run} {'with' if recorded else 'without'} frames")
@@ -198,8 +198,7 @@ def export(
 def import_exported_run(file: Path, out: Path | None, config: Path | None) -> None:
     """Unpack an exported run into a directory, or put it into the history of a station."""
     from vaoi_station.errors import InputError
-    from vaoi_station.transfer.run_export import import_run
-    from vaoi_station.transfer.run_import import import_into_history
+    from vaoi_station.transfer.runs import import_into_history, import_run
 
     if (out is None) == (config is None):
         raise InputError("import needs either --out or --config.", action="Give exactly one of them.")

@@ -5,14 +5,17 @@ from __future__ import annotations
 import filecmp
 import os
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import BaseModel
+
 from vaoi_station.config import StationConfig, read_config
-from vaoi_station.errors import GoneError, InputError
+from vaoi_station.errors import DeviceError, GoneError, InputError
 from vaoi_station.files.access_keys import KEY_FILE
 from vaoi_station.files.directories import files_below, refuse_existing
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
@@ -20,10 +23,9 @@ from vaoi_station.runs.archive.recordings import HEAD_FILE
 from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.store.database_file import MARK
+from vaoi_station.store.schema import VERSION
 from vaoi_station.store.schema import VERSION as TABLES
-from vaoi_station.transfer.database_copy import check_database, copy_database
-from vaoi_station.transfer.live_directories import open_files
-from vaoi_station.transfer.package import Entry, unpack_package, write_package
+from vaoi_station.transfer.package import Entry, open_files, unpack_package, write_package
 from vaoi_station.version import __version__
 
 KIND = "vaoi-backup"
@@ -246,3 +248,58 @@ def _refuse_content(target: Path, base: Path) -> None:
         action="Move what is there away, restore to another machine, or make the backup with relative paths in "
         "station.toml.",
     )
+
+
+BUSY_S = 30.0
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a database for reading; a running station is not disturbed.
+
+    Raises:
+        InputError: there is no database, or one of another version of the tables.
+        DeviceError: the file cannot be read.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: does not exist.", action="Give the station.toml of a station that has been started.")
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_S)) as connection:
+            connection.row_factory = sqlite3.Row
+            (found,) = connection.execute("PRAGMA user_version").fetchone()
+            if found != VERSION:
+                raise InputError(
+                    f"{path}: has version {found} of the tables, but this software has version {VERSION}.",
+                    action="Use the software of the station; a newer one migrates the file when it starts.",
+                )
+            yield connection
+    except sqlite3.DatabaseError as error:
+        raise DeviceError(
+            f"{path}: cannot be read ({error}).", action="Check space, permissions and the state of the disk."
+        ) from error
+
+
+def copy_database(path: Path, target: Path) -> None:
+    """Copy a database in one consistent state, also while a station writes to it."""
+    with reading(path) as connection:
+        # One read transaction: the station's writes go to the write-ahead log meanwhile. The copy has no free pages.
+        connection.execute("VACUUM INTO ?", (str(target),))
+
+
+def check_database(path: Path) -> None:
+    """Raise DeviceError if a database is damaged, InputError if it has another version of the tables."""
+    with reading(path) as connection:
+        fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if fault != "ok":
+            raise DeviceError(f"{path}: is not a sound database ({fault}).", code="database-damaged")
+
+
+def absent_files(section: BaseModel, place: str = "") -> Iterator[tuple[str, Path]]:
+    """Yield key and path of every file or directory that a configuration names and that does not exist."""
+    for key in type(section).model_fields:
+        value = getattr(section, key)
+        for part in value if isinstance(value, tuple) else (value,):
+            if isinstance(part, Path) and not part.exists():
+                yield f"{place}{key}", part
+            elif isinstance(part, BaseModel):
+                yield from absent_files(part, f"{place}{key}.")

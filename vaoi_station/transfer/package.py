@@ -13,12 +13,13 @@ import shutil
 import tarfile
 import tempfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, Self
 
-from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.files.directories import refuse_existing, sync_directory
+from vaoi_station.errors import DeviceError, GoneError, InputError
+from vaoi_station.files.directories import files_below, refuse_existing, sync_directory
+from vaoi_station.runs.archive.recordings import HEAD_FILE
 
 MANIFEST = "manifest.json"
 VERSION = 1
@@ -196,3 +197,25 @@ def _extract(source: IO[bytes], target: Path) -> str:
         file.flush()
         os.fsync(file.fileno())
     return summary.hexdigest()
+
+
+def open_files(directory: Path) -> Iterator[tuple[str, IO[bytes]]]:
+    """Yield the name below the directory, and the open file, of all files of a recording or reference.
+
+    `recording.json` is the last one. The station removes a directory by a rename first (`remove_directory`), so the
+    files that were listed and opened before are complete if this one is there; and what was copied without it is no
+    recording.
+
+    Raises:
+        GoneError: the directory was deleted meanwhile.
+    """
+    last = directory / HEAD_FILE
+    for path in (*(file for file in files_below(directory) if file != last), last):
+        try:
+            content = path.open("rb")
+        except FileNotFoundError as error:
+            raise GoneError(
+                f"{directory}: was deleted while it was read.", action="Run the command again.", code="frames-gone"
+            ) from error
+        with content:
+            yield path.relative_to(directory).as_posix(), content
