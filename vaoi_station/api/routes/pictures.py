@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from pydantic import Field
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, encode_image, raw_from_npy
+from vaoi_station.api.fast.rest_route import RouteWithoutQuery
 from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, matches
 from vaoi_station.api.parameters import (
     FOR_CACHES,
@@ -255,8 +256,26 @@ def router(services: Services) -> APIRouter:
         # 20,000 components become some megabytes of text, which takes too long for the event loop.
         return await services.searches.ask(listed)
 
-    # Before "/components/{ref:path}", whose path parameter would match its addresses as well.
-    @routes.get("/components/{ref:path}/images/{k}", responses=PICTURE, **with_seat)
+    async def image_of(
+        request: Request, component: tuple[str, str, int], wanted: ImageRequest, wire: ImageFormat
+    ) -> Response:
+        run, ref, k = component
+        content = await pictures.ask(lambda: coordinator.image(run, ref, k, wanted, format=RENDERED_AS[wire]))
+        return _picture(request, content, wire, await caching(run, wanted))
+
+    async def get_plain_component_image(
+        *, request: Request, run: RunId, ref: Address, k: Index, accept: Accept = None
+    ) -> Response:
+        return await image_of(request, (run, ref, k), plain, choose_format(None, accept))
+
+    plain = ImageRequest().check()
+    # Before "/components/{ref:path}", whose path parameter would match these addresses as well.
+    image = "/components/{ref:path}/images/{k}"
+    routes.add_api_route(
+        image, get_plain_component_image, include_in_schema=False, route_class_override=RouteWithoutQuery, **with_seat
+    )
+
+    @routes.get(image, responses=PICTURE, **with_seat)
     async def get_component_image(
         *,
         request: Request,
@@ -272,9 +291,7 @@ def router(services: Services) -> APIRouter:
         Pass the same parameters as for the list of views, to which index k refers. 410: the frames
         are no longer in memory, and no recording of the run is kept.
         """
-        image_format = choose_format(format, accept)
-        content = await pictures.ask(lambda: coordinator.image(run, ref, k, wanted, format=RENDERED_AS[image_format]))
-        return _picture(request, content, image_format, await caching(run, wanted))
+        return await image_of(request, (run, ref, k), wanted, choose_format(format, accept))
 
     @routes.get("/components/{ref:path}", response_model=ComponentViews)
     async def get_component(request: Request, run: RunId, ref: Address, wanted: Wanted) -> Response:
