@@ -350,8 +350,9 @@ def test_a_stale_generation_is_refused(ring_file: Path) -> None:
         old = ring.claim(0)
         assert reader.snapshot(0, old).shape == (30, 40)
         ring.claim(0)
-        with pytest.raises(GoneError, match="later board"):
+        with pytest.raises(GoneError, match="later board") as refusal:
             reader.check_generation(0, old)
+        assert refusal.value.code == "frames-gone"
         with pytest.raises(GoneError):
             reader.snapshot(0, old)
 

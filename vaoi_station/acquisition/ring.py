@@ -523,6 +523,7 @@ class Ring:
             raise GoneError(
                 f"bay {bay} of the ring holds generation {now}, not {generation}: it was given to a later board.",
                 action="Hold a run while you use it, or keep a recording of it.",
+                code="frames-gone",
             )
 
     def snapshot(self, slot: int, generation: int) -> NDArray[Any]:

@@ -33,7 +33,7 @@ from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
 from vaoi_station.stitching.quality.confirmation import RowLights, dark_lights
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.quality_document import quality_document
-from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.quality.verdict import judge_result
 from vaoi_station.version import __version__
 
 NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping", ReasonCode.NO_BOARD_TYPE)
@@ -146,7 +146,7 @@ class Stitcher:
         findings = self._findings(known, copies, self._refined(problem, motion, mapping), mapping)
         stages.finish("cad")
         findings = without_unknown_rows(self._with_dark_lights(findings))
-        status, reasons = decide_verdict(findings)
+        status, reasons = judge_result(findings)
         quality = quality_document(findings) | self._provenance(stages)
         stages.finish("verdict")
         return build_result(findings, self.prior.method_name, status, reasons, quality), findings

@@ -32,7 +32,7 @@ from vaoi_station.stitching.quality.agreement import (
     wrong_size,
 )
 from vaoi_station.stitching.quality.seams import seam_offset_px, seam_px
-from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.quality.verdict import judge_result
 from vaoi_station.stitching.work import TaskRunner
 
 
@@ -314,7 +314,7 @@ def resized(board_type: BoardType, diameter: float) -> BoardType:
 @pytest.mark.parametrize("stated", [0.7, 1.4, 2.0])
 def test_marks_of_another_size_at_the_right_places_are_named(filmed: Any, stated: float) -> None:
     board_type = resized(filmed.board_type, stated)
-    status, reasons = decide_verdict(findings_of(filmed, board_type=board_type))
+    status, reasons = judge_result(findings_of(filmed, board_type=board_type))
     assert status is Status.FAILED
     assert reasons[0].code == "fiducial-size"
     assert f"are where fiducials of {stated:.2g} mm are expected: correct the diameter" in reasons[0].message

@@ -16,7 +16,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import Reason, Status
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.quality.seams import explain_seam, row_offset, shifted_cameras
-from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.quality.verdict import judge_result
 from vaoi_station.stitching.work import StitchSetup
 
 Frames = dict[tuple[int, int], NDArray[Any]]
@@ -36,7 +36,7 @@ def film(**changes: dict[str, Any]) -> Filmed:
 
 def verdict(filmed: Filmed, frames: Frames | None = None) -> dict[str, str]:
     """Return code and text of the reasons of a run that is not ok; none blames a camera without evidence."""
-    status, reasons = decide_verdict(findings_of(filmed, frames))
+    status, reasons = judge_result(findings_of(filmed, frames))
     assert status is not Status.OK
     assert not any("has moved" in r.message for r in reasons), reasons
     return {reason.code: reason.message for reason in reasons}
@@ -71,7 +71,7 @@ def test_a_lift_beyond_reach_is_measured_by_the_overlaps(cameras: int, lift_mm: 
     """No camera is blamed where two overlaps show one height, and a wrong position is not placed."""
     width = 60.0 + 33.5 * (cameras - 2)
     found = findings_of(film(array={"cameras": cameras}, board={"lift_mm": lift_mm, "width_mm": width}))
-    status, reasons = decide_verdict(found)
+    status, reasons = judge_result(found)
     assert status is not Status.OK
     assert reasons[0].code == "board-off-plane"
     assert not found.far_off_plane or found.mapping is None
@@ -92,7 +92,7 @@ def test_a_saturated_neighbour_is_named(filmed: Any, factor: float) -> None:
 def test_exposures_of_one_to_four_to_a_third_are_linked() -> None:
     """The middle camera exposes four times as long as the first, the last one a third."""
     bright = film(array={"cameras": 3, "exposures_us": (250.0, 1000.0, 75.0)}, board={"width_mm": 90.0})
-    assert decide_verdict(findings_of(bright)) == (Status.OK, ())
+    assert judge_result(findings_of(bright)) == (Status.OK, ())
 
 
 def test_texture_that_noise_hides_in_the_darker_camera_is_a_matter_of_exposure(filmed: Any) -> None:
@@ -133,7 +133,7 @@ def test_what_the_overlap_cannot_explain_is_not_explained(filmed: Any, px: int) 
 
 
 def test_a_displacement_that_explains_the_overlap_is_the_cause(filmed: Any) -> None:
-    status, reasons = decide_verdict(findings_of(filmed, in_camera_1(filmed.frames, pushed(2))))
+    status, reasons = judge_result(findings_of(filmed, in_camera_1(filmed.frames, pushed(2))))
     assert status is Status.DEGRADED
     assert [reason.code for reason in reasons] == ["camera-displaced"]
 
@@ -151,7 +151,7 @@ def test_a_camera_whose_frames_are_one_row_off_is_named(filmed: Any, late: int) 
     frames = {(i, j): filmed.frames[i, j - late * i] for i, j in filmed.frames if (i, j - late * i) in filmed.frames}
     found = findings_of(filmed, frames)
     assert found.row_offsets == {(0, 1): late}
-    status, reasons = decide_verdict(found)
+    status, reasons = judge_result(found)
     assert status is not Status.OK
     (reason,) = [r.message for r in reasons if r.code == "wrong-rows"]
     assert f"camera 1 match those of camera 0 one row {'earlier' if late > 0 else 'later'}" in reason

@@ -19,8 +19,8 @@ from vaoi_station.stitching.quality.verdict import (
     OK_SIGMA_PX,
     _Placed,
     _unusable_local_fiducials,
-    decide_verdict,
     disputed_positions,
+    judge_result,
     scattered_links,
 )
 
@@ -43,7 +43,7 @@ def test_lost_rows_are_blamed_before_the_fiducials(filmed: Any, lost: tuple[int,
     """Rows beside the gap do not overlap: only the belt's speed, here wrong by 3 %, places one part by the other."""
     there = {key: p for key, p in filmed.frames.items() if key[1] not in lost}
     slow = tuple(0.97 * v for v in filmed.setup.conveyor_mm_s)
-    reasons = decide_verdict(findings_of(filmed, there, conveyor_mm_s=slow))[1]
+    reasons = judge_result(findings_of(filmed, there, conveyor_mm_s=slow))[1]
     assert reasons[0].code == "rows-lost", reasons
     assert f"of rows {', '.join(map(str, lost))}" in reasons[0].message
 
@@ -80,7 +80,7 @@ def test_scatter_of_links_that_noise_does_not_explain_is_a_reason(
 def test_what_decides_positions_beyond_noise_widens_sigma_and_is_named(filmed: Any, of_marks: bool, named: str) -> None:
     """Without the links of one place, or one mark, row 0 moves by 0.5 px more than noise explains."""
     found = findings_of(filmed)
-    assert decide_verdict(found)[0] is Status.OK
+    assert judge_result(found)[0] is Status.OK
     assert disputed_positions(found, 0.2) == ""
     m, u = found.adjusted.covariance.shape[:2]
     change = np.zeros((1, m, u))
@@ -91,7 +91,7 @@ def test_what_decides_positions_beyond_noise_widens_sigma_and_is_named(filmed: A
     disputed = replace(found, found=replace(found.mapping, adjusted=replace(found.adjusted, influence=influence)))
     assert disputed.sigma.rows_px[0] == pytest.approx(0.5, abs=0.03)
     assert disputed.sigma.rows_px[1:] == found.sigma.rows_px[1:]
-    status, reasons = decide_verdict(disputed)
+    status, reasons = judge_result(disputed)
     assert (status, [r.code for r in reasons]) == (Status.DEGRADED, [ReasonCode.POSITIONS_UNCERTAIN])
     assert named in reasons[0].message
 
@@ -207,7 +207,7 @@ def test_a_third_fiducial_that_is_not_where_it_should_be_is_a_reason(filmed: Any
     moved = first.model_copy(update={"x": first.x + away_mm})
     board_type = filmed.board_type.model_copy(update={"fiducials": (moved, *others)})
     findings = findings_of(replace(filmed, setup=replace(filmed.setup, board_type=board_type)))
-    codes = [reason.code for reason in decide_verdict(findings)[1]]
+    codes = [reason.code for reason in judge_result(findings)[1]]
     assert (ReasonCode.FIDUCIAL_MISSING in codes) == (away_mm < 10)
     if away_mm < 10:
         assert set(findings.fiducials_in_view) == {0, 1, 2}

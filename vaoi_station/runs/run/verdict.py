@@ -1,7 +1,8 @@
 """Decide the verdict of a run: from its result, faults of the line, doubts about its frames and the board's identity.
 
-`decide_verdict` is the only place that does so. It is called when the run ends, and again when the codes of its board
-were read or another machine has reported an id. The verdict is stored both times; everything else reads it.
+`decide_verdict` decides it; that of a stitched result is `judge_result`, in the worker. It is called when the run ends,
+and again when the codes of its board were read or another machine has reported an id. The verdict is stored both times;
+everything else reads it.
 """
 
 from __future__ import annotations

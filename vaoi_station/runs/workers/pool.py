@@ -358,7 +358,7 @@ class WorkerPool:
                 else:
                     self._queues.put_back(queued)
             self._dispatch()
-        repeated = f" while doing {jobs[0].job}, which another worker repeats" if jobs and not given_up else ""
+        repeated = f" while doing {jobs[0].job}" if jobs else ""
         self._report_end(f"Worker {worker.index} {how}{repeated}; it is restarted.")
         if given_up is not None:
             fault = f"{given_up.job} was given up after {given_up.deaths} attempt(s); its worker {how}."

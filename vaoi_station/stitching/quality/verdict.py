@@ -256,7 +256,7 @@ class _Placed(NamedTuple):
         return float(np.mean([camera.px_per_mm for camera in self.findings.scene.cameras]))
 
 
-def decide_verdict(f: Findings) -> tuple[Status, tuple[Reason, ...]]:
+def judge_result(f: Findings) -> tuple[Status, tuple[Reason, ...]]:
     """Decide the status of a result and return it with its reasons. For a failure, the cause comes first."""
     if not f.scene.present:
         nothing = "no usable frame of any camera arrived: there is nothing to stitch"
