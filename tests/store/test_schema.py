@@ -70,17 +70,23 @@ def test_runs_of_earlier_versions_get_the_verdict_that_their_identity_leaves(
     connection.execute("PRAGMA user_version = 12")
     reason = {"code": "board-id-differs", "message": "It is another board."}
     runs = {"r1": None, "r2": json.dumps(["board-id-differs"]), "r3": json.dumps(["identity-not-read"]), "r4": None}
-    for number, (run, degrading) in enumerate(runs.items(), 1):
+    damaged = {"r5": (schema.PACKED, b"no zlib"), "r6": ("[]", None), "r7": ("{", None)}
+    for number, (run, degrading) in enumerate((runs | dict.fromkeys(damaged)).items(), 1):
         summary = "a damaged one" if run == "r4" else json.dumps({"verdict": "ok", "reasons": []})
         connection.execute(
             "INSERT INTO runs VALUES (?, 'gone', ?, 'b', 'c', ?, '{}', NULL, NULL, NULL, NULL)", (run, number, summary)
         )
         identity = {"state": "differs", "board_id": "B1", "reasons": [reason], "more": "x" * 500}
         connection.execute(
-            "INSERT INTO identities VALUES (?, ?, ?, 0, ?)", (run, *schema.packed(json.dumps(identity)), degrading)
+            "INSERT INTO identities VALUES (?, ?, ?, 0, ?)",
+            (run, *damaged.get(run, schema.packed(json.dumps(identity))), degrading),
         )
     schema.migrate(connection, path)
     texts = [text for (text,) in connection.execute("SELECT summary FROM runs ORDER BY id")]
+    for unread in map(json.loads, texts[4:]):
+        assert (unread["verdict"], unread["identity"]["state"]) == ("degraded", "not-read")
+        assert [one["code"] for one in unread["reasons"]] == ["identity-not-read"]
+    del texts[4:]
     assert texts.pop() == "a damaged one"
     found = [json.loads(text) for text in texts]
     assert [run["identity"] for run in found] == [{"state": "differs", "board_id": "B1", "boards": {}}] * 3

@@ -164,19 +164,28 @@ def unpacked(text: str, content: bytes | None) -> str:
 
 
 def _identified(summary: str, document: str, content: bytes | None, degrading: str | None) -> str:
-    """Return the summary of a run with what its identity says, as versions before 13 showed it without storing it."""
+    """Return the summary of a run with what its identity says, as versions before 13 showed it without storing it.
+
+    An identity that cannot be read counts as not read, and degrades the run.
+    """
     try:
-        run, identity = json.loads(summary), json.loads(unpacked(document, content))
+        identity = json.loads(unpacked(document, content))
         codes = json.loads(degrading or "[]")
+    except (sqlite3.DatabaseError, ValueError, RecursionError):
+        identity = codes = None
+    if not isinstance(identity, dict) or not isinstance(codes, list):
+        identity, codes = {"state": "not-read"}, ["identity-not-read"]
+    reasons = [*identity.get("reasons", ()), {"code": "identity-not-read", "message": "The codes were not read."}]
+    try:
+        run = json.loads(summary)
         run["identity"] = {key: identity.get(key) for key in ("state", "board_id")} | {
             "boards": identity.get("boards", {})
         }
-        reasons = [*identity.get("reasons", ()), {"code": "identity-not-read", "message": "The codes were not read."}]
         run["reasons"] += [reason for reason in reasons if reason["code"] in codes and reason not in run["reasons"]]
         if codes and run["verdict"] == "ok":
             run["verdict"] = "degraded"
-    except (sqlite3.DatabaseError, ValueError, KeyError, TypeError):
-        return summary  # of another version: it is shown as a record that cannot be read
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return summary  # it cannot be read: it is shown as such a record
     return json.dumps(run, ensure_ascii=False, separators=(",", ":"))
 
 

@@ -223,12 +223,16 @@ def router(services: Services) -> APIRouter:
         content, headers = await pictures.ask(picture)
         return part_of(request, conditional_response(request, content, MEDIA_TYPES[image_format], headers=headers))
 
-    async def caching(run: str, wanted: ImageRequest | None = None) -> str:
-        if (await ask(coordinator.run, run)).state not in FINISHED:
+    def caching_now(run: str, wanted: ImageRequest | None = None) -> str:
+        """Return how an answer may be kept; call it in a thread, and before the content is made."""
+        if coordinator.run(run).state not in FINISHED:
             return LIVE
         # Heights are measured after the result: until they are known, images on the tops of bodies may change.
         final = wanted is None or wanted.framing.plane != "top" or coordinator.heights.known(run) is not None
         return IMMUTABLE if final else REVALIDATE
+
+    async def caching(run: str, wanted: ImageRequest | None = None) -> str:
+        return await ask(caching_now, run, wanted)
 
     @routes.get("/components", response_model=ComponentList, dependencies=[Depends(services.searches.hold)])
     async def list_components(
@@ -259,9 +263,13 @@ def router(services: Services) -> APIRouter:
     async def image_of(
         request: Request, component: tuple[str, str, int], wanted: ImageRequest, wire: ImageFormat
     ) -> Response:
-        run, ref, k = component
-        content = await pictures.ask(lambda: coordinator.image(run, ref, k, wanted, format=RENDERED_AS[wire]))
-        return _picture(request, content, wire, await caching(run, wanted))
+        def picture() -> tuple[bytes, str]:
+            run, ref, k = component
+            cache = caching_now(run, wanted)
+            return coordinator.image(run, ref, k, wanted, format=RENDERED_AS[wire]), cache
+
+        content, cache = await pictures.ask(picture)
+        return _picture(request, content, wire, cache)
 
     async def get_plain_component_image(
         *, request: Request, run: RunId, ref: Address, k: Index, accept: Accept = None
