@@ -79,6 +79,7 @@ def test_before_the_first_calibration_cameras_are_set_up_and_the_line_is_not_arm
     (config.board_types / "demo.json").write_text(json.dumps({**json.loads(EXAMPLES[3]), "name": "demo"}))
     with Station(config.model_copy(update={"cameras": cameras})) as station:
         assert [camera.name for camera in station.coordinator.snapshot().cameras] == ["c0", "c1"]
+        until(station, lambda snapshot: "no-calibration" in [warning.code for warning in snapshot.warnings])
         with pytest.raises(StateError, match="is not calibrated yet") as refused:
             station.coordinator.arm("demo")
     assert refused.value.code == "no-calibration"

@@ -175,7 +175,7 @@ class Station:
                     watch,
                     standing,
                     resumed,
-                    outlets.reasons,
+                    partial(_other_warnings, outlets, uncalibrated),
                     tuple(camera.px_per_mm for camera in cameras),
                 ),
                 ring,
@@ -277,6 +277,14 @@ def _calibration(config: StationConfig) -> tuple[Calibration, StateError | None]
         action="Film the calibration board (vaoi record --still), calibrate (vaoi calibrate), and restart the station.",
         code="no-calibration",
     )
+
+
+def _other_warnings(outlets: Outlets, uncalibrated: StateError | None) -> tuple[Reason, ...]:
+    """Return the warnings of parts that the coordinator does not know."""
+    if uncalibrated is None:
+        return outlets.reasons()
+    missing = Reason(code=uncalibrated.code, message=uncalibrated.message, action=uncalibrated.action)
+    return (missing, *outlets.reasons())
 
 
 def _refuse_order(refusal: StateError, *_: object) -> NoReturn:

@@ -26,7 +26,7 @@ from vaoi_station.stitching.quality.confirmation import (
     dark_lights,
     linked_to_before,
 )
-from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.quality.verdict import judge_result
 
 STEP_MM = 10.0
 MOTION = Motion(np.zeros(3), np.array([(0.0, 0.0), (-STEP_MM, 0.0), (-2 * STEP_MM, 0.0)]), np.zeros(2))
@@ -205,7 +205,7 @@ def test_blurred_covered_and_unnamed_rows_are_not_dark_lights(workshop: Any) -> 
 def test_the_verdict_of_a_run_names_the_light_and_not_its_frames(filmed: Any) -> None:
     there = {key: np.full_like(p, 5) if key[1] in (2, 5) else p for key, p in filmed.frames.items()}
     findings = findings_of(filmed, there, lights=("even", "right", "left"), channels={"left": (2,)})
-    status, reasons = decide_verdict(findings)
+    status, reasons = judge_result(findings)
     assert status != "ok"
     named = {reason.code: reason.message for reason in reasons}
     assert "LED channel 2" in named[ReasonCode.LIGHT_DARK]

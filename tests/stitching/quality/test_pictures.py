@@ -18,7 +18,7 @@ from vaoi_station.model import ReasonCode, Status, Stitch
 from vaoi_station.stitching.adjustment.problem import REFERENCE
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.pictures import LensError, blur_reasons, camera_blurs, position_errors_px
-from vaoi_station.stitching.quality.verdict import decide_verdict
+from vaoi_station.stitching.quality.verdict import judge_result
 
 SEEDS = (3037, 3052, 3071)
 """Drawings of one to three cameras without another mistake."""
@@ -48,7 +48,7 @@ def test_a_calibrated_lens_has_no_error(seed: int) -> None:
 def test_a_distortion_that_the_calibration_leaves_out_is_named(seed: int) -> None:
     stitch, findings = run(seed, 1.5)
     assert stitch.status is Status.DEGRADED
-    assert ReasonCode.LENS_DIFFERS in {reason.code for reason in decide_verdict(findings)[1]}
+    assert ReasonCode.LENS_DIFFERS in {reason.code for reason in judge_result(findings)[1]}
     for error in findings.lens_errors.values():
         assert error.significant
         assert error.corner_px == pytest.approx(1.5, rel=0.5)

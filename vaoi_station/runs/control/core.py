@@ -46,8 +46,8 @@ class Parts:
     """The object that stores the order in force for a restart; None if orders are not stored."""
     resumed: Resumed | None = None
     """The order that was in force when the station ended."""
-    receiver_warnings: Callable[[], tuple[Reason, ...]] = tuple
-    """Returns, at once, a warning for each receiver that does not accept the station's events."""
+    other_warnings: Callable[[], tuple[Reason, ...]] = tuple
+    """Returns, at once, warnings of what the coordinator does not know: receivers of events, a missing calibration."""
     px_per_mm: tuple[float, ...] = ()
     """Resolution of every camera by its calibration; empty: the nominal ones of station.toml count."""
 
@@ -63,7 +63,7 @@ class Core:
         self._post = post
         self._parts, self.watch, self.storage = parts, parts.watch, parts.archive.storage
         self._config, self._events, self._archive = parts.config, parts.events, parts.archive
-        self.receiver_warnings = parts.receiver_warnings
+        self.other_warnings = parts.other_warnings
         self.leases = Leases(parts.config.ring.lease_s)
         self.memory = Memory(parts.ring, parts.config.ring.runs, self.leases)
         parts.archive.keep_s = parts.config.ring.keep_s

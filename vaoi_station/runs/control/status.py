@@ -71,7 +71,7 @@ def snapshot_of(
             *address_warnings(config),
             *flat_field_warnings(config, order.setup.lights if order is not None else ()),
             *worker_warnings(processes),
-            *core.receiver_warnings(),
+            *core.other_warnings(),
         ),
         set_aside=core.storage.set_aside(),
         armed_with=core.line.orders.shown(),

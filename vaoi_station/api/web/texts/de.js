@@ -790,6 +790,7 @@ const warnings = {
   "ring-full": ["Der Bildspeicher ist voll.", "Läufe freigeben, oder Haltungen beenden."],
   "memory-short": ["Gehaltene Läufe lassen weniger Speicher, als die nächsten Baugruppen brauchen.", "Läufe freigeben, oder Haltungen beenden."],
   "ring-not-locked": ["Der Bildspeicher ist nicht im Arbeitsspeicher festgehalten: Bei knappem Speicher kommen Einzelbilder zu spät.", "Für den Dienst LimitMEMLOCK=infinity setzen, wie in deploy/vaoi-station.service."],
+  "no-calibration": ["Die Kalibrierdatei fehlt: Kameras lassen sich einrichten, aufgenommen wird nicht.", "Kalibrieren, dann die Station neu starten."],
   "board-missed": ["Eine Baugruppe lief ohne Aufnahme durch.", "Sie noch einmal aufnehmen."],
   "board-id-uncertain": ["Die nächste Baugruppe bekommt keine Nummer.", "Mit ihrer Nummer neu aktivieren."],
   "calibration-drift": ["Eine Kamera hat sich seit der Kalibrierung bewegt.", "vaoi recalibrate, oder neu kalibrieren."],
@@ -1101,8 +1102,8 @@ const translated = {
   remarks,
   // Namen der Prüfungen von vaoi doctor
   checks: {
-    configuration: "Konfiguration", python: "Python", libraries: "Bibliotheken", "compiled code": "übersetzter Code", time: "Uhrzeit",
-    "monotonic clock": "fortlaufende Uhr", others: "weitere", station: "Station", calibration: "Kalibrierung", "board types": "Baugruppentypen",
+    configuration: "Konfiguration", "compiled code": "übersetzter Code", time: "Uhrzeit",
+    others: "weitere", station: "Station", calibration: "Kalibrierung", "board types": "Baugruppentypen",
     "flat fields": "Hellfelder", "light programs": "Lichtprogramme", "stand-ins": "Ersatz für Geräte", certificate: "Zertifikat", receivers: "Empfänger", disk: "Festplatte",
     "shared memory": "Bildspeicher", "memory lock": "Festhalten des Speichers", aravis: "Aravis", "socket buffers": "Empfangspuffer",
     "USB memory": "USB-Speicher", cameras: "Kameras", controller: "Steuerung",
