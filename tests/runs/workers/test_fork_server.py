@@ -48,6 +48,12 @@ def open_files(pid: int) -> set[str]:
     return {link for link in links if link.startswith(("socket:", "anon_inode:"))}
 
 
+def evidence_file(pid: int) -> str:
+    """Return the inode of the evidence that a process maps."""
+    lines = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()
+    return next(line.split()[4] for line in lines if "memfd:vaoi-evidence" in line)
+
+
 def test_two_workers_share_their_evidence_and_end_when_asked_or_with_their_pipe(
     served: Served, ring: str, ring_board: RingBoard
 ) -> None:
@@ -130,9 +136,11 @@ def test_workers_go_on_when_the_server_dies_and_it_is_replaced(ring: str, ring_b
         assert receive(pipe).error is None
         served.until(lambda: served.link.ready)
         assert (served.pid != victim, served.link.status().restarts) == (True, 1)
+        server, (last, its_pipe) = served.link._process, served.started(ring, 1)
+        receive(its_pipe)
+        assert evidence_file(last.pid) == evidence_file(process.pid), "workers of both servers share it"
         pipe.close()
         assert process.has_ended(PATIENCE_S)
-        server, (last, its_pipe) = served.link._process, served.started(ring)
         its_pipe.close()
         assert last.has_ended(PATIENCE_S)
     assert server is not None

@@ -9,6 +9,7 @@ evidence that was overwritten, or lost with its worker, finds it again.
 from __future__ import annotations
 
 import mmap
+import os
 import pickle
 import struct
 import zlib
@@ -26,9 +27,15 @@ Found = tuple[str, int, list[Evidence]]
 """A record: run, generation of its bay, and the evidence of one job."""
 
 
-def shared_memory(workers: int) -> mmap.mmap:
-    """Return memory for the logs of all workers, which they inherit when they are forked."""
-    return mmap.mmap(-1, workers * (LOG_BYTES + _HEAD_BYTES))
+def shared_memory(workers: int, file: int = -1) -> mmap.mmap:
+    """Map the logs of all workers in a file in memory, which workers of all fork servers of a station share.
+
+    Without a file, the memory is that of this process and its children.
+    """
+    size = workers * (LOG_BYTES + _HEAD_BYTES)
+    if file >= 0:
+        os.ftruncate(file, size)
+    return mmap.mmap(file, size)
 
 
 class EvidenceLog:

@@ -45,6 +45,11 @@ class Fork:
 
 
 @dataclass(frozen=True)
+class Memory:
+    """Give the file in memory with the workers' evidence, which belongs to the message: the first one to a server."""
+
+
+@dataclass(frozen=True)
 class Ping:
     """Ask the fork server to reply with `ServerReady`, as a check of its liveness."""
 
@@ -126,9 +131,14 @@ def run_fork_server(control: socket.socket, workers: int) -> None:
     # OpenCV starts one thread per core by default. Such threads would slow down other workers, and this process could
     # not fork.
     cv2.setNumThreads(1)
-    server = _Server(control, workers, shared_memory(workers))
     # The station may end without a message. This process must not continue without it.
     with control, suppress(ConnectionError):
+        match receive(control):
+            case Memory(), [file]:
+                server = _Server(control, workers, shared_memory(workers, file))
+                os.close(file)
+            case _:
+                return
         with _progress_sent(control), second_compiler():
             warm_up()
         # Imported and compiled objects are never freed: `freeze` excludes them from collections, which would write to

@@ -21,6 +21,7 @@ from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
 from vaoi_station.runs.workers.fork_server import (
     Fork,
     Forked,
+    Memory,
     NotForked,
     Ping,
     ServerReady,
@@ -95,6 +96,8 @@ class ForkServerLink:
         self._process: ChildProcess | None = None
         """The same process by a pidfd: the `sentinel` would be open in its workers too, and thus not show its end."""
         self._control: socket.socket | None = None
+        self._memory = os.memfd_create("vaoi-evidence")
+        """The workers' evidence. It outlives a server, whose workers go on beside those of the next one."""
         self.ready = False
         """Whether workers may be requested."""
         self.progress = ""
@@ -166,6 +169,9 @@ class ForkServerLink:
 
     def stop(self) -> None:
         """End the fork server once its workers have ended, and kill it if it has not ended after `END_S`."""
+        if self._memory >= 0:
+            os.close(self._memory)
+            self._memory = -1
         process, control = self._process, self._control
         self._process = self._control = None
         if process is None or control is None:
@@ -192,6 +198,8 @@ class ForkServerLink:
                     spawned.start()
                 assert spawned.pid is not None, "it was started"
                 self._process = ChildProcess(spawned.pid, os.pidfd_open(spawned.pid))
+                with suppress(OSError):  # It has ended already, which its pidfd shows.
+                    send(here, Memory(), self._memory)
             except OSError:
                 here.close()
                 raise
