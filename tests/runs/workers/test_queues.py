@@ -372,3 +372,12 @@ def test_pictures_do_not_wait_for_the_check_of_a_worker_that_hangs(hall: Hall) -
     hall.workers[2].overdue = True
     hall.add(CHECK, hall.picture())
     assert hall.choose(0) == hall.picture()
+
+
+def test_no_picture_is_begun_beside_a_conclusion_unless_another_worker_is_free(ring_board: RingBoard) -> None:
+    """It would delay the matrices, and then the check of the calibration."""
+    for count, expected in ((2, None), (3, True)):
+        hall = Hall(ring_board, count)
+        hall.workers[-1].jobs.append(queued(hall.board.conclusion()))
+        hall.add(hall.picture())
+        assert (hall.choose(0) is not None) == bool(expected)

@@ -301,7 +301,7 @@ class JobQueues:
             return False
         if others and self.runs and worker.index == self.owner and priority is not Priority.CHECK:
             return False
-        return not others or any(all(q.job.priority <= Priority.SMALL_RENDER for q in w.jobs) for w in others)
+        return not others or any(all(_is_short(q.job) for q in other.jobs) for other in others)
 
     def _check_is_next(self) -> bool:
         """Return whether a check waits for a worker that answers."""
@@ -364,6 +364,14 @@ class JobQueues:
         # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
         # wait, the wait would be too long.
         return away or longer or len(queue) > 1
+
+
+def _is_short(job: Job) -> bool:
+    """Return whether a worker is free of pictures, checks and conclusions beside this job.
+
+    A check follows most conclusions; and other work beside a conclusion delays it, by a third with two workers.
+    """
+    return job.priority <= Priority.SMALL_RENDER and not isinstance(job, ConcludeJob)
 
 
 def _front(queue: deque[Queued]) -> int:
