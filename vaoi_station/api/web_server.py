@@ -83,7 +83,7 @@ class WebServer:
             timeout_graceful_shutdown=int(HTTP_GRACE_S),
             ssl_context_factory=None if tls is None else lambda *_: tls.context,
         )
-        self._server = _Server(config, tls, self.thread.beat)
+        self._server = _Server(config, tls, self.thread)
         self._scheme = "http" if tls is None else "https"
 
     @property
@@ -146,14 +146,14 @@ class WebServer:
 
 
 class _Server(uvicorn.Server):
-    """uvicorn's server, whose event loop calls `beat` ten times a second unless a request blocks it."""
+    """uvicorn's server, whose event loop calls the thread's `beat` ten times a second unless a request blocks it."""
 
-    def __init__(self, config: uvicorn.Config, tls: CertificateFiles | None, beat: Callable[[], object]) -> None:
+    def __init__(self, config: uvicorn.Config, tls: CertificateFiles | None, thread: SupervisedThread) -> None:
         super().__init__(config)
-        self._tls, self._beat, self._refresh_at = tls, beat, 0.0
+        self._tls, self._thread, self._refresh_at = tls, thread, 0.0
 
     async def on_tick(self, counter: int) -> bool:
-        self._beat()
+        self._thread.beat()
         loop = asyncio.get_running_loop()
         if self._tls is not None and loop.time() >= self._refresh_at:
             self._refresh_at = loop.time() + RENEW_S
