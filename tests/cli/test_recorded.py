@@ -462,7 +462,7 @@ def test_flat_fields_of_another_array_are_refused(vaoi: Any, case: tuple[Path, P
 
 
 @pytest.fixture(scope="module")
-def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def coded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A recording of a small board with a code, and its result from the truth."""
     return record(tmp_path_factory.mktemp("identify"), DATAMATRIX)
 
@@ -481,8 +481,8 @@ def record(folder: Path, code: dict[str, Any]) -> tuple[Path, Path]:
     return folder / "run", folder / "result.json"
 
 
-def test_code_is_printed_and_compared(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
-    run, result = case
+def test_code_is_printed_and_compared(vaoi: Any, coded: tuple[Path, Path], tmp_path: Path) -> None:
+    run, result = coded
     said = vaoi("identify", run, "--result", result, "--expect", "SN000042", "--out", tmp_path / "identity.json")
     assert (said.code, said.err) == (0, "")
     first, last = said.out.splitlines()
@@ -503,8 +503,10 @@ def test_code_of_dots_is_read(vaoi: Any, tmp_path: Path) -> None:
     assert said.out.splitlines()[-1] == "identity: agrees, board 'SN000042'"
 
 
-def test_board_type_without_identity_is_searched_everywhere(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
-    run, result = case
+def test_board_type_without_identity_is_searched_everywhere(
+    vaoi: Any, coded: tuple[Path, Path], tmp_path: Path
+) -> None:
+    run, result = coded
     board = json.loads((run / "board.json").read_text())
     del board["identity"]
     (tmp_path / "board.json").write_text(json.dumps(board))
@@ -512,8 +514,8 @@ def test_board_type_without_identity_is_searched_everywhere(vaoi: Any, case: tup
     assert "identity: not-compared, board 'coded;SN000042'" in said.out
 
 
-def test_input_is_not_overwritten(vaoi: Any, case: tuple[Path, Path]) -> None:
-    run, result = case
+def test_input_is_not_overwritten(vaoi: Any, coded: tuple[Path, Path]) -> None:
+    run, result = coded
     said = vaoi("identify", run, "--result", result, "--out", result)
     assert said.code == 2
     assert "is read by this command and is not overwritten" in said.err
