@@ -43,6 +43,7 @@ def watched(page: Page, prefixed: Prefixed) -> Iterator[list[str]]:
 
 def test_every_view_is_complete(page: Page, prefixed: Prefixed, watched: list[str]) -> None:
     log_in(page, f"{prefixed.url}/", prefixed.secret)
+    expect(page.locator("#login")).to_be_hidden()  # a page that is left before has no cookie
     for name, complete in VIEWS.items():
         page.goto(prefixed.url + name)
         page.reload()  # an address that differs behind # only is no new page
@@ -53,6 +54,7 @@ def test_every_view_is_complete(page: Page, prefixed: Prefixed, watched: list[st
 def test_a_board_is_zoomed_and_its_files_are_offered(page: Page, prefixed: Prefixed, watched: list[str]) -> None:
     run = prefixed.station.film(board_id="SN-1")
     log_in(page, f"{prefixed.url}/", prefixed.secret)
+    expect(page.locator("#login")).to_be_hidden()  # a page that is left before has no cookie
     page.goto(f"{prefixed.url}/#/board/{run}?component=U1")
     page.reload()
     expect(page.locator('button img[alt*="amera"]').first).to_be_visible()
@@ -76,6 +78,7 @@ def test_a_board_is_zoomed_and_its_files_are_offered(page: Page, prefixed: Prefi
 
 def test_the_line_is_armed_and_a_new_board_is_shown(page: Page, prefixed: Prefixed, watched: list[str]) -> None:
     log_in(page, f"{prefixed.url}/", prefixed.secret)
+    expect(page.locator("#login")).to_be_hidden()  # a page that is left before has no cookie
     page.select_option("#board-type", "demo-board")
     page.locator("#arm").click()
     expect(page.locator("#state-word")).to_have_text("Ready")
@@ -87,6 +90,7 @@ def test_the_line_is_armed_and_a_new_board_is_shown(page: Page, prefixed: Prefix
 
 def test_every_page_of_set_up_is_complete(page: Page, prefixed: Prefixed, watched: list[str]) -> None:
     log_in(page, f"{prefixed.url}/", prefixed.secret)
+    expect(page.locator("#login")).to_be_hidden()  # a page that is left before has no cookie
     page.goto(f"{prefixed.url}/#/setup")
     page.reload()
     expect(page.locator("#view h2").first).to_be_visible()
