@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 from fastapi.routing import APIRoute
+from starlette.routing import Match
 
-from vaoi_station.api.fast.rest_route import RestRoute
+from vaoi_station.api.fast.rest_route import RestRoute, RouteWithoutQuery
 
 PATHS = [
     "/",
@@ -28,4 +29,6 @@ def test_a_route_matches_what_one_of_fastapi_matches(untouched_client: Any, path
     routes = [route for route in untouched_client.app.routes if isinstance(route, RestRoute)]
     assert len(routes) > 50
     for route in routes:
-        assert route.matches(dict(scope)) == APIRoute.matches(route, dict(scope)), route.path
+        without = isinstance(route, RouteWithoutQuery)  # it declines each request with a query
+        expected = (Match.NONE, {}) if without else APIRoute.matches(route, dict(scope))
+        assert route.matches(dict(scope)) == expected, route.path
