@@ -31,6 +31,7 @@ from vaoi_station.errors import (
 from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.files.images import encode_png
 
+EVENTS = 'event: heartbeat\ndata: {"state": "idle"}\n\ndata: {"number": 7, "board": "a\u2028b"}\nid: 7\n\n'
 PROBLEMS = {
     "list": b"[]",
     "number": b'{"detail": 5, "action": "", "code": "c"}',
@@ -78,7 +79,7 @@ class ScriptedStation(ScriptedHandler):
         elif path == "/page":
             self.send(200, b"hello")
         elif path.startswith("/events"):
-            self.send(200, b'event: heartbeat\ndata: {"state": "idle"}\n\ndata: {"number": 7}\nid: 7\n\n')
+            self.send(200, EVENTS.encode())
         else:
             self.echo()
 
@@ -121,7 +122,7 @@ def test_pictures(client: Client) -> None:
 
 
 def test_events(client: Client) -> None:
-    assert list(client.messages()) == [{"state": "idle"}, {"number": 7}]
+    assert list(client.messages()) == [{"state": "idle"}, {"number": 7, "board": "a\u2028b"}]
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ import asyncio
 import json
 import re
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -97,7 +98,7 @@ def is_head(scope: Scope) -> bool:
     return scope.get(_HEAD) is True
 
 
-class HttpMiddleware:
+class HttpMiddleware(ABC):
     """Base of the classes: passes on what is no request."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -107,9 +108,9 @@ class HttpMiddleware:
         """Handle a request."""
         await (self.handle if scope["type"] == "http" else self.app)(scope, receive, send)
 
+    @abstractmethod
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or pass it on."""
-        raise NotImplementedError
 
 
 class SafetyHeaders(HttpMiddleware):

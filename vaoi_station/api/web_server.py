@@ -45,6 +45,8 @@ BACKLOG = 128
 """Largest number of connections that the kernel keeps until they are accepted."""
 MOST_FILES = 8192
 """Number of files that the process may open, if the machine permits it: each connection is one."""
+MOST_CONNECTIONS = MOST_FILES // 2
+"""Connections above which requests are answered with 503: recordings and the database need files, too."""
 _REQUEST_THREAD, _LEFT_S = "AnyIO worker thread", 0.5
 """Name of the threads in which AnyIO runs requests, and the time for each of them to end after the server."""
 SWITCH_S = 0.0005
@@ -79,6 +81,7 @@ class WebServer:
             proxy_headers=False,  # `addresses.as_addressed` reads them
             server_header=False,
             backlog=BACKLOG,
+            limit_concurrency=MOST_CONNECTIONS,
             timeout_keep_alive=idle_s,
             timeout_graceful_shutdown=int(HTTP_GRACE_S),
             ssl_context_factory=None if tls is None else lambda *_: tls.context,

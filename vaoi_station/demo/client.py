@@ -151,9 +151,10 @@ class Client:
         """Yield events numbered above `after`, and heartbeats, as they happen, until the station ends."""
         url = self.url(f"/events?after={after}")
         with self._reply("GET", url, timeout=EVENT_TIMEOUT_S) as stream:
-            for line in stream.iter_lines():
-                if line.startswith("data:"):
-                    yield _parse(line[5:].encode(), url) or Reply.of(url)
+            # Not `iter_lines`, which also divides at U+2028 and other characters that a text in JSON may have.
+            for line in io.BufferedReader(_Body(stream.iter_bytes()), 1 << 16):
+                if line.startswith(b"data:"):
+                    yield _parse(line[5:], url) or Reply.of(url)
 
     def url(self, path: str) -> str:
         """Return the complete address of a path: relative to `/api/v1`, from `/api/` on, or as a reply states it."""

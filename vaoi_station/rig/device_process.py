@@ -7,6 +7,7 @@ import os
 import queue
 import subprocess
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import IO, Self
 
@@ -19,7 +20,7 @@ READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 10.0
 
 
-class DeviceProcess:
+class DeviceProcess(ABC):
     """A process as a context manager; a thread passes what it reports to `on_report`."""
 
     def __init__(self, name: str, command: Sequence[str]) -> None:
@@ -40,9 +41,9 @@ class DeviceProcess:
         """Whether the process runs."""
         return self._process is not None and self._process.poll() is None
 
+    @abstractmethod
     def on_report(self, word: str, rest: list[str]) -> bool:
         """Handle one line, split into its words; return whether it shows that the device is ready."""
-        raise NotImplementedError
 
     def start(self) -> None:
         """Start the process without waiting for it."""

@@ -27,6 +27,7 @@ def test_a_run_without_an_end_is_ended_whatever_its_state(row: RunRow, state: st
     assert (ended.state, ended.finish_number) == ("gone", 7)
     assert [reason.code for reason in detail(ended).reasons] == ["station-restarted"]
     assert (summary(ended).state, summary(ended).stored) == ("gone", True)
+    assert (summary(ended).verdict, detail(ended).verdict) == ("failed", "failed")
 
 
 def test_a_record_that_cannot_be_read_is_ended_and_listed_as_such(row: RunRow) -> None:

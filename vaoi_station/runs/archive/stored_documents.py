@@ -15,7 +15,7 @@ from vaoi_station.model import BoardType, Reason
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import summary_of
-from vaoi_station.runs.run.verdict import RunVerdict, identified
+from vaoi_station.runs.run.verdict import RunVerdict, decide_verdict, identified
 from vaoi_station.runs.states.schemas import RunDetail, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import IN_MEMORY, RunState
 from vaoi_station.store import RunRow
@@ -178,5 +178,7 @@ def cut_short(row: RunRow, finish_number: int) -> RunRow:
     except ValidationError:
         return ended
     reasons = (*document.reasons, _LOST)
-    document = in_state(document, RunState.GONE).model_copy(update={"reasons": reasons, "stored": True})
+    verdict = decide_verdict(None, reasons)
+    changes = {"verdict": verdict.status, "reasons": verdict.reasons, "stored": True}
+    document = in_state(document, RunState.GONE).model_copy(update=changes)
     return replace(ended, summary=summary_of(document).model_dump_json(), detail=document.model_dump_json())

@@ -121,13 +121,13 @@ class Fits:
 
     @property
     def enough(self) -> set[FrameKey]:
-        """The frames of which as many fit as a frame of this row must have."""
+        """The frames of which enough links or points fit."""
         every = self.frames.items()
         return {key for key, (n, fit) in every if fit >= _LEAST_FITTING and fit >= _LEAST_SHARE * n}
 
     @property
     def decided(self) -> set[FrameKey]:
-        """The frames with so many links or points that these decide."""
+        """The frames whose number of links or points is large enough to decide."""
         return {key for key, (n, _) in self.frames.items() if n >= _DECIDING}
 
 
