@@ -273,7 +273,7 @@ def between(a: XY, b: XY, t: float) -> XY:
 def bridges(line: Piece, outline: list[XY]) -> bool:
     """Tell whether a line leaves the board and reaches it again: what it encloses may or may not be board."""
     inside = shapely.Polygon(outline).buffer(2 * JOIN_MM).intersection(shapely.LineString(line))
-    return inside.geom_type != "LineString"
+    return str(inside.geom_type) != "LineString"
 
 
 def untidy(pieces: list[Piece], outline: list[XY], r: random.Random) -> list[Piece]:
