@@ -11,7 +11,7 @@ from vaoi_station.acquisition.process.backends import check_backends
 from vaoi_station.acquisition.ring import RingLayout
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.optics import make_plan
-from vaoi_station.optics.paper_example import PAPER
+from vaoi_station.optics.report import PAPER
 from vaoi_station.simulation import scenario_path
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -52,8 +52,7 @@ def plan(
     # Every option except these two is a requirement with the same name.
     given = {k: v for k, v in locals().items() if k not in ("example", "json_") and v is not None}
     from vaoi_station.optics import make_plan
-    from vaoi_station.optics.paper_example import PAPER, compare_with_paper
-    from vaoi_station.optics.plan_report import format_plan, plan_to_json
+    from vaoi_station.optics.report import PAPER, compare_with_paper, format_plan, plan_to_json
 
     if example not in (None, "paper"):
         raise NotFoundError(f"example {example!r} does not exist.", action="The only example is 'paper'.")

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 from vaoi_station.errors import InputError
-from vaoi_station.optics.constraint import Constraint
-from vaoi_station.optics.optics_plan import Plan, make_plan
+from vaoi_station.optics.plan import Constraint, Plan, make_plan
 
 _UP, _DOWN = 1, -1
 _FIELDS: dict[str, tuple[tuple[str, int], ...]] = {
@@ -25,7 +23,6 @@ _FIELDS: dict[str, tuple[tuple[str, int], ...]] = {
     "links": (("link_mbit_s", _UP), ("frame_rate_hz", _DOWN), ("speed_mm_s", _DOWN)),
 }
 """For each constraint, the requirements that can mend it, the most usual first, and the direction of the change."""
-_WHOLE = frozenset({"cameras"})
 _FACTORS, _HALVINGS, _DIGITS = (1000.0, 10.0, 3.0, 1.5, 1.1), 40, 4
 
 
@@ -48,17 +45,25 @@ def find_remedies(plan: Plan) -> tuple[Remedy, ...]:
         for constraint in plan.constraints
         if constraint.ok is False
         for requirement, direction in _FIELDS[constraint.name]
-        for remedy in _remedies(plan, constraint, requirement, direction)
+        if (remedy := _remedy(plan, constraint, requirement, direction)) is not None
     )
 
 
-def _remedies(plan: Plan, constraint: Constraint, requirement: str, direction: int) -> Iterator[Remedy]:
-    present = _present(plan, requirement)
+def _remedy(plan: Plan, constraint: Constraint, requirement: str, direction: int) -> Remedy | None:
+    computed = {
+        "cameras": plan.array.cameras,
+        "lens_mm": plan.lens.lens_mm,
+        "f_number": plan.lens.f_number,
+        "exposure_us": plan.motion.exposure_us,
+        "frame_rate_hz": plan.motion.frame_rate_hz,
+    }
+    given: float | None = getattr(plan.requirements, requirement)
+    present = computed.get(requirement) if given is None else given
     if not present:
-        return
+        return None
 
     def changed(factor: float) -> Plan | None:
-        value: Any = _rounded(present * factor**direction, direction, whole=requirement in _WHOLE)
+        value: Any = _rounded(present * factor**direction, direction, whole=requirement == "cameras")
         try:
             return make_plan(replace(plan.requirements, **{requirement: value}))
         except InputError:  # the value contradicts another requirement
@@ -71,7 +76,7 @@ def _remedies(plan: Plan, constraint: Constraint, requirement: str, direction: i
     # A large change may contradict other requirements although a smaller one mends.
     high = next((factor for factor in _FACTORS if mends(factor)), None)
     if high is None:
-        return
+        return None
     low = 1.0
     for _ in range(_HALVINGS):
         middle = math.sqrt(low * high)
@@ -79,32 +84,12 @@ def _remedies(plan: Plan, constraint: Constraint, requirement: str, direction: i
     best = changed(high)
     assert best is not None
     held = {c.name for c in plan.constraints if c.ok is not False}
-    value = float(getattr(best.requirements, requirement))
-    yield Remedy(
-        constraint.name,
-        requirement,
-        value,
-        tuple(c.name for c in best.constraints if c.ok is False and c.name in held),
-    )
-
-
-def _present(plan: Plan, requirement: str) -> float | None:
-    """Return the present value of a requirement: the chosen one, else the one that the plan has computed."""
-    given: float | None = getattr(plan.requirements, requirement)
-    computed = {
-        "cameras": plan.array.cameras,
-        "lens_mm": plan.lens.lens_mm,
-        "f_number": plan.lens.f_number,
-        "exposure_us": plan.motion.exposure_us,
-        "frame_rate_hz": plan.motion.frame_rate_hz,
-    }
-    return computed.get(requirement) if given is None else given
+    violates = tuple(c.name for c in best.constraints if c.ok is False and c.name in held)
+    return Remedy(constraint.name, requirement, float(getattr(best.requirements, requirement)), violates)
 
 
 def _rounded(value: float, direction: int, *, whole: bool) -> float | int:
     """Round to four digits, away from the present value, so that what is rounded mends as well."""
-    if whole:
-        return math.ceil(value - 1e-9) if direction > 0 else math.floor(value + 1e-9)
-    unit = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
+    unit = 1.0 if whole else 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
     steps = math.ceil(value / unit - 1e-9) if direction > 0 else math.floor(value / unit + 1e-9)
-    return float(f"{steps * unit:.12g}")
+    return steps if whole else float(f"{steps * unit:.12g}")

@@ -18,10 +18,9 @@ from vaoi_station.cli import app
 from vaoi_station.config import LightConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files import read_calibration
-from vaoi_station.optics import Requirements
-from vaoi_station.optics.optics_plan import make_plan
-from vaoi_station.optics.paper_example import PAPER
+from vaoi_station.optics import Requirements, make_plan
 from vaoi_station.optics.remedies import find_remedies
+from vaoi_station.optics.report import PAPER
 
 PLAN = "/api/v1/optics/plan"
 REQUIREMENTS = "/api/v1/optics/requirements"

@@ -20,8 +20,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, ProgramRow, ProgramStep
 from vaoi_station.model.reason import Note
-from vaoi_station.optics.motion_equations import longest_exposure_us
-from vaoi_station.optics.pulse_timing import spare_time_us
+from vaoi_station.optics import longest_exposure_us, spare_time_us
 
 OF_PROGRAM = ("trigger plan", "program.{step}.")
 """What states the values of a light program, and what precedes the name of a field, in messages."""

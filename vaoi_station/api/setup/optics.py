@@ -18,9 +18,9 @@ from vaoi_station.errors import VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.model import Calibration
 from vaoi_station.optics import Constraint, Requirements, make_plan
-from vaoi_station.optics.paper_example import PAPER
-from vaoi_station.optics.plan_sections import ArrayPlan, DataPlan, LensPlan, MotionPlan
+from vaoi_station.optics.plan import ArrayPlan, DataPlan, LensPlan, MotionPlan
 from vaoi_station.optics.remedies import Remedy, find_remedies
+from vaoi_station.optics.report import PAPER
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
 CALIBRATION = "calibration"
