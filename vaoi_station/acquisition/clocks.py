@@ -36,7 +36,6 @@ class ClockReading:
     device_s: float
     host_s: float
     bound_s: float
-    """Half the round trip of the request: the largest error of the reading."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,6 @@ class ClockJump:
     """A jump of a device's clock between two of its readings."""
 
     size_s: float
-    """Size of the jump, s; positive if the device's clock shows more than it should."""
     since_s: float
     """Earliest possible host time of the last reading before the jump, s."""
     until_s: float
@@ -58,7 +56,6 @@ class ClockModel:
     """The mapping from one device's clock to the host's, updated with every reading."""
 
     def __init__(self, name: str, keep: int = 60) -> None:
-        """Create a model without readings. It will fit at most the latest `keep` readings."""
         self.name = name
         self._readings: deque[ClockReading] = deque(maxlen=keep)
         self._device0_s = self._host0_s = 0.0
@@ -66,7 +63,6 @@ class ClockModel:
         self._slope_sigma = PRIOR_DRIFT
         self._bound_s = math.inf
         self.restarts = 0
-        """Count of jumps of the device's clock, for example because the device was switched off and on."""
 
     def add(self, reading: ClockReading) -> ClockJump | None:
         """Add a reading and fit the line again. If it shows a jump of the clock, discard older ones; return the jump.
@@ -133,7 +129,6 @@ class ClockModel:
             )
 
     def _fit(self) -> None:
-        """Fit the line by weighted least squares. The prior of the drift counts as one more observation."""
         weights = [1 / max(r.bound_s, RESOLUTION_S) ** 2 for r in self._readings]
         total = sum(weights)
         newest = self._readings[-1]

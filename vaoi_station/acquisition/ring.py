@@ -32,11 +32,8 @@ LAYOUT_VERSION = 1
 PAGE_BYTES = 4096
 
 BUILDING, IN_USE, CLOSED = 0, 1, 2
-"""States of the ring's file, as its header states them."""
 EMPTY, OK, INCOMPLETE = 0, 1, 2
-"""States of a slot, as the slot table states them."""
 NO_ROW = 0xFFFFFFFF
-"""Row number in the slot table for a slot that holds no frame."""
 
 # Offsets are explicit: other programs take them from ring.md, so no compiler and no NumPy alignment may move a field.
 HEADER = np.dtype(
@@ -88,7 +85,6 @@ class RingLayout:
     bays: int
     slots_per_camera: int
     frames: tuple[FrameShape, ...]
-    """Size and pixel format of every camera's frames."""
     room_bytes: int = 0
     """Bytes behind the largest frame that every slot has as well, whole pages: cameras write chunk data there."""
 
@@ -353,7 +349,6 @@ def _is_locked(handle: int) -> bool:
 
 
 def _allocate(handle: int, path: Path, layout: RingLayout) -> None:
-    """Write the header and the camera table, then allocate every block of the file."""
     pid = os.getpid()
     free = os.fstatvfs(handle)
     if (available := free.f_bavail * free.f_frsize) < layout.file_bytes:
@@ -403,7 +398,6 @@ class Ring:
     """The open ring with its frames. The process that called `create` owns the ring; `attach` only maps it."""
 
     def __init__(self, path: Path, layout: RingLayout, handle: int, *, writable: bool, owner: bool) -> None:
-        """Map the open file `handle`. Callers use `create` or `attach` instead of this constructor."""
         self.path = path
         self.layout = layout
         self.writable = writable

@@ -5,7 +5,6 @@ from __future__ import annotations
 from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
-from vaoi_station.acquisition.controller.trigger_rule import check_plan
 from vaoi_station.line_config import Line
 
 LINE = Line(
@@ -17,13 +16,6 @@ LINE = Line(
     longest_board_mm=60.0,
     debounce_s=0.004,
 )
-
-
-def test_a_plan_takes_the_timing_of_the_line() -> None:
-    plan = TriggerPlan.of(LINE, ("top", "low"))
-    assert (plan.start_delay_s, plan.period_s, plan.tail_s, plan.debounce_s) == (0.3, 0.125, 0.4, 0.004)
-    assert plan.lights == ("top", "low")
-    check_plan(plan)
 
 
 def test_a_slow_or_long_board_may_leave_after_a_disarm() -> None:
@@ -38,7 +30,3 @@ def test_the_longest_board_limits_the_rows() -> None:
     plan = TriggerPlan.of(LINE)
     assert plan.max_rows == LINE.rows_of_longest_board >= 6
     assert TriggerPlan.of(LINE.model_copy(update={"longest_board_mm": 600.0})).max_rows > plan.max_rows
-
-
-def test_without_lights_every_row_has_the_same_one() -> None:
-    assert tuple(TriggerPlan.of(LINE).lights) == ()

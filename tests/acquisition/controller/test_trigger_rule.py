@@ -90,14 +90,6 @@ def test_a_board_that_needs_exactly_the_most_rows_has_left() -> None:
     assert ended(exact, 1.9) == (7, "clear")
 
 
-def test_short_interruptions_are_bounces_and_fire_nothing() -> None:
-    events = run(PLAN, [(1.0, True), (1.002, False)])
-    (bounce,) = events
-    assert isinstance(bounce, BarrierBounce)
-    assert bounce.time_s == 1.0
-    assert bounce.duration_s == pytest.approx(0.002)
-
-
 def test_bounces_during_a_passage_change_nothing_but_are_reported() -> None:
     quiet = run(PLAN, [(1.0, True), (1.5, False)])
     events = run(PLAN, [(1.0, True), (1.2, False), (1.203, True), (1.5, False), (1.6, True), (1.601, False)])
@@ -145,17 +137,6 @@ def test_disarming_ends_a_run_at_once() -> None:
     assert rule.run_active
     assert rule.stop(1.36) == [RunEnded(2, 1.36, 1, "disarmed")]
     assert rule.due_s() is None
-
-
-def test_due_times_lead_from_one_event_to_the_next() -> None:
-    rule = TriggerRule(PLAN, count())
-    rule.add_edge(1.0, True)
-    assert rule.due_s() == pytest.approx(1.005)
-    rule.advance(1.005)
-    assert rule.due_s() == pytest.approx(1.3)
-    rule.add_edge(1.1, False)
-    rule.add_edge(1.101, True)
-    assert rule.due_s() == pytest.approx(1.1), "a bounce is reported at once"
 
 
 @pytest.mark.parametrize(

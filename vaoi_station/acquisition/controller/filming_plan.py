@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from vaoi_station.acquisition.cameras.interface import (
@@ -24,7 +24,6 @@ from vaoi_station.optics import longest_exposure_us, spare_time_us
 
 OF_PROGRAM = ("trigger plan", "program.{step}.")
 """What states the values of a light program, and what precedes the name of a field, in messages."""
-
 MOST_SHOWN = 5
 """Largest number of faults that the message of one error names."""
 
@@ -35,40 +34,47 @@ class ProgramFault:
 
     error: InputError
     step: int | None = None
-    """Index of the step; None if the fault concerns the whole program or the line."""
+    """None if the fault concerns the whole program or the line."""
     key: str = ""
     """The key of the step that is wrong; empty if it is none of them."""
     camera: int | None = None
 
 
-def coded(error: InputError, *, code: str, **values: object) -> InputError:
-    """Return an error whose message has a code and the values that it states, for texts in other languages."""
+def refusal(
+    where: str, key: str, value: object, limit: str, action: str = "", /, *, code: str, **values: object
+) -> InputError:
+    """Return `InputError.field` with a code and the values that it states, for texts in other languages."""
+    error = InputError.field(where, key, value, limit, action)
     error.message = Note(code, error.message, **values)
     return error
 
 
-def require_none(faults: Sequence[ProgramFault]) -> None:
+def require_none(faults: Iterable[ProgramFault]) -> None:
     """Raise one InputError that names all faults, at most `MOST_SHOWN` of them; return if there are none."""
-    if len(faults) == 1:
-        raise faults[0].error
-    if faults:
+    errors = [fault.error for fault in faults]
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
         # Several cameras often have the same fault with different numbers; a person corrects the first ones first.
-        messages = list(dict.fromkeys(fault.error.message for fault in faults))
+        messages = list(dict.fromkeys(error.message for error in errors))
         more = len(messages) - MOST_SHOWN
         shown = " ".join(messages[:MOST_SHOWN]) + (f" And {more} more." if more > 0 else "")
-        raise InputError(shown, action=next((f.error.action for f in faults if f.error.action), ""))
+        raise InputError(shown, action=next((error.action for error in errors if error.action), ""))
 
 
 def unknown_lights(program: Sequence[ProgramRow], lights: Collection[str]) -> list[ProgramFault]:
     """Return a fault for each step with a light that a simulated line does not have."""
     limit = f"a light of the scenario, which has {', '.join(map(repr, lights))}"
-    faults = []
-    for n, row in enumerate(program):
-        if row.light not in lights:
-            error = InputError.field("trigger plan", f"program.{n}.light", row.light, limit)
-            coded(error, code="unknown-light", light=row.light, known=", ".join(lights))
-            faults.append(ProgramFault(error, n, "light"))
-    return faults
+    return [
+        ProgramFault(_unknown_light(OF_PROGRAM[0], n, row.light, limit, lights), n, "light")
+        for n, row in enumerate(program)
+        if row.light not in lights
+    ]
+
+
+def _unknown_light(where: str, step: int, light: str, limit: str, known: Iterable[str]) -> InputError:
+    code = "unknown-light"
+    return refusal(where, f"program.{step}.light", light, limit, code=code, light=light, known=", ".join(known))
 
 
 def beyond_camera(
@@ -85,23 +91,26 @@ def beyond_camera(
         if limits.sets is None:
             limit = f'1: {label} has no sequencer, though its exposure_by in station.toml is "sequencer"'
         action, count = "Let the on-time of the LEDs (on_us) make the difference between rows.", len(wanted.sequence)
-        error = InputError.field("trigger plan", "number of different steps", count, limit, action)
-        coded(error, code="sequencer-too-short", camera=label, count=count, most=limits.sets or 0)
-        yield ProgramFault(error, camera=camera)
-    # The sets of a sequencer are compared exactly; a register is read back, and a camera may have rounded it.
-    exact = bool(wanted.sequence)
-    values = [("exposure_us", "µs", wanted.exposures_us, limits.exposure_us, exact)] if not wanted.by_trigger else []
-    for key, unit, steps, bounds, exactly in (*values, ("gain_db", "dB", tuple(gains_db), limits.gain_db, exact)):
+        values = {"camera": label, "count": count, "most": limits.sets or 0}
+        where, key = OF_PROGRAM[0], "number of different steps"
+        yield ProgramFault(
+            refusal(where, key, count, limit, action, code="sequencer-too-short", **values), camera=camera
+        )
+    checks = [("gain_db", "dB", tuple(gains_db), limits.gain_db)]
+    if not wanted.by_trigger:
+        checks.insert(0, ("exposure_us", "µs", wanted.exposures_us, limits.exposure_us))
+    for key, unit, steps, bounds in checks:
         for n, value in enumerate(steps):
             near = max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * value) if unit == "µs" else GAIN_TOLERANCE_DB
-            spare = 0.0 if exactly else near
-            if bounds is not None and not bounds[0] - spare <= value <= bounds[1] + spare:
-                limit = f"{bounds[0]:g} … {bounds[1]:g} {unit}, the limits that {label} states"
-                field = names[1].format(step=n) + key
-                error = InputError.field(names[0], field, value, limit)
-                given = {"value": f"{value:g} {unit}", "low": f"{bounds[0]:g}", "high": f"{bounds[1]:g} {unit}"}
-                coded(error, code="beyond-camera", camera=label, field=key, **given)
-                yield ProgramFault(error, n, key, camera) if names == OF_PROGRAM else ProgramFault(error, camera=camera)
+            # The sets of a sequencer are compared exactly; a register is read back, and a camera may have rounded it.
+            spare = 0.0 if wanted.sequence else near
+            if bounds is None or bounds[0] - spare <= value <= bounds[1] + spare:
+                continue
+            limit = f"{bounds[0]:g} … {bounds[1]:g} {unit}, the limits that {label} states"
+            given = {"value": f"{value:g} {unit}", "low": f"{bounds[0]:g}", "high": f"{bounds[1]:g} {unit}"}
+            field = names[1].format(step=n) + key
+            error = refusal(names[0], field, value, limit, code="beyond-camera", camera=label, field=key, **given)
+            yield ProgramFault(error, n, key, camera) if names == OF_PROGRAM else ProgramFault(error, camera=camera)
 
 
 def filming_plan(
@@ -117,11 +126,7 @@ def filming_plan(
 def checked_plan(
     config: StationConfig, line: Line, board_type: BoardType | None = None, px_per_mm: Sequence[float] = ()
 ) -> tuple[TriggerPlan, list[ProgramFault]]:
-    """Return the plan of `filming_plan` on a line, and every fault that its light program has.
-
-    A plan with faults must not be armed; the lists of values that do not fit the cameras are those of station.toml in
-    it.
-    """
+    """Return the plan of `filming_plan` on a line, and every fault of its light program; with one it is not armed."""
     where, steps = "station.toml", config.program
     if board_type is not None and board_type.program:
         where, steps = _named(board_type), board_type.program
@@ -135,7 +140,7 @@ def checked_plan(
     plan = replace(TriggerPlan.of(line, program=rows), by_trigger=by_trigger)
     # Exposures of steps that are too long are named with their steps already.
     named = {fault.camera for fault in faults if fault.key == "exposure_us"}
-    faults += [fault for fault in _time_faults(plan, config) if fault.camera not in named]
+    faults += [fault for fault in time_faults(plan, config) if fault.camera not in named]
     return plan, faults
 
 
@@ -153,14 +158,14 @@ def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
     if asked.rail_mm is not None:
         if expected.rail_mm is None:
             limit = "absent: in station.toml no rail guides the boards (line.expected_board.rail_mm)"
-            raise coded(InputError.field(where, "line.rail_mm", asked.rail_mm, limit), code="line-without-rail")
+            raise refusal(where, "line.rail_mm", asked.rail_mm, limit, code="line-without-rail")
         _check_range(where, "line.rail_mm", asked.rail_mm, line.rail_limits_mm, expected.rail_mm)
         expected = expected.model_copy(update={"rail_mm": asked.rail_mm})
     longest_mm = line.longest_board_mm if asked.longest_board_mm is None else asked.longest_board_mm
     if longest_mm > line.longest_board_mm:
-        limit = f"at most {line.longest_board_mm:g}, line.longest_board_mm in station.toml"
-        error = InputError.field(where, "line.longest_board_mm", longest_mm, limit)
-        raise coded(error, code="board-too-long", value=f"{longest_mm:g}", most=f"{line.longest_board_mm:g}")
+        value, most = f"{longest_mm:g}", f"{line.longest_board_mm:g}"
+        limit = f"at most {most}, line.longest_board_mm in station.toml"
+        raise refusal(where, "line.longest_board_mm", longest_mm, limit, code="board-too-long", value=value, most=most)
     slower = line.speed_mm_s / speed_mm_s
     period_s = line.trigger_period_s * slower if asked.row_mm is None else asked.row_mm / speed_mm_s
     changed = {
@@ -175,36 +180,36 @@ def line_of_board(config: StationConfig, board_type: BoardType) -> Line:
     changed_line = line.model_copy(update=changed)
     if fault := changed_line.encoder_fault():
         error = InputError(f"{where}: line: {fault}.", action="Correct `line` of the board type, or [line.encoder].")
-        raise coded(error, code="line-against-encoder")
+        error.message = Note("line-against-encoder", error.message)
+        raise error
     _check_rows(where, changed_line, config)
     return changed_line
 
 
 def _check_range(where: str, key: str, value: float, limits: tuple[float, float] | None, only: float) -> None:
     name = {"line.speed_mm_s": "line.speed_limits_mm_s", "line.rail_mm": "line.rail_limits_mm"}[key]
+    given = {"field": key, "value": f"{value:g}", "limits": name}
     if limits is None and value != only:
         limit = f"{only:g} as in station.toml, which states no {name}"
-        error = InputError.field(where, key, value, limit)
-        raise coded(error, code="line-value-fixed", field=key, value=f"{value:g}", only=f"{only:g}", limits=name)
+        raise refusal(where, key, value, limit, code="line-value-fixed", only=f"{only:g}", **given)
     if limits is not None and not limits[0] <= value <= limits[1]:
         low, high = (f"{limit:g}" for limit in limits)
-        error = InputError.field(where, key, value, f"{low} … {high}, {name} in station.toml")
-        raise coded(error, code="line-value-beyond", field=key, value=f"{value:g}", low=low, high=high)
+        limit = f"{low} … {high}, {name} in station.toml"
+        raise refusal(where, key, value, limit, code="line-value-beyond", low=low, high=high, **given)
 
 
 def _check_rows(where: str, line: Line, config: StationConfig) -> None:
     """Raise InputError for a tail that leaves no pulse, or needs more rows than the ring has slots."""
+    key, tail_s, shown = "line.tail_s", line.tail_s, f"{line.tail_s:g}"
     if line.passing_s < line.start_delay_s:
         least = f"{line.start_delay_s - line.longest_board_mm / line.speed_mm_s:.3f}"
-        error = InputError.field(where, "line.tail_s", line.tail_s, f"at least {least}, else no pulse is fired")
-        raise coded(error, code="tail-too-short", value=f"{line.tail_s:g}", least=least)
-    if line.rows_of_longest_board > config.rows_per_run:
-        slots = f"the ring has {config.rows_per_run} slots per camera"
-        limit = f"shorter: it gives {line.rows_of_longest_board} rows, but {slots}"
+        limit = f"at least {least}, else no pulse is fired"
+        raise refusal(where, key, tail_s, limit, code="tail-too-short", value=shown, least=least)
+    rows, slots = line.rows_of_longest_board, config.rows_per_run
+    if rows > slots:
+        limit = f"shorter: it gives {rows} rows, but the ring has {slots} slots per camera"
         action = "Or raise ring.spare_rows in station.toml."
-        error = InputError.field(where, "line.tail_s", line.tail_s, limit, action)
-        numbers = {"rows": line.rows_of_longest_board, "slots": config.rows_per_run}
-        raise coded(error, code="tail-too-long", value=f"{line.tail_s:g}", **numbers)
+        raise refusal(where, key, tail_s, limit, action, code="tail-too-long", value=shown, rows=rows, slots=slots)
 
 
 def _named(board_type: BoardType) -> str:
@@ -236,26 +241,21 @@ def _sequence(plan: TriggerPlan, camera: int) -> tuple[tuple[float, float], ...]
     return steps[:turn] if turn > 1 else ()
 
 
-def require_time(plan: TriggerPlan, config: StationConfig) -> None:
-    """Raise InputError if the period of a plan is too short for a camera's longest exposure and read-out."""
-    require_none(list(_time_faults(plan, config)))
-
-
-def _time_faults(plan: TriggerPlan, config: StationConfig) -> Iterator[ProgramFault]:
+def time_faults(plan: TriggerPlan, config: StationConfig) -> Iterator[ProgramFault]:
     """Yield a fault for each camera whose longest exposure and read-out do not fit into the period of a plan."""
+    period_s = plan.shortest_period_s
     for n, camera in enumerate(config.cameras):
         exposure_us = max((row.exposures_us[n] for row in plan.program), default=camera.exposure_us)
-        if spare_time_us(plan.shortest_period_s * 1e6, exposure_us, camera.readout_us) < 0:
-            needed_s = (exposure_us + camera.readout_us) * 1e-6
+        if spare_time_us(period_s * 1e6, exposure_us, camera.readout_us) < 0:
+            least = f"{(exposure_us + camera.readout_us) * 1e-6:g}"
             limit = (
-                f"at least {needed_s:g}: camera {camera.name!r} exposes for {exposure_us:g} µs "
+                f"at least {least}: camera {camera.name!r} exposes for {exposure_us:g} µs "
                 f"and is read out in {camera.readout_us:g} µs"
             )
             if plan.belt is not None:
-                limit += f", and at its fastest the belt brings a row every {plan.shortest_period_s:g} s"
-            error = InputError.field("trigger plan", "period_s", plan.shortest_period_s, limit)
-            times = {"value": f"{plan.shortest_period_s:g}", "least": f"{needed_s:g}", "exposure": f"{exposure_us:g}"}
-            coded(error, code="period-too-short", camera=camera.label, **times)
+                limit += f", and at its fastest the belt brings a row every {period_s:g} s"
+            values = {"camera": camera.label, "value": f"{period_s:g}", "least": least, "exposure": f"{exposure_us:g}"}
+            error = refusal(OF_PROGRAM[0], "period_s", period_s, limit, code="period-too-short", **values)
             yield ProgramFault(error, camera=n)
 
 
@@ -271,28 +271,25 @@ def _resolution(config: StationConfig, camera: int, px_per_mm: Sequence[float]) 
 
 def _row(where: str, number: int, step: ProgramStep, config: StationConfig, faults: list[ProgramFault]) -> ProgramRow:
     """Return a step with all its values; what it does not state is taken from station.toml. Faults are added."""
-    light = config.controller.lights.get(step.light)
-    if config.controller.backend == "serial" and light is None:
-        known = ", ".join(map(repr, config.controller.lights)) or "none"
+    lights, cameras = config.controller.lights, config.cameras
+    if config.controller.backend == "serial" and step.light not in lights:
+        known = ", ".join(map(repr, lights)) or "none"
         limit = f"a light of [controller.lights] in station.toml, which has {known}"
-        error = InputError.field(where, f"program.{number}.light", step.light, limit)
-        coded(error, code="unknown-light", light=step.light, known=", ".join(config.controller.lights))
-        faults.append(ProgramFault(error, number, "light"))
-    cameras = config.cameras
+        faults.append(ProgramFault(_unknown_light(where, number, step.light, limit, lights), number, "light"))
     values = {"exposure_us": [c.exposure_us for c in cameras], "gain_db": [c.gain_db for c in cameras]}
-    for key, default in values.items():
+    for key in values:
         given = getattr(step, key)
-        if given is not None and len(given) not in (1, len(default)):
-            limit = f"one for all cameras, or {len(default)}, one per camera"
-            error = InputError.field(where, f"number of entries of program.{number}.{key}", len(given), limit)
-            coded(error, code="values-per-camera", field=key, count=len(given), cameras=len(default))
-            faults.append(ProgramFault(error, number, key))
-        elif given is not None:
-            values[key] = [*given] * len(default) if len(given) == 1 else [*given]
-    on_us = step.on_us if step.on_us is not None else light.on_us if light is not None else None
-    return ProgramRow(
-        light=step.light, exposures_us=tuple(values["exposure_us"]), gains_db=tuple(values["gain_db"]), on_us=on_us
-    )
+        if given is None:
+            continue
+        if len(given) in (1, len(cameras)):
+            values[key] = [*given] * (len(cameras) // len(given))
+            continue
+        limit, field = f"one for all cameras, or {len(cameras)}, one per camera", f"program.{number}.{key}"
+        counts = {"field": key, "count": len(given), "cameras": len(cameras)}
+        error = refusal(where, f"number of entries of {field}", len(given), limit, code="values-per-camera", **counts)
+        faults.append(ProgramFault(error, number, key))
+    on_us = step.on_us if step.on_us is not None or step.light not in lights else lights[step.light].on_us
+    return ProgramRow(step.light, tuple(values["exposure_us"]), tuple(values["gain_db"]), on_us)
 
 
 def _camera_faults(
@@ -306,25 +303,26 @@ def _camera_faults(
         exposure_us, lit_us = row.exposures_us[number], row.lit_us[number]
         if spare_time_us(line.shortest_period_s * 1e6, exposure_us, camera.readout_us) < 0:
             readout = f" minus {camera.readout_us:g} µs of read-out" if camera.readout_us else ""
-            most_us = line.shortest_period_s * 1e6 - camera.readout_us
-            limit = f"at most {most_us:g} for {camera.label}: pulses follow every {line.shortest_period_s:g} s{readout}"
+            most = f"{line.shortest_period_s * 1e6 - camera.readout_us:g}"
+            limit = f"at most {most} for {camera.label}: pulses follow every {line.shortest_period_s:g} s{readout}"
             limit += f" at {line.fastest_mm_s:g} mm/s, the fastest of the encoder" if line.by_encoder else ""
-            error = InputError.field(where, f"program.{n}.exposure_us", exposure_us, limit)
-            times = {"value": f"{exposure_us:g}", "most": f"{most_us:g}"}
-            coded(error, code="exposure-beyond-period", camera=camera.label, **times)
-            yield ProgramFault(error, n, "exposure_us", number)
+            key, values = "exposure_us", {"camera": camera.label, "value": f"{exposure_us:g}", "most": most}
+            error = refusal(where, f"program.{n}.{key}", exposure_us, limit, code="exposure-beyond-period", **values)
+            yield ProgramFault(error, n, key, number)
         if longest_us is not None and lit_us > longest_us * (1 + 1e-9):
-            key = "exposure_us" if lit_us == exposure_us else "on_us"
+            key, most = "exposure_us" if lit_us == exposure_us else "on_us", f"{longest_us:.1f}"
             limit = (
-                f"at most {longest_us:.1f} for {camera.label}: at {line.fastest_mm_s:g} mm/s and {resolution:.4g} px/mm"
+                f"at most {most} for {camera.label}: at {line.fastest_mm_s:g} mm/s and {resolution:.4g} px/mm"
                 f" the picture moves {line.max_blur_px:g} px in that time (line.max_blur_px)"
             )
-            error = InputError.field(where, f"program.{n}.{key}", lit_us, limit, "Shorten it, or raise the gain.")
-            times = {"value": f"{lit_us:g}", "most": f"{longest_us:.1f}", "blur": f"{line.max_blur_px:g}"}
-            coded(error, code="motion-blur", camera=camera.label, field=key, **times)
+            action, blur = "Shorten it, or raise the gain.", f"{line.max_blur_px:g}"
+            values = {"camera": camera.label, "field": key, "value": f"{lit_us:g}", "most": most, "blur": blur}
+            error = refusal(where, f"program.{n}.{key}", lit_us, limit, action, code="motion-blur", **values)
             yield ProgramFault(error, n, key, number)
-    yield from _register_faults(where, rows, camera, number)
-    yield from _sequence_faults(where, rows, camera, number)
+    if camera.backend == "aravis" and camera.exposure_by == "sequencer":
+        yield from _sequence_faults(where, rows, camera, number)
+    elif camera.backend == "aravis":
+        yield from _register_faults(where, rows, camera, number)
 
 
 def _cameras_by_trigger(
@@ -341,18 +339,14 @@ def _cameras_by_trigger(
     )
     for n, row in enumerate(rows):
         for other in cameras[1:]:
-            first, exposure_us = row.exposures_us[cameras[0]], row.exposures_us[other]
-            if exposure_us != first:
-                label, limit = config.cameras[other].label, f"{first:g} µs as for {config.cameras[cameras[0]].label}"
-                error = InputError.field(
-                    where,
-                    f"program.{n}.exposure_us",
-                    exposure_us,
-                    f"{limit}: the width of one trigger is the exposure of both",
-                    f'Or give {label} one exposure for all rows, with exposure_by = "register".',
-                )
-                values = {"value": f"{exposure_us:g}", "only": f"{first:g}"}
-                coded(error, code="one-trigger-width", camera=label, other=config.cameras[cameras[0]].label, **values)
+            first_us, exposure_us = row.exposures_us[cameras[0]], row.exposures_us[other]
+            if exposure_us != first_us:
+                label, first = config.cameras[other].label, config.cameras[cameras[0]].label
+                limit = f"{first_us:g} µs as for {first}: the width of one trigger is the exposure of both"
+                action = f'Or give {label} one exposure for all rows, with exposure_by = "register".'
+                values = {"camera": label, "other": first, "value": f"{exposure_us:g}", "only": f"{first_us:g}"}
+                key = f"program.{n}.exposure_us"
+                error = refusal(where, key, exposure_us, limit, action, code="one-trigger-width", **values)
                 faults.append(ProgramFault(error, n, "exposure_us", other))
     return cameras
 
@@ -366,9 +360,6 @@ def _is_by_trigger(camera: CameraConfig, exposures_us: Sequence[float]) -> bool:
 def _register_faults(
     where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int
 ) -> Iterator[ProgramFault]:
-    """Yield a fault if a real camera would have to change a register from row to row."""
-    if camera.backend != "aravis" or camera.exposure_by == "sequencer":
-        return
     # A value that is written to the camera between two rows may take effect before or after the next pulse.
     registers = [("gain_db", "dB", [row.gains_db[number] for row in rows])]
     if camera.exposure_by == "register":
@@ -376,16 +367,15 @@ def _register_faults(
     for key, unit, values in registers:
         other = next((n for n, value in enumerate(values) if value != values[0]), None)
         if other is not None:
-            error = InputError.field(
-                where,
-                f"program.{other}.{key}",
-                values[other],
-                f"{values[0]:g} {unit} as in program.0: {camera.label} has one {key} for all rows of a program",
+            limit = f"{values[0]:g} {unit} as in program.0: {camera.label} has one {key} for all rows of a program"
+            action = (
                 "Let the on-time of the LEDs (on_us) make the difference between rows, or, with a camera that has one, "
-                'the sequencer (exposure_by = "sequencer").',
+                'the sequencer (exposure_by = "sequencer").'
             )
-            given = {"value": f"{values[other]:g} {unit}", "only": f"{values[0]:g} {unit}"}
-            coded(error, code="one-value-for-all-rows", camera=camera.label, field=key, **given)
+            given = {"field": key, "value": f"{values[other]:g} {unit}", "only": f"{values[0]:g} {unit}"}
+            name = f"program.{other}.{key}"
+            code = "one-value-for-all-rows"
+            error = refusal(where, name, values[other], limit, action, code=code, camera=camera.label, **given)
             yield ProgramFault(error, other, key, number)
 
 
@@ -393,25 +383,21 @@ def _sequence_faults(
     where: str, rows: Sequence[ProgramRow], camera: CameraConfig, number: int
 ) -> Iterator[ProgramFault]:
     """Yield the steps of a sequencer if frames of two of them might state the same exposure and gain."""
-    if camera.backend != "aravis" or camera.exposure_by != "sequencer":
-        return
     steps = [(row.exposures_us[number], row.gains_db[number]) for row in rows]
     for n, (exposure_us, gain_db) in enumerate(steps):
         for before, (other_us, other_db) in enumerate(steps[:n]):
             apart_us = stated_tolerance_us(exposure_us) + stated_tolerance_us(other_us)
             near = abs(exposure_us - other_us) < apart_us and abs(gain_db - other_db) < 2 * STATED_TOLERANCE_DB
-            if near and (exposure_us, gain_db) != (other_us, other_db):
-                key, value = "exposure_us", exposure_us
-                limit = f"{other_us:g} as in program.{before}, or at least {apart_us:g} µs from it"
-                if exposure_us == other_us:
-                    key, value = "gain_db", gain_db
-                    limit = f"{other_db:g} as in program.{before}, or at least {2 * STATED_TOLERANCE_DB:g} dB from it"
-                error = InputError.field(
-                    where,
-                    f"program.{n}.{key}",
-                    value,
-                    f"{limit}: by what the frames of {camera.label} state, the two steps could not be distinguished",
-                    "Or let the on-time of the LEDs (on_us) make the difference between these rows.",
-                )
-                coded(error, code="steps-too-alike", camera=camera.label, field=key, value=f"{value:g}", other=before)
-                yield ProgramFault(error, n, key, number)
+            if not near or (exposure_us, gain_db) == (other_us, other_db):
+                continue
+            key, value, other, apart = "exposure_us", exposure_us, other_us, f"{apart_us:g} µs"
+            if exposure_us == other_us:
+                key, value, other, apart = "gain_db", gain_db, other_db, f"{2 * STATED_TOLERANCE_DB:g} dB"
+            limit = (
+                f"{other:g} as in program.{before}, or at least {apart} from it: by what the frames of {camera.label} "
+                "state, the two steps could not be distinguished"
+            )
+            action = "Or let the on-time of the LEDs (on_us) make the difference between these rows."
+            given = {"camera": camera.label, "field": key, "value": f"{value:g}", "other": before}
+            error = refusal(where, f"program.{n}.{key}", value, limit, action, code="steps-too-alike", **given)
+            yield ProgramFault(error, n, key, number)

@@ -53,15 +53,10 @@ class TriggerPlan:
     """The timing of one run, counted from the edge of the barrier. It does not change while the line is armed."""
 
     start_delay_s: float
-    """Time from the interruption of the barrier to the first pulse."""
     period_s: float
-    """Time between two pulses."""
     tail_s: float
-    """Time after the board has left the barrier during which pulses are still fired."""
     max_rows: int
-    """Count of rows after which a run ends even if the board has not left the barrier."""
     debounce_s: float
-    """Time for which the barrier must keep its new state before the change counts."""
     lights: Sequence[str] = ()
     """Names of the light patterns, which the rows use in turn. Empty: every row has the same light."""
     program: tuple[ProgramRow, ...] = ()
@@ -70,7 +65,6 @@ class TriggerPlan:
     by_trigger: tuple[int, ...] = ()
     """Cameras that expose for as long as the trigger is high, in each row for `trigger_us` of the program."""
     conveyor_mm_s: tuple[float, float] | None = None
-    """Velocity of the belt that the plan expects, tester coordinates; None: that of station.toml."""
     belt: BeltPacing | None = None
     """Distances of the rows if the encoder spaces them; the times above are then those at the nominal speed."""
 
@@ -124,13 +118,9 @@ class FirmwareLimits:
 
     version: str
     steps: int
-    """Largest number of steps."""
     channels: int
-    """Number of LED channels."""
     shortest_us: float
-    """Shortest on-time of LEDs."""
     longest_us: tuple[float, ...]
-    """Longest on-time of each LED channel."""
     share: int
     """LEDs are on for at most the period divided by this number."""
     widest_us: float
@@ -144,7 +134,6 @@ class ControllerLimits:
     lights: tuple[str, ...] | None = None
     """Names of the lights that it has; None: those of station.toml."""
     firmware: FirmwareLimits | None = None
-    """None for a controller without firmware."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +141,6 @@ class Permit:
     """The station's permission for one board to come, for the output "line ready". A board that comes uses it up."""
 
     number: int
-    """1 to 65535, another one for each board."""
     until_s: float
     """time.monotonic() until which it is valid; the station renews it before."""
 
@@ -226,13 +214,9 @@ class PulseFired(ControllerEvent):
     index: int
     light: str = ""
     exposures_us: tuple[float, ...] = ()
-    """Exposure time of each camera, if the backend reports it: a replay does."""
     gains: tuple[float, ...] = ()
-    """Linear gain of each camera, if the backend reports it."""
     on_us: float | None = None
-    """On-time of the LEDs, µs, as the controller reports it; None if it does not."""
     trigger_us: float | None = None
-    """Width of the camera trigger, µs, as the controller reports it; None if it does not."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +232,6 @@ class RunEnded(ControllerEvent):
     """The end of a run, after its last pulse."""
 
     pulses: int
-    """Number of rows, including skipped ones."""
     reason: str
     """"clear" (board left, tail over), "max-rows" (more rows were due than allowed), "disarmed", "single"
     (requested by `fire_one`), or a sentence on the failure of the controller."""

@@ -12,7 +12,7 @@ import itertools
 import zlib
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 from enum import IntEnum
 from struct import Struct
 from typing import Any, ClassVar, TypeVar
@@ -57,7 +57,6 @@ class FrameReader:
     def __init__(self) -> None:
         self._bytes = bytearray()
         self.bad = 0
-        """Count of damaged frames that were received."""
 
     def feed(self, data: bytes) -> list[Message]:
         """Process received bytes, and return the messages that are complete with them."""
@@ -97,11 +96,9 @@ def uncob(frame: bytes) -> bytes | None:
 VERSION = (1, 3)
 TICK_S = 0.5e-6
 ROW_NONE = 0xFFFF
-"""Index of a pulse that belongs to no row."""
 PERMIT_TEST = 0
 """The permit of READY that sets the output "line ready" without a board, in the state IDLE only."""
 REPLY = 0x80
-"""Number that is added to the type of a request to get the type of its reply."""
 
 
 class Type(IntEnum):
@@ -212,8 +209,6 @@ S = TypeVar("S", bound="_Wire")
 
 @dataclass(frozen=True)
 class _Wire:
-    """Base class of the protocol's messages. It converts them to bytes and back."""
-
     LAYOUT: ClassVar[Struct]
     GROWS: ClassVar[bool] = False
     """Whether a later minor version of the protocol may append fields to this message."""
@@ -237,8 +232,7 @@ class _Wire:
 
 @dataclass(frozen=True)
 class Timing(_Wire):
-    """The timing of the rows. Delay, period and tail are in ticks or, if the belt sets the spacing, in encoder
-    counts."""
+    """The timing of the rows: delay, period and tail are in ticks, or in counts if the encoder spaces the rows."""
 
     LAYOUT = Struct("<BBHIIIIIIH")
     pacing: int
@@ -295,6 +289,16 @@ class Ident(_Wire):
     trigger_longest: int = 0
     """Longest width of the trigger by which a step can set the exposure, in ticks; 0 before 1.3, which has no WIDTH."""
 
+    @property
+    def firmware(self) -> str:
+        """The version of the firmware."""
+        return f"{self.firmware_major}.{self.firmware_minor}.{self.firmware_patch}"
+
+    @property
+    def led_longest(self) -> tuple[int, ...]:
+        """Longest on-time of each LED channel, ticks."""
+        return self.led_longest_0, self.led_longest_1, self.led_longest_2, self.led_longest_3
+
 
 @dataclass(frozen=True)
 class Status(_Wire):
@@ -322,7 +326,6 @@ class Status(_Wire):
     bytes_lost: int
     edges_lost: int
     ready: int = 0
-    """Level of the output "line ready"."""
     hold: int = Hold.NONE
     permit: int = 0
 
@@ -399,10 +402,7 @@ def arm(run: int, config_crc: int) -> Request:
 
 
 def fire_one(nonce: int, step: Step, trigger_width: int) -> Request:
-    """Return the request for one pulse that belongs to no row.
-
-    The controller fires once for each value of `nonce`, even if the request is repeated.
-    """
+    """Return the request for one pulse without a row; the controller fires once for each value of `nonce`."""
     return Request(Type.FIRE_ONE, nonce.to_bytes(2, "little") + step.pack() + trigger_width.to_bytes(2, "little"))
 
 
@@ -420,10 +420,6 @@ def config_crc(timing: Timing, steps: Sequence[Step], widths: Sequence[int] = ()
 
 def configuration(timing: Timing, steps: Sequence[Step], widths: Sequence[int] = ()) -> list[Request]:
     """Return all requests that set and activate a configuration, with the arguments of `config_crc`."""
-    if timing.steps != len(steps):
-        raise ValueError(f"timing.steps is {timing.steps}, but there are {len(steps)} steps")
-    if len(widths) not in (0, len(steps)):
-        raise ValueError(f"there are {len(widths)} widths, but {len(steps)} steps")
     own = [set_width(k, width) for k, width in enumerate(widths) if width != timing.trigger_width]
     # COMMIT comes last: until then, the firmware keeps its old configuration, so that an incomplete one has no effect.
     return [
@@ -435,17 +431,12 @@ def configuration(timing: Timing, steps: Sequence[Step], widths: Sequence[int] =
 
 
 class EventOrder:
-    """Passes on each numbered event of the controller once, and in order.
-
-    One object serves one boot of the controller, which numbers its messages from 0 after a reset.
-    """
+    """Passes on each numbered event of one boot of the controller once, and in order."""
 
     def __init__(self) -> None:
         self.next_number = 0
-        """Number of the next event to pass on."""
         self._early: dict[int, Event] = {}
         self._announced = 0
-        """Number before which all events are known to have occurred, whether received or not."""
 
     def add(self, event: Event) -> list[Event]:
         """Add an event, and return the events that can be passed on now, in order."""
@@ -479,23 +470,10 @@ class EventOrder:
 
 
 BOARD = b"m328p16"
-"""Name of the board type that this station drives: an ATmega328P at 16 MHz."""
-OLDEST_FIRMWARE = (1, 1, 0)
-OLDEST_PROTOCOL = (1, 1)
+OLDEST_FIRMWARE, OLDEST_MINOR = (1, 1, 0), 1
 _FLASH = "Write the firmware that came with this station: make -C hw/firmware flash."
-_FIELDS = (
-    "pacing",
-    "steps",
-    "max_rows",
-    "start_delay",
-    "period",
-    "tail",
-    "min_period",
-    "debounce",
-    "min_gap",
-    "trigger_width",
-)
-_FIRST_STEP = 16
+FIRST_STEP = 16
+"""Fields of a refused COMMIT from this number on are steps; those before are the fields of `Timing`."""
 
 
 def check_ident(payload: bytes) -> Ident:
@@ -517,10 +495,10 @@ def check_ident(payload: bytes) -> Ident:
             code="foreign-device",
         )
     firmware = (ident.firmware_major, ident.firmware_minor, ident.firmware_patch)
-    if firmware < OLDEST_FIRMWARE or ident.minor < OLDEST_PROTOCOL[1]:
+    if firmware < OLDEST_FIRMWARE or ident.minor < OLDEST_MINOR:
         raise DeviceError(
-            f"The controller has firmware {_dotted(firmware)} with protocol {ident.major}.{ident.minor}, but needs "
-            f"{_dotted(OLDEST_FIRMWARE)} with {_dotted(OLDEST_PROTOCOL)} at least.",
+            f"The controller has firmware {ident.firmware} with protocol {ident.major}.{ident.minor}, but needs "
+            "1.1.0 with 1.1 at least.",
             action=_FLASH,
             code="firmware-too-old",
         )
@@ -530,17 +508,12 @@ def check_ident(payload: bytes) -> Ident:
 def check_interlock(ident: Ident) -> None:
     """Raise DeviceError if the firmware has no output "line ready"."""
     if not ident.ready_longest_ms:
-        firmware = (ident.firmware_major, ident.firmware_minor, ident.firmware_patch)
         raise DeviceError(
-            f"The controller has firmware {_dotted(firmware)}, which has no output 'line ready', but [controller] "
+            f"The controller has firmware {ident.firmware}, which has no output 'line ready', but [controller] "
             'interlock in station.toml is "on".',
             action=f'{_FLASH} Or set interlock = "off", and hold boards back by another way.',
             code="interlock-missing",
         )
-
-
-def _dotted(version: tuple[int, ...]) -> str:
-    return ".".join(str(number) for number in version)
 
 
 def describe(nak: Nak) -> str:
@@ -562,7 +535,8 @@ def describe(nak: Nak) -> str:
 
 def _field(nak: Nak) -> str:
     if nak.request == Type.COMMIT:
-        return f"step {nak.field - _FIRST_STEP}" if nak.field >= _FIRST_STEP else _FIELDS[nak.field % len(_FIELDS)]
+        names_of_timing = [field.name for field in fields(Timing)]
+        return f"step {nak.field - FIRST_STEP}" if nak.field >= FIRST_STEP else names_of_timing[nak.field % 10]
     # Only COMMIT numbers its fields; other requests have one value that can be out of range.
     names: dict[int, str] = {Type.STEP: "its index", Type.FIRE_ONE: "its pulse", Type.READY: "its time"}
     return names.get(nak.request, f"field {nak.field}")
@@ -571,7 +545,6 @@ def _field(nak: Nak) -> str:
 RETRY_S = 0.1
 """Time without a reply after which a request is sent again."""
 MAX_TRIES = 10
-"""Largest count of transmissions of one request."""
 HEARTBEAT_S = 0.25
 """Interval of BEAT and of READY; the firmware makes itself safe after 3 s without BEAT."""
 
@@ -596,10 +569,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class Unanswered:
-    """A request without a known outcome: no transmission had a reply, or the controller was reset.
-
-    It may also be a request that the link made by itself, such as BEAT; then too, the controller does not reply.
-    """
+    """A request, also one of the link itself, without a known outcome: no reply came, or the controller was reset."""
 
     request: Request
 
@@ -626,7 +596,6 @@ class Restarted:
 
 
 Notification = Replied | Refused | Unanswered | EventReceived | EventsLost | Restarted
-"""All results that `Link.receive` can return."""
 
 
 @dataclass
@@ -645,24 +614,19 @@ class _Pending:
 class Link:
     """The state machine of a serial link: it takes received bytes and the time, and returns bytes and notifications."""
 
-    def __init__(self, *, heartbeat: bool = False, first_sequence: int = 0) -> None:
+    def __init__(self, *, heartbeat: bool = False) -> None:
         self.heartbeat = heartbeat
-        """Whether BEAT is sent; true while the controller is armed."""
         self.permit: Permit | None = None
         """Permission for the next board, renewed while it is valid; None: boards are held back."""
         self.ready_longest_ms = 0
         """Longest time, ms, for which one READY is valid. 0 without an output "line ready": READY is not sent."""
         self.retries = 0
         self.unmatched = 0
-        """Count of messages that match no pending request."""
         self.messages = 0
-        """Count of all valid messages; its growth shows that the controller is alive."""
         self.boots: int | None = None
-        """Value of the controller's boot counter; None until it is known."""
         self.status: Status | None = None
-        """The newest status that the controller has sent; None before the first."""
         self._reader = FrameReader()
-        self._sequences = (k % 256 for k in itertools.count(first_sequence))
+        self._sequences = itertools.cycle(range(256))
         self._queue: deque[_Pending] = deque()
         self._pending: _Pending | None = None
         self._order = EventOrder()
@@ -738,7 +702,6 @@ class Link:
         return news
 
     def _next_request(self, now_s: float) -> _Pending | None:
-        """Choose the next request. The link's internal requests come first, except after one that had no reply."""
         # Giving up takes longer than the interval of the heartbeat, so the next heartbeat is always due. Without this
         # rule, only BEAT would be sent to a silent controller, and no caller would ever get an outcome.
         own = None if self._yielding and self._queue else self._own_request(now_s)
@@ -754,7 +717,6 @@ class Link:
         return None
 
     def _own_request(self, now_s: float) -> _Pending | None:
-        """Make the most urgent internal request: a heartbeat (BEAT), STATUS, or READ_EVENT for a lost event."""
         # First of all the permit: a board that must not come is held back at once.
         if self._ready_is_due(now_s):
             self._next_ready_s = now_s + HEARTBEAT_S
@@ -770,12 +732,10 @@ class Link:
         return None
 
     def _hold_ms(self, now_s: float) -> int:
-        """Return for how long the permit is still valid, ms; 0 without one."""
         left_s = 0.0 if self.permit is None else self.permit.until_s - now_s
         return min(max(int(left_s * 1e3), 0), self.ready_longest_ms)
 
     def _ready_request(self, now_s: float) -> Request:
-        """Make the request READY that states the present permit."""
         if self.permit is not None:
             self._permit_number = self.permit.number
         return ready(self._permit_number, self._hold_ms(now_s))
@@ -783,33 +743,25 @@ class Link:
     def _ready_is_due(self, now_s: float) -> bool:
         if not self.ready_longest_ms:
             return False
-        valid = self.permit is not None and self._hold_ms(now_s) > 0
-        if (self.permit.number if self.permit is not None and valid else None) != self._stated:
-            return True
-        return valid and now_s >= self._next_ready_s
+        valid = self.permit.number if self.permit is not None and self._hold_ms(now_s) > 0 else None
+        return valid != self._stated or (valid is not None and now_s >= self._next_ready_s)
 
     def _on_message(self, message: Message, now_s: float) -> list[Notification]:
         self.messages += 1
         if message.type == Type.EVENT:
             return self._on_event(message)
         pending = self._pending
-        refused = message.type == Type.NAK
-        if (
-            pending is None
-            or message.sequence != pending.sequence
-            or not (refused or message.type == pending.request.type | REPLY)
-        ):
+        if pending is None or message.sequence != pending.sequence:
             self.unmatched += 1
             return []
         try:
-            news = (
-                self._on_refusal(pending, Nak.unpack(message.payload))
-                if refused
-                else self._on_reply(pending, message, now_s)
-            )
-        # The checksum was right by chance, or the device has another protocol. The request stays pending and is
-        # repeated.
-        except ValueError:
+            if message.type == Type.NAK:
+                news = self._on_refusal(pending, Nak.unpack(message.payload))
+            elif message.type == pending.request.type | REPLY:
+                news = self._on_reply(pending, message.payload, now_s)
+            else:
+                raise ValueError("a reply to another request")
+        except ValueError:  # or its checksum was right by chance; the request stays pending and is repeated
             self.unmatched += 1
             return []
         self._yielding = False
@@ -832,9 +784,8 @@ class Link:
             return []
         return [EventReceived(e) for e in self._order.add(event)]
 
-    def _on_reply(self, pending: _Pending, message: Message, now_s: float) -> list[Notification]:
+    def _on_reply(self, pending: _Pending, payload: bytes, now_s: float) -> list[Notification]:
         news: list[Notification] = []
-        payload = message.payload
         if pending.request.type in (Type.STATUS, Type.BEAT, Type.READY):
             self.status = Status.unpack(payload)
             self._out_of_sync = False

@@ -31,7 +31,6 @@ class Outages:
     """The latest outages and clock jumps of every camera. During an outage the camera is called *away*."""
 
     def __init__(self, keep: int = 20) -> None:
-        """Create empty lists of outages and clock jumps; at most `keep` of each are kept per camera."""
         self._jumps: defaultdict[int, deque[ClockJump]] = defaultdict(lambda: deque(maxlen=keep))
         self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=keep))
 
@@ -71,7 +70,6 @@ class Outages:
 ON_TOLERANCE_US = 1.0
 """Accepted difference of an on-time or a width of the trigger, µs: the firmware rounds it to ticks of 0.5 µs."""
 SHARE_TOLERANCE = 0.01
-"""Accepted relative difference of a reported exposure or gain."""
 
 
 def contradicted_rows(pulses: Mapping[int, ObservedPulse], program: Sequence[ProgramRow]) -> dict[int, str]:
@@ -120,7 +118,6 @@ def contradicted_frames(camera: int, frames: Iterable[ObservedFrame], program: S
 
 
 def _stated_contradiction(stated: StatedExposure, camera: int, row: int, program: Sequence[ProgramRow]) -> str:
-    """Return what a frame states if the program has something else for its row; an empty text otherwise."""
     expected = program[row % len(program)]
     must_us, must_db = expected.exposures_us[camera], expected.gains_db[camera]
     # Steps are at least two tolerances apart in one of the two (`filming_plan`): a frame fits one step at most. What a
@@ -142,7 +139,6 @@ MARGIN_PERIODS = 1.5
 """The proof of a run also uses unassigned frames, up to this number of periods before its first and after its last
 pulse."""
 PREVIOUS_RUN = -1
-"""Row number that means "the last row of the previous run"."""
 
 
 def judge_run(
@@ -156,7 +152,6 @@ def judge_run(
     missing: list[FrameRecord] = []
     frames, gaps = [], []
     jumped: list[dict[int, str]] = []
-    """Camera → {row: why the frame that was assigned to it cannot be dated}."""
     taken: list[set[int]] = [set() for _ in unassigned]
     for camera, row in run.taken:
         taken[camera].add(row)
@@ -194,14 +189,12 @@ def conclude_run(run: RunRecord, missing: Sequence[FrameRecord], proof: TriggerP
 
 
 def _jump_of(frame: ObservedFrame, camera: int, outages: Outages) -> ClockJump | None:
-    """Return the clock jump that makes the time of a frame unknown, if there is one."""
     # Under a wrong time the frame may seem to be exposed long before or after the jump; its arrival is certain.
     times_s = (frame.arrived_s, frame.host_s)
     return next((jump for s in times_s if (jump := outages.jump_between(camera, s, s)) is not None), None)
 
 
 def _jumped_rows(run: RunRecord, camera: int, outages: Outages) -> dict[int, str]:
-    """Return {row: finding} for the assigned frames of a camera whose time is unknown because its clock jumped."""
     return {
         frame.row: f"{jump} before, during or after its exposure, so that the frame may be of another pulse"
         for frame in run.complete_frames[camera]
@@ -230,7 +223,6 @@ def _without_displaced(
 
 
 def _with_jumps(proof: TriggerProof, jumped: Sequence[Mapping[int, str]]) -> TriggerProof:
-    """Return the proof with a finding for every frame whose time is unknown because its camera's clock jumped."""
     found = tuple(
         TriggerFinding(camera=camera, row=row, kind="clock-jumped", text=text)
         for camera, rows in enumerate(jumped)
@@ -243,7 +235,6 @@ def _with_jumps(proof: TriggerProof, jumped: Sequence[Mapping[int, str]]) -> Tri
 
 
 def _with_lights(proof: TriggerProof, contradicted: Sequence[Mapping[int, str]]) -> TriggerProof:
-    """Return the proof with a finding for every camera and row that was not filmed as the light program states."""
     found = tuple(
         TriggerFinding(camera=camera, row=row, kind="other-light", text=text)
         for camera, rows in enumerate(contradicted)
@@ -266,7 +257,6 @@ def _near_run(run: RunRecord, unassigned: Sequence[ObservedFrame]) -> list[Obser
 
 
 def _gaps(run: RunRecord, frames: Sequence[ObservedFrame], taken: AbstractSet[int]) -> list[Gap]:
-    """Return the intervals between the frames of one camera. `taken` lists the rows of which a frame arrived."""
     fired = [row for row in range(run.rows) if row not in run.skipped]
     # A camera restarts its frame ids after an outage, so ids are compared within an epoch only.
     ids: defaultdict[int, dict[int, int]] = defaultdict(dict)
@@ -289,7 +279,6 @@ def _opening_gap(
     outages: Outages,
     taken: AbstractSet[int],
 ) -> list[Gap]:
-    """Return the gap between the previous run's last frame and this run's first, if it explains a missing frame."""
     if previous is None:
         return []
     last = next((f for f in previous.complete_frames[camera] if f.row == previous.rows - 1), None)
@@ -328,7 +317,6 @@ def _missing(run: RunRecord, camera: int, gaps: Sequence[Gap], outages: Outages,
 
 
 def _jump_cause(run: RunRecord, camera: int, row: int, outages: Outages) -> str:
-    """Return why a row has no frame if its camera's clock jumped then; an empty text otherwise."""
     fired_s = run.pulses[row].host_s
     # The frame of a pulse arrives within a period; the jump may lie before the one or after the other.
     jump = outages.jump_between(camera, fired_s, fired_s + run.period_s)
@@ -336,7 +324,6 @@ def _jump_cause(run: RunRecord, camera: int, row: int, outages: Outages) -> str:
 
 
 def _annotate(run: RunRecord, camera: int, proof: TriggerProof) -> None:
-    """Mark every complete frame that the findings put in doubt as not proven, with these findings as its cause."""
     complete = {row for n, row in run.frames if n == camera and run.frames[n, row].verdict is Verdict.OK}
     for row, text in questioned_rows(proof, camera, complete).items():
         run.frames[camera, row] = run.frames[camera, row].model_copy(update={"cause": text, "proven": False})

@@ -17,13 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_FRAME_ID, MAX_EXTENDED_ID = 0xFFFF, 0xFFFF_FFFF_FFFF_FFFF
-"""Largest 16-bit frame id, and largest 64-bit one. GigE Vision counts 1 … largest and then 1 again; 0 never occurs."""
 
 NO_PACKET = (
     "the camera answers, but not one packet of a frame has arrived since it was opened; check that no firewall of this "
     "computer or switch drops its UDP packets, and that its trigger line is wired"
 )
-"""Cause of missing frames of a camera that answers requests and never sent a frame."""
 
 
 def id_step(first: int, second: int) -> int:
@@ -42,11 +40,8 @@ class Gap:
     """The interval between two frames of one camera: how many pulses were fired, and how often the camera exposed."""
 
     before: int
-    """Row of the frame at the beginning of the gap."""
     after: int
-    """Row of the frame at the end of the gap."""
     ids: tuple[int, int]
-    """Frame ids of the frames at the beginning and at the end of the gap."""
     pulses: int
     """Count of pulses fired after the pulse of row `before`, up to and including the pulse of row `after`."""
     exposed: int

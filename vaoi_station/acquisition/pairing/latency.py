@@ -27,9 +27,7 @@ class LatencySettings:
     """The configuration of one camera's latency."""
 
     given_s: float | None = None
-    """The configured latency, s; None if it is learnt from the frames."""
     gate_s: float = GATE_S
-    """Largest accepted difference between a frame's latency and that of its camera, s."""
 
     @classmethod
     def of(cls, camera: CameraConfig) -> LatencySettings:
@@ -44,9 +42,7 @@ class Beginning:
     """The pulses and frames of one camera from the beginning of a run, all by the host's clock, in ascending order."""
 
     pulses_s: Sequence[float]
-    """Times of the reported pulses by the host's clock, s."""
     frames_s: Sequence[float]
-    """Time stamps of the camera's complete frames, converted to the host's clock, s."""
     period_s: float
     """The shortest time between two pulses of the run: a belt that spaces the rows brings them at other intervals than
     the trigger period."""
@@ -55,9 +51,7 @@ class Beginning:
     from_silence: bool
     """Whether `pulses_s` begins with the run's first pulse, and the camera delivered no frame shortly before it."""
     all_fired: bool = False
-    """Whether all pulses of the run were fired and are in `pulses_s`."""
     overdue: bool = False
-    """Whether the waiting time is over, so that no more frames are awaited."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +66,6 @@ class CameraLatency:
     """The latency of one camera, as far as it is known."""
 
     def __init__(self, settings: LatencySettings) -> None:
-        """Begin with the configured latency; without one, expect 0 until a run shows another value."""
         self.gate_s, self.given = settings.gate_s, settings.given_s is not None
         self.value_s = settings.given_s or 0.0
         self.confirmed = self.given
@@ -143,12 +136,10 @@ def _is_latency(latencies_s: Sequence[float], bound_s: float, spread_s: float) -
 
 
 def _since_pulse_s(pulses_s: Sequence[float], at_s: float) -> float:
-    """Return the time since the latest pulse at or before a time; the time since the first pulse if there is none."""
     return at_s - pulses_s[max(bisect_right(pulses_s, at_s) - 1, 0)]
 
 
 def _several_per_pulse(begun: Beginning) -> bool:
-    """Return whether two frames lie between consecutive pulses: the camera does not send one frame per pulse."""
     pulses_s, bound_s = begun.pulses_s, begun.bound_s
     latest = [bisect_right(pulses_s, f + bound_s) for f in begun.frames_s]
     for (n, before_s), (following, after_s) in pairwise(zip(latest, begun.frames_s, strict=True)):
@@ -165,16 +156,13 @@ class WaitingFrame(NamedTuple):
     """A complete frame that is not assigned yet."""
 
     host_s: float
-    """Time stamp of the frame by the host's clock."""
     aged: bool
-    """Whether the frame has waited so long that it must be assigned or refused now."""
 
 
 class Latencies:
     """The latencies (pulse to time stamp) of all cameras of a station, learnt from one run to the next."""
 
     def __init__(self, settings: Sequence[LatencySettings], bound_s: Callable[[int, float], float]) -> None:
-        """Begin with the configured latencies."""
         self._cameras = [CameraLatency(s) for s in settings]
         self._bound_s = bound_s
 
@@ -236,7 +224,6 @@ class Latencies:
             )
 
     def _owner(self, runs: Sequence[RunRecord], camera: int, host_s: float) -> RunRecord | None:
-        """Return the newest run whose pulses had begun at a time stamp; None if there is none."""
         latest_s = host_s + self._bound_s(camera, host_s)
         return next((r for r in reversed(runs) if r.pulses and r.first_s <= latest_s), None)
 

@@ -125,8 +125,6 @@ def questioned_rows(proof: TriggerProof, camera: int, rows: AbstractSet[int]) ->
 
 
 class _CameraCheck:
-    """The checks of one camera's frames. Each check returns its findings."""
-
     def __init__(
         self,
         camera: int,
@@ -158,7 +156,6 @@ class _CameraCheck:
         return TriggerFinding(camera=self._camera, row=row, kind=kind, text=text)
 
     def _free_running(self) -> TriggerFinding | None:
-        """Return a finding if the camera exposes at equal intervals that are independent of the controller's pulses."""
         off = [row for row, s in self._residuals_s.items() if abs(s) > RESIDUAL_LIMIT_S]
         # The frames of a triggered camera come at equal intervals too. Only large residuals or unassigned frames show
         # that the camera follows another clock.
@@ -195,7 +192,6 @@ class _CameraCheck:
         ]
 
     def _early(self) -> list[TriggerFinding]:
-        """Find frames that arrived before their pulse was fired, and the frames with which they are exchanged."""
         found = []
         for frame in self._assigned:
             assert frame.row is not None
@@ -216,7 +212,6 @@ class _CameraCheck:
         return found
 
     def _exchanged(self) -> list[TriggerFinding]:
-        """Find frames whose frame ids are in another order than their rows, which were assigned by time stamp."""
         found = []
         for epoch in sorted({f.epoch for f in self._assigned}):
             ids = {
@@ -239,7 +234,6 @@ class _CameraCheck:
         return found
 
     def _miscounted(self) -> list[TriggerFinding]:
-        """Find intervals in which the frame ids count fewer or more exposures than there were pulses."""
         found = []
         for gap in self._gaps:
             # The camera exposed on every pulse: the missing frames were lost in transfer, which is no fault of the
@@ -325,7 +319,6 @@ def _in_order_s(
 
 
 def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedFrame]) -> dict[int, float]:
-    """Return {row: time stamp minus fitted pulse time, s}. Each epoch is fitted alone: its clock may have restarted."""
     found: dict[int, float] = {}
     for epoch in {f.epoch for f in assigned}:
         frames = [f for f in assigned if f.epoch == epoch and f.row is not None]

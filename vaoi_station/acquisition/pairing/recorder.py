@@ -49,7 +49,6 @@ MAX_UNASSIGNED = 256
 STAMP_JITTER_S = 5e-5
 """Largest error of a time stamp itself, s; real jitter is about 10 µs."""
 MAX_FINISHED = 4
-"""Count of finished runs kept, so that a late frame of a finished run is recognised."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +113,8 @@ class Recorder:
         latencies: Sequence[LatencySettings] = (),
         gains: Sequence[float] = (),
     ) -> None:
-        """Create a recorder without runs."""
         self.limits = limits or Limits()
         self.outages = Outages()
-        """The outages that the cameras' backends have reported."""
         self._controller_clock = controller_clock
         self._camera_clocks = camera_clocks
         self._move_to_bay = move_to_bay
@@ -127,11 +124,9 @@ class Recorder:
         self._waiting: list[tuple[Arrival, float]] = []
         """Complete frames whose pulse is not known yet, with the host time of their exposure."""
         self._unassigned: list[deque[ObservedFrame]] = [deque(maxlen=MAX_UNASSIGNED) for _ in camera_clocks]
-        """The newest complete frames that belong to no pulse, for every camera."""
         self._undated: list[Arrival] = []
         """Incomplete frames without a row; their time stamps cannot be trusted."""
         self._known_until_s = float("-inf")
-        """Host time up to which the controller has reported all its events."""
 
     @property
     def open_runs(self) -> list[RunRecord]:
@@ -204,7 +199,6 @@ class Recorder:
         return min((t for t in times if t > after_s), default=None)
 
     def _assign_waiting(self, now_s: float) -> list[Outcome]:
-        """Assign or refuse the waiting frames that can be decided now; return their outcomes."""
         for camera in {a.camera for a, _ in self._waiting if not self._latencies[a.camera].confirmed}:
             frames = [WaitingFrame(s, self._is_aged(a, now_s)) for a, s in self._waiting if a.camera == camera]
             self._latencies.learn(camera, self._runs, frames, [f.host_s for f in self._unassigned[camera]], now_s)
@@ -219,7 +213,6 @@ class Recorder:
         return out
 
     def _assign(self, arrival: Arrival, host_s: float, now_s: float) -> Outcome | None:
-        """Assign a frame to the nearest pulse or refuse it; return None while that cannot be decided."""
         camera, latency = arrival.camera, self._latencies[arrival.camera]
         if self._latencies.awaits(self._runs, camera, host_s):
             return None
@@ -241,13 +234,11 @@ class Recorder:
         return None
 
     def _gate_s(self, record: RunRecord, camera: int) -> float:
-        """Return the tolerance, s: the largest accepted difference between a frame's latency and that of its camera."""
         bounds_s = self._controller_clock.bound_s() + self._camera_clocks[camera].bound_s()
         # Beyond half the interval between two pulses, the neighbouring pulse would be nearer.
         return min(record.shortest_interval_s / 2, self._latencies[camera].gate_s + bounds_s)
 
     def _bound_s(self, camera: int, host_s: float) -> float:
-        """Return the error bound of the difference between a time stamp and a pulse at a host time."""
         # The bound of a clock grows with the time since its newest reading. `_gate_s` may neglect this.
         clocks = (self._controller_clock, self._camera_clocks[camera])
         return STAMP_JITTER_S + sum(clock.bound_s(clock.device_s(host_s)) for clock in clocks)
@@ -258,7 +249,6 @@ class Recorder:
     def _take(
         self, record: RunRecord, row: int, arrival: Arrival, verdict: Verdict, error_s: float | None = None
     ) -> Outcome:
-        """Assign a frame to a row. Refuse it if the row has a frame, or if the run is finished or has no memory."""
         key = (arrival.camera, row)
         if key in record.taken:
             if error_s is not None:
@@ -303,7 +293,6 @@ class Recorder:
         return Unassigned(arrival.camera, arrival.slot, reason)
 
     def _try_finish(self, record: RunRecord, now_s: float) -> list[Outcome]:
-        """Assign a run's incomplete frames; finish the run if all frames have arrived or its deadline has passed."""
         if record.pulse_count is None:
             return []
         if record.run is None:
@@ -326,22 +315,18 @@ class Recorder:
         return out
 
     def _assign_undated(self, camera: int, now_s: float) -> dict[Arrival, tuple[RunRecord, int]]:
-        """Return {incomplete frame of a camera: (run, row)} for frames that can belong to one (run, row) only."""
         decidable = [a for a in self._undated if a.camera == camera and self._is_decidable(a, now_s)]
         runs = dict(enumerate(self._runs))
         chosen = assign_forced([self._candidates(a) for a in decidable])
         return {decidable[n]: (runs[index], row) for n, (index, row) in chosen.items()}
 
     def _is_decidable(self, arrival: Arrival, now_s: float) -> bool:
-        """Return whether all pulses to which a frame may belong have been reported."""
         return self._is_reported(arrival) or now_s >= arrival.host_time_s + self.limits.report_delay_s
 
     def _is_reported(self, arrival: Arrival) -> bool:
-        """Return whether the controller has reported all its events from before the arrival of a frame."""
         return self._known_until_s >= arrival.host_time_s
 
     def _candidates(self, arrival: Arrival) -> set[tuple[int, int]]:
-        """Return every (index of the run, row) to which an incomplete frame may belong."""
         found = set()
         for n, record in enumerate(self._runs):
             latest_s = record.period_s + self.limits.late_s
@@ -353,7 +338,6 @@ class Recorder:
         return found
 
     def _give_up_undated(self, now_s: float) -> list[Outcome]:
-        """Refuse the incomplete frames that cannot belong to any open run."""
         out: list[Outcome] = []
         for arrival in list(self._undated):
             runs = [self._runs[n] for n, _ in self._candidates(arrival)]
@@ -365,15 +349,10 @@ class Recorder:
         return out
 
     def _awaits_reading(self, record: RunRecord) -> bool:
-        """Return whether the clock of a doubted camera was not read since the camera's last frame of a run arrived."""
         cameras = (n for n in record.doubted if not self.outages.is_away(n))
         return any(self._camera_clocks[n].read_s < record.last_arrival_s(n) for n in cameras)
 
     def _finish(self, record: RunRecord, now_s: float, overdue: bool) -> list[Outcome]:
-        """Finish a run; return the outcomes of its missing frames and its end, with the proof.
-
-        A run in doubt waits, at most until it is overdue, for readings of the clocks: a jump is noticed only by them.
-        """
         assert record.run is not None
         if not overdue and self._awaits_reading(record):
             return []

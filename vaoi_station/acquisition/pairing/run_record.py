@@ -21,17 +21,13 @@ class ObservedPulse:
 
     pulse: Pulse
     host_s: float
-    """Host time at which the pulse was fired."""
     exposures_us: tuple[float, ...] = ()
     """Exposure time of every camera, µs; empty if the controller does not report it."""
     reported_s: float = float("inf")
     """Host time at which the controller's report of the pulse was received."""
     gains: tuple[float, ...] = ()
-    """Linear gain of every camera; empty if the controller does not report it."""
     on_us: float | None = None
-    """On-time of the LEDs that the controller reported, µs."""
     trigger_us: float | None = None
-    """Width of the camera trigger that the controller reported, µs."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +35,13 @@ class ObservedFrame:
     """A complete frame with its frame id and times, as the proof uses them."""
 
     row: int | None
-    """The row to which the frame is assigned; None for an unassigned frame."""
     frame_id: int | None
     time_s: float
-    """Time stamp of the frame by the camera's clock, s."""
     host_s: float
-    """Time stamp of the frame, converted to the host's clock, s."""
     arrived_s: float
-    """Host time at which the frame arrived."""
     epoch: int = 0
     """Number of the camera's outages before this frame. Frames of one epoch have the same clock and frame counter."""
     stated: StatedExposure | None = None
-    """The exposure that the frame itself states; None if the camera adds no chunk data."""
 
 
 Interruption = tuple[float, float | None]
@@ -69,25 +60,18 @@ class RunRecord:
     bay: int | None
     period_s: float
     pulses: dict[int, ObservedPulse] = field(default_factory=dict)
-    """For each row, its pulse as the controller reported it."""
     skipped: dict[int, PulseSkipped] = field(default_factory=dict)
-    """Row → the controller's report that it did not fire the pulse, with the reason and the time."""
     frames: dict[tuple[int, int], FrameRecord] = field(default_factory=dict)
     """(camera, row) → record of its frame with the verdict, which is final."""
     taken: set[tuple[int, int]] = field(default_factory=set)
     """Every (camera, row) of which a frame has arrived."""
     complete_frames: defaultdict[int, list[ObservedFrame]] = field(default_factory=lambda: defaultdict(list))
-    """For each camera, the complete frames that are assigned to a row of the run."""
     refused: dict[tuple[int, int], str] = field(default_factory=dict)
-    """For each (camera, row) whose frame arrived but could not be kept, the cause."""
     unassigned: int = 0
-    """Count of frames that belong to no pulse."""
     last_frame_host_s: float | None = None
-    """Host time of the latest arrival."""
     pulse_count: int | None = None
     """Count of rows of the whole run, including skipped ones; None until the end of the pulses is reported."""
     reason: str = ""
-    """Why the pulses ended, as in `controller.interface.RunEnded`."""
     deadline_s: float = float("inf")
     """Host time until which late frames are awaited."""
     finished: bool = False
@@ -99,15 +83,11 @@ class RunRecord:
     silent: frozenset[int] = frozenset()
     """Cameras of which not one packet had arrived when the pulses ended, although they answer requests."""
     interruptions: list[Interruption] = field(default_factory=list)
-    """Interruptions of the barrier during the run, by the controller's clock."""
     program: tuple[ProgramRow, ...] = ()
     """What the rows should be filmed with, in turn; empty without a light program."""
     conveyor_mm_s: tuple[float, float] | None = None
-    """Velocity of the belt that the plan of the run expects; None: that of station.toml."""
     row_mm: float | None = None
-    """Distance of the rows by the belt's encoder; None if the controller's clock spaces the rows."""
     shutters_us: tuple[float, ...] = ()
-    """For how long the shutter of every camera is open without a light program, µs; empty if it is not known."""
     fastest_s: float = float("inf")
     """Shortest time between two pulses that the plan of the run allows; infinite without a plan."""
 
@@ -177,7 +157,6 @@ class RunRecord:
         return names if any(names) else None
 
     def _planned(self, row: int) -> str:
-        """Return the light that the program has for a row whose pulse was not reported."""
         expected = row_of(self.program, row)
         return "" if expected is None else expected.light
 
@@ -209,7 +188,6 @@ class RunRecord:
         return exposures_us or self._lit_us(pulse), gains
 
     def _lit_us(self, pulse: ObservedPulse | None) -> tuple[float, ...]:
-        """Return for how long light fell on every sensor by the LEDs; empty if no shutter was open for longer."""
         # An on-time of 0 is that of a row under a light without LEDs of the controller.
         if pulse is None or not pulse.on_us or pulse.on_us >= max(self.shutters_us, default=0.0):
             return ()
@@ -254,7 +232,6 @@ class RunRecord:
         ]
 
     def _known_times_s(self) -> dict[int, float]:
-        """Return the time of each row that was fired or skipped, in order. Skips out of order are left out."""
         times_s = {row: pulse.pulse.time_s for row, pulse in self.pulses.items()}
         for row, event in sorted(self.skipped.items()):
             before_s = max((s for r, s in times_s.items() if r < row), default=float("-inf"))

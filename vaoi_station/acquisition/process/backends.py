@@ -24,12 +24,11 @@ def open_devices(config: StationConfig) -> Devices:
 
 
 def _open_hardware(config: StationConfig) -> Devices:
-    """Open real cameras and a real controller."""
     from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras
-    from vaoi_station.acquisition.controller.serial import open_serial_controller
+    from vaoi_station.acquisition.controller.serial import SerialController
 
     # The controller is opened first: it fails at once, while an absent camera is noticed only after seconds.
-    controller = open_serial_controller(config)
+    controller = SerialController(config.controller)
     try:
         return Devices(open_aravis_cameras(config), controller)
     except BaseException:  # also KeyboardInterrupt: free the port for the next attempt, then raise it again

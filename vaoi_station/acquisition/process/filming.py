@@ -76,7 +76,6 @@ class FilmingHandlers:
     run_finished: Callable[[RunFinished, Ring, int], None]
     """Called with a finished run, the ring and the generation of the run's bay. The bay is reused after the return."""
     notice: Callable[[str], None]
-    """Called with a sentence that the operator should see."""
 
 
 def film(config: StationConfig, runs: int, handlers: FilmingHandlers) -> None:
@@ -101,7 +100,6 @@ class FilmingProcess:
     handlers: FilmingHandlers
     granted: int = 0
     generations: dict[int, int] = field(default_factory=dict)
-    """For each bay, its present generation."""
 
     def grant(self, bay: int) -> None:
         """Claim a bay, and give the acquisition process the right to use it for one more run."""
@@ -134,7 +132,6 @@ class FilmingProcess:
 
 
 def _film_boards(config: StationConfig, process: FilmingProcess, runs: int) -> None:
-    """Grant memory, arm, and dispatch reports until all runs are finished."""
     armed, done = False, 0
     while done < runs:
         report = process.receive()
@@ -175,7 +172,6 @@ def fire_steadily(process: FilmingProcess, pulses: int, period_s: float) -> None
 
 @contextmanager
 def _filming_process(config: StationConfig, handlers: FilmingHandlers) -> Iterator[FilmingProcess]:
-    """Start the acquisition process with a new ring. At the end, stop the process and remove the ring."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
@@ -206,7 +202,6 @@ def _stop(process: multiprocessing.process.BaseProcess, connection: Connection) 
 
 
 def _check_supply(config: StationConfig, runs: int) -> None:
-    """Raise InputError if the simulation or replay has fewer boards than `runs`."""
     if config.simulation is not None and 0 < config.simulation.boards < runs:
         raise InputError.field("station.toml", "simulation.boards", config.simulation.boards, f"0 or at least {runs}")
     if config.replay is not None and 0 < config.replay.runs < runs:

@@ -62,11 +62,8 @@ class FireTrial:
 
     grant: Grant
     exposures: tuple[CameraExposure, ...]
-    """How each camera exposes, until the line is armed or `EndTrial` comes."""
     light: str = ""
-    """Name of the light; empty: the first one of station.toml."""
     on_us: float | None = None
-    """On-time of its LEDs, µs; None: that of station.toml."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +108,6 @@ class RunStarted:
     run: str
     bay: int
     host_time_s: float
-    """Time at which the board interrupted the barrier, or at which a single pulse was requested."""
     edge_known: bool = True
     """Whether that time is known. If not, the controller's report of the edge was lost: it is that of the first pulse,
     and nothing shows which board it is, or whether another one follows it."""
@@ -146,13 +142,10 @@ class RunFinished:
     head: RecordingHead
     """Head of a recording of this run; frames that are not complete or not proven count as missing."""
     frames: tuple[FrameRecord, ...]
-    """The records of all frames, ordered by camera, then by row."""
     last_frame_host_s: float
     """time.monotonic() when the last frame of the run arrived; if no frame arrived, the time of the last pulse."""
     reason: str
-    """Why the pulses ended: see `controller.interface.RunEnded`."""
     unassigned: int = 0
-    """Count of frames that belong to no pulse of a run."""
     proof: TriggerProof | None = None
     """The check that every frame belongs to its pulse; None if the acquisition process ended before it was made."""
     interruptions: tuple[Interruption, ...] = ()
@@ -188,15 +181,11 @@ class Health:
     controller: str
     host_time_s: float
     controller_ready: bool = True
-    """Whether the controller replies, and fires for boards when armed."""
     line_output: LineOutput | None = None
-    """The controller's output "line ready"; None if there is none, or it is not used."""
     passing: bool = False
     """Whether a run is under way at the controller, also before its first pulse, or a board is in the barrier."""
     belt_stopped: bool = False
-    """Whether the belt that spaces the rows has stopped during a run."""
     limits: ControllerLimits | None = None
-    """What the controller can do with a light program."""
     standing: bool = False
     """Whether a board is in the barrier that is not filmed, because it came while the line was not armed."""
 

@@ -46,7 +46,6 @@ def finished_report(config: StationConfig, finished: Finished, now_s: float) -> 
 
 
 def _head(config: StationConfig, finished: Finished) -> RecordingHead:
-    """Return the head of the recording of a run with all that was measured and reported."""
     record = finished.record
     measured = {
         "trigger_times_s": record.times_s(),
@@ -61,7 +60,6 @@ def _head(config: StationConfig, finished: Finished) -> RecordingHead:
 
 
 def _head_without_measurements(config: StationConfig, finished: Finished, doubts: tuple[str, ...]) -> RecordingHead:
-    """Return the head of a run with what is known without its reports."""
     record = finished.record
     return RecordingHead(
         format="vaoi-recording",
@@ -77,7 +75,6 @@ def _head_without_measurements(config: StationConfig, finished: Finished, doubts
 
 
 def _refused(finished: Finished, error: ValidationError) -> tuple[str, ...]:
-    """Return the doubts of a run whose measured values were refused."""
     first = error.errors()[0]
     what = ": ".join([*map(str, first["loc"]), first["msg"]])
     refused = f"times, exposures and lights of this run contradict each other and are not used ({what})"

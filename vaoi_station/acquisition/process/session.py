@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 
 from vaoi_station.acquisition.cameras.interface import Arrival, is_silent
 from vaoi_station.acquisition.clocks import ClockModel
-from vaoi_station.acquisition.controller.filming_plan import exposures_of, require_time
+from vaoi_station.acquisition.controller.filming_plan import exposures_of, require_none, time_faults
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
@@ -142,7 +142,7 @@ class Session:
         if plan.max_rows > self._ring.layout.slots_per_camera:
             limit = f"at most the {self._ring.layout.slots_per_camera} slots per camera and run of the ring"
             raise InputError.field("trigger plan", "max_rows", plan.max_rows, limit)
-        require_time(plan, self._config)
+        require_none(time_faults(plan, self._config))
         self._require_clocks(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
         if plan != self.plan:
             if self._run is not None:

@@ -19,7 +19,6 @@ class SlotQueue:
     def __init__(self, ring: Ring, cameras: Sequence[CameraDevice]) -> None:
         self._ring, self._cameras = ring, cameras
         self._held: set[int] = set()
-        """Slots that a camera holds."""
         self._spare: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
         """(bay, camera) → slots taken back unused while the bay's run is open."""
         self._loaded: int | None = None

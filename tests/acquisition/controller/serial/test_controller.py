@@ -24,7 +24,6 @@ from tests.acquisition.controller.serial.fake_firmware import FakeFirmware
 from tests.hw.emulated.line import TIMING, ms
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.cameras.interface import DeviceFault
-from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierEdge,
@@ -56,8 +55,8 @@ from vaoi_station.acquisition.controller.protocol import (
     encode,
 )
 from vaoi_station.acquisition.controller.serial import SerialController, exchange
-from vaoi_station.acquisition.controller.serial.controller import EncoderWatch, EventTranslator, Supervisor
-from vaoi_station.acquisition.controller.serial.exchange import RefusalError, ResetError, SilentError, Waker
+from vaoi_station.acquisition.controller.serial.controller import EncoderWatch, EventTranslator
+from vaoi_station.acquisition.controller.serial.exchange import RefusalError
 from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
 
@@ -105,8 +104,9 @@ class Recorder:
     def __init__(self) -> None:
         self.translator = EventTranslator()
         self.events: list[ControllerEvent | DeviceFault] = []
-        self.translator.start(self.events.append)
-        self.translator.set_lights(lambda row, _channels: f"light {row}", "single light")
+        self.translator.put = self.events.append
+        self.translator.light = lambda row, channels: f"light {row} of {channels:b}"
+        self.translator.single_light = "single light"
 
     def receive(self, *events: tuple[Kind, int, int, int]) -> list[ControllerEvent | DeviceFault]:
         """(kind, detail, index, value) each, a second apart."""
@@ -119,7 +119,7 @@ def test_rows_left_out_are_rows_of_the_run() -> None:
     events = Recorder().receive(
         (Kind.BARRIER, 1, 7, 0),
         (Kind.SUPPRESSED, Suppressed.LED_BUDGET, 0, 2),
-        (Kind.PULSE, 1, 1, 600),
+        (Kind.PULSE, 0b101, 1, 600),
         (Kind.SUPPRESSED, Suppressed.LATE, 2, 0),
         (Kind.BARRIER, 0, 7, 0),
         (Kind.RUN_END, RunEnd.CLEAR, 1, 2),
@@ -134,7 +134,7 @@ def test_rows_left_out_are_rows_of_the_run() -> None:
     assert isinstance(end, RunEnded)
     assert (end.pulses, end.reason) == (3, "clear")
     assert isinstance(events[2], PulseFired)
-    assert events[2].light == "light 1"
+    assert (events[2].light, events[2].on_us) == ("light 1 of 101", 300.0)
 
 
 def test_a_single_pulse_is_a_run_of_its_own() -> None:
@@ -143,10 +143,6 @@ def test_a_single_pulse_is_a_run_of_its_own() -> None:
     assert (pulse.index, pulse.light) == (0, "single light")
     assert isinstance(end, RunEnded)
     assert (end.pulses, end.reason) == (1, "single")
-
-
-def test_a_run_whose_begin_was_lost_does_not_end() -> None:
-    assert Recorder().receive((Kind.RUN_END, RunEnd.CLEAR, 5, 0)) == []
 
 
 def test_every_edge_has_the_position_of_the_encoder() -> None:
@@ -189,181 +185,13 @@ def test_whatever_is_lost_runs_do_not_overlap_and_numbers_have_no_gaps(
         elif isinstance(event, RunEnded) and event.reason != "single":
             open_runs = 0
     assert open_runs == 0
-    assert not recorder.translator.running
-
-
-def test_a_pulse_has_the_light_and_the_on_time_that_were_reported() -> None:
-    recorder = Recorder()
-    recorder.translator.set_lights(lambda row, channels: f"{row}:{channels:b}", "")
-    pulse = recorder.receive((Kind.PULSE, 0b101, 4, 600))[0]
-    assert isinstance(pulse, PulseFired)
-    assert (pulse.light, pulse.on_us) == ("4:101", 300.0)
+    assert not recorder.translator.end("again")
 
 
 PLAN = TriggerPlan(start_delay_s=0.3, period_s=0.12, tail_s=0.4, max_rows=40, debounce_s=0.005)
+
 LIGHTS = {"top": LightConfig(channels=(0,), on_us=300.0)}
 Device = tuple[str, FakeFirmware]
-
-
-class Bench:
-    """A supervisor, its controller, and what was reported."""
-
-    def __init__(self, device: Device, waker: Waker) -> None:
-        name, self.firmware = device
-        self.supervisor = Supervisor(ControllerConfig(backend="serial", port=name, lights=LIGHTS), waker)
-        self.reported: list[ControllerEvent | DeviceFault] = []
-        self.supervisor.translator.start(self.reported.append)
-        self.supervisor.connect()
-
-    def poll_until(self, condition: Callable[[], bool]) -> None:
-        for _ in range(200):
-            if condition():
-                return
-            self.supervisor.poll()
-        raise AssertionError("did not happen")
-
-    def faults(self) -> list[str]:
-        return [item.error.code for item in self.reported if isinstance(item, DeviceFault)]
-
-
-@contextmanager
-def connected(device: Device) -> Iterator[Bench]:
-    with closing(Waker()) as waker:
-        bench = Bench(device, waker)
-        yield bench
-        bench.supervisor.disconnect()
-
-
-@pytest.fixture
-def bench(device: Device) -> Iterator[Bench]:
-    with connected(device) as bench:
-        yield bench
-
-
-def test_connecting_identifies_the_controller_and_fits_its_clock(bench: Bench) -> None:
-    assert bench.supervisor.ident.boots == 1
-    assert bench.firmware.requests[0] == Type.IDENT
-    assert bench.firmware.requests.count(Type.CLOCK) == 8
-    assert bench.supervisor.unavailable is None
-
-
-def test_a_controller_that_an_earlier_process_left_armed_is_disarmed(device: Device) -> None:
-    device[1].state = State.ARMED
-    with connected(device) as bench:
-        assert bench.firmware.in_state(State.IDLE)
-
-
-def test_arming_sends_the_configuration_once(bench: Bench) -> None:
-    bench.supervisor.arm(PLAN)
-    assert bench.firmware.in_state(State.ARMED)
-    bench.supervisor.disarm()
-    assert bench.firmware.in_state(State.IDLE)
-    bench.supervisor.arm(PLAN)
-    assert bench.firmware.requests.count(Type.COMMIT) == 1, "the checksum shows that it is active already"
-
-
-def test_each_arming_has_a_number_of_its_own(bench: Bench) -> None:
-    bench.supervisor.arm(PLAN)
-    first = bench.firmware.run
-    bench.supervisor.disarm()
-    bench.supervisor.arm(PLAN)
-    assert bench.firmware.run == (first + 1) % 0x10000
-
-
-def test_a_limit_of_the_firmware_is_explained_in_terms_of_the_plan(bench: Bench) -> None:
-    bench.firmware.refuse[Type.COMMIT] = Nak(Type.COMMIT, Reason.RANGE, 4, 1_000_000)
-    with pytest.raises(InputError, match=r"period_s is 0\.12, but must be at least 0\.5"):
-        bench.supervisor.arm(PLAN)
-    assert bench.supervisor.arming is None
-
-
-def test_an_armed_controller_that_stops_watching_is_armed_again(bench: Bench) -> None:
-    bench.supervisor.arm(PLAN)
-    bench.firmware.state = State.SAFE
-    bench.firmware.emit(Kind.FAULT, Fault.HEARTBEAT)
-    bench.poll_until(lambda: bench.firmware.in_state(State.ARMED))
-    assert bench.faults() == ["controller-safe"]
-
-
-def test_after_its_guard_tripped_it_stays_disarmed(bench: Bench) -> None:
-    bench.supervisor.arm(PLAN)
-    bench.firmware.state = State.SAFE
-    bench.firmware.emit(Kind.FAULT, Fault.GUARD)
-    bench.poll_until(lambda: bench.supervisor.guard_tripped)
-    beats = bench.firmware.requests.count(Type.BEAT)
-    bench.poll_until(lambda: bench.firmware.requests.count(Type.BEAT) > beats + 2)
-    assert bench.firmware.in_state(State.SAFE)
-    bench.supervisor.arm(PLAN)
-    assert bench.firmware.in_state(State.ARMED)
-
-
-def test_after_a_reset_it_is_armed_again_and_the_run_has_ended(bench: Bench) -> None:
-    bench.supervisor.arm(PLAN)
-    bench.firmware.emit(Kind.BARRIER, 1)
-    bench.firmware.emit(Kind.PULSE, 1, 0, 600)
-    bench.poll_until(lambda: any(isinstance(item, PulseFired) for item in bench.reported))
-    bench.firmware.reset()
-    with pytest.raises(ResetError):
-        bench.poll_until(lambda: False)
-    bench.supervisor.connect()
-    assert bench.firmware.in_state(State.ARMED)
-    ends = [item for item in bench.reported if isinstance(item, RunEnded)]
-    assert [(e.pulses, e.reason) for e in ends] == [(1, "the controller was reset")]
-    (fault,) = [item.error for item in bench.reported if isinstance(item, DeviceFault)]
-    assert "its reset line was pulled" in fault.message
-    assert "the run under way was ended" in fault.message
-
-
-def test_a_run_whose_end_was_lost_ends_with_the_next_status(bench: Bench) -> None:
-    bench.supervisor.arm(PLAN)
-    bench.firmware.emit(Kind.BARRIER, 1)
-    bench.poll_until(lambda: any(isinstance(item, BarrierBlocked) for item in bench.reported))
-    bench.poll_until(lambda: any(isinstance(item, RunEnded) for item in bench.reported))
-    (end,) = [item for item in bench.reported if isinstance(item, RunEnded)]
-    assert end.reason == "the controller's report of its end was lost"
-
-
-def test_an_arming_that_is_dropped_while_it_is_away_is_not_restored(bench: Bench) -> None:
-    bench.supervisor.arm(PLAN)
-    bench.supervisor.mark_lost(DeviceError("The cable is out."))
-    bench.supervisor.disconnect()
-    bench.supervisor.drop_arming()
-    bench.supervisor.connect()
-    assert bench.firmware.in_state(State.IDLE)
-
-
-def test_without_a_port_nothing_can_be_requested(bench: Bench) -> None:
-    bench.supervisor.disconnect()
-    with pytest.raises(SilentError, match="not connected"):
-        bench.supervisor.read_clock()
-
-
-def test_one_pulse_is_reported_with_the_light_of_row_0(bench: Bench) -> None:
-    bench.supervisor.fire_one()
-    bench.poll_until(lambda: len(bench.reported) == 2)
-    pulse, end = bench.reported
-    assert isinstance(pulse, PulseFired)
-    assert pulse.light == "top"
-    assert isinstance(end, RunEnded)
-
-
-@pytest.mark.parametrize(
-    ("reason", "words"), [(Reason.LED_BUDGET, "have not cooled down"), (Reason.STATE, "is still under way")]
-)
-def test_a_pulse_that_must_wait_is_no_fault(bench: Bench, reason: Reason, words: str) -> None:
-    bench.firmware.refuse[Type.FIRE_ONE] = Nak(Type.FIRE_ONE, reason, 0, 0)
-    with pytest.raises(StateError, match=words):
-        bench.supervisor.fire_one()
-
-
-def test_an_armed_controller_fires_no_single_pulse(bench: Bench) -> None:
-    bench.supervisor.arm(PLAN)
-    with pytest.raises(StateError, match="armed"):
-        bench.supervisor.fire_one()
-
-
-BOARD_PLAN = TriggerPlan(start_delay_s=0.3, period_s=0.12, tail_s=0.4, max_rows=40, debounce_s=0.005)
-
 E = TypeVar("E")
 
 
@@ -446,10 +274,11 @@ def test_a_device_that_is_silent() -> None:
 
 
 @pytest.fixture
-def controller(device: tuple[str, FakeFirmware]) -> Iterator[SerialController]:
-    controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
-    yield controller
-    controller.close()
+def controller(device: Device) -> Iterator[SerialController]:
+    device[1].state = State.ARMED
+    with closing(SerialController(ControllerConfig(backend="serial", port=device[0], lights=LIGHTS))) as controller:
+        assert device[1].in_state(State.IDLE), "an earlier process left it armed"
+        yield controller
 
 
 @pytest.fixture
@@ -467,10 +296,8 @@ def until(events: EventQueue, kind: type[E]) -> E:
     return item
 
 
-def test_events_come_while_no_request_is_made(
-    controller: SerialController, events: EventQueue, device: tuple[str, FakeFirmware]
-) -> None:
-    controller.arm(BOARD_PLAN)
+def test_events_come_while_no_request_is_made(controller: SerialController, events: EventQueue, device: Device) -> None:
+    controller.arm(PLAN)
     device[1].state = State.RUNNING
     device[1].emit(Kind.BARRIER, 1)
     device[1].emit(Kind.PULSE, 1, 0, 600)
@@ -483,19 +310,59 @@ def test_the_thread_at_the_port_is_supervised_until_the_end(
     controller: SerialController, events: EventQueue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     [thread] = controller.threads()
-    controller.arm(BOARD_PLAN)
+    controller.arm(PLAN)
     assert thread.fault() is None
     beats = threading.Semaphore(0)
     monkeypatch.setattr(thread, "beat", beats.release)
     assert beats.acquire(timeout=20), "it shows that it is alive while nothing happens"
 
 
-def test_health_names_state_firmware_and_clock(controller: SerialController, events: EventQueue) -> None:
+def test_arming_sends_the_configuration_once(controller: SerialController, events: EventQueue, device: Device) -> None:
     assert controller.health().startswith("serial: idle, firmware 1.2.3, start 1, clock ±")
-    controller.arm(BOARD_PLAN)
+    controller.arm(PLAN)
+    assert device[1].in_state(State.ARMED)
     assert controller.health().startswith("serial: armed")
-    assert controller.clock_bound_s < 1.0
-    assert controller.ident.channels == 4
+    controller.disarm()
+    controller.arm(PLAN)
+    assert device[1].requests.count(Type.COMMIT) == 1, "the checksum shows that it is active already"
+
+
+def test_after_its_guard_tripped_it_stays_disarmed(
+    controller: SerialController, events: EventQueue, device: Device
+) -> None:
+    controller.arm(PLAN)
+    device[1].state = State.SAFE
+    device[1].emit(Kind.FAULT, Fault.GUARD)
+    assert until(events, DeviceFault).error.code == "controller-safe"
+    assert not controller.is_watching()
+    beats = device[1].requests.count(Type.BEAT)
+    while device[1].requests.count(Type.BEAT) < beats + 2:
+        controller.read_clock()
+    assert device[1].in_state(State.SAFE)
+    controller.arm(PLAN)
+    assert device[1].in_state(State.ARMED)
+
+
+def test_a_run_whose_end_was_lost_ends_with_the_next_status(
+    controller: SerialController, events: EventQueue, device: Device
+) -> None:
+    controller.arm(PLAN)
+    device[1].emit(Kind.BARRIER, 1)
+    assert until(events, RunEnded).reason == "the controller's report of its end was lost"
+
+
+@pytest.mark.parametrize(
+    ("reason", "words"), [(Reason.LED_BUDGET, "have not cooled down"), (Reason.STATE, "is still under way")]
+)
+def test_a_pulse_that_must_wait_is_no_fault(
+    controller: SerialController, events: EventQueue, device: Device, reason: Reason, words: str
+) -> None:
+    device[1].refuse[Type.FIRE_ONE] = Nak(Type.FIRE_ONE, reason, 0, 0)
+    with pytest.raises(StateError, match=words):
+        controller.fire_one()
+    device[1].refuse.clear()
+    controller.fire_one()
+    assert until(events, PulseFired).light == "top"
 
 
 def test_a_clock_can_be_read_from_several_threads(controller: SerialController, events: EventQueue) -> None:
@@ -505,14 +372,17 @@ def test_a_clock_can_be_read_from_several_threads(controller: SerialController, 
 
 
 def test_a_refused_job_does_not_end_the_connection(
-    controller: SerialController, events: EventQueue, device: tuple[str, FakeFirmware]
+    controller: SerialController, events: EventQueue, device: Device
 ) -> None:
     asked = device[1].requests.count(Type.IDENT)  # asked again by itself if the reply comes late
-    device[1].refuse[Type.ARM] = Nak(Type.ARM, Reason.STATE, 0, 3)
+    device[1].refuse[Type.COMMIT] = Nak(Type.COMMIT, Reason.RANGE, 4, 1_000_000)
+    with pytest.raises(InputError, match=r"period_s is 0\.12, but must be at least 0\.5"):
+        controller.arm(PLAN)
+    device[1].refuse = {Type.ARM: Nak(Type.ARM, Reason.STATE, 0, 3)}
     with pytest.raises(RefusalError, match="ARM was refused"):
-        controller.arm(BOARD_PLAN)
+        controller.arm(PLAN)
     device[1].refuse.clear()
-    controller.arm(BOARD_PLAN)
+    controller.arm(PLAN)
     assert device[1].requests.count(Type.IDENT) == asked, "it was not opened again"
 
 
@@ -523,28 +393,14 @@ def wait_reachable(controller: SerialController) -> None:
         assert time.monotonic() < deadline_s
 
 
-def test_a_silent_controller_is_reported_and_opened_again(
-    controller: SerialController, events: EventQueue, device: tuple[str, FakeFirmware]
+def test_an_armed_controller_that_becomes_silent_is_reported_and_armed_again(
+    controller: SerialController, events: EventQueue, device: Device
 ) -> None:
+    controller.arm(PLAN)
     device[1].mute = True
     assert until(events, DeviceFault).error.code == "controller-silent"
     with pytest.raises(DeviceError):
         controller.read_clock()
-    assert "not reachable" in controller.health()
-    device[1].mute = False
-    until(events, ClockReading)
-    wait_reachable(controller)
-    controller.arm(BOARD_PLAN)
-    assert device[1].in_state(State.ARMED)
-
-
-def test_an_armed_controller_that_becomes_silent_is_reported_and_armed_again(
-    controller: SerialController, events: EventQueue, device: tuple[str, FakeFirmware]
-) -> None:
-    """Its port stays open, so nothing but the missing replies shows it."""
-    controller.arm(BOARD_PLAN)
-    device[1].mute = True
-    assert until(events, DeviceFault).error.code == "controller-silent"
     assert "not reachable" in controller.health()
     device[1].state = State.SAFE  # the firmware does this itself after 3 s without a heartbeat
     device[1].mute = False
@@ -554,12 +410,10 @@ def test_an_armed_controller_that_becomes_silent_is_reported_and_armed_again(
 
 
 @pytest.mark.parametrize("calls", [("close",), ("disarm", "close")], ids=["closed", "disarmed"])
-def test_an_armed_controller_that_is_silent_can_be_disarmed_and_closed(
-    device: tuple[str, FakeFirmware], calls: tuple[str, ...]
-) -> None:
+def test_an_armed_controller_that_is_silent_can_be_disarmed_and_closed(device: Device, calls: tuple[str, ...]) -> None:
     controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
     controller.start(SimpleQueue())
-    controller.arm(BOARD_PLAN)
+    controller.arm(PLAN)
     device[1].mute = True
     with ThreadPoolExecutor(1) as caller:
         try:
@@ -569,10 +423,10 @@ def test_an_armed_controller_that_is_silent_can_be_disarmed_and_closed(
             device[1].mute = False  # so that the threads end even if this test fails
 
 
-def test_closing_disarms(device: tuple[str, FakeFirmware]) -> None:
+def test_closing_disarms(device: Device) -> None:
     controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
     controller.start(SimpleQueue())
-    controller.arm(BOARD_PLAN)
+    controller.arm(PLAN)
     controller.close()
     assert device[1].in_state(State.IDLE)
     with pytest.raises(DeviceError):
@@ -586,13 +440,13 @@ def wait_output(controller: SerialController, *, high: bool) -> LineOutput:
     return output
 
 
-def test_a_permit_reaches_an_armed_controller(device: tuple[str, FakeFirmware]) -> None:
+def test_a_permit_reaches_an_armed_controller(device: Device) -> None:
     controller = SerialController(ControllerConfig(backend="serial", port=device[0], interlock="on"))
     controller.start(SimpleQueue())
     try:
         controller.permit_board(Permit(1, time.monotonic() + 1e3))
         assert wait_output(controller, high=False).why.startswith("the controller is not armed")
-        controller.arm(BOARD_PLAN)
+        controller.arm(PLAN)
         wait_output(controller, high=True)
         assert ", line ready, firmware" in controller.health()
         controller.permit_board(None)
@@ -603,16 +457,16 @@ def test_a_permit_reaches_an_armed_controller(device: tuple[str, FakeFirmware]) 
 
 
 def test_without_an_interlock_no_permit_is_sent(
-    controller: SerialController, events: EventQueue, device: tuple[str, FakeFirmware]
+    controller: SerialController, events: EventQueue, device: Device
 ) -> None:
     controller.permit_board(Permit(1, time.monotonic() + 1e3))
-    controller.arm(BOARD_PLAN)
+    controller.arm(PLAN)
     assert Type.READY not in device[1].requests
     assert controller.line_output() is None
     assert controller.is_watching()
 
 
-def test_firmware_without_the_output_is_used_unless_an_interlock_is_demanded(device: tuple[str, FakeFirmware]) -> None:
+def test_firmware_without_the_output_is_used_unless_an_interlock_is_demanded(device: Device) -> None:
     device[1].ident = replace(IDENT, minor=1, ready_longest_ms=0)
     controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
     assert "no output 'line ready'" in controller.health()

@@ -32,12 +32,6 @@ def test_times_are_ticks_and_lights_are_steps_in_turn() -> None:
     assert [program.light(row) for row in range(4)] == ["low", "top", "low", "low"]
 
 
-def test_a_plan_may_name_its_own_lights() -> None:
-    config = ControllerConfig(backend="serial", lights=LIGHTS)
-    plan = TriggerPlan(**{**PLAN.__dict__, "lights": ("low",)})
-    assert make_program(plan, config, IDENT).lights == ("low",)
-
-
 def test_without_lights_only_cameras_are_fired() -> None:
     program = make_program(PLAN, ControllerConfig(backend="serial"), IDENT)
     assert program.steps == (DARK,)
@@ -67,14 +61,6 @@ def test_a_refusal_in_the_terms_of_the_file(nak: Nak, words: str) -> None:
     error = explain_refusal(nak, make_program(PLAN, ControllerConfig(backend="serial", lights=LIGHTS), IDENT))
     assert error is not None
     assert words in error.message
-
-
-@pytest.mark.parametrize(
-    "nak",
-    [Nak(Type.ARM, Reason.STATE, 0, 3), Nak(Type.COMMIT, Reason.CHECKSUM, 0, 1), Nak(Type.COMMIT, Reason.RANGE, 0, 1)],
-)  # fmt: skip
-def test_other_refusals_are_not_translated(nak: Nak) -> None:
-    assert explain_refusal(nak, make_program(PLAN, ControllerConfig(backend="serial"), IDENT)) is None
 
 
 def test_a_program_gives_each_step_its_on_time() -> None:

@@ -6,12 +6,13 @@ is translated back into these units.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 
-from vaoi_station.acquisition.controller.filming_plan import ProgramFault, coded, require_none
+from vaoi_station.acquisition.controller.filming_plan import ProgramFault, refusal, require_none
 from vaoi_station.acquisition.controller.interface import FirmwareLimits, TriggerPlan
 from vaoi_station.acquisition.controller.protocol import (
+    FIRST_STEP,
     TICK_S,
     Ident,
     Nak,
@@ -24,7 +25,7 @@ from vaoi_station.acquisition.controller.protocol import (
     config_crc,
     configuration,
 )
-from vaoi_station.config import ControllerConfig
+from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import InputError
 
 DARK = Step(0, 0)
@@ -44,12 +45,10 @@ _FIELDS = {
 """For each field of a refused COMMIT: the file or plan that states it, its name there, and the size of its unit."""
 _DISTANCES = (3, 4, 5)
 """Those fields that are counts of the encoder if it spaces the rows."""
-_FIRST_STEP = 16
-"""Fields of a refused COMMIT from this number on are steps."""
 _NARROWEST, _CLEARANCE = 100, 6000
 """Shortest width of the trigger, and time from its end to the next row, in ticks (hw/protocol.md)."""
-_LARGEST = {2: 0xFFFF, 9: 0xFFFF}
-"""Largest values of those fields of a COMMIT that have 16 bits, by the index of the field."""
+_SHORT_FIELDS = (2, 9)
+"""Those fields that have 16 bits; the others have 32."""
 
 
 @dataclass(frozen=True)
@@ -83,27 +82,25 @@ class DeviceProgram:
             return ""
         # Several lights may have the same channels. The one that the program has for the row comes first.
         candidates = ((self.light(row), self.steps[row % len(self.steps)].channels), *self.known)
-        found = next((name for name, bits in candidates if bits == channels and name), None)
         numbers = "+".join(str(k) for k in range(channels.bit_length()) if channels >> k & 1)
-        return f"LED channels {numbers}" if found is None else found
+        return next((name for name, bits in candidates if bits == channels and name), f"LED channels {numbers}")
 
 
 def firmware_limits(ident: Ident) -> FirmwareLimits:
     """Return the limits that the firmware states for a light program."""
-    longest = (ident.led_longest_0, ident.led_longest_1, ident.led_longest_2, ident.led_longest_3)
     return FirmwareLimits(
-        version=f"{ident.firmware_major}.{ident.firmware_minor}.{ident.firmware_patch}",
+        version=ident.firmware,
         steps=ident.program_steps,
         channels=ident.channels,
         shortest_us=_us(ident.led_shortest),
-        longest_us=tuple(_us(ticks) for ticks in longest),
+        longest_us=tuple(_us(ticks) for ticks in ident.led_longest),
         share=1 << ident.led_duty_shift,
         widest_us=_us(ident.trigger_longest),
     )
 
 
 def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> DeviceProgram:
-    """Translate a plan."""
+    """Translate a plan; raise InputError if the firmware cannot carry it out."""
     limits = firmware_limits(ident)
     require_none(program_faults(plan, config, limits))
     lights = tuple(plan.lights) or config.light_sequence
@@ -122,8 +119,8 @@ def make_program(plan: TriggerPlan, config: ControllerConfig, ident: Ident) -> D
         _ticks(config.trigger_us * 1e-6),
     )
     # Values that do not fit are sent as the largest number. The firmware then refuses them with its own limit.
-    timing = Timing(*(min(v, _LARGEST.get(k, 0xFFFFFFFF)) for k, v in enumerate(values)))
-    known = tuple((name, _mask(light.channels)) for name, light in config.lights.items())
+    timing = Timing(*(min(v, 0xFFFF if k in _SHORT_FIELDS else 0xFFFFFFFF) for k, v in enumerate(values)))
+    known = tuple((name, _mask(light)) for name, light in config.lights.items())
     widths = tuple(_ticks(row.trigger_us * 1e-6) for row in plan.program if row.trigger_us is not None)
     return DeviceProgram(timing, steps, lights, widths if plan.by_trigger else (), known)
 
@@ -132,20 +129,19 @@ def program_faults(plan: TriggerPlan, config: ControllerConfig, limits: Firmware
     """Return every fault of a plan's lights that `make_program` would refuse."""
     lights = tuple(plan.lights) or config.light_sequence
     faults = []
-    if len(lights) > limits.steps:
+    if (count := len(lights)) > (most := limits.steps):
+        stated: tuple[str, str, object, str]
+        stated = (_WHERE, "controller.order", lights, f"at most {most} lights, the steps of the firmware's program")
         if plan.program:
-            limit = f"at most {limits.steps}, the steps that the controller's firmware holds"
-            error = InputError.field(_PLAN, "number of steps of the light program", len(lights), limit)
-        else:
-            limit = f"at most {limits.steps} lights, the steps of the firmware's program"
-            error = InputError.field(_WHERE, "controller.order", lights, limit)
-        faults.append(ProgramFault(coded(error, code="too-many-steps", count=len(lights), most=limits.steps)))
+            limit = f"at most {most}, the steps that the controller's firmware holds"
+            stated = (_PLAN, "number of steps of the light program", count, limit)
+        faults.append(ProgramFault(refusal(*stated, code="too-many-steps", count=count, most=most)))
     for n, name in enumerate(lights):
         try:
             _step(plan, config, limits, n, name)
         except InputError as error:
             key = "on_us" if name in config.lights else "light"
-            faults.append(ProgramFault(error, n if plan.program else None, key if plan.program else ""))
+            faults.append(ProgramFault(error, n, key) if plan.program else ProgramFault(error))
     return [*faults, *_width_faults(plan, limits)]
 
 
@@ -161,8 +157,10 @@ def _width_faults(plan: TriggerPlan, limits: FirmwareLimits) -> Iterator[Program
     if not limits.widest_us:
         exposures = ", ".join(f"{row.trigger_us:g}" for row in plan.program)
         limit = f"one for all rows: firmware {limits.version} has one width of the trigger, from 1.3.0 on one per row"
-        error = InputError.field(_PLAN, "exposures by the width of the trigger", f"{exposures} µs", limit)
-        yield ProgramFault(coded(error, code="one-width-for-all-rows", version=limits.version), key="exposure_us")
+        code = "one-width-for-all-rows"
+        key = "exposures by the width of the trigger"
+        error = refusal(_PLAN, key, f"{exposures} µs", limit, code=code, version=limits.version)
+        yield ProgramFault(error, key="exposure_us")
         return
     # The trigger must have fallen before the next row is prepared.
     spare = _ticks(plan.shortest_period_s) - _CLEARANCE
@@ -171,15 +169,16 @@ def _width_faults(plan: TriggerPlan, limits: FirmwareLimits) -> Iterator[Program
         spare: f"the period of {plan.shortest_period_s:g} s less 3 ms",
     }
     most = min(bounds)
+    low, high = f"{_us(_NARROWEST):g}", f"{_us(most):g}"
     for n, row in enumerate(plan.program):
         assert row.trigger_us is not None
         width = _ticks(row.trigger_us * 1e-6)
         if not _NARROWEST <= width <= most:
             why = bounds[most] if width > most else "the shortest trigger of its firmware"
-            limit = f"{_us(_NARROWEST):g} … {_us(most):g} where the trigger's width sets it ({why})"
-            error = InputError.field(_PLAN, f"program.{n}.exposure_us", row.trigger_us, limit)
-            bound = {"low": f"{_us(_NARROWEST):g}", "high": f"{_us(most):g}"}
-            coded(error, code="trigger-width-beyond", value=f"{row.trigger_us:g}", **bound)
+            limit = f"{low} … {high} where the trigger's width sets it ({why})"
+            bound = {"value": f"{row.trigger_us:g}", "low": low, "high": high}
+            key = f"program.{n}.exposure_us"
+            error = refusal(_PLAN, key, row.trigger_us, limit, code="trigger-width-beyond", **bound)
             yield ProgramFault(error, n, "exposure_us")
 
 
@@ -193,8 +192,9 @@ def on_limits_us(
     light = config.lights[name]
     if beyond := [c for c in light.channels if c >= limits.channels]:
         limit = f"below {limits.channels}, the number of LED channels"
-        error = InputError.field(_WHERE, f"controller.lights.{name}.channels", beyond[0], limit)
-        raise coded(error, code="no-such-channel", light=name, channel=beyond[0], channels=limits.channels)
+        values = {"light": name, "channel": beyond[0], "channels": limits.channels}
+        key = f"controller.lights.{name}.channels"
+        raise refusal(_WHERE, key, beyond[0], limit, code="no-such-channel", **values)
     channel = min(light.channels, key=lambda c: limits.longest_us[c])
     bounds = {limits.longest_us[channel]: f"the longest pulse of channel {channel} in its firmware"}
     if period_s is not None:
@@ -215,8 +215,8 @@ def light_step(
     The limit of the duty cycle is checked only if `period_s` is given. `on_us` replaces the on-time of station.toml.
     """
     if name not in config.lights:
-        error = InputError.field(_PLAN, "lights", name, f"one of {list(config.lights)}, the lights of station.toml")
-        raise coded(error, code="unknown-light", light=name, known=", ".join(config.lights))
+        limit = f"one of {list(config.lights)}, the lights of station.toml"
+        raise refusal(_PLAN, "lights", name, limit, code="unknown-light", light=name, known=", ".join(config.lights))
     light = config.lights[name]
     least_us, most_us, most = on_limits_us(name, config, limits, period_s)
     # The firmware checks this too, but its refusal names only a limit in ticks, not the channel or the period.
@@ -227,10 +227,10 @@ def light_step(
         # A step that does not state an on-time has that of its light, so a different one is the step's own.
         key = f"controller.lights.{name}.on_us"
         where, wrong = (_WHERE, key) if asked_us == light.on_us else (_PLAN, f"on_us of light {name!r}")
-        error = InputError.field(where, wrong, asked_us, f"{least_us:g} … {most_us:g} ({why})")
-        bound = {"low": f"{least_us:g}", "high": f"{most_us:g}"}
-        raise coded(error, code="on-time-beyond", light=name, value=f"{asked_us:g}", **bound)
-    return Step(_mask(light.channels), width)
+        low, high = f"{least_us:g}", f"{most_us:g}"
+        values = {"light": name, "value": f"{asked_us:g}", "low": low, "high": high}
+        raise refusal(where, wrong, asked_us, f"{low} … {high} ({why})", code="on-time-beyond", **values)
+    return Step(_mask(light), width)
 
 
 def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
@@ -243,18 +243,17 @@ def explain_refusal(nak: Nak, program: DeviceProgram) -> InputError | None:
             key, unit = f"{key} in counts of the encoder", 1
         sent = astuple(program.timing)[nak.field]
         bound = "at least" if sent < nak.limit else "at most"
-        return InputError.field(
-            where, key, round(sent * unit, 7), f"{bound} {nak.limit * unit:g}, a limit of the controller's firmware"
-        )
-    if nak.reason == Reason.LED_LIMIT and nak.field >= _FIRST_STEP and program.lights:
-        name = program.light(nak.field - _FIRST_STEP)
-        limit = f"{nak.limit * TICK_S * 1e6:g} µs at most, a limit of the controller's firmware"
+        limit = f"{bound} {nak.limit * unit:g}, a limit of the controller's firmware"
+        return InputError.field(where, key, round(sent * unit, 7), limit)
+    if nak.reason == Reason.LED_LIMIT and nak.field >= FIRST_STEP and program.lights:
+        name = program.light(nak.field - FIRST_STEP)
+        limit = f"{_us(nak.limit):g} µs at most, a limit of the controller's firmware"
         return InputError.field(_WHERE, f"controller.lights.{name}", "too much for its LEDs", limit)
     return None
 
 
-def _mask(channels: Sequence[int]) -> int:
-    return sum({1 << channel for channel in channels})
+def _mask(light: LightConfig) -> int:
+    return sum({1 << channel for channel in light.channels})
 
 
 def _ticks(time_s: float) -> int:

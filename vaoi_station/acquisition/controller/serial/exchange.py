@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import select
 import termios
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import serial
 
@@ -37,56 +39,27 @@ from vaoi_station.acquisition.controller.protocol import (
 from vaoi_station.errors import DeviceError
 
 _WRAP = 1 << 32
-"""Number of ticks after which the controller's 32-bit counter restarts from 0."""
-
-
-class TickClock:
-    """The fit of the controller's clock, from one reset of the controller to the next."""
-
-    def __init__(self, name: str = "controller") -> None:
-        self.model = ClockModel(name)
-        self._known = False
-
-    def add(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
-        """Add a reply to CLOCK. Its tick was read at a host time between `sent_s` (first request) and `received_s`."""
-        # The midpoint is used, with half the round trip as bound: the split of the delay between both ways is unknown.
-        host_s = (sent_s + received_s) / 2
-        reading = ClockReading(self.device_s(tick, host_s), host_s, (received_s - sent_s) / 2)
-        self.model.add(reading)
-        self._known = True
-        return reading
-
-    def device_s(self, tick: int, near_host_s: float) -> float:
-        """Return the seconds since the controller's reset for a tick that occurred within 17 minutes of a host time."""
-        # Before the first reading, there is no time from which restarts of the counter could be counted. Any origin
-        # will do, because the fit finds the offset.
-        if not self._known:
-            return tick * TICK_S
-        expected = self.model.device_s(near_host_s) / TICK_S
-        return (tick + _WRAP * round((expected - tick) / _WRAP)) * TICK_S
-
-
 BOOT_SPACING_S = 3600.0
 """Time, s, between the end of one boot and the beginning of the next, on the time axis that covers all boots."""
 BITS_PER_BYTE = 10
-"""Bits on the serial line for one byte: one start bit, eight data bits, one stop bit."""
-REQUEST_BYTES = 10
-REPLY_BYTES = 14
+"""One start bit, eight data bits, one stop bit."""
+REQUEST_BYTES, REPLY_BYTES = 10, 14
 """Bytes of the frame of a CLOCK request, and of the frame of its reply."""
 
 
 class Timebase:
-    """Converter from the controller's ticks to seconds on the time axis, based on replies to CLOCK."""
+    """Converts the controller's ticks to seconds on one time axis across all resets, based on replies to CLOCK."""
 
     def __init__(self, baud: int) -> None:
         byte_s = BITS_PER_BYTE / baud
         self._request_s, self._reply_s = REQUEST_BYTES * byte_s, REPLY_BYTES * byte_s
-        self._clock = TickClock()
+        self.model = ClockModel("controller")
+        """The fit of the seconds since the latest reset."""
         self._origin_s = self._latest_s = 0.0
 
     def restart(self) -> None:
         """Begin a new interval of the time axis after a reset of the controller."""
-        self._clock = TickClock()
+        self.model = ClockModel("controller")
         self._origin_s = self._latest_s + BOOT_SPACING_S
 
     def add_reply(self, tick: int, sent_s: float, received_s: float) -> ClockReading:
@@ -97,21 +70,22 @@ class Timebase:
         # apply.
         if earliest_s > latest_s:
             earliest_s, latest_s = sent_s, received_s
-        reading = self._clock.add(tick, earliest_s, latest_s)
-        return ClockReading(self._at(reading.device_s), reading.host_s, reading.bound_s)
+        # The midpoint is used, with half the round trip as bound: the split of the delay between both ways is unknown.
+        host_s, bound_s = (earliest_s + latest_s) / 2, (latest_s - earliest_s) / 2
+        reading = ClockReading(self._since_boot_s(tick, host_s), host_s, bound_s)
+        self.model.add(reading)
+        return replace(reading, device_s=self._at(reading.device_s))
 
     def time_s(self, tick: int, near_host_s: float) -> float:
-        """Return the time, s, on the one time axis across all resets, for a tick that occurred within 17 minutes of a
-        host time."""
-        return self._at(self._clock.device_s(tick, near_host_s))
+        """Return the time on the axis for a tick that occurred within 17 minutes of a host time."""
+        return self._at(self._since_boot_s(tick, near_host_s))
 
-    def drift_ppm(self) -> float:
-        """Return how much slower the controller's clock runs than the host's, in ppm."""
-        return self._clock.model.drift_ppm
-
-    def bound_s(self) -> float:
-        """Return the largest error of the clock fit, in s."""
-        return self._clock.model.bound_s()
+    def _since_boot_s(self, tick: int, near_host_s: float) -> float:
+        # Before the first reading, any count of restarts of the counter will do, because the fit finds the offset.
+        if math.isinf(self.model.read_s):
+            return tick * TICK_S
+        expected = self.model.device_s(near_host_s) / TICK_S
+        return (tick + _WRAP * round((expected - tick) / _WRAP)) * TICK_S
 
     def _at(self, since_boot_s: float) -> float:
         time_s = self._origin_s + since_boot_s
@@ -121,8 +95,6 @@ class Timebase:
 
 WRITE_S = 1.0
 """Longest time for which a port may not accept a few bytes. After it, the port has failed."""
-_CONTROL_FLAGS = 2
-"""Index of the control flags (c_cflag) in the list that `termios.tcgetattr` returns."""
 
 
 class Waker:
@@ -152,7 +124,6 @@ class Port:
     """An open serial port. Its methods raise OSError if the device has disappeared."""
 
     def __init__(self, name: str, baud: int, waker: Waker) -> None:
-        """Open a port."""
         try:
             self._serial = serial.Serial(name, baud, exclusive=True)
             _keep_dtr(self._serial.fileno())
@@ -196,39 +167,27 @@ class Port:
 
 
 def _keep_dtr(handle: int) -> None:
-    """Keep the signal DTR set when the port is closed, because some boards reset when it changes."""
     # An edge of DTR resets boards like the Arduino Nano (pyserial #124, grbl #160). The kernel drops it at the last
-    # close if HUPCL is set.
+    # close if HUPCL is set in the control flags.
     flags = termios.tcgetattr(handle)
-    flags[_CONTROL_FLAGS] &= ~termios.HUPCL
+    flags[2] &= ~termios.HUPCL
     termios.tcsetattr(handle, termios.TCSANOW, flags)
 
 
 def _open_error(name: str, error: Exception) -> DeviceError:
     number = getattr(error, "errno", None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
-        return DeviceError(
-            f"There is no serial port {name}.",
-            action="Plug the controller in; deploy/71-vaoi-controller.rules gives it the name /dev/vaoi-trigger.",
-            code="port-absent",
-        )
+        action = "Plug the controller in; deploy/71-vaoi-controller.rules gives it the name /dev/vaoi-trigger."
+        return DeviceError(f"There is no serial port {name}.", action=action, code="port-absent")
     if number in (errno.EACCES, errno.EPERM):
-        return DeviceError(
-            f"The serial port {name} may not be opened by this user.",
-            action="Add the user to the group of the port (ls -l shows it; often dialout), and start again.",
-            code="port-forbidden",
-        )
+        action = "Add the user to the group of the port (ls -l shows it; often dialout), and start again."
+        what = f"The serial port {name} may not be opened by this user."
+        return DeviceError(what, action=action, code="port-forbidden")
     if number in (errno.EBUSY, errno.EAGAIN):
-        return DeviceError(
-            f"The serial port {name} is in use by another program.",
-            action=f"End that program (fuser -v {name} names it).",
-            code="port-in-use",
-        )
-    return DeviceError(
-        f"{name} cannot be used as a serial port: {error}.",
-        action="Check `port` and `baud` under [controller] in station.toml.",
-        code="port-unusable",
-    )
+        action = f"End that program (fuser -v {name} names it)."
+        return DeviceError(f"The serial port {name} is in use by another program.", action=action, code="port-in-use")
+    action = "Check `port` and `baud` under [controller] in station.toml."
+    return DeviceError(f"{name} cannot be used as a serial port: {error}.", action=action, code="port-unusable")
 
 
 POLL_S = 0.05
@@ -259,7 +218,6 @@ class RefusalError(DeviceError):
     """The controller refused the request."""
 
     code = "controller-refused"
-
     nak: Nak
 
     @classmethod
@@ -285,11 +243,6 @@ class Exchange:
         self._messages_before = link.messages
         self._last_message_s = time.monotonic()
 
-    @property
-    def silence_s(self) -> float:
-        """Time since the last valid message of the controller, in s."""
-        return time.monotonic() - self._last_message_s
-
     def request(self, request: Request) -> Replied:
         """Send a request and wait for its reply."""
         self.link.request(request)
@@ -305,7 +258,8 @@ class Exchange:
         self.request(Request(Type.STATUS))
         while not self.link.up_to_date:
             self.poll()
-            self._check_alive()
+            if time.monotonic() - self._last_message_s > IDENTIFY_S:
+                raise self._no_reply()
         assert self.link.status is not None
         return self.link.status
 
@@ -373,7 +327,3 @@ class Exchange:
             f"Nothing at {self._name} answers as a trigger controller.",
             action="Check its power and its cable, and that our firmware is on it.",
         )
-
-    def _check_alive(self) -> None:
-        if self.silence_s > IDENTIFY_S:
-            raise self._no_reply()
