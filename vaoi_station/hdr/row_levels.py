@@ -35,13 +35,6 @@ _RIDGE = 1e-3
 """Weight that keeps rows without neighbours at 1."""
 MOST_ROWS = 1000
 """Largest number of rows of one light that are compared: memory grows with its square."""
-MOST_WINDOWS = 5_000_000
-"""Largest number of windows that are read of all frames; of more, points are left out evenly. One takes about 1 µs."""
-MOST_WORK = 50_000_000
-"""Largest sum, over the pairs of rows that are compared, of the points that they share and of `_WORK_OF_PAIR`: some
-seconds. Where the belt is slow or stands, every row shares all points with every other one."""
-_WORK_OF_PAIR = 500
-"""Time of comparing two rows that share no point, in times of one shared point."""
 
 
 class _Samples(NamedTuple):
@@ -73,7 +66,7 @@ def row_levels(
     """Estimate the brightness (m,) of the rows of a run; 1 for all without flat fields or a CAD mapping.
 
     It is 1 as well for all rows of a light with more than `MOST_ROWS` rows, and for all rows of the run if the frames
-    of one camera have more than `most_pixels`. Where rows share much, not all pairs of them are compared (`MOST_WORK`).
+    of one camera have more than `most_pixels`.
 
     Args:
         taken: what the frames (camera, row) were taken with; frames that are not named are not used.
@@ -94,7 +87,7 @@ def row_levels(
     samples = _samples(used, board_type, FrameIndex(stitch, cameras), fields, frame, most_pixels)
     for light in (light for light, count in counts.items() if count <= MOST_ROWS):
         rows = np.array([row for row in sorted(lights) if lights[row] == light])
-        levels[rows] = np.exp(_solve(samples, rows, MOST_WORK * len(rows) // len(lights)))
+        levels[rows] = np.exp(_solve(samples, rows))
     return levels
 
 
@@ -122,10 +115,8 @@ def _samples(
             sights[i].append(_Sight(row, seen, *at[seen].round().astype(int).T))
     found: list[tuple[NDArray[np.int_], NDArray[np.int_], Floats]] = []
     chosen = _chosen(sights, index.cameras, most_pixels)
-    used = _used_points(sum(len(sight.point) for i in chosen for sight in sights[i]))
     for i in chosen:
-        for row, *sight in sights[i]:
-            seen, x, y = (of[used[sight[0]]] for of in sight)
+        for row, seen, x, y in sights[i]:
             of, pixels = taken[i, row], frame(i, row)
             if pixels is None:
                 continue
@@ -152,14 +143,6 @@ def _chosen(sights: Mapping[int, Sequence[_Sight]], cameras: Sequence[Camera], m
     return chosen
 
 
-def _used_points(windows: int) -> NDArray[np.bool_]:
-    """Return which points (n,) are compared, if all of them would be `windows` windows: the same ones in all frames."""
-    count = _POINTS**2 if windows <= MOST_WINDOWS else _POINTS**2 * MOST_WINDOWS // windows
-    used = np.zeros(_POINTS**2, np.bool_)
-    used[np.random.default_rng(0).permutation(_POINTS**2)[:count]] = True
-    return used
-
-
 def _windows(pixels: NDArray[Any], x: NDArray[np.int_], y: NDArray[np.int_]) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the mean grey level (k,) of windows around pixels of a frame, and which are or touch saturated ones.
 
@@ -176,7 +159,7 @@ def _windows(pixels: NDArray[Any], x: NDArray[np.int_], y: NDArray[np.int_]) -> 
     return grey[:, 1:-1, 1:-1].mean((1, 2), dtype=np.float64), full
 
 
-def _solve(samples: _Samples, rows: NDArray[np.int_], most_work: int) -> Floats:
+def _solve(samples: _Samples, rows: NDArray[np.int_]) -> Floats:
     """Return the logarithms of the levels (k,) of rows of one light; their mean is 0."""
     # One value for each point and row: the mean of the cameras that show it.
     tables = np.full((len(rows), _POINTS**2), np.nan)
@@ -191,7 +174,13 @@ def _solve(samples: _Samples, rows: NDArray[np.int_], most_work: int) -> Floats:
     shared = known.astype(np.float32) @ known.astype(np.float32).T
     # Normal equations: one line for each pair would be a matrix that grows with the cube of the rows.
     system, right = np.eye(len(rows)) * _RIDGE**2, np.zeros(len(rows))
-    for a, b in _compared(shared, most_work):
+    # Rows that are 1, 2, 4, … apart: near ones, and far ones so that no error adds up from row to row. Those that show
+    # too little of the board do not count.
+    shown = np.flatnonzero(np.diagonal(shared) >= _LEAST_PAIRS)
+    pairs = [(a, b) for k in range(len(shown).bit_length()) for a, b in zip(shown, shown[2**k :], strict=False)]
+    for a, b in pairs:
+        if shared[a, b] < _LEAST_PAIRS:
+            continue
         weight = shared[a, b] / _LEAST_PAIRS
         # The median: bodies that stand above the board show other places in the two rows.
         both = known[a] & known[b]
@@ -202,41 +191,3 @@ def _solve(samples: _Samples, rows: NDArray[np.int_], most_work: int) -> Floats:
     found = np.linalg.solve(system, right)
     found -= found.mean()
     return np.asarray(np.where(np.abs(found) < _MOST_LEVEL, found, 0.0))
-
-
-def _compared(shared: NDArray[np.float32], most_work: int) -> NDArray[np.int_]:
-    """Return the pairs of rows (k, 2) that are compared: all that share enough, or as many as the work permits.
-
-    Of too many, those are chosen that are 1, 2, 4, … rows apart: near ones, and far ones so that no error adds up from
-    row to row.
-
-    Args:
-        shared: number of points (m, m) that two rows share; on the diagonal those of one row.
-        most_work: largest work, in units of `MOST_WORK`.
-    """
-    every = np.argwhere(np.triu(shared >= _LEAST_PAIRS, 1))
-    if _work(shared[every[:, 0], every[:, 1]]) <= most_work:
-        return every
-    # Rows that show too little of the board do not count: between them, none would be 1, 2, 4, … apart.
-    rows = np.flatnonzero(np.diagonal(shared) >= _LEAST_PAIRS)
-    within = shared[np.ix_(rows, rows)]
-    found, left = [np.zeros((0, 2), np.int_)], most_work
-    for apart in _distances(int(np.diff(np.argwhere(np.triu(within >= _LEAST_PAIRS, 1))).max())):
-        number = np.diagonal(within, apart)
-        first = np.flatnonzero(number >= _LEAST_PAIRS)
-        if (work := _work(number[first])) <= left:
-            found.append(np.stack([rows[first], rows[first + apart]], 1))
-            left -= work
-    return np.concatenate(found)
-
-
-def _work(shared: NDArray[np.float32]) -> int:
-    """Return the work of comparing pairs that share these numbers of points."""
-    return int(shared.sum(dtype=np.float64)) + _WORK_OF_PAIR * len(shared)
-
-
-def _distances(most: int) -> list[int]:
-    """Return 1 … `most`: first the powers of two, a small and a large one by turns, then the others."""
-    powers = [2**k for k in range(most.bit_length())]
-    by_turns = [powers[k // 2 if k % 2 == 0 else -1 - k // 2] for k in range(len(powers))]
-    return by_turns + [n for n in range(1, most + 1) if n not in by_turns]

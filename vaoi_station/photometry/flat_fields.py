@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -92,16 +91,6 @@ class FieldMaps:
     dark: Floats32 | float
     """Grey level of darkness: (h, w), or one value for all pixels."""
     noise: NoiseModel
-
-    @cached_property
-    def arrays(self) -> tuple[Floats32, Floats32]:
-        """Flat field and dark level as read-only arrays: (h, w), or (1, 1) where one value holds for all pixels."""
-        flat = np.ones((1, 1), np.float32) if self.flat is None else np.ascontiguousarray(self.flat).view()
-        dark = self.dark if isinstance(self.dark, np.ndarray) else np.full((1, 1), self.dark, np.float32)
-        found = flat, np.ascontiguousarray(dark).view()
-        for array in found:
-            array.setflags(write=False)
-        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.hdr.kernels import Source, add_shifted, by_depth, mean
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Status, Stitch
@@ -71,7 +70,6 @@ def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.
         frame_pairs.load,
         partial(label_boxes, np.zeros((2, 2), np.int16), 1),
         tiles.load,
-        _merge,
         partial(_plan, setup, board_type, stitch, picture),
         partial(measure_heights, board_type, stitch, setup.cameras, partial(_frame, picture)),
     ]
@@ -107,17 +105,6 @@ def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: ND
             base=MosaicGrid.of_board(board_type, _PX_PER_MM),
         )
     )
-
-
-def _merge() -> None:
-    """Call the functions that are compiled for merged pictures."""
-    one, out = np.ones((1, 1), np.float32), np.ones((4, 4), np.float32)
-    sums, groups = np.zeros((3, 1, 4, 4), np.float32), np.zeros(1, np.int64)
-    for array in (one, flat := np.ones((6, 6), np.float32)):
-        array.flags.writeable = False
-    source = Source(*by_depth(np.ones((6, 6), np.uint8)), one, flat, 1.0, 255.0, 1.0, 1.0, 1.0)
-    add_shifted(source, np.eye(3), (0, 0, 4, 4), groups, sums)
-    mean(sums[0, 0], sums[1, 0], out)
 
 
 def _setup() -> StitchSetup:
