@@ -95,143 +95,8 @@ class SimulatedCamera(VirtualCamera):
         self.expose(Exposure(frame_id, stamp_s, begin_s, begin_s + TRANSFER_S, pixels, share))
 
 
-Edge = tuple[float, bool]
-"""Time by the controller's clock, and whether the barrier is interrupted from then on."""
-
-
-class SimulatedController(Controller):
-    """A `Controller` that follows a `TriggerRule` and calls the simulated line instead of setting pins."""
-
-    def __init__(self, clock: DeviceClock, line: SimulatedLine) -> None:
-        """Create a controller for a simulated line. `clock` is the controller's simulated clock."""
-        self.clock = clock
-        self._line = line
-        self._numbers = count()
-        self._changed = threading.Condition()
-        self._edges: deque[Edge] = deque()
-        self._rule: TriggerRule | None = None
-        self._closing = False
-        self._runs = 0
-        self._thread = SupervisedThread(self._work, "controller", DEVICE_LIMIT_S)
-
-    def start(self, events: EventQueue) -> None:
-        """Begin to put events into the queue `events`."""
-        self._events = events
-        self._thread.start()
-        self._line.start(self, events)
-
-    def arm(self, plan: TriggerPlan) -> None:
-        """Film every board that passes the barrier from now on with this plan."""
-        rule = TriggerRule(self._line.accept(plan), self._numbers, self._line)
-        with self._changed:
-            self._rule = rule
-            # Edges of a board that entered before belong to no run of this arming.
-            self._edges.clear()
-            self._changed.notify()
-        # Only now may boards enter: edges scheduled before the rule is in place would have been cleared.
-        self._line.set_armed(True)
-
-    def disarm(self) -> None:
-        """Ignore the barrier from now on and end a run under way."""
-        with self._changed:
-            if self._rule is not None:
-                self._report(self._rule.stop(self.clock.now_s()))
-            self._rule = None
-            self._edges.clear()
-        self._line.set_armed(False)
-        self._line.end_run()
-
-    def fire_one(self, light: str = "", on_us: float | None = None) -> None:
-        """Fire one pulse now."""
-        with self._changed:
-            if self._rule is not None:
-                raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
-            pulse = PulseFired(next(self._numbers), self.clock.now_s(), 0, light, on_us=on_us)
-            self._line.fire_single(pulse)
-            self._events.put(pulse)
-            self._events.put(RunEnded(next(self._numbers), pulse.time_s, 1, "single"))
-
-    def schedule_edges(self, edges: Sequence[Edge]) -> None:
-        """Schedule future changes of the barrier, given in the order of their times."""
-        with self._changed:
-            self._edges.extend(edges)
-            self._changed.notify()
-
-    def read_clock(self) -> ClockReading:
-        """Compare the controller's clock with the host's."""
-        return self.clock.read()
-
-    def permit_board(self, permit: Permit | None) -> None:
-        """Permit the next board, or hold boards back."""
-        self._line.permit_board(permit)
-
-    def line_output(self) -> LineOutput | None:
-        """Return whether the simulated conveyor may let a board in; None if it does not obey the interlock."""
-        return self._line.line_output()
-
-    def limits(self) -> ControllerLimits:
-        """Return the lights of the simulated line; it has no other limits."""
-        return ControllerLimits(lights=self._line.lights())
-
-    def health(self) -> str:
-        """Return a sentence with the state and the number of boards so far."""
-        return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen"
-
-    def threads(self) -> tuple[SupervisedThread, ...]:
-        """Return the threads of controller and line."""
-        return (self._thread, *self._line.threads())
-
-    def close(self) -> None:
-        """Close the line, then end the thread that simulates the controller."""
-        self._line.close()
-        self._thread.expect_end()
-        with self._changed:
-            self._closing, self._rule = True, None
-            self._changed.notify()
-        if self._thread.ident is not None:
-            self._thread.join()
-
-    def _work(self) -> None:
-        with self._changed:
-            while not self._closing:
-                # The lock is held during the whole step, so that `disarm` never interrupts the report of a run.
-                ended = self._step(self.clock.now_s())
-                if ended:
-                    self._line.end_run()
-                with self._thread.waiting():
-                    self._changed.wait(self._wait_s())
-
-    def _step(self, now_s: float) -> bool:
-        """Do everything that is due at the time `now_s`. Return whether a run has ended by this."""
-        if self._rule is None:
-            return False
-        events: list[ControllerEvent] = []
-        while self._edges and self._edges[0][0] <= now_s:
-            time_s, blocked = self._edges.popleft()
-            # Pulses due before the edge come first, even if this thread wakes up late.
-            events += self._rule.advance(time_s)
-            self._rule.add_edge(time_s, blocked)
-        events += self._rule.advance(now_s)
-        self._report(events)
-        return any(isinstance(e, RunEnded) for e in events)
-
-    def _report(self, events: Sequence[ControllerEvent]) -> None:
-        for event in events:
-            if isinstance(event, PulseFired):
-                # Cameras are triggered before the pulse is reported to the host, as with the real controller.
-                self._line.fire(event)
-            self._runs += isinstance(event, BarrierBlocked)
-            self._events.put(event)
-
-    def _wait_s(self) -> float | None:
-        if self._rule is None:
-            return None
-        times = [t for t in (self._rule.due_s(), self._edges[0][0] if self._edges else None) if t is not None]
-        return max(self.clock.host_s(min(times)) - self.clock.host_s(self.clock.now_s()), 0.0) if times else None
-
-
 FAR_S = 1e4
-"""A time that is later than the end of any passage, s."""
+"""Later than the end of any passage."""
 
 
 class SimulatedBoard:
@@ -259,10 +124,7 @@ class SimulatedBoard:
         self._frames[camera, row] = to_bytes(image)
 
     def pixels(self, camera: int, row: int) -> NDArray[np.uint8]:
-        """Return the flat bytes of a frame.
-
-        A stuck board may have more rows than frames; then the last one is repeated.
-        """
+        """Return the flat bytes of a frame. A stuck board may have more rows than frames: the last one is repeated."""
         return self._frames[camera, min(row, len(self.pulses) - 1)]
 
 
@@ -294,16 +156,6 @@ def predict_pulses(
     return [e for e in events if isinstance(e, PulseFired)]
 
 
-AHEAD = 2
-"""Number of boards that are prepared in advance."""
-LEAD_S = 0.02
-"""Time from the decision to let a board pass to the start of its passage, s."""
-RENDER_LIMIT_S = 600.0
-"""Longest time for one frame of the twin, s. The first one may wait for the compiler on a busy computer."""
-SAME_TIME_S = 1e-6
-"""Largest accepted difference between the times of a fired and a predicted pulse, s."""
-
-
 def accept_plan(asked: TriggerPlan, expected: TriggerPlan, lights: Collection[str] = ()) -> TriggerPlan:
     """Return the requested plan, without a light program with the lights and the program of the scenario."""
     for key in ("start_delay_s", "period_s", "tail_s", "debounce_s"):
@@ -323,56 +175,140 @@ def accept_plan(asked: TriggerPlan, expected: TriggerPlan, lights: Collection[st
     return replace(asked, lights=tuple(expected.lights), program=expected.program)
 
 
-class SimulatedLine:
-    """The simulated conveyor: it gives barrier edges to the controller and exposes the cameras on its pulses."""
+AHEAD = 2
+"""Number of boards that are prepared in advance."""
+LEAD_S = 0.02
+"""Time from the decision to let a board pass to the start of its passage, s."""
+RENDER_LIMIT_S = 600.0
+"""Longest time for one frame of the twin, s. The first one may wait for the compiler on a busy computer."""
+SAME_TIME_S = 1e-6
+"""Largest accepted difference between the times of a fired and a predicted pulse, s."""
+
+
+class SimulatedController(Controller):
+    """The simulated conveyor with its controller: boards pass, a `TriggerRule` fires, and the cameras expose.
+
+    One thread follows the rule; another one renders boards ahead and lets them pass. Both hold `_change` when they
+    change anything.
+    """
 
     def __init__(
         self,
         twin: Twin,
-        plan: TriggerPlan,
         cameras: tuple[SimulatedCamera, ...],
-        clock: DeviceClock,
         boards: int,
         interval_s: float,
         interlock: bool = False,
     ) -> None:
-        """Start without boards."""
-        self._twin, self._cameras, self._clock = twin, cameras, clock
-        self._scenario_plan = self._plan = plan
+        """Prepare to let `boards` boards pass, any number if it is 0, at least `interval_s` apart."""
+        self._twin, self._cameras, self._clock = twin, cameras, simulated_clock(-1)
+        self._scenario_plan = self._plan = scenario_plan(twin)
         self._boards, self._interval_s, self._interlock = boards, interval_s, interlock
         self._permit: Permit | None = None
         self._spent: int | None = None
         """Number of the permit that the last board has used up."""
         self._change = threading.Condition()
+        self._numbers = count()
+        self._edges: deque[tuple[float, bool]] = deque()
+        """Coming changes of the barrier by the controller's clock, and whether it is interrupted from then on."""
+        self._rule: TriggerRule | None = None
+        """None while disarmed."""
         self._ready: deque[SimulatedBoard] = deque()
-        self._prepared = 0
+        self._prepared = self._runs = 0
         self._board: SimulatedBoard | None = None
+        """The latest board that passes or has passed; its passage began at `_start_s` by the controller's clock."""
+        self._start_s = 0.0
         self._still: list[NDArray[np.uint8]] = []
         """Flat bytes of every camera's frame of the calibration board; rendered with the first pulse that shows it."""
-        self._start_s = 0.0
-        self._next_host_s = float("-inf")
-        self._armed = self._passing = self._closing = False
-        self._thread = SupervisedThread(self._work, "line", RENDER_LIMIT_S)
+        self._next_host_s = -math.inf
+        self._passing = self._closing = False
+        self._threads = (
+            SupervisedThread(self._follow_rule, "controller", DEVICE_LIMIT_S),
+            SupervisedThread(self._let_boards_pass, "line", RENDER_LIMIT_S),
+        )
 
-    def start(self, controller: SimulatedController, faults: EventQueue) -> None:
-        """Begin to prepare boards; report faults to `faults`."""
-        self._controller, self._faults = controller, faults
-        self._thread.start()
+    def start(self, events: EventQueue) -> None:
+        """Begin to prepare boards, and to put events and faults into the queue `events`."""
+        self._events = events
+        for thread in self._threads:
+            thread.start()
 
-    def accept(self, plan: TriggerPlan) -> TriggerPlan:
-        """Return the plan that is simulated; `accept_plan` states which plans are refused."""
-        accepted = accept_plan(plan, self._scenario_plan, self._twin.scenario.lights)
+    def arm(self, plan: TriggerPlan) -> None:
+        """Film every board from now on with this plan; `accept_plan` states which plans are refused."""
+        plan = accept_plan(plan, self._scenario_plan, self._twin.scenario.lights)
+        rule = TriggerRule(plan, self._numbers, self)
         with self._change:
-            if accepted.program != self._plan.program:
+            if plan.program != self._plan.program:
                 self._prepared -= len(self._ready)
                 self._ready.clear()
-                self._change.notify()
-            self._plan = accepted
-        return accepted
+            self._plan, self._rule = plan, rule
+            # Edges of a board that entered before belong to no run of this arming.
+            self._edges.clear()
+            self._change.notify_all()
 
-    def lights(self) -> tuple[str, ...]:
-        """Return the names of the lights of the scenario."""
-        return tuple(self._twin.scenario.lights)
+    def disarm(self) -> None:
+        """Ignore the barrier from now on and end a run under way."""
+        with self._change:
+            if self._rule is not None:
+                self._report(self._rule.stop(self._clock.now_s()))
+            self._rule, self._passing = None, False
+            self._edges.clear()
+            self._change.notify_all()
+
+    def fire_one(self, light: str = "", on_us: float | None = None) -> None:
+        """Fire one pulse now: the cameras show the calibration board at rest."""
+        with self._change:
+            if self._rule is not None:
+                raise StateError("the controller is armed: its pulses belong to boards.", action="Disarm, then fire.")
+            pulse = PulseFired(next(self._numbers), self._clock.now_s(), 0, light, on_us=on_us)
+            if not self._still:
+                self._still = [to_bytes(image) for _, _, image in calibration_board.frames(self._twin)]
+            host_s = self._clock.host_s(pulse.time_s)
+            for camera, pixels in zip(self._cameras, self._still, strict=True):
+                camera.trigger(host_s, self._exposed(pixels, camera.brightness(on_us)))
+            self._events.put(pulse)
+            self._events.put(RunEnded(next(self._numbers), pulse.time_s, 1, "single"))
+
+    def read_clock(self) -> ClockReading:
+        """Compare the controller's clock with the host's."""
+        return self._clock.read()
+
+    def permit_board(self, permit: Permit | None) -> None:
+        """Let one board enter the belt while the permit is valid, if the conveyor obeys the interlock."""
+        with self._change:
+            self._permit = permit
+            self._change.notify_all()
+
+    def line_output(self) -> LineOutput | None:
+        """Return whether a board may enter now; None if the conveyor does not obey the interlock."""
+        if not self._interlock:
+            return None
+        if self._rule is None or self._passing:
+            return LineOutput(False, "the controller is not armed, or a board is being filmed")
+        return LineOutput(True) if self._permitted() else LineOutput(False, "the station does not permit a board")
+
+    def limits(self) -> ControllerLimits:
+        """Return the lights of the scenario; there are no other limits."""
+        return ControllerLimits(lights=tuple(self._twin.scenario.lights))
+
+    def health(self) -> str:
+        """Return a sentence with the state and the number of boards so far."""
+        return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen"
+
+    def threads(self) -> tuple[SupervisedThread, ...]:
+        """Return the threads of controller and line."""
+        return self._threads
+
+    def close(self) -> None:
+        """End both threads, and wait for their ends."""
+        for thread in self._threads:
+            thread.expect_end()
+        with self._change:
+            self._closing, self._rule = True, None
+            self._change.notify_all()
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join()
 
     def counts_at(self, time_s: float) -> int:
         """Return the counts of the belt's encoder up to a time of the controller's clock; it rests between boards."""
@@ -384,55 +320,57 @@ class SimulatedLine:
         track = self._board.passage.encoder if self._board is not None else None
         return math.inf if track is None else track.time_of(counts) + self._start_s
 
-    def set_armed(self, armed: bool) -> None:
-        """Let boards enter the belt if `armed`; otherwise hold them back."""
-        with self._change:
-            self._armed = armed
-            self._change.notify()
+    # --- the thread that follows the rule
 
-    def end_run(self) -> None:
-        """Record that the run has ended, so that the next board may come."""
+    def _follow_rule(self) -> None:
         with self._change:
-            self._passing = False
-            self._change.notify()
+            while not self._closing:
+                # The lock is held during the whole step, so that `disarm` never interrupts the report of a run.
+                self._step(self._clock.now_s())
+                with self._threads[0].waiting():
+                    self._change.wait(self._wait_s())
 
-    def permit_board(self, permit: Permit | None) -> None:
-        """Let one board enter the belt while the permit is valid, if the conveyor obeys the interlock."""
-        with self._change:
-            self._permit = permit
-            self._change.notify()
+    def _step(self, now_s: float) -> None:
+        if self._rule is None:
+            return
+        while self._edges and self._edges[0][0] <= now_s:
+            time_s, blocked = self._edges.popleft()
+            # Pulses due before the edge come first, even if this thread wakes up late.
+            self._report(self._rule.advance(time_s))
+            self._rule.add_edge(time_s, blocked)
+        self._report(self._rule.advance(now_s))
 
-    def line_output(self) -> LineOutput | None:
-        """Return whether a board may enter now; None if the conveyor does not obey the interlock."""
-        if not self._interlock:
+    def _report(self, events: Sequence[ControllerEvent]) -> None:
+        for event in events:
+            if isinstance(event, PulseFired):
+                # Cameras are triggered before the pulse is reported to the host, as with the real controller.
+                self._fire(event)
+            self._runs += isinstance(event, BarrierBlocked)
+            if isinstance(event, RunEnded):
+                self._passing = False
+                self._change.notify_all()
+            self._events.put(event)
+
+    def _wait_s(self) -> float | None:
+        if self._rule is None:
             return None
-        if not self._armed or self._passing:
-            return LineOutput(False, "the controller is not armed, or a board is being filmed")
-        return LineOutput(True) if self._permitted() else LineOutput(False, "the station does not permit a board")
+        times = [t for t in (self._rule.due_s(), self._edges[0][0] if self._edges else None) if t is not None]
+        return max(self._clock.host_s(min(times)) - time.monotonic(), 0.0) if times else None
 
-    def _permitted(self) -> bool:
-        if not self._interlock:
-            return True
-        permit = self._permit
-        return permit is not None and permit.number != self._spent and time.monotonic() < permit.until_s
-
-    def fire(self, event: PulseFired) -> None:
-        """Expose all cameras, for a pulse that was fired during a passage."""
+    def _fire(self, event: PulseFired) -> None:
+        """Expose all cameras for a row of the board that passes."""
         board, row = self._board, event.index
         if board is None or not self._agrees(board, event):
             error = InternalError(f"pulse {row} was fired at {event.time_s} s, when the twin did not expect one.")
-            self._faults.put(DeviceFault("simulated line", error))
+            self._events.put(DeviceFault("simulated line", error))
             return
         for n in range(len(self._cameras)):
             self._expose(board, n, row, self._clock.host_s(event.time_s))
 
-    def fire_single(self, event: PulseFired) -> None:
-        """Expose all cameras for a pulse without a board: they show the calibration board at rest."""
-        if not self._still:
-            self._still = [to_bytes(image) for _, _, image in calibration_board.frames(self._twin)]
-        host_s = self._clock.host_s(event.time_s)
-        for camera, pixels in zip(self._cameras, self._still, strict=True):
-            camera.trigger(host_s, self._exposed(pixels, camera.brightness(event.on_us)))
+    def _agrees(self, board: SimulatedBoard, event: PulseFired) -> bool:
+        if event.index >= len(board.pulses):
+            return board.passage.faults.stuck is not None
+        return abs(board.pulses[event.index].time_s + self._start_s - event.time_s) < SAME_TIME_S
 
     def _exposed(self, pixels: NDArray[np.uint8], brightness: float) -> NDArray[np.uint8]:
         """Return the flat bytes of a frame as bright as exposure and gain make it, clipped at the full scale."""
@@ -447,7 +385,10 @@ class SimulatedLine:
         camera, faults = self._cameras[n], board.passage.faults
         if (interval_s := faults.free_running_interval_s(n)) is not None:
             if row == 0:
-                self._run_freely(board, n, host_s, interval_s)
+                # The exposures are a third of an interval late, so that they do not coincide with pulses.
+                passing_s = board.pulses[-1].time_s - board.pulses[0].time_s
+                for k in range(math.ceil(passing_s / interval_s)):
+                    camera.trigger(host_s + (k + 1 / 3) * interval_s, board.pixels(n, 0))
             return
         if faults.ignored(n, row):
             return
@@ -468,35 +409,12 @@ class SimulatedLine:
         for after_s in faults.extra_delays_s(n, row):
             camera.trigger(host_s + after_s, board.pixels(n, row), stamp_error_s=faults.stamps_late_s(n))
 
-    def _run_freely(self, board: SimulatedBoard, n: int, host_s: float, interval_s: float) -> None:
-        """Expose a camera at a fixed interval, independent of the pulses, from the first pulse until the last."""
-        # The exposures are a third of an interval late, so that they do not coincide with pulses by construction.
-        passing_s = board.pulses[-1].time_s - board.pulses[0].time_s
-        for k in range(math.ceil(passing_s / interval_s)):
-            self._cameras[n].trigger(host_s + (k + 1 / 3) * interval_s, board.pixels(n, 0))
+    # --- the thread that lets boards pass
 
-    def threads(self) -> tuple[SupervisedThread, ...]:
-        """Return the thread that lets boards pass."""
-        return (self._thread,)
-
-    def close(self) -> None:
-        """End the thread that lets boards pass, and wait for its end."""
-        self._thread.expect_end()
-        with self._change:
-            self._closing = True
-            self._change.notify()
-        if self._thread.ident is not None:
-            self._thread.join()
-
-    def _agrees(self, board: SimulatedBoard, event: PulseFired) -> bool:
-        if event.index >= len(board.pulses):
-            return board.passage.faults.stuck is not None
-        return abs(board.pulses[event.index].time_s + self._start_s - event.time_s) < SAME_TIME_S
-
-    def _work(self) -> None:
+    def _let_boards_pass(self) -> None:
         try:
             while not self._closing:
-                self._thread.beat()
+                self._threads[1].beat()
                 if self._may_pass():
                     self._let_pass()
                 elif not self._passing and self._to_prepare():
@@ -504,17 +422,24 @@ class SimulatedLine:
                 else:
                     self._wait()
         except VaoiError as error:
-            self._thread.expect_end()  # the fault is reported; no board comes any more
-            self._faults.put(DeviceFault("simulated line", error))
+            self._threads[1].expect_end()  # the fault is reported; no board comes any more
+            self._events.put(DeviceFault("simulated line", error))
 
-    def _may_pass(self) -> bool:
+    def _permitted(self) -> bool:
+        permit = self._permit
+        valid = permit is not None and permit.number != self._spent and time.monotonic() < permit.until_s
+        return valid or not self._interlock
+
+    def _may_enter(self) -> bool:
         # The list may be emptied at any time, by a new plan.
         ready = any(board.ready for board in [*self._ready][:1])
-        may_enter = self._armed and not self._passing and self._permitted()
-        return ready and may_enter and time.monotonic() >= self._next_host_s
+        return ready and self._rule is not None and not self._passing and self._permitted()
+
+    def _may_pass(self) -> bool:
+        return self._may_enter() and time.monotonic() >= self._next_host_s
 
     def _to_prepare(self) -> bool:
-        if self._still and not self._armed:
+        if self._still and self._rule is None:
             return False  # single pulses show the calibration board: rendering would delay their frames
         if any(not board.ready for board in [*self._ready][-1:]):
             return True
@@ -524,32 +449,34 @@ class SimulatedLine:
         """Render one frame; if all frames of the board are rendered, begin with the next board."""
         with self._change:
             newest = self._ready[-1] if self._ready else None
-            if newest is None or newest.ready:
-                passage = self._twin.passage(self._prepared)
-                self._ready.append(SimulatedBoard(passage, self._plan, len(self._cameras)))
+            number, plan = self._prepared, self._plan
+        if newest is not None and not newest.ready:
+            newest.render_one()
+            return
+        board = SimulatedBoard(self._twin.passage(number), plan, len(self._cameras))
+        with self._change:
+            if plan is self._plan:
+                self._ready.append(board)
                 self._prepared += 1
-                return
-        newest.render_one()
 
     def _let_pass(self) -> None:
         with self._change:
-            # Disarming, or the end of the permit, may have come between the check in _may_pass and here.
-            if not self._armed or not self._permitted() or not self._ready or not self._ready[0].ready:
+            # Disarming, or the end of the permit, may have come since the check.
+            if not self._may_enter():
                 return
             self._spent = self._permit.number if self._permit else None
-            board, now_s = self._ready.popleft(), time.monotonic()
+            self._board, self._passing, now_s = self._ready.popleft(), True, time.monotonic()
             self._start_s = self._clock.device_s(now_s + LEAD_S)
-            self._board, self._passing = board, True
             self._next_host_s = now_s + self._interval_s
-        self._controller.schedule_edges([(self._start_s + t, blocked) for t, blocked in board.edges])
+            self._edges.extend((self._start_s + t, blocked) for t, blocked in self._board.edges)
+            self._change.notify_all()
 
     def _wait(self) -> None:
         with self._change:
             if self._closing or self._may_pass() or (not self._passing and self._to_prepare()):
                 return
-            waiting_for_time = self._armed and self._ready and not self._passing and self._permitted()
-            with self._thread.waiting():
-                self._change.wait(max(self._next_host_s - time.monotonic(), 0.0) if waiting_for_time else None)
+            with self._threads[1].waiting():
+                self._change.wait(max(self._next_host_s - time.monotonic(), 0.0) if self._may_enter() else None)
 
 
 def open_simulated(config: StationConfig) -> Devices:
@@ -558,11 +485,8 @@ def open_simulated(config: StationConfig) -> Devices:
     twin = Twin(read_scenario(config.simulation.scenario))
     _check(twin.scenario, config)
     cameras = tuple(SimulatedCamera(n, simulated_clock(n), c.exposure_us) for n, c in enumerate(config.cameras))
-    plan = scenario_plan(twin)
-    clock = simulated_clock(-1)
     simulation, interlock = config.simulation, config.controller.interlock == "on"
-    line = SimulatedLine(twin, plan, cameras, clock, simulation.boards, simulation.interval_s, interlock)
-    return Devices(cameras, SimulatedController(clock, line))
+    return Devices(cameras, SimulatedController(twin, cameras, simulation.boards, simulation.interval_s, interlock))
 
 
 def scenario_plan(twin: Twin) -> TriggerPlan:

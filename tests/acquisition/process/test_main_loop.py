@@ -17,7 +17,6 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process import main_loop
-from vaoi_station.acquisition.process import main_loop as inbox_module
 from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.acquisition.process.between_boards import SequenceStart
 from vaoi_station.acquisition.process.main_loop import HELD_UP_S, LONGEST_LAG_S, Inbox
@@ -47,7 +46,7 @@ class Clock:
         self.now_s = 100.0
         self.late_s = 0.0
         """Time by which the next wait ends later than it should."""
-        monkeypatch.setattr(inbox_module, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(main_loop, "monotonic", lambda: self.now_s)
         self.inbox = Inbox()
         real = self.inbox.messages
         clock = self

@@ -14,116 +14,78 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierClearAfterRun,
     BeltPacing,
     BoardTooSoon,
-    ControllerEvent,
     PulseFired,
     RunEnded,
     TriggerPlan,
 )
+from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.acquisition.process.messages import BoardMissed
 from vaoi_station.acquisition.process.passages import (
     STILL_S,
     UNREPORTED_S,
-    BarrierLog,
-    OutdatedEvents,
-    PassageLog,
+    Passages,
     PassageWatch,
-    since_first,
 )
-
-
-def test_interruptions_are_collected_in_order() -> None:
-    log = BarrierLog()
-    states = [log.is_open]
-    log.blocked(10.0)
-    states.append(log.is_open)
-    log.clear(11.0)
-    states.append(log.is_open)
-    assert states == [False, True, False]
-    log.blocked(12.0)
-    assert log.interruptions == [(10.0, 11.0), (12.0, None)]
-    assert since_first(log.interruptions) == ((0.0, 1.0), (2.0, None))
-    assert since_first([]) == ()
-
-
-def test_a_second_end_extends_the_interruption_because_its_beginning_was_lost() -> None:
-    log = BarrierLog()
-    log.clear(1.0)
-    assert log.interruptions == []
-    log.blocked(2.0)
-    log.clear(3.0)
-    log.clear(5.0)
-    assert log.interruptions == [(2.0, 5.0)]
-
-
-def test_the_way_of_the_belt_at_the_edges_is_that_of_the_encoder() -> None:
-    log = BarrierLog()
-    for blocked, clear in (((10.0, 2**32 - 100), (40.0, 900)), ((41.0, 920), None)):
-        assert log.ways_mm(20.0) == (None if not log.interruptions else ((0.0, 50.0),))
-        log.blocked(*blocked)
-        if clear is not None:
-            log.clear(*clear)
-    assert log.ways_mm(20.0) == ((0.0, 50.0), (51.0, None)), "the counter wraps"
-    log.clear(42.0)
-    assert log.ways_mm(20.0) is None, "one edge came without a position"
-
-
-def test_an_encoder_that_does_not_count_forwards_measures_no_way() -> None:
-    for counts in (0, -40):
-        log = BarrierLog()
-        log.blocked(1.0, 1000)
-        log.clear(2.0, 1000 + counts)
-        assert log.ways_mm(20.0) is None
-    log.blocked(3.0, 1600)
-    log.clear(4.0, 1600 - 1)
-    assert log.ways_mm(20.0) is None, "it counted backwards before"
-    log = BarrierLog()
-    log.blocked(1.0, 1000)
-    log.clear(2.0, 1600)
-    log.blocked(3.0, 1598)
-    assert log.ways_mm(20.0) == ((0.0, 30.0), (29.9, None)), "a belt at rest shakes"
-
-
-def test_an_interruption_after_the_end_of_the_run_begins_another_passage() -> None:
-    log = BarrierLog()
-    log.blocked(1.0)
-    of_the_run = log.interruptions
-    log.over = True
-    log.blocked(7.0)
-    assert of_the_run == [(1.0, None)]
-    assert log.interruptions == [(7.0, None)]
-    assert not log.over
-
 
 AHEAD_S = 1000.0
 """The host's time minus the controller's."""
 
 
 @pytest.fixture
-def log() -> PassageLog:
+def passages() -> Passages:
     clock = ClockModel("controller")
     clock.add(ClockReading(0.0, AHEAD_S, 1e-5))
-    return PassageLog(clock)
+    return Passages(clock)
 
 
-def test_a_passage_has_all_interruptions_from_its_first_edge_on(log: PassageLog) -> None:
+def test_a_passage_has_all_interruptions_from_its_first_edge_on(passages: Passages) -> None:
     edges = [BarrierBlocked(0, 1.0), BarrierClear(1, 1.5), BarrierBlockedAgain(2, 1.6), BarrierClearAfterRun(3, 2.0)]
-    assert [log.add(event, AHEAD_S + 9.0) for event in edges] == [None] * 4
-    assert (log.edge_s, log.barrier.interruptions) == (AHEAD_S + 1.0, [(1.0, 1.5), (1.6, 2.0)])
-    log.add(BarrierBlocked(4, 3.0), AHEAD_S + 2.9)
-    assert log.edge_s == AHEAD_S + 2.9, "no edge lies in the future"
-    assert log.begin_run().interruptions == [(3.0, None)]
-    log.barrier.over = True
-    assert log.begin_run().interruptions == [], "the edge of this run was not reported"
-    log.begin_single(AHEAD_S + 5.0)
-    assert (log.edge_s, log.barrier.interruptions) == (AHEAD_S + 5.0, [])
+    assert [passages.add(event, AHEAD_S + 9.0) for event in edges] == [None] * 4
+    assert (passages.edge_s, passages.interruptions) == (AHEAD_S + 1.0, [(1.0, 1.5), (1.6, 2.0)])
+    passages.add(BarrierBlocked(4, 3.0), AHEAD_S + 2.9)
+    assert passages.edge_s == AHEAD_S + 2.9, "no edge lies in the future"
+    of_the_run = passages.begin_run()
+    assert of_the_run == [(3.0, None)]
+    passages.over = True
+    passages.add(BarrierBlockedAgain(5, 7.0), AHEAD_S + 8.0)
+    assert (of_the_run, passages.interruptions) == ([(3.0, None)], [(7.0, None)]), "after the run, another passage"
+    passages.over = True
+    assert passages.begin_run() == [], "the edge of this run was not reported"
 
 
-def test_a_board_without_a_run_is_missed_once(log: PassageLog) -> None:
-    stood = log.add(BarrierClearAfterRun(0, 1.0), AHEAD_S + 1.1)
+def test_a_second_end_extends_the_interruption_because_its_beginning_was_lost(passages: Passages) -> None:
+    for event in (BarrierClear(0, 1.0), BarrierBlocked(1, 2.0), BarrierClear(2, 3.0), BarrierClear(3, 5.0)):
+        passages.add(event, AHEAD_S + 9.0)
+    assert passages.interruptions == [(2.0, 5.0)]
+
+
+def with_counts(passages: Passages, *counts: int | None) -> tuple[Interruption, ...] | None:
+    """Return the ways of a passage with these positions of the encoder at its edges, at 20 counts per mm."""
+    for n, position in enumerate(counts):
+        kind = (BarrierBlocked if n == 0 else BarrierBlockedAgain) if n % 2 == 0 else BarrierClear
+        passages.add(kind(n, float(n), position), AHEAD_S + 99.0)
+    return passages.ways_mm(20.0)
+
+
+def test_the_way_of_the_belt_at_the_edges_is_that_of_the_encoder(passages: Passages) -> None:
+    assert passages.ways_mm(20.0) is None
+    wrapped = (2**32 - 100, 900, 920)
+    assert with_counts(passages, *wrapped) == ((0.0, 50.0), (51.0, None)), "the counter wraps"
+    assert with_counts(passages, *wrapped, None) is None, "one edge came without a position"
+    assert with_counts(passages, 1000, 1600, 1598) == ((0.0, 30.0), (29.9, None)), "a belt at rest shakes"
+
+
+@pytest.mark.parametrize("counts", [(1000, 1000), (1000, 960), (1000, 960, 1600, 1599)])
+def test_an_encoder_that_does_not_count_forwards_measures_no_way(passages: Passages, counts: tuple[int, ...]) -> None:
+    assert with_counts(passages, *counts) is None
+
+
+def test_a_board_without_a_run_is_missed_once(passages: Passages) -> None:
+    stood = passages.add(BarrierClearAfterRun(0, 1.0), AHEAD_S + 1.1)
     assert stood == BoardMissed(AHEAD_S + 1.0, "it stood in the barrier when the line was armed")
-    soon = log.add(BoardTooSoon(1, 2.0, 0.25), AHEAD_S + 2.1)
+    soon = passages.add(BoardTooSoon(1, 2.0, 0.25), AHEAD_S + 2.1)
     assert soon == BoardMissed(AHEAD_S + 2.0, "it came 0.250 s after the one before had left")
-    assert log.add(BarrierClearAfterRun(2, 2.5), AHEAD_S + 2.6) is None
+    assert passages.add(BarrierClearAfterRun(2, 2.5), AHEAD_S + 2.6) is None
 
 
 BY_TIME = TriggerPlan(start_delay_s=0.2, period_s=0.1, tail_s=0.2, max_rows=9, debounce_s=0.005)
@@ -229,38 +191,3 @@ def test_a_board_whose_run_was_cut_short_is_in_the_barrier_until_that_is_clear(w
     assert (watch.passing, watch.standing) == (True, False)
     watch.check_level(False, 1.9)
     assert not shown(watch)[1]
-
-
-def given_up() -> OutdatedEvents:
-    clock = ClockModel("controller")
-    clock.add(ClockReading(0.0, 100.0, 1e-5))
-    outdated = OutdatedEvents(clock)
-    outdated.give_up()
-    return outdated
-
-
-def pulse(host_s: float) -> PulseFired:
-    return PulseFired(0, host_s - 100.0, 0)
-
-
-@pytest.mark.parametrize("end", [RunEnded(0, 9.0, 1, "single"), BarrierBlocked(0, 9.0)])
-def test_the_end_of_the_run_or_the_next_board_ends_it(end: ControllerEvent) -> None:
-    outdated = given_up()
-    assert outdated.has(pulse(108.0))
-    assert outdated.has(end) is isinstance(end, RunEnded)
-    assert not outdated.has(pulse(109.5))
-
-
-def test_a_pulse_counts_by_its_time_on_the_clock_of_the_host() -> None:
-    outdated = given_up()
-    outdated.expect_pulse(110.0)
-    assert outdated.has(pulse(109.0))
-    assert not outdated.has(pulse(110.1))
-    assert not outdated.has(pulse(109.0)), "one event in time ends it"
-
-
-def test_nothing_is_outdated_after_disarming_or_for_a_pulse_without_anything_given_up() -> None:
-    outdated = given_up()
-    outdated.forget()
-    outdated.expect_pulse(110.0)
-    assert not outdated.has(pulse(1.0))

@@ -39,7 +39,6 @@ class SequenceStart:
     def __init__(
         self, cameras: Sequence[CameraDevice], host_s: Callable[[float], float], send: Callable[[Report], None]
     ) -> None:
-        """Begin with sequences that are at their first set."""
         self._cameras, self._host_s, self._send = cameras, host_s, send
         self._advanced: set[int] = set()
         """Cameras whose sequencer is not at its first set, because pulses were fired."""
@@ -106,16 +105,12 @@ class SequenceStart:
         self._took_s[camera] = 0.0
 
     def _expect_less(self) -> None:
-        """Let cameras that were left out because they were slow be tried again after some boards.
-
-        One slow reply, of a busy network, would otherwise leave a camera out for ever: only a rewind is measured.
-        """
+        # Only a rewind is measured: one slow reply of a busy network would otherwise leave a camera out for ever.
         for number in self._advanced:
             if self._took_s[number] > self._delay_s / 2:
                 self._took_s[number] /= 2
 
     def _report_late(self, cameras: set[int]) -> None:
-        """Log that cameras begin a board with the wrong exposure; report it once until they are in time again."""
         numbers = ", ".join(map(str, sorted(cameras)))
         _log.warning("pulses came before the sequence of exposures had begun anew in camera %s", numbers)
         if cameras <= self._late:
@@ -147,9 +142,8 @@ class TrialPulse:
     ) -> None:
         self._cameras, self._devices, self._slot_queue, self._is_armed = cameras, devices, slot_queue, is_armed
         self._grant: Grant | None = None
-        self._unfired = False
-        self._unrestored = False
-        """Whether a camera may have the settings of a trial although those of station.toml were to be set."""
+        self._unfired = self._unrestored = False
+        """Whether its pulse is not reported yet; whether a camera may still have its settings although it is over."""
         self.until_s = math.inf
         """Time until which the controller must have reported the pulse; infinite if none is awaited."""
 

@@ -38,7 +38,6 @@ from vaoi_station.acquisition.process.messages import (
     Health,
     PermitBoard,
     Ready,
-    Report,
     Shutdown,
     TrialFailed,
 )
@@ -51,13 +50,10 @@ from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.supervised_thread import SupervisedThread, ThreadFault, faults_of
 
 HELD_UP_S = 0.1
-"""A wait that ends later than this, or a message that takes longer, shows that the process was held up.
-
-Threads of devices were probably held up as well, so this is also the time that they are given to deliver."""
+"""A wait or a message that takes longer shows that the process was held up. Threads of devices, which probably were as
+well, are then given this time to deliver."""
 LONGEST_LAG_S = 2.0
-"""Largest lag of the inbox's time behind the clock.
-
-It bounds the delay if messages come without a pause."""
+"""Largest lag of the inbox's time behind the clock, if messages come without a pause."""
 
 
 class Inbox:
@@ -65,7 +61,6 @@ class Inbox:
 
     def __init__(self) -> None:
         self.messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        """The queue into which threads put their messages."""
         self.taken_until_s = self._returned_s = monotonic()
         """Time up to which all messages were taken, by time.monotonic()."""
         self._held_up = False
@@ -141,16 +136,9 @@ def run_acquisition(
         connection.close()
 
 
-class _ControllerDisarmed:
-    """A marker in the inbox: all events from before the controller was disarmed are in front of it."""
-
-
-@dataclass(frozen=True)
-class _WaitingCommand:
-    """A command that waits until the models of all clocks are accurate enough."""
-
-    command: Arm | FireOne | FireTrial
-    until_s: float
+_DISARMED = object()
+"""A marker in the inbox: all events from before the controller was disarmed are in front of it."""
+_Command = Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard
 
 
 @dataclass(frozen=True)
@@ -165,7 +153,7 @@ class _MainLoop:
     """The loop that passes each message of the inbox to the session, and the threads that fill the inbox."""
 
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
-        self._devices, self._connection = devices, connection
+        self._devices, self._connection, self._send = devices, connection, connection.send
         self._inbox = Inbox()
         self._clocks = [ClockModel("controller"), *(ClockModel(c.label) for c in config.cameras)]
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
@@ -175,10 +163,10 @@ class _MainLoop:
         """Time by which a requested Disarm is carried out at the latest; infinite without a request."""
         self._threads: tuple[SupervisedThread, ...] = ()
         self._failures: list[ThreadFault] = []
-        self._waiting: _WaitingCommand | None = None
+        self._waiting: tuple[Arm | FireOne | FireTrial, float] | None = None
+        """A command that waits until the models of all clocks are accurate enough, and until when it does."""
         self._health_is_due = False
-        """Whether a device was lost or is back, or a board came or left, since the last heartbeat: the next one is sent
-        at once."""
+        """Whether a device was lost or is back, or a board came or left: the next heartbeat is sent at once."""
         self._passage = PassageWatch()
 
     def run(self) -> None:
@@ -190,7 +178,8 @@ class _MainLoop:
             camera.start(self._inbox.messages)
         self._devices.controller.start(self._inbox.messages)
         for _ in range(FIRST_READINGS):
-            self._read_clocks()
+            for clock, source in zip(self._clocks, self._sources, strict=True):
+                clock.add(source.read_clock())
         woken, waker = multiprocessing.Pipe(duplex=False)
         commands = SupervisedThread(partial(self._receive_commands, woken), "commands")
         self._clock_thread = SupervisedThread(self._poll_clocks, "clocks", CLOCKS_LIMIT_S)
@@ -215,7 +204,9 @@ class _MainLoop:
             now_s = time.monotonic()
             if now_s >= health_s or self._health_is_due:
                 self._health_is_due = False
-                self._check_threads()
+                # A lost thread ends the process, and the station restarts it.
+                for fault in (*self._failures, *faults_of((*self._threads, *self._devices.threads()))):
+                    raise InternalError(f"In the acquisition process: {fault}", code="thread-lost")
                 self._send(self._health(now_s))
                 health_s = now_s + HEALTH_PERIOD_S
             if (taken_s := self._inbox.taken_until_s) >= self._session.deadline_s(ticked_s):
@@ -235,11 +226,6 @@ class _MainLoop:
             if isinstance(item, RunEnded) or self._session.awaits_clocks:
                 self._clocks_wanted.set()
 
-    def _check_threads(self) -> None:
-        """Raise InternalError if a thread has ended or hangs. This ends the process, and the station restarts it."""
-        for fault in (*self._failures, *faults_of((*self._threads, *self._devices.threads()))):
-            raise InternalError(f"In the acquisition process: {fault}", code="thread-lost")
-
     def _note_failure(self, failure: threading.ExceptHookArgs) -> None:
         """Record that a thread of a device has ended with an exception that nothing handled."""
         name = failure.thread.name if failure.thread else "?"
@@ -247,7 +233,6 @@ class _MainLoop:
         self._failures.append(ThreadFault(name, f"has ended ({failure.exc_type.__name__}: {failure.exc_value})"))
 
     def _try(self, step: Callable[[float], None]) -> None:
-        """Call a function. If it raises an error, report the error to the station."""
         try:
             step(time.monotonic())
         except VaoiError as error:
@@ -259,9 +244,9 @@ class _MainLoop:
         elif isinstance(item, ControllerEvent):
             self._health_is_due |= self._passage.add(item, now_s)
             self._session.handle_event(item, now_s)
-        elif isinstance(item, Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard):
+        elif isinstance(item, _Command):
             self._obey(item, now_s)
-        elif isinstance(item, _ControllerDisarmed):
+        elif item is _DISARMED:
             self._passage.disarm()
             self._session.finish_disarming(now_s)
         elif isinstance(item, CameraLost):
@@ -288,7 +273,7 @@ class _MainLoop:
         else:
             raise InternalError(f"the acquisition process has no handler for {item!r}.")
 
-    def _obey(self, command: Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard, now_s: float) -> None:
+    def _obey(self, command: _Command, now_s: float) -> None:
         """Carry out a command of the station, or note that it is due."""
         if isinstance(command, Grant):
             self._session.grant(command)
@@ -300,18 +285,17 @@ class _MainLoop:
             self._replace_waiting(None)
             plan = self._session.plan
             self._disarm_by_s = min(self._disarm_by_s, now_s + (plan.grace_s if plan is not None else 0.0))
-        elif not isinstance(command, Shutdown):
-            self._replace_waiting(_WaitingCommand(command, now_s + CLOCK_TIMEOUT_S))
+        else:
+            self._replace_waiting((command, now_s + CLOCK_TIMEOUT_S))
 
-    def _replace_waiting(self, waiting: _WaitingCommand | None) -> None:
+    def _replace_waiting(self, waiting: tuple[Arm | FireOne | FireTrial, float] | None) -> None:
         """Let another command wait, or none. A trial that waited is refused."""
-        if self._waiting is not None and isinstance(self._waiting.command, FireTrial):
+        if self._waiting is not None and isinstance(self._waiting[0], FireTrial):
             why = trouble_report(StateError("the line is being armed.", action="Disarm it."))
-            self._send(TrialFailed(self._waiting.command.grant.run, why))
+            self._send(TrialFailed(self._waiting[0].grant.run, why))
         self._waiting = waiting
 
     def _add_polled(self, polled: _PolledClock) -> None:
-        """Add a reading to the model of its clock; if the attempt to read failed, report the error."""
         clock = self._clocks[polled.number]
         # The loss of a camera has been reported already. A second report would end an arming that succeeds without it.
         if isinstance(polled.result, ClockReading):
@@ -331,13 +315,13 @@ class _MainLoop:
         self._disarm_by_s = math.inf
         self._devices.controller.disarm()
         # When disarm() returns, all events of the controller are in the inbox; the marker comes after them.
-        self._inbox.messages.put(_ControllerDisarmed())
+        self._inbox.messages.put(_DISARMED)
 
     def _retry_waiting(self, now_s: float) -> None:
         """Carry out the waiting command if the clocks are accurate enough. Raise ClockError after its longest wait."""
         if (waiting := self._waiting) is None:
             return
-        command, self._waiting = waiting.command, None
+        (command, until_s), self._waiting = waiting, None
         try:
             if isinstance(command, FireTrial):
                 self._session.fire_trial(command, now_s)
@@ -350,15 +334,12 @@ class _MainLoop:
                 self._passage.arm(command.plan, self._devices.controller.barrier_blocked())
                 self._health_is_due = True
         except VaoiError as error:
-            if isinstance(error, ClockError) and now_s < waiting.until_s:
+            if isinstance(error, ClockError) and now_s < until_s:
                 self._waiting = waiting
             elif isinstance(command, FireTrial):
                 self._send(TrialFailed(command.grant.run, trouble_report(error)))
             else:
                 raise
-
-    def _send(self, report: Report) -> None:
-        self._connection.send(report)
 
     def _health(self, now_s: float) -> Health:
         cameras = tuple(camera.health() for camera in self._devices.cameras)
@@ -400,19 +381,17 @@ class _MainLoop:
             self._clocks_wanted.clear()
             for number, source in enumerate(self._sources):
                 self._clock_thread.beat()
+                result: ClockReading | VaoiError
                 try:
-                    self._inbox.messages.put(_PolledClock(number, source.read_clock()))
+                    result = source.read_clock()
                 except VaoiError as error:
-                    self._inbox.messages.put(_PolledClock(number, error))
+                    result = error
+                self._inbox.messages.put(_PolledClock(number, result))
         self._clock_thread.expect_end()
-
-    def _read_clocks(self) -> None:
-        for clock, source in zip(self._clocks, self._sources, strict=True):
-            clock.add(source.read_clock())
 
 
 def _close_within(devices: Devices, longest_s: float) -> None:
-    """Close the devices, but wait no longer than this: a thread that hangs may keep its device from closing."""
+    # A thread that hangs may keep its device from closing.
     closing = threading.Thread(target=devices.close, name="closing", daemon=True)
     closing.start()
     closing.join(longest_s)

@@ -6,6 +6,7 @@ order of actions on devices, ring and recorder keeps frames safe: the cameras ho
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable
 
@@ -38,7 +39,7 @@ from vaoi_station.acquisition.process.messages import (
     Report,
     RunStarted,
 )
-from vaoi_station.acquisition.process.passages import OutdatedEvents, PassageLog, since_first
+from vaoi_station.acquisition.process.passages import Passages
 from vaoi_station.acquisition.process.run_reports import finished_report, trouble_report
 from vaoi_station.acquisition.process.slot_queue import SlotQueue
 from vaoi_station.acquisition.ring import INCOMPLETE, OK, Ring
@@ -69,7 +70,6 @@ class Session:
         camera_clocks: list[ClockModel],
         send: Callable[[Report], None],
     ) -> None:
-        """Create a session that is disarmed and has no grants."""
         self._config, self._ring, self._devices, self._send = config, ring, devices, send
         self._clocks = [controller_clock, *camera_clocks]
         self._slot_queue = SlotQueue(ring, devices.cameras)
@@ -89,11 +89,12 @@ class Session:
         self.plan: TriggerPlan | None = None
         self._run: RunRecord | None = None
         """The run whose pulses are being fired at present."""
-        self._silent_s = float("inf")
+        self._silent_s = math.inf
         self._skipped: dict[int, PulseSkipped] = {}
         """Reports of the rows that were skipped before the first pulse of a board."""
-        self._outdated = OutdatedEvents(controller_clock)
-        self._passages = PassageLog(controller_clock)
+        self._outdated_until_s = -math.inf
+        """Host time before which events are outdated: they belong to a run or pulse that was given up."""
+        self._passages = Passages(controller_clock)
         self._disarming = False
         self.trial = TrialPulse(config.cameras, devices, self._slot_queue, lambda: self.plan is not None)
 
@@ -113,9 +114,9 @@ class Session:
             what = f"the controller has not reported the end of run {self._run.run}."
             self._send(trouble_report(DeviceError(what, action="Check its cable and power, then arm again.")))
             self._end_run(self._run.rows, "the controller stopped reporting", now_s)
-            self._outdated.give_up()
+            self._outdated_until_s = math.inf
         if (failed := self.trial.overdue(now_s)) is not None:
-            self._outdated.give_up()
+            self._outdated_until_s = math.inf
             self._send(failed)
         self._apply(self._recorder.settle(now_s), now_s)
 
@@ -180,17 +181,15 @@ class Session:
                 "there is no memory for a pulse: all bays of the ring are in use.", action="Fire again in a moment."
             )
         self.sequences.rewind(now_s)
-        self._passages.begin_single(now_s)
         self._devices.controller.fire_one()
-        self._outdated.expect_pulse(now_s - CLOCK_LIMIT_S)
+        self._expect_pulse(now_s)
 
     def fire_trial(self, trial: FireTrial, now_s: float) -> None:
         """Fire one pulse with the settings of a trial, into the memory that it brings; raises as `TrialPulse.fire`."""
         self._require_clocks(CLOCK_LIMIT_S)
         self.trial.fire(trial, now_s)
         # Not before: a trial that is refused leaves the passage of a board as it is. Its pulse is not handled yet.
-        self._passages.begin_single(now_s)
-        self._outdated.expect_pulse(now_s - CLOCK_LIMIT_S)
+        self._expect_pulse(now_s)
 
     def finish_disarming(self, now_s: float) -> None:
         """End the run under way, then give back the memory that was not used.
@@ -203,7 +202,7 @@ class Session:
         self.sequences.end_pulses()
         # While disarmed, no edge is reported. So at the next arming it is not known what is in the barrier.
         self._passages.forget()
-        self._outdated.forget()
+        self._outdated_until_s = -math.inf
         self._disarming = True
         self._apply(self._recorder.settle(now_s), now_s)
 
@@ -211,7 +210,7 @@ class Session:
         """Record an event of the controller (barrier, pulse, end of a run) in the run to which it belongs."""
         self._recorder.note_controller_time(event.time_s)
         self.sequences.follow(event, self.plan)
-        if self._outdated.has(event):
+        if self._is_outdated(event):
             return
         if isinstance(event, PulseFired):
             # An index that does not grow belongs to the next board: the report of the previous run's end was lost.
@@ -225,24 +224,33 @@ class Session:
             (self._skipped if self._run is None else self._run.skipped)[event.index] = event
         elif isinstance(event, RunEnded):
             if self._run is None:
-                self._passages.barrier.over = True
+                self._passages.over = True
                 self._send(
                     BoardMissed(self._passages.edge_s, f"no pulse was fired; the run ended with {event.reason!r}")
                 )
             else:
                 self._end_run(event.pulses, event.reason, now_s)
         else:
-            self._handle_edge(event, now_s)
+            if (missed := self._passages.add(event, now_s)) is not None:
+                self._send(missed)
+            if isinstance(event, BarrierBlocked):
+                self._skipped = {}
+                # During the start delay, slots are queued for the first pulse.
+                self._load_while_waiting()
 
-    def _handle_edge(self, event: ControllerEvent, now_s: float) -> None:
-        """Record a confirmed edge of the barrier in the run or passage to which it belongs."""
-        missed = self._passages.add(event, now_s)
-        if missed is not None:
-            self._send(missed)
-        if isinstance(event, BarrierBlocked):
-            self._skipped = {}
-            # During the start delay, slots are queued for the first pulse.
-            self._load_while_waiting()
+    def _expect_pulse(self, now_s: float) -> None:
+        """Use the events of a pulse that was fired just now; those before it stay outdated."""
+        self._passages.begin_single(now_s)
+        self._outdated_until_s = min(self._outdated_until_s, now_s - CLOCK_LIMIT_S)
+
+    def _is_outdated(self, event: ControllerEvent) -> bool:
+        """Return whether an event is outdated. The end of a run, the next board or a later event ends this."""
+        if self._outdated_until_s == -math.inf:
+            return False
+        late = not isinstance(event, BarrierBlocked) and self._clocks[0].host_s(event.time_s) < self._outdated_until_s
+        if not late or isinstance(event, RunEnded):
+            self._outdated_until_s = -math.inf
+        return late
 
     def _require_clocks(self, limit_s: float) -> None:
         """Raise ClockError if a clock's error bound exceeds `limit_s`; cameras that are away are not checked."""
@@ -294,22 +302,22 @@ class Session:
             self._run.program, self._run.conveyor_mm_s = plan.program, plan.conveyor_mm_s
             self._run.row_mm, self._run.fastest_s = plan.row_mm, plan.shortest_period_s
         # This is the same list, not a copy: it grows until the end of the run.
-        self._run.interruptions = self._passages.begin_run().interruptions
+        self._run.interruptions = self._passages.begin_run()
 
     def _end_run(self, pulses: int, reason: str, now_s: float) -> None:
         assert self._run is not None
-        record, self._run, self._silent_s = self._run, None, float("inf")
+        record, self._run, self._silent_s = self._run, None, math.inf
         record.silent = frozenset(k for k, c in enumerate(self._devices.cameras) if is_silent(c.health()))
-        # From here on, the log belongs to what is still in the barrier. The run keeps the interruptions known at its
-        # end.
-        barrier = self._passages.barrier
-        own_log = record.interruptions is barrier.interruptions
-        barrier.over = barrier.over or own_log
-        record.interruptions = list(record.interruptions)
+        # From here on, the passage is that of what is still in the barrier: the run keeps the interruptions until now.
+        passages, interruptions = self._passages, tuple(record.interruptions)
+        is_latest = record.interruptions is passages.interruptions
+        passages.over = passages.over or is_latest
+        record.interruptions = list(interruptions)
         if record.run is None:
-            encoder = self._config.line.encoder
-            ways_mm = barrier.ways_mm(encoder.counts_per_mm) if encoder is not None and own_log else None
-            self._send(MissedPassage(self._passages.edge_s, since_first(record.interruptions), ways_mm))
+            encoder, zero_s = self._config.line.encoder, interruptions[0][0] if interruptions else 0.0
+            ways_mm = passages.ways_mm(encoder.counts_per_mm) if encoder is not None and is_latest else None
+            since_first = tuple((b - zero_s, None if c is None else c - zero_s) for b, c in interruptions)
+            self._send(MissedPassage(passages.edge_s, since_first, ways_mm))
         self._apply(self._recorder.end_pulses(record, pulses, reason, now_s), now_s)
         self._load_next()
 
