@@ -18,17 +18,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.mosaic.plan import MosaicPlan, RaisedBody
 from vaoi_station.mosaic.tile_specs import TileRenderer
-from vaoi_station.mosaic.tiles import (
-    Cells,
-    FrameCache,
-    Nodes,
-    Pictures,
-    Scratch,
-    blend,
-    nodes_along,
-    render_tile,
-    write_mosaic,
-)
+from vaoi_station.mosaic.tiles import FrameCache, render_tile, write_mosaic
 from vaoi_station.photometry import FlatFields
 
 
@@ -73,15 +63,6 @@ def test_tiles_join_without_a_gap(board: Filmed) -> None:
     whole, _ = picture_of(board)
     part, _ = picture_of(board, box=(100, 130, 356, 386))
     assert np.abs(whole[130:386, 100:356].astype(int) - part).max() <= 2
-
-
-def test_memory_is_used_again(board: Filmed) -> None:
-    renderer = TileRenderer(plan_of(board), board.projector, board.base)
-    memory, specs = Scratch(), [renderer.spec(box) for box in ((0, 0, 256, 128), (64, 100, 200, 180))]
-    for spec in specs:
-        np.testing.assert_array_equal(render_tile(spec, board.read, memory), render_tile(spec, board.read))
-    first, second = (render_tile(specs[0], board.read, memory) for _ in range(2))
-    assert np.shares_memory(first, second)
 
 
 def test_places_without_a_frame_are_zero_and_all_others_are_not(film: Film) -> None:
@@ -234,7 +215,7 @@ def test_parts_hold_only_the_cells_of_their_frames(board: Filmed, factor: int) -
     plan, grid = plan_of(board), board.base.reduced(factor)
     spec = TileRenderer(plan, board.projector, grid).spec((0, 0, grid.width, grid.height))
     numbers = {frame.taken[:2]: n for n, frame in enumerate(plan.frames)}
-    found = np.full(spec.cell_shape, -1)
+    found = np.full(plan.layers[0].shape, -1)
     for part in spec.parts:
         x0, y0, x1, y1 = part.cells
         assert part.mine is not None
@@ -287,84 +268,6 @@ def test_bodies_of_less_than_a_pixel_are_part_of_the_ground(board: Filmed) -> No
         len(TileRenderer(plan, board.projector, board.base.reduced(f)).spec((0, 0, 32, 25)).bodies) for f in (1, 16)
     ]
     assert sizes == [3, 0]
-
-
-WIDE = np.array([-1e6, -1e6, 1e6, 1e6])
-
-
-def pictures_of(
-    frames: list[Any], dark: float = 0.0, matrix: np.ndarray | None = None, limits: np.ndarray = WIDE
-) -> Pictures:
-    """Frames that all begin at the tile's first pixel."""
-    place = [(n * frames[0].size, 0, 0, frames[0].shape[1]) for n in range(len(frames))]
-    count = len(frames)
-    return Pictures(
-        np.concatenate([frame.ravel() for frame in frames]),
-        np.array(place),
-        np.full(count, dark, np.float32),
-        np.stack([np.eye(3) if matrix is None else matrix] * count),
-        np.stack([limits] * count),
-    )
-
-
-def one_frame(shape: tuple[int, int], factor: float = 1.0) -> Cells:
-    return Cells(np.zeros(shape, np.int32), np.full(shape, factor, np.float32))
-
-
-def test_corrections_are_interpolated_between_cells() -> None:
-    cells = Cells(np.zeros((2, 2), np.int32), np.array([[1, 2], [3, 4]], np.float32))
-    x, y = nodes_along(0.0, 0.25, 5, 2), nodes_along(0.0, 0.5, 3, 2)
-    out = np.empty((3, 5), np.uint8)
-    blend(pictures_of([np.full((3, 5), 22, np.uint8)], dark=2.0), cells, x, y, 1, 255.0, out)
-    share, down = np.arange(5) * 0.25, np.arange(3)[:, None] * 0.5
-    np.testing.assert_array_equal(out, 20 * (1 + share + 2 * down))
-
-
-@pytest.mark.parametrize("channels", [1, 3])
-def test_frames_change_over_one_cell(channels: int) -> None:
-    cells = Cells(np.array([[0, 1, 1]] * 2, np.int32), np.ones((2, 3), np.float32))
-    x, y = nodes_along(0.0, 0.25, 9, 3), nodes_along(0.0, 0.5, 3, 2)
-    every = Nodes(np.repeat(x.cell, channels), np.repeat(x.share, channels))
-    frames = [np.full((3, 9, channels), grey, np.uint8) for grey in (100, 200)]
-    out = np.empty((3, 9 * channels), np.uint8)
-    blend(pictures_of(frames), cells, every, y, channels, 255.0, out)
-    expected = np.repeat([100, 125, 150, 175, 200, 200, 200, 200, 200], channels)
-    np.testing.assert_array_equal(out, np.broadcast_to(expected, out.shape))
-
-
-def test_cells_without_a_frame_take_the_neighbour_up_to_their_centre() -> None:
-    cells = Cells(np.array([[0, -1, -1]] * 2, np.int32), np.ones((2, 3), np.float32))
-    x, y = nodes_along(0.0, 0.25, 9, 3), nodes_along(0.0, 0.5, 3, 2)
-    out = np.empty((3, 9), np.uint8)
-    blend(pictures_of([np.full((3, 9), 50, np.uint8)]), cells, x, y, 1, 255.0, out)
-    np.testing.assert_array_equal(out, np.broadcast_to([50] * 4 + [0] * 5, (3, 9)))
-
-
-@pytest.mark.parametrize("turned", [np.eye(3), np.diag([-1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, 1.0])])
-def test_pixels_beside_the_frame_are_left_out(turned: np.ndarray) -> None:
-    nodes = nodes_along(0.0, 0.1, 8, 2)
-    matrix = turned if turned[2, 2] > 0 else -turned
-    limits = np.array([2.0, 3.0, 5.0, 6.0]) if matrix[0, 0] > 0 else np.array([-5.0, 3.0, -2.0, 6.0])
-    out = np.empty((8, 8), np.uint8)
-    frame = np.ones((8, 8), np.uint8)
-    blend(pictures_of([frame], 0.0, matrix, limits), one_frame((2, 2)), nodes, nodes, 1, 255.0, out)
-    expected = np.zeros((8, 8))
-    expected[3:7, 2:6] = 1
-    np.testing.assert_array_equal(out, expected)
-
-
-def test_grey_levels_are_rounded_and_what_is_shown_is_at_least_one() -> None:
-    out = np.empty((1, 4), np.uint8)
-    x, y = nodes_along(0.0, 0.0, 4, 1), nodes_along(0.0, 1.0, 1, 1)
-    frame = np.array([[7, 2, 0, 250]], np.uint8)
-    blend(pictures_of([frame], dark=1.0), one_frame((1, 1), 1.1), x, y, 1, 255.0, out)
-    assert out.tolist() == [[7, 1, 1, 255]]
-
-
-def test_nodes_end_at_the_last_cell() -> None:
-    nodes = nodes_along(-0.5, 1.0, 4, 3)
-    assert (nodes.cell + nodes.share).tolist() == [0.0, 0.5, 1.5, 2.0]
-    assert nodes_along(0.0, 1.0, 2, 1).cell.tolist() == [0, 0]
 
 
 def test_file_has_the_pixels_of_the_mosaic(board: Filmed, tmp_path: Path) -> None:

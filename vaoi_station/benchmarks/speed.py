@@ -26,7 +26,6 @@ from vaoi_station.model import Stitch
 from vaoi_station.mosaic import MosaicGrid, TileRenderer, choose_frames, make_plan, render_tile
 from vaoi_station.mosaic.frames import frames_of_head
 from vaoi_station.mosaic.grid import TILE_PX, levels_of
-from vaoi_station.mosaic.tiles import Scratch
 from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
 from vaoi_station.pixel_formats import eight_bit_grey
 from vaoi_station.rendering import View, ViewCalculator, render, render_all
@@ -282,11 +281,9 @@ def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | No
         if part is not None:
             warps.append((board.frames[part.camera, part.row], part.raw_from_tile, (spec.width, spec.height)))
 
-    scratch = Scratch()
-
     def ours() -> None:
         for box in boxes:
-            render_tile(renderer.spec(box), read, scratch)
+            render_tile(renderer.spec(box), read)
 
     def bare() -> None:
         for frame, matrix, size in warps:

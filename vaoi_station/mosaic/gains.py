@@ -12,7 +12,6 @@ flat fields, corrections of the field are small.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -21,7 +20,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled, inlined
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera, apply
 from vaoi_station.geometry.homographies import between, of_part
@@ -183,16 +181,11 @@ class Gains:
     """Correction of the dark level, 8-bit grey levels."""
 
     def log_field(self, camera: int, eye: Camera, raw_px: Floats) -> Floats:
-        """Return the logarithm of the camera's field at raw pixels (..., 2)."""
-        return np.asarray(_terms(eye, raw_px) @ self.coefficients(camera))
-
-    def coefficients(self, camera: int) -> Floats:
-        """Return the coefficients of the camera's field; 0 if it is not known."""
-        return self.field[camera] if camera in self.field else np.zeros(_TERMS)
+        """Return the logarithm of the camera's field at raw pixels (..., 2); 0 if it is not known."""
+        return np.asarray(_terms(eye, raw_px) @ self.field.get(camera, np.zeros(_TERMS)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Blocks:
+class _Blocks(NamedTuple):
     """Mean values of the blocks of one surveyed frame."""
 
     x0: int
@@ -203,21 +196,17 @@ class _Blocks:
     """(h, w, k) terms of the field."""
 
 
-class _Overlaps(NamedTuple):
-    """The common blocks of p pairs of frames, n blocks in all."""
+class _Pair(NamedTuple):
+    """The n blocks that two frames have in common."""
 
-    frames: NDArray[np.int64]
-    """(p, 2) numbers of the frames a and b."""
-    first: NDArray[np.int64]
-    """(p, 2) number of the first unknown of their cameras."""
+    unknowns: NDArray[np.int64]
+    """(2 k + 3,) numbers of the unknowns: gains of both frames, coefficients of both cameras, dark level."""
     sensitivity: Floats
-    """(p, 2)"""
-    start: NDArray[np.int64]
-    """(p + 1,) where the blocks of each pair begin, and the last ones end."""
+    """(2,)"""
     values: Floats
-    """(n, 2) radiance in a and b."""
+    """(n, 2) radiance in both."""
     terms: NDArray[np.float32]
-    """(n, 2, k) terms of the field in a and b."""
+    """(n, 2, k) terms of the field in both."""
 
 
 def estimate_gains(surveyed: Sequence[SurveyedFrame], cameras: Sequence[Camera], *, calibrated: bool) -> Steps[Gains]:
@@ -230,88 +219,57 @@ def estimate_gains(surveyed: Sequence[SurveyedFrame], cameras: Sequence[Camera],
     for s in surveyed:
         blocks.append(_blocks_of(s, cameras[s.taken.camera]))
         yield
-    overlaps = yield from _overlaps(surveyed, blocks, first)
+    pairs = yield from _pairs(surveyed, blocks, first)
     prior = _precisions(n, len(used), calibrated)
     solution, spread = np.zeros(len(prior)), np.inf
-    for _ in range(_ITERATIONS):
-        normal, right = np.diag(prior), np.zeros(len(prior))
-        residuals = np.empty(len(overlaps.values))
-        for begin in range(0, len(overlaps.frames), _PAIRS_PER_STEP):
-            end = min(begin + _PAIRS_PER_STEP, len(overlaps.frames))
-            _add_normal_equations(overlaps, begin, end, solution, _TUKEY * spread, normal, right, residuals)
-            yield
+    for _ in range(_ITERATIONS if pairs else 0):
+        normal, right, residuals = np.diag(prior), np.zeros(len(prior)), []
+        for number, pair in enumerate(pairs):
+            residuals.append(_add_equations(pair, solution, _TUKEY * spread, normal, right))
+            if number % _PAIRS_PER_STEP == 0:
+                yield
         solution = np.asarray(np.linalg.solve(normal, right), np.float64)
-        if len(residuals):
-            spread = max(1.4826 * float(np.median(np.abs(residuals))), 0.3)
+        spread = max(1.4826 * float(np.median(np.abs(np.concatenate(residuals)))), 0.3)
     frame = dict(zip(keys, solution[:n].tolist(), strict=True))
     field = {camera: solution[first[camera] : first[camera] + k] for camera in used}
     return Gains(frame, field, float(solution[-1]))
 
 
-@compiled
-def _add_normal_equations(
-    overlaps: _Overlaps,
-    begin: int,
-    end: int,
-    solution: Floats,
-    furthest: float,
-    normal: Floats,
-    right: Floats,
-    residuals: Floats,
-) -> None:
-    """Add the equations of the pairs `begin` … `end` − 1 to the normal equations.
+def _add_equations(pair: _Pair, solution: Floats, furthest: float, normal: Floats, right: Floats) -> Floats:
+    """Add the equations of a pair, one for each block, to the normal equations; return their residuals.
 
-    The equation of a block is the difference log a − log b. The unknowns are the gains of the frames a and b, the
-    coefficients of both cameras and the dark level; `solution` are their present values. Differences are taken at the
-    present dark level. Residuals, in standard deviations, are stored; a block beyond `furthest` has no weight.
+    The equation of a block is the difference log a − log b, at the present dark level. Residuals are in standard
+    deviations; a block beyond `furthest` has no weight.
     """
-    k = overlaps.terms.shape[2]
-    count = 2 * k + 3
-    at, row, dark = np.empty(count, np.int64), np.empty(count), solution[-1]
-    for p in range(begin, end):
-        sa, sb = overlaps.sensitivity[p, 0], overlaps.sensitivity[p, 1]
-        at[0], at[1], at[count - 1] = overlaps.frames[p, 0], overlaps.frames[p, 1], len(solution) - 1
-        for q in range(k):
-            at[2 + q], at[2 + k + q] = overlaps.first[p, 0] + q, overlaps.first[p, 1] + q
-        square, side = np.zeros((count, count)), np.zeros(count)
-        for n in range(overlaps.start[p], overlaps.start[p + 1]):
-            va, vb = overlaps.values[n, 0], overlaps.values[n, 1]
-            a, b = max(va - dark / sa, 0.25 * va), max(vb - dark / sb, 0.25 * vb)
-            row[0], row[1] = 1.0, -1.0
-            for q in range(k):
-                row[2 + q], row[2 + k + q] = overlaps.terms[n, 0, q], -overlaps.terms[n, 1, q]
-            model = 0.0
-            for i in range(count - 1):
-                model += row[i] * solution[at[i]]
-            # The derivative by the dark level is that of smoothed values: measured ones have the errors of the
-            # difference, and would pull the dark level down.
-            middle, half = math.sqrt(a * b), math.exp(model / 2)
-            row[count - 1] = 1 / (middle * half * sa) - half / (middle * sb)
-            variance = _MODEL_ERROR**2 + (_NOISE / (a * sa)) ** 2 + (_NOISE / (b * sb)) ** 2
-            difference = math.log(a) - math.log(b)
-            rest = (difference - model) / math.sqrt(variance)
-            residuals[n] = rest
-            weight = max(1 - (rest / furthest) ** 2, 0.0) ** 2 / variance
-            target = weight * (difference + row[count - 1] * dark)
-            for i in range(count):
-                side[i] += row[i] * target
-                share = weight * row[i]
-                for j in range(count):
-                    square[i, j] += share * row[j]
-        # The cameras may be the same: entries of equal unknowns are summed.
-        for i in range(count):
-            right[at[i]] += side[i]
-            for j in range(count):
-                normal[at[i], at[j]] += square[i, j]
+    at, sensitivity, measured, terms = pair
+    dark, k = solution[-1], terms.shape[2]
+    values = np.maximum(measured - dark / sensitivity, 0.25 * measured)
+    row = np.empty((len(values), len(at)))
+    row[:, 0], row[:, 1] = 1, -1
+    row[:, 2 : 2 + k], row[:, 2 + k : -1] = terms[:, 0], -terms[:, 1]
+    model = row[:, :-1] @ solution[at[:-1]]
+    # The derivative by the dark level is that of smoothed values: measured ones have the errors of the difference, and
+    # would pull the dark level down.
+    middle, half = np.sqrt(values.prod(1)), np.exp(model / 2)
+    row[:, -1] = 1 / (middle * half * sensitivity[0]) - half / (middle * sensitivity[1])
+    variance = _MODEL_ERROR**2 + np.square(_NOISE / (values * sensitivity)).sum(1)
+    difference = np.log(values[:, 0] / values[:, 1])
+    residuals = (difference - model) / np.sqrt(variance)
+    weight = np.square(np.maximum(1 - np.square(residuals / furthest), 0)) / variance
+    weighted = row.T * weight
+    # The cameras may be the same: entries of equal unknowns are summed.
+    np.add.at(right, at, weighted @ (difference + row[:, -1] * dark))
+    np.add.at(normal, (at[:, None], at), weighted @ row)
+    return np.asarray(residuals)
 
 
-def _overlaps(surveyed: Sequence[SurveyedFrame], blocks: Sequence[_Blocks], first: dict[int, int]) -> Steps[_Overlaps]:
+def _pairs(surveyed: Sequence[SurveyedFrame], blocks: Sequence[_Blocks], first: dict[int, int]) -> Steps[list[_Pair]]:
     """Collect the common blocks of all pairs of frames that have some."""
     most = max(_LEAST_PER_PAIR, _MOST_PER_FRAME // max(len(blocks), 1))
     sizes = [b.values.shape for b in blocks]
     boxes = np.array([(b.x0, b.y0, b.x0 + w, b.y0 + h) for b, (h, w) in zip(blocks, sizes, strict=True)]).reshape(-1, 4)
-    pairs: list[tuple[int, int]] = []
-    values, terms = [np.zeros((0, 2))], [np.zeros((0, 2, _TERMS), np.float32)]
+    terms, last = np.arange(_TERMS), len(blocks) + _TERMS * len(first)
+    pairs: list[_Pair] = []
     for n, a in enumerate(blocks):
         low, high = np.maximum(boxes[:n, :2], boxes[n, :2]), np.minimum(boxes[:n, 2:], boxes[n, 2:])
         for m in np.flatnonzero((low < high).all(1)).tolist():
@@ -319,24 +277,18 @@ def _overlaps(surveyed: Sequence[SurveyedFrame], blocks: Sequence[_Blocks], firs
             in_a = np.s_[y0 - a.y0 : y1 - a.y0, x0 - a.x0 : x1 - a.x0]
             in_b = np.s_[y0 - b.y0 : y1 - b.y0, x0 - b.x0 : x1 - b.x0]
             va, vb = a.values[in_a], b.values[in_b]
-            sa, sb = surveyed[n].taken.sensitivity, surveyed[m].taken.sensitivity
-            chosen = np.flatnonzero((va * sa > _LEAST_GREY) & (vb * sb > _LEAST_GREY))
+            taken = surveyed[n].taken, surveyed[m].taken
+            sensitivity = np.array([t.sensitivity for t in taken])
+            chosen = np.flatnonzero((va * sensitivity[0] > _LEAST_GREY) & (vb * sensitivity[1] > _LEAST_GREY))
             if len(chosen):
                 v, u = np.unravel_index(chosen[:: -(-len(chosen) // most)], va.shape)
-                pairs.append((n, m))
-                values.append(np.stack([va[v, u], vb[v, u]], -1))
-                terms.append(np.stack([a.terms[in_a][v, u], b.terms[in_b][v, u]], 1))
+                unknowns = np.concatenate([[n, m], *(first[t.camera] + terms for t in taken), [last]])
+                values = np.stack([va[v, u], vb[v, u]], -1)
+                pairs.append(
+                    _Pair(unknowns, sensitivity, values, np.stack([a.terms[in_a][v, u], b.terms[in_b][v, u]], 1))
+                )
         yield
-    frames = np.array(pairs, np.int64).reshape(-1, 2)
-    camera = [first[s.taken.camera] for s in surveyed]
-    return _Overlaps(
-        frames,
-        np.array(camera, np.int64)[frames],
-        np.array([s.taken.sensitivity for s in surveyed], np.float64)[frames],
-        np.cumsum([len(v) for v in values]),
-        np.concatenate(values),
-        np.concatenate(terms),
-    )
+    return pairs
 
 
 def _blocks_of(frame: SurveyedFrame, eye: Camera) -> _Blocks:
@@ -369,17 +321,3 @@ def _precisions(frames: int, cameras: int, calibrated: bool) -> Floats:
     field = [constant if p + q == 0 else linear if p + q == 1 else higher for p, q in _POWERS] + [centric, centric]
     sigma = np.concatenate([np.full(frames, _FLICKER), np.tile(field, cameras), [_DARK_PRIOR[calibrated]]])
     return np.asarray(sigma**-2.0)
-
-
-@inlined
-def log_field_at(u: float, v: float, coefficients: Floats) -> float:
-    """Compute the logarithm of a field at a place of the frame, whose borders are at −1 and 1, as `_terms` does."""
-    u, v = min(max(u, -_FURTHEST), _FURTHEST), min(max(v, -_FURTHEST), _FURTHEST)
-    us, vs = (1.0, u, u * u, u * u * u, u * u * u * u), (1.0, v, v * v, v * v * v, v * v * v * v)
-    total, n = 0.0, 0
-    for d in range(_DEGREE + 1):
-        for p in range(d + 1):
-            total += coefficients[n] * us[p] * vs[d - p]
-            n += 1
-    centric = (us[2] + vs[2]) / 2
-    return float(total + coefficients[n] * centric + coefficients[n + 1] * centric * centric)

@@ -6,10 +6,9 @@ per cell of 16 px and layer, and one coarse field per camera.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
-from vaoi_station.geometry.homographies import of_part
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch
 from vaoi_station.model.stitch_result import known_height_mm
@@ -32,7 +30,6 @@ from vaoi_station.mosaic.gains import (
     ReadFrame,
     SurveyedFrame,
     estimate_gains,
-    log_field_at,
     survey,
 )
 from vaoi_station.mosaic.grid import MosaicGrid
@@ -229,30 +226,6 @@ def cell_shape(grid: MosaicGrid) -> tuple[int, int]:
     return -(-grid.height // CELL_PX), -(-grid.width // CELL_PX)
 
 
-@compiled
-def label_boxes(labels: NDArray[np.int16], count: int) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Find the box (count, 4) x0, y0, x1, y1 that holds the cells of each frame, ends excluded, and their number.
-
-    Args:
-        labels: (h, w) number of the frame of each cell, less than `count`; negative for none.
-        count: number of frames.
-    """
-    boxes, counts = np.zeros((count, 4), np.int32), np.zeros(count, np.int64)
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            n = labels[y, x]
-            if n >= 0:
-                if counts[n] == 0:
-                    boxes[n, 0], boxes[n, 1], boxes[n, 2], boxes[n, 3] = x, y, x + 1, y + 1
-                elif x < boxes[n, 0]:
-                    boxes[n, 0] = x
-                elif x >= boxes[n, 2]:
-                    boxes[n, 2] = x + 1
-                boxes[n, 3] = y + 1
-                counts[n] += 1
-    return boxes, counts
-
-
 def sight_of(frame: TakenFrame, projector: FrameIndex, grid: MosaicGrid) -> Sight:
     """Compute which cells a frame shows, and from which side."""
     x0, y0, x1, y1 = projector.seen_box(frame.camera, frame.row, *grid.place)
@@ -260,17 +233,25 @@ def sight_of(frame: TakenFrame, projector: FrameIndex, grid: MosaicGrid) -> Sigh
     w, h = max(-(-x1 // CELL_PX) - x0, 0), max(-(-y1 // CELL_PX) - y0, 0)
     if not w * h:
         return Sight(x0, y0, *np.zeros((2, h, w), np.float32))
-    y, x = np.mgrid[: -(-h // _NODE_CELLS) + 1, : -(-w // _NODE_CELLS) + 1] * _NODE_CELLS
-    at = (np.stack([x + x0, y + y0], -1) + 0.5) * CELL_PX - 0.5
-    cad = apply(grid.cad_from_mosaic, at)
+    cad = apply(grid.cad_from_mosaic, (_nodes(w, h) + (x0, y0) + 0.5) * CELL_PX - 0.5)
     places = projector.raw_px(frame.camera, frame.row, cad), projector.from_foot_mm(frame.camera, frame.row, cad)
-    nodes_from_cells = np.array([[1 / _NODE_CELLS, 0, 0], [0, 1 / _NODE_CELLS, 0]])
-    way = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    spread = cv2.warpAffine(np.concatenate(places, -1).astype(np.float32), nodes_from_cells, (w, h), flags=way)
-    raw_x, raw_y, right, down = cv2.split(spread)
+    raw_x, raw_y, right, down = cv2.split(_spread(np.concatenate(places, -1), (w, h)))
     eye = projector.cameras[frame.camera]
     rooms = np.minimum(raw_x, eye.width_px - 1 - raw_x), np.minimum(raw_y, eye.height_px - 1 - raw_y)
     return Sight(x0, y0, np.minimum(*rooms), np.asarray(cv2.magnitude(right, down)))
+
+
+def _nodes(w: int, h: int) -> Floats:
+    """Return the places (ny, nx, 2) of nodes over a grid of w × h cells, the last ones beyond its end."""
+    y, x = np.mgrid[: -(-h // _NODE_CELLS) + 1, : -(-w // _NODE_CELLS) + 1] * float(_NODE_CELLS)
+    return np.stack([x, y], -1)
+
+
+def _spread(values: Floats, size: tuple[int, int]) -> NDArray[Any]:
+    """Interpolate values (ny, nx) or (ny, nx, k) of `_nodes` over all cells of a grid of this width and height."""
+    nodes_from_cells = np.array([[1 / _NODE_CELLS, 0, 0], [0, 1 / _NODE_CELLS, 0]])
+    way = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(values.astype(np.float32), nodes_from_cells, size, flags=way))
 
 
 def frame_cells(sights: Sequence[Sight], cell_mm: float) -> FrameCells:
@@ -309,13 +290,16 @@ def disagreement(
     size = tuple(n * (CELL_PX // COARSE_PX) for n in shape)
     low, high = np.full(size, np.inf, np.float32), np.full(size, -np.inf, np.float32)
     for s in surveyed:
-        camera, row = s.taken.camera, s.taken.row
-        eye = projector.cameras[camera]
-        scale = np.array([[2 / (eye.width_px - 1), 0, -1], [0, 2 / (eye.height_px - 1), -1], [0, 0, 1]])
-        frame_from_copy = of_part(scale @ s.raw_from_coarse, s.x0, s.y0)
-        dark, log_gain = gains.dark / s.taken.sensitivity, gains.frame.get((camera, row), 0.0)
-        area = np.s_[s.y0 : s.y0 + s.values.shape[0], s.x0 : s.x0 + s.values.shape[1]]
-        _widen(s.values, frame_from_copy, gains.coefficients(camera), log_gain, dark, low[area], high[area])
+        camera, (h, w) = s.taken.camera, s.values.shape
+        raw_px = apply(s.raw_from_coarse, _nodes(w, h) + (s.x0, s.y0))
+        log = _spread(gains.log_field(camera, projector.cameras[camera], raw_px), (w, h))
+        log += np.float32(gains.frame.get((camera, s.taken.row), 0.0))
+        corrected = (s.values - np.float32(gains.dark / s.taken.sensitivity)) * np.exp(-log)
+        area = np.s_[s.y0 : s.y0 + h, s.x0 : s.x0 + w]
+        low_there, high_there = low[area], high[area]
+        shown = corrected[: low_there.shape[0], : low_there.shape[1]]
+        np.fmin(low_there, shown, out=low_there)
+        np.fmax(high_there, shown, out=high_there)
         yield
     found, step = np.empty(shape, np.float32), CELL_PX // COARSE_PX
     # Of a large board the whole takes a quarter of a second, for which callers would wait.
@@ -327,39 +311,6 @@ def disagreement(
         found[y : y + _BAND_CELLS] = differ.reshape(-1, step, shape[1], step).max((1, 3))
         yield
     return found
-
-
-@compiled
-def _widen(
-    values: Floats32,
-    frame_from_copy: Floats,
-    coefficients: Floats,
-    log_gain: float,
-    dark: float,
-    low: Floats32,
-    high: Floats32,
-) -> None:
-    """Widen the range `low` … `high` (h, w) of the radiance at each place by that of one frame.
-
-    Args:
-        values: radiance in the copy of the frame, at least (h, w); NaN is left out.
-        frame_from_copy: (3, 3) matrix from pixels of the copy to places in the frame, whose borders are at −1 and 1.
-        coefficients: those of the camera's field.
-        log_gain: logarithm of the frame's gain.
-        dark: radiance that the dark level pretends.
-        low: changed in place.
-        high: changed in place.
-    """
-    m = frame_from_copy
-    for y in range(low.shape[0]):
-        for x in range(low.shape[1]):
-            value = values[y, x]
-            if math.isnan(value):
-                continue
-            w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
-            u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
-            corrected = np.float32((value - dark) * math.exp(-log_field_at(u, v, coefficients) - log_gain))
-            low[y, x], high[y, x] = min(low[y, x], corrected), max(high[y, x], corrected)
 
 
 def crossing_cost(differ: Floats32) -> Floats32:

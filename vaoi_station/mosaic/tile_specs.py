@@ -19,7 +19,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.frames import TakenFrame
 from vaoi_station.mosaic.gains import Floats32
 from vaoi_station.mosaic.grid import MosaicGrid
-from vaoi_station.mosaic.plan import CELL_PX, FIELD_PX, MosaicPlan, PlannedFrame, label_boxes
+from vaoi_station.mosaic.plan import CELL_PX, FIELD_PX, MosaicPlan, PlannedFrame
 from vaoi_station.photometry import NoiseModel
 
 _LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -72,11 +72,8 @@ class TileSpec:
     width: int
     height: int
     hdr: bool
-    layers: int
     cells_from_tile: Floats
     """(2, 3) matrix from pixels of the tile to cells."""
-    cell_shape: tuple[int, int]
-    """Numbers of rows and columns of cells around the tile's pixels."""
     parts: tuple[FramePart, ...]
     bodies: tuple[BodyPart, ...] = ()
     """Bodies that the tile shows, the highest last."""
@@ -171,22 +168,21 @@ class TileRenderer:
         tile_from_cells = np.asarray(np.linalg.inv(cells_from_tile), np.float64)
         parts = []
         for number, layer in enumerate(plan.layers):
-            labels = np.ascontiguousarray(layer[cells])
-            boxes, counts = label_boxes(labels, len(plan.frames))
-            for n in np.flatnonzero(counts).tolist():
-                owned: Box = tuple(boxes[n].tolist())
+            labels = layer[cells]
+            for n in np.unique(labels[labels >= 0]).tolist():
+                of_frame = labels == n
+                columns, rows = (np.flatnonzero(of_frame.any(axis)) for axis in (0, 1))
+                owned: Box = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
                 window = _window(owned, labels.shape, tile_from_cells, (x1 - x0, y1 - y0))
                 if window[2] > window[0] and window[3] > window[1]:
                     frame = plan.frames[n]
                     place = box[0] + window[0], box[1] + window[1], box[0] + window[2], box[1] + window[3]
                     matrix = self._matrix(frame.taken, place, box, above_mm)
                     around = _around(owned, labels.shape)
-                    mine = None
-                    if counts[n] < labels.size:
-                        mine = (labels[around[1] : around[3], around[0] : around[2]] == n).astype(np.uint8)
-                    parts.append(self._part(number, frame, matrix, window, tile_from_cells, around, mine))
-        size = int(high[1] - low[1]), int(high[0] - low[0])
-        return TileSpec(x1 - x0, y1 - y0, plan.hdr, len(plan.layers), cells_from_tile[:2], size, tuple(parts))
+                    mine = of_frame[around[1] : around[3], around[0] : around[2]].astype(np.uint8)
+                    whole = None if of_frame.all() else mine
+                    parts.append(self._part(number, frame, matrix, window, tile_from_cells, around, whole))
+        return TileSpec(x1 - x0, y1 - y0, plan.hdr, cells_from_tile[:2], tuple(parts))
 
     def _matrix(self, taken: TakenFrame, place: Box, box: Box, above_mm: float) -> Floats:
         """Return the matrix from pixels of the tile `box` to raw pixels of a frame, which is right in `place`."""

@@ -74,9 +74,7 @@ def test_a_large_component_at_the_resolution_of_the_camera_waits_for_no_worker(r
 
 def tile_of(rig: Any, run: str, **changes: Any) -> TileJob:
     detail = rig.coordinator.run(run)
-    spec = TileSpec(
-        width=256, height=200, hdr=False, layers=1, cells_from_tile=np.eye(2, 3), cell_shape=(4, 5), parts=()
-    )
+    spec = TileSpec(width=256, height=200, hdr=False, cells_from_tile=np.eye(2, 3), parts=())
     job = TileJob(run, detail.bay, detail.generation, {}, spec, (0.0, 1.0), "jpg")
     return replace(job, **changes)
 

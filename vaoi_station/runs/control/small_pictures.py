@@ -61,14 +61,12 @@ class SmallPictures:
 
     def _load(self) -> None:
         from vaoi_station.geometry.shifting import shift
-        from vaoi_station.mosaic import tiles
         from vaoi_station.rendering import frame_pairs
 
         frame = np.zeros((4, 4), np.uint8)
         frame.flags.writeable = False
         shift(frame, np.eye(3)[None], 1, np.empty(4, np.uint8), np.array([[0, 2, 2, 2]]), True)
         frame_pairs.load()
-        tiles.load()
         self.loaded.set()
 
 

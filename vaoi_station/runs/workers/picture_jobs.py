@@ -42,7 +42,7 @@ from vaoi_station.mosaic import FrameChoice, MosaicGrid, MosaicPlan, TileRendere
 from vaoi_station.mosaic.gains import COARSE_PX
 from vaoi_station.mosaic.reduction import Reduced, ReducedFrames
 from vaoi_station.mosaic.tile_specs import TileSpec
-from vaoi_station.mosaic.tiles import NODATA, Frames, Scratch, render_tile
+from vaoi_station.mosaic.tiles import NODATA, Frames, render_tile
 from vaoi_station.photometry import FlatFields, Taken
 from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.rendering import View, render
@@ -329,11 +329,11 @@ class TileJob(PictureJob):
 def _whole(renderer: TileRenderer, frames: Frames) -> Steps[NDArray[Any] | None]:
     """Render a small mosaic as a whole; None if no frame shows any of it."""
     width, height = renderer.grid.width, renderer.grid.height
-    whole, memory = None, Scratch()
+    whole = None
     for y, x in np.ndindex(-(-height // _BLOCK_PX), -(-width // _BLOCK_PX)):
         x0, y0 = x * _BLOCK_PX, y * _BLOCK_PX
         box = x0, y0, min(x0 + _BLOCK_PX, width), min(y0 + _BLOCK_PX, height)
-        part = render_tile(renderer.spec(box), frames, memory)
+        part = render_tile(renderer.spec(box), frames)
         if part is not None:
             if whole is None:
                 whole = np.full((height, width, *part.shape[2:]), NODATA, part.dtype)

@@ -18,8 +18,7 @@ from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan, tiles
-from vaoi_station.mosaic.plan import label_boxes
+from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
 from vaoi_station.rendering import frame_pairs
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.frames import resample
@@ -68,8 +67,6 @@ def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.
     assert board_type is not None, "the synthetic board has a board type"
     return [
         frame_pairs.load,
-        partial(label_boxes, np.zeros((2, 2), np.int16), 1),
-        tiles.load,
         partial(_plan, setup, board_type, stitch, picture),
         partial(measure_heights, board_type, stitch, setup.cameras, partial(_frame, picture)),
     ]
