@@ -300,7 +300,7 @@ class HeldStation(StationCoordinator):
         return self.filmed[run]
 
     def run_figures(self) -> RunFigures:
-        return RunFigures({"ok": 2, "degraded": 1}, {"ok": 30}, (0, 2, 1, *[0] * 8), 0.4)
+        return RunFigures({"ok": 2, "degraded": 1}, {"ok": 30}, [0, 2, 1, *[0] * 8], 0.4)
 
     def latest(self) -> RunDetail | None:
         return next(reversed(self._finished()), None)

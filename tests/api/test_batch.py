@@ -147,7 +147,7 @@ def batch(count: int) -> Any:
 
 
 def reply(content: bytes) -> CutPart:
-    return CutPart(Packed(content, (), 1), 1, 0, None)
+    return CutPart(Packed(content), 1, 0, None)
 
 
 async def read(answer: AsyncIterator[bytes]) -> list[bytes]:

@@ -82,7 +82,7 @@ def broken(root: Path, promises: Sequence[Promise]) -> list[str]:
             row = store.run(run)
             if row is None or row.state != "ready" or run not in (store.result(run) or ""):
                 found.append(f"run {run}: {row}")
-        pins, decisions = store.retention.pins(), store.decisions.documents(names["decision"])
+        pins, decisions = store.retention.pins(), store.decisions(names["decision"])
         found += [f"the pin of {run} is lost" for run in set(names["pin"]) - set(names["no-pin"]) - pins]
         found += [f"the pin of {run} is back" for run in set(names["no-pin"]) & pins]
         found += [f"the decision about {run} is lost" for run in names["decision"] if run not in decisions.get(run, "")]

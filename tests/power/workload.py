@@ -45,7 +45,7 @@ def main(root: Path, log: Path) -> None:
         if number % 3 == 1:
             store.retention.pin(run, NOW)
             promise("pin", run)
-            store.decisions.save(run, f'{{"decision": "{run}"}}')
+            store.save_decision(run, f'{{"decision": "{run}"}}')
             promise("decision", run)
         if number % 6 == 4:
             store.retention.unpin(f"run-{number - 3:03d}")

@@ -103,5 +103,5 @@ def test_a_damaged_row_does_not_keep_figures_from_being_added(store: Store) -> N
 
 
 def test_groups_are_merged_by_their_numbers_of_boards() -> None:
-    assert merged([(1, 4.0, 4.0, 4.0, "x"), (3, 0.0, -9.0, 1.0, "y")]) == (4, 1.0, -9.0, 4.0, "y")
-    assert merged([(1, 89.0, 89.0, 89.0, "dim"), (1, 101.0, 101.0, 101.0, "x")], only_lower_limit=True)[4] == "dim"
+    assert merged((1, 4.0, 4.0, 4.0, "x"), (3, 0.0, -9.0, 1.0, "y")) == (4, 1.0, -9.0, 4.0, "y")
+    assert merged((1, 89.0, 89.0, 89.0, "dim"), (1, 101.0, 101.0, 101.0, "x"), only_lower_limit=True)[4] == "dim"

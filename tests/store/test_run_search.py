@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.store.conftest import MakeRun
-from vaoi_station.store import EventRow, Store, run_search
+from vaoi_station.store import Store, run_search
 from vaoi_station.store.run_search import RunFilter
 
 VERDICTS = (None, "ok", "degraded", "failed")
@@ -93,7 +93,7 @@ def test_runs_and_events_are_counted_from_a_time_on(filled: Store) -> None:
             "time": f"2026-01-01T00:00:{second:02d}.000Z",
             "message": "board-missed",
         }
-        filled.add_event(EventRow(n + 1, json.dumps(event))).result(10)
+        filled.add_event(n + 1, json.dumps(event)).result(10)
     assert filled.search.count_events("board-missed", since) == 1
 
 

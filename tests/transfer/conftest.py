@@ -35,7 +35,7 @@ def site(make_rig: Callable[..., Any], tmp_path: Path) -> Site:
     rig.ready()
     rig.store.configurations.begin('{"name": "test"}', "2026")
     sound = filmed(rig)
-    rig.store.heights.save(sound, '{"heights":{}}').result(10)
+    rig.store.save_heights(sound, '{"heights":{}}').result(10)
     code = BoardCode(
         text="SN-1", symbology="qr", board_id="SN-1", center=(0, 0), corners=((0, 0), (1, 0), (1, 1), (0, 1)),
         module_mm=0.2, error_correction_used=0,

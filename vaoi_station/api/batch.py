@@ -23,8 +23,7 @@ from vaoi_station.api.routes.pictures import Wanted, picture_query
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, InternalError, VaoiError
 from vaoi_station.runs.batches.batch_job import CutPart
-from vaoi_station.runs.batches.batch_request import BatchRequest
-from vaoi_station.runs.batches.batches import Batch, BatchPart
+from vaoi_station.runs.batches.batches import Batch, BatchPart, BatchRequest
 from vaoi_station.runs.batches.containers import MEDIA_TYPES, ContainerName, ContainerWriter
 
 PARTS_AHEAD = 4

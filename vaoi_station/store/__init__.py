@@ -2,7 +2,7 @@
 
 from vaoi_station.store.board_types import BoardTypeDirectory, BoardTypeFile
 from vaoi_station.store.database import Database
-from vaoi_station.store.documents import EventRow, RunRow, Store
+from vaoi_station.store.documents import RunRow, Store
 from vaoi_station.store.storage_trouble import StorageTrouble
 
-__all__ = ["BoardTypeDirectory", "BoardTypeFile", "Database", "EventRow", "RunRow", "StorageTrouble", "Store"]
+__all__ = ["BoardTypeDirectory", "BoardTypeFile", "Database", "RunRow", "StorageTrouble", "Store"]

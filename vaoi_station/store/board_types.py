@@ -24,6 +24,12 @@ disk."""
 LONGEST_FILE_NAME = 250
 """Largest number of characters of a file name without ".json". Common file systems allow 255 bytes for the whole
 name."""
+LATEST = "latest"
+"""Name of the version that ended last: the one before the present."""
+FOLDER = ".revisions"
+MOST_OF_TYPE, MOST_REVISIONS, MOST_REVISION_BYTES = 20, 2000, 128 * 2**20
+"""Limits: versions of one board type, versions of all, and their size in all."""
+_ID = re.compile(r"[0-9]{8}T[0-9]{9}Z-[0-9a-f]{8}")
 
 
 @dataclass(frozen=True)
@@ -35,12 +41,28 @@ class BoardTypeFile:
     fault: VaoiError | None
 
 
+class BoardTypeRevision(NamedTuple):
+    """One version of a board type that is no longer in force."""
+
+    id: str
+    path: Path
+    stored: datetime
+    """Time at which the version was written."""
+    ended: datetime
+    """Time at which the version was replaced or deleted."""
+    size_bytes: int
+
+    @property
+    def in_force_s(self) -> float:
+        """Time for which the version was in force, s; 0 if the clock was set back meanwhile."""
+        return max(0.0, (self.ended - self.stored).total_seconds())
+
+
 class BoardTypeDirectory:
-    """The directory with the station's board types."""
+    """The directory with the station's board types, and their versions from before they were replaced or deleted."""
 
     def __init__(self, directory: Path) -> None:
-        self.directory = directory
-        self.revisions = BoardTypeRevisions(directory)
+        self.directory, self._versions = directory, directory / FOLDER
 
     def get(self, name: str) -> BoardType:
         """Read one board type; raise `NotFoundError` with the known names if it does not exist."""
@@ -65,9 +87,11 @@ class BoardTypeDirectory:
         return tuple(p for p in sorted(self.directory.glob("*.json")) if not p.name.startswith("."))
 
     def put(self, board_type: BoardType) -> bool:
-        """Write a board type atomically; return True if the name is new. `StateError` if there are too many.
+        """Write a board type atomically, and keep the version before; return True if the name is new.
 
-        The version before is kept (`revisions`).
+        Raises:
+            StateError: too many board types are stored.
+            DeviceError: the disk refuses it; nothing was changed.
         """
         path = self.path_of(board_type.name)
         new = not path.exists()
@@ -78,46 +102,53 @@ class BoardTypeDirectory:
                 action="Delete board types that are no longer filmed.",
                 code="too-many-board-types",
             )
-        kept = None if new else self.revisions.keep(path)
+        kept = None if new else self._keep(path)
         try:
             write_board_type(path, board_type)
         except BaseException:  # nothing was replaced; the error is raised again
             if kept is not None:
-                self.revisions.discard(kept)
+                kept.unlink(missing_ok=True)
             raise
         if kept is not None:
             if kept.read_bytes() == path.read_bytes():
-                self.revisions.discard(kept)
+                kept.unlink()
             else:
-                self.revisions.bound(kept)
+                self._bound(kept)
         return new
 
     def delete(self, name: str) -> None:
-        """Delete a board type; raise `NotFoundError` if it does not exist. Its last version is kept (`revisions`)."""
+        """Delete a board type; raise `NotFoundError` if it does not exist. Its last version is kept."""
         path = self.path_of(name)
         if not path.is_file():
             raise _unknown(name)
-        kept = self.revisions.keep(path)
+        kept = self._keep(path)
         path.unlink(missing_ok=True)
         sync_directory(self.directory)
-        self.revisions.bound(kept)
+        self._bound(kept)
 
     def deleted(self) -> tuple[str, ...]:
         """Return the names of board types of which only versions are left, sorted."""
         present = {path.stem for path in self.paths()}
-        return tuple(unquote(stem) for stem in self.revisions.stems() if stem not in present)
+        return tuple(unquote(stem) for stem in self._stems() if stem not in present)
 
     def revisions_of(self, name: str) -> tuple[BoardTypeRevision, ...]:
         """Return the versions of a board type, newest first; `NotFoundError` if the name never existed."""
         path = self.path_of(name)
-        found = self.revisions.list(path.stem)
+        found = self._revisions(path.stem)
         if not found and not path.is_file():
             raise _unknown(name)
         return found
 
     def revision(self, name: str, revision: str) -> BoardType:
         """Read one version of a board type; `NotFoundError` if there is none, `InputError` if it cannot be used."""
-        return read_board_type(self.revisions.get(self.path_of(name).stem, revision).path)
+        found = next((r for r in self._revisions(self.path_of(name).stem) if revision in (r.id, LATEST)), None)
+        if found is None:
+            raise NotFoundError(
+                f"There is no version {revision!r:.80} of this board type.",
+                action="List its revisions; old ones are deleted when there are many.",
+                code="unknown-revision",
+            )
+        return read_board_type(found.path)
 
     def path_of(self, name: str) -> Path:
         """Return the file path of a board type; characters that file systems reject are written as %XX.
@@ -152,57 +183,12 @@ class BoardTypeDirectory:
             )
         return board_type
 
-
-def _enumeration(names: Sequence[str]) -> str:
-    """Return names as text for a message; if there are many, only the first ones."""
-    shown = ", ".join(map(repr, names[:20]))
-    return f"{shown} and {len(names) - 20} more" if len(names) > 20 else shown
-
-
-def _unknown(name: str) -> NotFoundError:
-    """Return the refusal of a board type that there is not."""
-    action = "See the list of board types."
-    return NotFoundError(f"There is no board type {name!r}.", action=action, code="unknown-board-type")
-
-
-LATEST = "latest"
-"""Name of the version that ended last: the one before the present."""
-FOLDER = ".revisions"
-MOST_OF_TYPE, MOST_REVISIONS, MOST_REVISION_BYTES = 20, 2000, 128 * 2**20
-"""Limits: versions of one board type, versions of all, and their size in all."""
-_ID = re.compile(r"[0-9]{8}T[0-9]{9}Z-[0-9a-f]{8}")
-
-
-class BoardTypeRevision(NamedTuple):
-    """One version of a board type that is no longer in force."""
-
-    id: str
-    path: Path
-    stored: datetime
-    """Time at which the version was written."""
-    ended: datetime
-    """Time at which the version was replaced or deleted."""
-    size_bytes: int
-
-    @property
-    def in_force_s(self) -> float:
-        """Time for which the version was in force, s; 0 if the clock was set back meanwhile."""
-        return max(0.0, (self.ended - self.stored).total_seconds())
-
-
-class BoardTypeRevisions:
-    """The folder with the versions of all board types. A board type is named by the stem of its file."""
-
-    def __init__(self, directory: Path) -> None:
-        self._root = directory / FOLDER
-
-    def keep(self, path: Path) -> Path:
-        """Keep the present file of a board type as a version; return its path. `DeviceError`: the disk refuses it."""
+    def _keep(self, path: Path) -> Path:
         now = datetime.now(UTC)
         try:
             digest = hashlib.sha256(path.read_bytes()).hexdigest()[:8]
             name = f"{now:%Y%m%dT%H%M%S}{now.microsecond // 1000:03d}Z-{digest}.json"
-            kept = self._root / path.stem / name
+            kept = self._versions / path.stem / name
             make_directories(kept.parent)
             kept.unlink(missing_ok=True)
             try:
@@ -220,31 +206,25 @@ class BoardTypeRevisions:
             ) from error
         return kept
 
-    def discard(self, kept: Path) -> None:
-        """Delete a version that is not needed, because its replacement is equal to it or was not written."""
-        kept.unlink(missing_ok=True)
-
-    def bound(self, kept: Path) -> None:
+    def _bound(self, kept: Path) -> None:
         """Delete versions until the limits hold; `kept` stays."""
-        own = self.list(kept.parent.name)
+        own = self._revisions(kept.parent.name)
         for old in _to_delete([r for r in own if r.path != kept], len(own) - MOST_OF_TYPE, 0):
             old.path.unlink(missing_ok=True)
-        everything = [r for stem in self.stems() for r in self.list(stem)]
+        everything = [r for stem in self._stems() for r in self._revisions(stem)]
         size = sum(r.size_bytes for r in everything)
         others = [r for r in everything if r.path != kept]
         for old in _to_delete(others, len(everything) - MOST_REVISIONS, size - MOST_REVISION_BYTES):
             old.path.unlink(missing_ok=True)
 
-    def stems(self) -> tuple[str, ...]:
-        """Return the stems of the board types that have versions, sorted."""
-        if not self._root.is_dir():
+    def _stems(self) -> tuple[str, ...]:
+        if not self._versions.is_dir():
             return ()
-        return tuple(sorted(folder.name for folder in self._root.iterdir() if any(folder.glob("*.json"))))
+        return tuple(sorted(folder.name for folder in self._versions.iterdir() if any(folder.glob("*.json"))))
 
-    def list(self, stem: str) -> tuple[BoardTypeRevision, ...]:
-        """Return the versions of one board type, the one that ended last first."""
+    def _revisions(self, stem: str) -> tuple[BoardTypeRevision, ...]:
         found = []
-        for path in (self._root / stem).glob("*.json"):
+        for path in (self._versions / stem).glob("*.json"):
             if not _ID.fullmatch(path.stem):
                 continue
             try:
@@ -256,16 +236,17 @@ class BoardTypeRevisions:
             found.append(BoardTypeRevision(path.stem, path, stored, ended, status.st_size))
         return tuple(sorted(found, reverse=True))
 
-    def get(self, stem: str, revision: str) -> BoardTypeRevision:
-        """Return one version; raise `NotFoundError` if it does not exist."""
-        found = next((r for r in self.list(stem) if revision in (r.id, LATEST)), None)
-        if found is None:
-            raise NotFoundError(
-                f"There is no version {revision!r:.80} of this board type.",
-                action="List its revisions; old ones are deleted when there are many.",
-                code="unknown-revision",
-            )
-        return found
+
+def _enumeration(names: Sequence[str]) -> str:
+    """Return names as text for a message; if there are many, only the first ones."""
+    shown = ", ".join(map(repr, names[:20]))
+    return f"{shown} and {len(names) - 20} more" if len(names) > 20 else shown
+
+
+def _unknown(name: str) -> NotFoundError:
+    """Return the refusal of a board type that there is not."""
+    action = "See the list of board types."
+    return NotFoundError(f"There is no board type {name!r}.", action=action, code="unknown-board-type")
 
 
 def _to_delete(revisions: Iterable[BoardTypeRevision], count: int, size: int) -> list[BoardTypeRevision]:

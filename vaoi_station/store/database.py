@@ -185,6 +185,10 @@ class Database:
         rows = self.read(query, values)
         return rows[0][0] if rows else None
 
+    def column(self, query: str, values: tuple[Any, ...] = ()) -> list[str]:
+        """Return the first column of all rows of a query."""
+        return [str(row[0]) for row in self.read(query, values)]
+
     def text(self, query: str, values: tuple[Any, ...] = ()) -> str | None:
         """Return the text that a query selects as a column and its packed column; None without a row."""
         with translated_errors(self.path):

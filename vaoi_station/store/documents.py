@@ -21,8 +21,7 @@ from vaoi_station.store.database import Database
 from vaoi_station.store.figures import BoardFigures
 from vaoi_station.store.retention import RunRetention
 from vaoi_station.store.run_search import RunSearch
-from vaoi_station.store.schema import ANY_OF, DOUBTFUL, PACKED, keys_of, packed, unpacked
-from vaoi_station.store.storage_trouble import translated_errors
+from vaoi_station.store.schema import ANY_OF, DOUBTFUL, keys_of, packed, unpacked
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
@@ -37,6 +36,15 @@ _BASELINES = "lamp-baselines"
 _DAY = len("2026-01-31")
 DOCUMENTS_REMEMBERED = 32
 """Number of the latest board types and calibrations that are also kept in memory, for runs that refer to them."""
+
+
+@dataclass(frozen=True)
+class IdentityRow:
+    """The identity of a run as stored, the ids by which the run is found, and whether its codes are not read yet."""
+
+    document: str
+    board_ids: Sequence[str] = ()
+    pending: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,43 +64,43 @@ class RunRow:
     """Of a run that is written at its end: its identity before its codes are read; None if its boards have none."""
 
 
-@dataclass(frozen=True)
-class EventRow:
-    """An entry of the event log as stored: its number and its JSON text."""
-
-    number: int
-    document: str
-
-
 def digest_of(document: str) -> str:
     """Return the digest that identifies a document by its content: the first 16 hex digits of its SHA-256."""
     return hashlib.sha256(document.encode()).hexdigest()[:16]
 
 
-class ComponentHeights:
-    """Storage of the measured heights of one station's runs."""
+class KeyedTexts:
+    """A small table with one text per key, not packed. With `patient`, writes wait for the end of a storage trouble."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(
+        self, database: Database, table: str, *, key: str, column: str = "document", patient: bool = False
+    ) -> None:
+        self._database, self._patient = database, patient
+        self._table, self._key, self._column = table, key, column
 
-    def save(self, run: str, document: str) -> Future[int]:
-        """Write the heights of a finished run; no effect if it has some, or if its result was deleted meanwhile."""
-        return self._database.execute(
-            """INSERT OR IGNORE INTO heights SELECT id, ?, ? FROM runs
-               WHERE id = ? AND finish_number IS NOT NULL AND detail <> ''""",
-            (*packed(document), run), patient=True, durable=False, size=len(document),
-        )  # fmt: skip
+    def get(self, key: str) -> str | None:
+        """Return the text of a key; None if there is none."""
+        found = self._database.value(f"SELECT {self._column} FROM {self._table} WHERE {self._key} = ?", (key,))
+        return None if found is None else str(found)
 
-    def document(self, run: str) -> str | None:
-        """Return the heights of a run; None if it has none."""
-        return self._database.text("SELECT document, packed FROM heights WHERE run = ?", (run,))
+    def all(self) -> list[str]:
+        """Return the texts of all keys."""
+        return self._database.column(f"SELECT {self._column} FROM {self._table}")
+
+    def set(self, key: str, text: str | None) -> Future[int]:
+        """Write the text of a key, in place of an earlier one, or delete it with None."""
+        if text is None:
+            statement, values = f"DELETE FROM {self._table} WHERE {self._key} = ?", (key,)
+            return self._database.execute(statement, values, patient=self._patient)
+        statement = f"INSERT OR REPLACE INTO {self._table} VALUES (?, ?)"
+        return self._database.execute(statement, (key, text), patient=self._patient, size=len(text))
 
 
 class CalibrationChecks:
     """Calibration checks: one small document per run, grouped by the calibration the run was stitched with."""
 
-    def __init__(self, database: Database) -> None:
-        self._database, self._standing = database, StandingDocuments(database)
+    def __init__(self, database: Database, standing: KeyedTexts) -> None:
+        self._database, self._standing = database, standing
 
     def save(self, run: str, calibration_digest: str, document: str) -> Future[None]:
         """Save the check of a run. Delete checks of its calibration that are neither among the first nor the latest."""
@@ -109,12 +117,11 @@ class CalibrationChecks:
 
     def documents(self, calibration_digest: str, first: int, latest: int) -> list[str]:
         """Return the `first` oldest and `latest` newest checks of a calibration, oldest first, without duplicates."""
-        rows = self._database.read(
+        return self._database.column(
             f"""SELECT document FROM calibration_checks WHERE calibration_digest = ?1 AND {_FIRST_OR_LATEST}
                 ORDER BY run""",
             (calibration_digest, first, latest),
         )
-        return [str(row[0]) for row in rows]
 
     def count(self, calibration_digest: str) -> int:
         """Return the number of checks kept for a calibration."""
@@ -128,38 +135,6 @@ class CalibrationChecks:
     def save_baselines(self, document: str) -> Future[int]:
         """Save the brightness of all board types in one document, whether or not the checks that it is of are kept."""
         return self._standing.set(_BASELINES, document)
-
-
-class RunDecisions:
-    """What persons have decided about runs, deleted with the summary. A later decision replaces the earlier one."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    def save(self, run: str, document: str) -> bool:
-        """Write the decision about a run, and wait until this is done; return False if the run is not stored."""
-        written = self._database.execute(
-            """INSERT INTO decisions SELECT id, ? FROM runs WHERE id = ?
-               ON CONFLICT (run) DO UPDATE SET document = excluded.document""",
-            (document, run),
-        )
-        return written.result() == 1
-
-    def documents(self, runs: Sequence[str]) -> dict[str, str]:
-        """Return the decisions about some runs, by run id; runs without a decision are left out."""
-        rows = self._database.read(f"SELECT run, document FROM decisions WHERE run {ANY_OF}", (keys_of(runs),))
-        return {str(run): str(document) for run, document in rows}
-
-
-@dataclass(frozen=True)
-class IdentityRow:
-    """The identity of a run as stored."""
-
-    document: str
-    board_ids: Sequence[str] = ()
-    """The ids by which the run is found."""
-    pending: bool = False
-    """Whether the codes are not read yet."""
 
 
 class RunIdentities:
@@ -191,23 +166,20 @@ class RunIdentities:
 
         return self._database.write(write, patient=True, durable=False, size=len(row.document) + len(summary))
 
-    def documents(self, runs: Sequence[str]) -> dict[str, str]:
-        """Return the identities of runs by run; runs without one are left out."""
-        with translated_errors(self._database.path):
-            query = f"SELECT run, document, packed FROM identities WHERE run {ANY_OF}"
-            return {str(row[0]): unpacked(row[1], row[2]) for row in self._database.read(query, (keys_of(runs),))}
+    def document(self, run: str) -> str | None:
+        """Return the identity of a run; None if it has none."""
+        return self._database.text("SELECT document, packed FROM identities WHERE run = ?", (run,))
 
     def pending(self) -> list[str]:
         """Return the runs of which the codes are not read yet."""
-        return [str(row[0]) for row in self._database.read("SELECT run FROM identities WHERE pending")]
+        return self._database.column("SELECT run FROM identities WHERE pending")
 
     def runs_of(self, board_id: str, limit: int, before: str | None) -> list[str]:
         """Return at most `limit` runs with an id, newest first; only runs with ids below `before` (None: all)."""
-        rows = self._database.read(
+        return self._database.column(
             "SELECT run FROM board_ids WHERE board_id = ? AND (? IS NULL OR run < ?) ORDER BY run DESC LIMIT ?",
             (board_id, before, before, limit),
         )
-        return [str(row[0]) for row in rows]
 
 
 def write_identity(connection: sqlite3.Connection, run: str, row: IdentityRow) -> None:
@@ -218,60 +190,6 @@ def write_identity(connection: sqlite3.Connection, run: str, row: IdentityRow) -
     )
     connection.execute("DELETE FROM board_ids WHERE run = ?", (run,))
     connection.executemany("INSERT INTO board_ids VALUES (?, ?)", ((board_id, run) for board_id in row.board_ids))
-
-
-class BoardStitching:
-    """Per board type its reference, and its stitching method where it differs from the station's."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    def reference(self, board_type: str) -> str | None:
-        """Return the reference document of a board type; None if it has no reference."""
-        return self._database.text("SELECT document, NULL FROM board_references WHERE board_type = ?", (board_type,))
-
-    def references(self) -> list[str]:
-        """Return the documents of all references."""
-        return [str(row[0]) for row in self._database.read("SELECT document FROM board_references")]
-
-    def keep_reference(self, board_type: str, document: str) -> Future[int]:
-        """Set the reference of a board type, replacing an earlier one."""
-        return self._database.execute("INSERT OR REPLACE INTO board_references VALUES (?, ?)", (board_type, document))
-
-    def drop_reference(self, board_type: str) -> Future[int]:
-        """Delete the reference of a board type; no effect if it has none."""
-        return self._database.execute("DELETE FROM board_references WHERE board_type = ?", (board_type,))
-
-    def method(self, board_type: str) -> str | None:
-        """Return the stitching method of a board type; None if the station's default applies."""
-        return self._database.text("SELECT method, NULL FROM board_methods WHERE board_type = ?", (board_type,))
-
-    def keep_method(self, board_type: str, method: str) -> Future[int]:
-        """Set the stitching method of a board type."""
-        return self._database.execute("INSERT OR REPLACE INTO board_methods VALUES (?, ?)", (board_type, method))
-
-    def drop_method(self, board_type: str) -> Future[int]:
-        """Delete the stitching method of a board type, so that the station's default applies."""
-        return self._database.execute("DELETE FROM board_methods WHERE board_type = ?", (board_type,))
-
-
-class StandingDocuments:
-    """The present activity of the station, which a restart resumes: one small document per key."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    def get(self, key: str) -> str | None:
-        """Return the document of a key; None if there is none."""
-        return self._database.text("SELECT document, NULL FROM standing WHERE key = ?", (key,))
-
-    def set(self, key: str, document: str | None) -> Future[int]:
-        """Write the document of a key, or delete it with None."""
-        if document is None:
-            return self._database.execute("DELETE FROM standing WHERE key = ?", (key,), patient=True)
-        return self._database.execute(
-            "INSERT OR REPLACE INTO standing VALUES (?, ?)", (key, document), patient=True, size=len(document)
-        )
 
 
 class Configurations:
@@ -316,16 +234,17 @@ class Store:
     """The documents of one station. Calls that write return a future that completes with the transaction."""
 
     def __init__(self, database: Database) -> None:
-        self.database = self._database = database
+        self.database = database
         self._documents: OrderedDict[str, tuple[str, str, str, str]] = OrderedDict()
         """Rows of the latest documents, by digest: if the database has to begin anew, the next run needs them."""
-        self.checks = CalibrationChecks(database)
-        self.heights = ComponentHeights(database)
-        self.decisions, self.search = RunDecisions(database), RunSearch(database)
+        self.standing = KeyedTexts(database, "standing", key="key", patient=True)
+        """The present activity of the station, which a restart resumes."""
+        self.references = KeyedTexts(database, "board_references", key="board_type")
+        self.methods = KeyedTexts(database, "board_methods", key="board_type", column="method")
+        """The stitching methods of board types where they differ from the station's."""
+        self.checks = CalibrationChecks(database, self.standing)
         self.identities, self.figures = RunIdentities(database), BoardFigures(database)
-        self.stitching = BoardStitching(database)
-        self.retention = RunRetention(database)
-        self.standing = StandingDocuments(database)
+        self.search, self.retention = RunSearch(database), RunRetention(database)
         self.configurations = Configurations(database)
 
     def keep_document(self, kind: Kind, document: str, now: str) -> str:
@@ -338,15 +257,15 @@ class Store:
             self._documents.popitem(last=False)
         # The write is not awaited, so that the line can be armed while the disk is full: runs that refer to it are
         # written later.
-        self._database.execute(_KEEP_DOCUMENT, row, patient=True, durable=False, size=len(document))
+        self.database.execute(_KEEP_DOCUMENT, row, patient=True, durable=False, size=len(document))
         return digest
 
     def document(self, digest: str) -> str:
         """Return a stored board type or calibration; raise NotFoundError if the digest is unknown."""
         if (known := self._documents.get(digest)) is not None:
             return known[3]
-        if (found := self._database.value("SELECT document FROM documents WHERE digest = ?", (digest,))) is None:
-            raise NotFoundError(f"{self._database.path}: there is no document {digest}.")
+        if (found := self.database.value("SELECT document FROM documents WHERE digest = ?", (digest,))) is None:
+            raise NotFoundError(f"{self.database.path}: there is no document {digest}.")
         return str(found)
 
     def save_run(
@@ -361,9 +280,7 @@ class Store:
 
         def write(connection: sqlite3.Connection) -> None:
             # They are missing if a damaged database was set aside.
-            for document in documents:
-                if connection.execute("SELECT 1 FROM documents WHERE digest = ?", document[:1]).fetchone() is None:
-                    connection.execute(_KEEP_DOCUMENT, document)
+            connection.executemany(_KEEP_DOCUMENT, documents)
             # An update, not INSERT OR REPLACE, which would delete the row that results and checks refer to.
             detail, times = packed(row.detail), (None, None) if timeline is None else packed(timeline)
             connection.execute(
@@ -385,48 +302,37 @@ class Store:
         size = len(row.summary) + len(row.detail) + len(row.head or "") + len(timeline or "") + len(result or "")
         # A run that begins need not survive a power failure: before its end there is nothing to announce.
         durable = row.finish_number is not None
-        return self._database.write(write, patient=patient, durable=durable, size=size)
+        return self.database.write(write, patient=patient, durable=durable, size=size)
 
     def set_state(self, run: str, state: str) -> Future[int]:
         """Set the state of a finished run whose frames were released or evicted; no effect on an unfinished run."""
         # If the end of a run was never written, the next start must find it as unfinished.
-        return self._database.execute(
+        return self.database.execute(
             "UPDATE runs SET state = ? WHERE id = ? AND finish_number IS NOT NULL", (state, run),
             patient=True, durable=False, size=100,
         )  # fmt: skip
 
     def run(self, run: str) -> RunRow | None:
         """Return one run; None if it does not exist."""
-        rows = self._database.read(f"SELECT {_COLUMNS} FROM runs WHERE id = ?", (run,))
-        return _row(rows[0]) if rows else None
+        return self._first("WHERE id = ?", (run,))
 
     def runs(self, limit: int, before: str | None) -> list[RunRow]:
         """Return at most `limit` runs with ids below `before` (None: all), newest first. Details stay packed."""
-        return [
-            _packed_row(r, r["detail"])
-            for r in self._database.read(
-                f"SELECT {_COLUMNS} FROM runs WHERE ? IS NULL OR id < ? ORDER BY id DESC LIMIT ?",
-                (before, before, limit),
-            )
-        ]
+        values = (before, before, limit)
+        return self._rows("WHERE ? IS NULL OR id < ? ORDER BY id DESC LIMIT ?", values, unpack=False)
 
     def chosen_runs(self, ids: Sequence[str]) -> list[RunRow]:
         """Return the runs with these ids, newest first; ids that do not exist are left out. Details stay packed."""
-        rows = self._database.read(
-            f"SELECT {_COLUMNS} FROM runs WHERE id {ANY_OF} ORDER BY id DESC", (keys_of(ids),)
-        )  # fmt: skip
-        return [_packed_row(r, r["detail"]) for r in rows]
+        return self._rows(f"WHERE id {ANY_OF} ORDER BY id DESC", (keys_of(ids),), unpack=False)
 
     def unfinished(self) -> list[RunRow]:
         """Return the runs that were never finished, oldest first."""
-        return [
-            _row(r) for r in self._database.read(f"SELECT {_COLUMNS} FROM runs WHERE finish_number IS NULL ORDER BY id")
-        ]
+        return self._rows("WHERE finish_number IS NULL ORDER BY id", ())
 
     def mark_frames_gone(self, gone: str) -> Future[int]:
         """Set the state of all finished runs with frames to `gone`, because their memory no longer exists."""
         # The condition on the state is that of the index `runs_with_frames`.
-        return self._database.execute(
+        return self.database.execute(
             """UPDATE runs SET state = ? WHERE state IN ('ready', 'degraded', 'failed')
                AND finish_number IS NOT NULL""",
             (gone,), patient=True,
@@ -437,75 +343,96 @@ class Store:
 
         Runs of which only a summary is kept are left out.
         """
-        rows = self._database.read(
-            f"""SELECT {_COLUMNS} FROM runs WHERE id = (
-                SELECT run FROM whole_runs WHERE finish_number > ? ORDER BY finish_number LIMIT 1)""",
-            (finish_number,),
-        )
-        return _row(rows[0]) if rows else None
+        following = "SELECT run FROM whole_runs WHERE finish_number > ? ORDER BY finish_number LIMIT 1"
+        return self._first(f"WHERE id = ({following})", (finish_number,))
 
     def last_finished(self) -> RunRow | None:
         """Return the run of this station that finished last; None before the first."""
         # Runs that were imported have numbers below 0.
-        rows = self._database.read(
-            f"SELECT {_COLUMNS} FROM runs WHERE finish_number > 0 ORDER BY finish_number DESC LIMIT 1"
-        )
-        return _row(rows[0]) if rows else None
+        return self._first("WHERE finish_number > 0 ORDER BY finish_number DESC LIMIT 1", ())
 
     def newest_run(self) -> str | None:
         """Return the highest run id in use; None before the first run."""
-        newest: str | None = self._database.value("SELECT max(id) FROM runs")
+        newest: str | None = self.database.value("SELECT max(id) FROM runs")
         return newest
 
     def result(self, run: str) -> str | None:
         """Return the result of a run; None if it has none."""
-        return self._database.text("SELECT document, packed FROM results WHERE run = ?", (run,))
+        return self.database.text("SELECT document, packed FROM results WHERE run = ?", (run,))
 
     def timeline(self, run: str) -> str | None:
         """Return the timeline of a run; None if it has none yet."""
         query = "SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"
-        return self._database.text(query, (run,))
+        return self.database.text(query, (run,))
 
-    def add_event(self, row: EventRow) -> Future[None]:
+    def heights(self, run: str) -> str | None:
+        """Return the measured heights of a run; None if it has none."""
+        return self.database.text("SELECT document, packed FROM heights WHERE run = ?", (run,))
+
+    def save_heights(self, run: str, document: str) -> Future[int]:
+        """Write the heights of a finished run; no effect if it has some, or if its result was deleted meanwhile."""
+        return self.database.execute(
+            """INSERT OR IGNORE INTO heights SELECT id, ?, ? FROM runs
+               WHERE id = ? AND finish_number IS NOT NULL AND detail <> ''""",
+            (*packed(document), run), patient=True, durable=False, size=len(document),
+        )  # fmt: skip
+
+    def decisions(self, runs: Sequence[str]) -> dict[str, str]:
+        """Return what persons have decided about some runs, by run id; runs without a decision are left out."""
+        rows = self.database.read(f"SELECT run, document FROM decisions WHERE run {ANY_OF}", (keys_of(runs),))
+        return {str(run): str(document) for run, document in rows}
+
+    def save_decision(self, run: str, document: str) -> bool:
+        """Write the decision about a run, in place of an earlier one; return False if the run is not stored.
+
+        It waits until this is done. The decision is deleted with the summary of the run.
+        """
+        written = self.database.execute(
+            """INSERT INTO decisions SELECT id, ? FROM runs WHERE id = ?
+               ON CONFLICT (run) DO UPDATE SET document = excluded.document""",
+            (document, run),
+        )
+        return written.result() == 1
+
+    def add_event(self, number: int, document: str) -> Future[None]:
         """Append an event, and delete the oldest beyond `EVENTS_KEPT`."""
 
         def write(connection: sqlite3.Connection) -> None:
             # A database that was restored from a backup may contain events with this number.
-            connection.execute("INSERT OR REPLACE INTO events VALUES (?, ?)", (row.number, row.document))
+            connection.execute("INSERT OR REPLACE INTO events VALUES (?, ?)", (number, document))
             # Old events are deleted only once per 1000 events, so that the usual write concerns one row.
-            if row.number % 1000 == 0:
-                connection.execute("DELETE FROM events WHERE number <= ?", (row.number - EVENTS_KEPT,))
+            if number % 1000 == 0:
+                connection.execute("DELETE FROM events WHERE number <= ?", (number - EVENTS_KEPT,))
 
-        return self._database.write(write, patient=True, durable=False, size=len(row.document))
+        return self.database.write(write, patient=True, durable=False, size=len(document))
 
-    def events(self, after: int, limit: int) -> list[EventRow]:
+    def events(self, after: int, limit: int) -> list[str]:
         """Return at most `limit` events numbered above `after`, oldest first."""
-        rows = self._database.read("SELECT * FROM events WHERE number > ? ORDER BY number LIMIT ?", (after, limit))
-        return [EventRow(int(r["number"]), str(r["document"])) for r in rows]
+        query = "SELECT document FROM events WHERE number > ? ORDER BY number LIMIT ?"
+        return self.database.column(query, (after, limit))
 
     def last_event(self) -> int:
         """Return the number of the newest event; 0 before the first."""
-        return int(self._database.value("SELECT coalesce(max(number), 0) FROM events"))
+        return int(self.database.value("SELECT coalesce(max(number), 0) FROM events"))
 
     def close(self) -> None:
         """Finish all writes and close the file."""
-        self._database.close()
+        self.database.close()
+
+    def _first(self, condition: str, values: tuple[object, ...]) -> RunRow | None:
+        return next(iter(self._rows(condition, values)), None)
+
+    def _rows(self, condition: str, values: tuple[object, ...], *, unpack: bool = True) -> list[RunRow]:
+        found = []
+        for *known, head, content in self.database.read(f"SELECT {_COLUMNS} FROM runs {condition}", values):
+            if unpack:
+                # A damaged text is shown as a record that cannot be read: no single row may stop a start.
+                with suppress(sqlite3.DatabaseError):
+                    known[-1] = unpacked(known[-1], content)
+            run, state, finish_number, board_type, calibration, summary, detail = known
+            found.append(RunRow(run, state, finish_number, board_type, calibration, summary, detail, head))
+        return found
 
 
 _KEEP_DOCUMENT = "INSERT OR IGNORE INTO documents VALUES (?, ?, ?, ?)"
 _COLUMNS = "id, state, finish_number, board_type_digest, calibration_digest, summary, detail, head, packed_detail"
-
-
-def _row(row: sqlite3.Row) -> RunRow:
-    try:
-        return _packed_row(row, unpacked(row["detail"], row["packed_detail"]))
-    except sqlite3.DatabaseError:
-        # Shown as a record that cannot be read: no single row may stop a start.
-        return _packed_row(row, PACKED)
-
-
-def _packed_row(row: sqlite3.Row, detail: str) -> RunRow:
-    return RunRow(
-        row["id"], row["state"], row["finish_number"], row["board_type_digest"], row["calibration_digest"],
-        row["summary"], detail, row["head"],
-    )  # fmt: skip

@@ -6,9 +6,8 @@ They do not refer to runs, so that they outlive them. Times are RFC 3339 in UTC 
 from __future__ import annotations
 
 import json
-import math
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -98,10 +97,10 @@ class BoardFigures:
         """Function that returns whether the values of a figure are conspicuous only if they are low."""
 
     def add(self, row: BoardRow, made_with: Mapping[tuple[str, str], str], kept: int = MOST_BOARDS) -> Future[None]:
-        """Add figures of a board; some may be added before and others later.
+        """Add figures of a board; those that it has already stay as they are.
 
         Args:
-            row: the figures. Those that the board has already stay as they are.
+            row: the figures.
             made_with: what the figures depend on, by (kind, board type or empty): a mark is written if it has changed.
             kept: number of boards to keep one by one.
         """
@@ -120,17 +119,16 @@ class BoardFigures:
 
     def count(self, span: Span) -> int:
         """Return the number of boards of a span whose figures are kept one by one."""
-        rows = self._database.read(f"SELECT count(*) FROM board_figures WHERE {span.condition}", span.values)
-        return int(rows[0][0])
+        query = f"SELECT count(*) FROM board_figures WHERE {span.condition}"
+        return int(self._database.value(query, span.values))
 
     def runs(self, span: Span, limit: int, every: int = 1) -> list[str]:
         """Return the runs of the first `limit` boards, or of every n-th of the boards, of a span, oldest first."""
-        rows = self._database.read(
+        return self._database.column(
             f"""SELECT run FROM (SELECT run, row_number() OVER (ORDER BY started, run) AS n
                 FROM board_figures WHERE {span.condition}) WHERE n % ? = 0 ORDER BY n LIMIT ?""",
             (*span.values, every, limit),
         )
-        return [str(row[0]) for row in rows]
 
     def boards(self, runs: Sequence[str]) -> Iterator[BoardRow]:
         """Yield the boards of runs in the order of the runs; those that were deleted meanwhile are left out."""
@@ -142,8 +140,8 @@ class BoardFigures:
 
     def first_board(self) -> str | None:
         """Return the time of the oldest board whose figures are kept one by one; None without boards."""
-        rows = self._database.read("SELECT min(started) FROM board_figures")
-        return None if rows[0][0] is None else str(rows[0][0])
+        first: str | None = self._database.value("SELECT min(started) FROM board_figures")
+        return first
 
     def hour_numbers(self, span: Span) -> list[int]:
         """Return which rows per hour lie in a span at least in part, oldest first; the newest `MOST_HOURS` of them.
@@ -179,41 +177,14 @@ class BoardFigures:
         ]
 
 
-class FigureTotal:
-    """One figure of several groups of boards together; the groups are added one by one, and not kept.
+def merged(a: HourFigure, b: HourFigure, *, only_lower_limit: bool = False) -> HourFigure:
+    """Return one figure of two groups of boards together.
 
-    Its run is that of the group with the largest magnitude; of a figure with only a lower limit, with the least value.
+    Its run is that of the group with the larger magnitude; of a figure with only a lower limit, with the lesser value.
     """
-
-    __slots__ = ("_count", "_largest", "_least", "_only_lower_limit", "_run", "_sum", "_worst")
-
-    def __init__(self, *, only_lower_limit: bool = False) -> None:
-        self._only_lower_limit = only_lower_limit
-        self._count, self._sum, self._least, self._largest = 0, 0.0, math.inf, -math.inf
-        self._worst, self._run = -math.inf, ""
-
-    def add(self, figure: HourFigure) -> None:
-        """Add a group of boards."""
-        count, mean, least, largest, run = figure
-        self._count += count
-        self._sum += count * mean
-        self._least = min(self._least, least)
-        self._largest = max(self._largest, largest)
-        worst = -least if self._only_lower_limit else max(abs(least), abs(largest))
-        if worst > self._worst:
-            self._worst, self._run = worst, run
-
-    def figure(self) -> HourFigure:
-        """Return the figure of all groups that were added; there must be one."""
-        return self._count, self._sum / self._count, self._least, self._largest, self._run
-
-
-def merged(figures: Iterable[HourFigure], *, only_lower_limit: bool = False) -> HourFigure:
-    """Return one figure of several groups of boards together; there must be one."""
-    total = FigureTotal(only_lower_limit=only_lower_limit)
-    for figure in figures:
-        total.add(figure)
-    return total.figure()
+    count = a[0] + b[0]
+    b_worse = b[2] < a[2] if only_lower_limit else max(abs(b[2]), abs(b[3])) > max(abs(a[2]), abs(a[3]))
+    return count, (a[0] * a[1] + b[0] * b[1]) / count, min(a[2], b[2]), max(a[3], b[3]), (b if b_worse else a)[4]
 
 
 def _batches(keys: Sequence[T]) -> Iterator[tuple[T, ...]]:
@@ -252,7 +223,7 @@ def _add_to_hour(
     figures = _read(found[0]) if found else {}
     for name, value in new.items():
         one: HourFigure = (1, value, value, value, row.run)
-        figures[name] = merged([figures[name], one], only_lower_limit=only_lower(name)) if name in figures else one
+        figures[name] = merged(figures[name], one, only_lower_limit=only_lower(name)) if name in figures else one
     connection.execute(
         """INSERT INTO hourly_figures (hour, board_type, document) VALUES (?, ?, ?)
            ON CONFLICT (hour, board_type) DO UPDATE SET document = excluded.document""",

@@ -36,13 +36,9 @@ class RunRetention:
     def surplus(self, doubtful: bool, keep: int, before: str, limit: int) -> list[str]:
         """Return the oldest whole runs beyond the newest `keep`, or with ids below `before`; at most `limit` ids.
 
-        Args:
-            doubtful: whether to select runs whose verdict is not ok; otherwise runs whose verdict is ok.
-            keep: number of runs of this kind to keep.
-            before: id below which runs are too old.
-            limit: largest number of ids to return.
+        `doubtful` selects runs whose verdict is not ok; otherwise those whose verdict is ok.
         """
-        rows = self._database.read(
+        return self._database.column(
             """SELECT run FROM whole_runs WHERE doubtful = ?1 AND run NOT IN (SELECT run FROM pins)
                AND run < max(
                    coalesce((SELECT run FROM whole_runs WHERE doubtful = ?1 ORDER BY run DESC LIMIT 1 OFFSET ?2), ''),
@@ -51,14 +47,13 @@ class RunRetention:
                ) ORDER BY run LIMIT ?5""",
             (int(doubtful), keep - 1, before, NEVER_FORGOTTEN - 1, limit),
         )
-        return [str(row["run"]) for row in rows]
 
     def old_summaries(self, keep: int, before: str, limit: int) -> list[str]:
         """Return the oldest runs beyond the newest `keep`, or with ids below `before`; at most `limit` ids.
 
         Runs that are whole, unfinished or pinned are left out, and those that a calibration check refers to.
         """
-        rows = self._database.read(
+        return self._database.column(
             """SELECT id FROM runs WHERE id < max(?2, coalesce(
                    (SELECT id FROM runs ORDER BY id DESC LIMIT 1 OFFSET ?1), ''))
                AND finish_number IS NOT NULL
@@ -68,7 +63,6 @@ class RunRetention:
                ORDER BY id LIMIT ?3""",
             (keep - 1, before, limit),
         )
-        return [str(row["id"]) for row in rows]
 
     def forget_details(self, runs: Sequence[str]) -> Future[None]:
         """Delete results, heights, details and timelines of runs; their summaries stay."""
@@ -110,14 +104,11 @@ class RunRetention:
     def unused_documents(self, before: str, limit: int) -> list[str]:
         """Return the digests of calibrations and board types to which no run and no check refers; at most `limit`.
 
-        Args:
-            before: time (UTC) since which a document must be known; one that was armed lately may be used next.
-            limit: largest number of digests to return.
+        Only those that are known since before a time (UTC): one that was armed lately may be used next.
         """
-        rows = self._database.read(
+        return self._database.column(
             f"SELECT digest FROM documents WHERE first_seen < ? AND {_UNUSED} LIMIT ?", (before, limit)
         )
-        return [str(row["digest"]) for row in rows]
 
     def forget_documents(self, digests: Sequence[str]) -> Future[None]:
         """Delete calibrations and board types, unless a run or a check refers to them by now."""
@@ -129,36 +120,28 @@ class RunRetention:
 
     def forget_configurations(self, used_before: str) -> Future[int]:
         """Delete the configurations that were used last before a time (UTC); return their number."""
-
-        def write(connection: sqlite3.Connection) -> int:
-            return connection.execute("DELETE FROM configurations WHERE last_used < ?", (used_before,)).rowcount
-
-        return self._database.write(write)
+        return self._database.execute("DELETE FROM configurations WHERE last_used < ?", (used_before,))
 
     def oldest_run(self) -> str | None:
         """Return the lowest run id in use; None without runs."""
-        value = self._database.read("SELECT min(id) AS id FROM runs")[0]["id"]
-        return None if value is None else str(value)
+        oldest: str | None = self._database.value("SELECT min(id) FROM runs")
+        return oldest
 
     def forgotten(self, run: str) -> bool:
         """Return whether a run that is not in the database is so old that it may have been deleted from there."""
-        rows = self._database.read("SELECT max(last) AS last FROM forgotten")
-        return rows[0]["last"] is not None and run <= str(rows[0]["last"])
+        last: str | None = self._database.value("SELECT max(last) FROM forgotten")
+        return last is not None and run <= last
 
     def used_bytes(self) -> int:
         """Return the size of the database without its free pages, which later writes use first."""
-        rows = self._database.read(
-            """SELECT (page_count - freelist_count) * page_size AS n
-               FROM pragma_page_count, pragma_freelist_count, pragma_page_size"""
-        )
-        return int(rows[0]["n"])
+        query = """SELECT (page_count - freelist_count) * page_size
+                   FROM pragma_page_count, pragma_freelist_count, pragma_page_size"""
+        return int(self._database.value(query))
 
     def spare_bytes(self) -> int:
         """Return the size of the free pages of the database, into which results fit without more disk space."""
-        rows = self._database.read(
-            "SELECT freelist_count * page_size AS n FROM pragma_freelist_count, pragma_page_size"
-        )
-        return int(rows[0]["n"])
+        query = "SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size"
+        return int(self._database.value(query))
 
     @property
     def disk_free_bytes(self) -> int | None:
@@ -171,11 +154,7 @@ class RunRetention:
         return int(rows[0][0]), int(rows[0][1])
 
     def pin(self, run: str, now: str) -> None:
-        """Pin a run, and wait until this is written; no effect if it is pinned.
-
-        Raises:
-            StateError: too many runs are pinned.
-        """
+        """Pin a run, and wait until this is written; no effect if it is pinned. StateError: too many are pinned."""
 
         def write(connection: sqlite3.Connection) -> None:
             if connection.execute("SELECT 1 FROM pins WHERE run = ?", (run,)).fetchone():
@@ -195,12 +174,8 @@ class RunRetention:
 
     def unpin(self, run: str) -> None:
         """Remove the pin of a run, and wait until this is written; no effect if it is not pinned."""
-
-        def write(connection: sqlite3.Connection) -> None:
-            connection.execute("DELETE FROM pins WHERE run = ?", (run,))
-
         with self._pinning:
-            self._database.write(write).result()
+            self._database.execute("DELETE FROM pins WHERE run = ?", (run,)).result()
             self._pins = self.pins() - {run}
 
     def pinned(self, run: str) -> bool:
@@ -217,5 +192,5 @@ class RunRetention:
             self._read_pins()
 
     def _read_pins(self) -> frozenset[str]:
-        self._pins = frozenset(str(row["run"]) for row in self._database.read("SELECT run FROM pins"))
+        self._pins = frozenset(self._database.column("SELECT run FROM pins"))
         return self._pins

@@ -6,12 +6,12 @@ occupy a connection to the database for long. The caller goes on from where it e
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from vaoi_station.store.database import Database
+from vaoi_station.store.schema import ANY_OF, keys_of
 
 MOST_SCANNED = 20_000
 """Largest number of summaries that one request reads; some 0.2 s, without the lock of the interpreter."""
@@ -41,14 +41,9 @@ class RunFilter:
     def admits(
         self, verdict: str | None, board_type: str, board_id: str | None, codes: Sequence[str], started: str
     ) -> bool:
-        """Return whether a run is wanted.
+        """Return whether a run is wanted: its verdict (`NO_VERDICT` without one, None if it has not ended) and so on.
 
-        Args:
-            verdict: its verdict, or `NO_VERDICT`; None if it has not ended.
-            board_type: name of the board type.
-            board_id: the caller's id of the board.
-            codes: codes and causes of its reasons.
-            started: time at which the board came.
+        `codes` are the codes and causes of its reasons.
         """
         return (
             self.verdict in (None, verdict)
@@ -61,21 +56,17 @@ class RunFilter:
 
     def condition(self) -> tuple[str, tuple[Any, ...]]:
         """Return the same as a condition in SQL on runs, with the values of its parameters."""
-        parts: list[tuple[str, Any]] = []
-        if self.verdict is not None:
-            parts.append((f"finish_number IS NOT NULL AND {_VERDICT} = ?", self.verdict))
-        if self.board_type is not None:
-            parts.append((f"{_FIELD.format('board_type')} = ?", self.board_type))
-        if self.board_id is not None:
-            parts.append((f"{_FIELD.format('board_id')} = ?", self.board_id))
-        if self.reason is not None:
-            codes = f"SELECT json_extract(value, '$.code') FROM {_REASONS}"
-            parts.append((f"? IN ({codes} UNION ALL {codes.replace('.code', '.cause')})", self.reason))
-        if self.since is not None:
-            parts.append((f"{_FIELD.format('started')} >= ?", self.since))
-        if self.until is not None:
-            parts.append((f"{_FIELD.format('started')} < ?", self.until))
-        return " AND ".join(text for text, _ in parts) or "1", tuple(value for _, value in parts)
+        codes = f"SELECT json_extract(value, '$.code') FROM {_REASONS}"
+        conditions = {
+            f"finish_number IS NOT NULL AND {_VERDICT} = ?": self.verdict,
+            f"{_FIELD.format('board_type')} = ?": self.board_type,
+            f"{_FIELD.format('board_id')} = ?": self.board_id,
+            f"? IN ({codes} UNION ALL {codes.replace('.code', '.cause')})": self.reason,
+            f"{_FIELD.format('started')} >= ?": self.since,
+            f"{_FIELD.format('started')} < ?": self.until,
+        }
+        given = {text: value for text, value in conditions.items() if value is not None}
+        return " AND ".join(given) or "1", tuple(given.values())
 
 
 @dataclass(frozen=True)
@@ -105,32 +96,23 @@ class RunSearch:
     def find(
         self, wanted: RunFilter, limit: int, before: str | None, oldest: str = "", without: Sequence[str] = ()
     ) -> Found:
-        """Return the ids of at most `limit` wanted runs.
-
-        Args:
-            wanted: the filter.
-            limit: largest number of ids.
-            before: only runs with ids below this one; None: all.
-            oldest: only runs from this id on.
-            without: runs that are left out.
-        """
+        """Return the ids of at most `limit` wanted runs below the id `before` and from `oldest` on, without some."""
         condition, values = wanted.condition()
         # SQLite makes the rows of the inner query one by one: the search ends as soon as it has found enough.
-        rows = self._database.read(
+        runs = self._database.column(
             f"""SELECT id FROM (SELECT id, summary, finish_number FROM runs
                 WHERE (?1 IS NULL OR id < ?1) AND id >= ?2 ORDER BY id DESC LIMIT {MOST_SCANNED})
-                WHERE id NOT IN (SELECT value FROM json_each(?3)) AND {condition} ORDER BY id DESC LIMIT ?""",
-            (before, oldest, json.dumps(list(without)), *values, limit),
+                WHERE id NOT {ANY_OF.replace("?", "?3")} AND {condition} ORDER BY id DESC LIMIT ?""",
+            (before, oldest, keys_of(without), *values, limit),
         )
-        runs = tuple(str(row["id"]) for row in rows)
         if len(runs) == limit:
-            return Found(runs, runs[-1])
-        last = self._database.read(
+            return Found(tuple(runs), runs[-1])
+        last: str | None = self._database.value(
             f"""SELECT id FROM runs WHERE (?1 IS NULL OR id < ?1) AND id >= ?2
                 ORDER BY id DESC LIMIT 1 OFFSET {MOST_SCANNED - 1}""",
             (before, oldest),
         )
-        return Found(runs, str(last[0]["id"]) if last else None)
+        return Found(tuple(runs), last)
 
     def verdicts(self, since: str, oldest: str, without: Sequence[str] = ()) -> Verdicts:
         """Return how many runs ended since a time, by verdict; `oldest` and `without` as in `find`."""
@@ -138,9 +120,9 @@ class RunSearch:
         rows = self._database.read(
             f"""SELECT {_VERDICT} AS verdict, count(*) AS runs
                 FROM (SELECT id, summary, finish_number FROM runs WHERE id >= ? ORDER BY id DESC LIMIT {MOST_SCANNED})
-                WHERE finish_number > 0 AND id NOT IN (SELECT value FROM json_each(?))
+                WHERE finish_number > 0 AND id NOT {ANY_OF}
                 AND {condition} GROUP BY 1""",
-            (oldest, json.dumps(list(without)), *values),
+            (oldest, keys_of(without), *values),
         )
         more = self._database.read(
             f"""SELECT 1 FROM (SELECT summary FROM runs WHERE id >= ? ORDER BY id DESC LIMIT 1 OFFSET {MOST_SCANNED})
@@ -151,17 +133,13 @@ class RunSearch:
 
     def count_events(self, kind: str, since: str) -> int:
         """Return the number of events of a kind since a time, of those that are kept."""
-        rows = self._database.read(
-            """SELECT count(*) AS events FROM events WHERE instr(document, ?) AND json_valid(document)
-               AND json_extract(document, '$.kind') = ? AND json_extract(document, '$.time') >= ?""",
-            (f'"{kind}"', kind, since),
-        )
-        return int(rows[0]["events"])
+        query = """SELECT count(*) FROM events WHERE instr(document, ?) AND json_valid(document)
+                   AND json_extract(document, '$.kind') = ? AND json_extract(document, '$.time') >= ?"""
+        return int(self._database.value(query, (f'"{kind}"', kind, since)))
 
     def oldest_since(self, id_bound: str) -> str:
         """Return the id from which runs are read that came since a time; `id_bound` sorts before all ids of that time.
 
         An id is given when memory is granted, long before the board comes: one run may have an earlier id.
         """
-        rows = self._database.read("SELECT max(id) AS id FROM runs WHERE id < ?", (id_bound,))
-        return str(rows[0]["id"] or "")
+        return str(self._database.value("SELECT max(id) FROM runs WHERE id < ?", (id_bound,)) or "")

@@ -17,7 +17,7 @@ _VERDICT = "CASE WHEN json_valid(new.summary) THEN json_extract(new.summary, '$.
 DOUBTFUL = f"(coalesce({_VERDICT}, '') <> 'ok')"
 """SQL expression: 1 for a run with a verdict other than ok, or without a verdict; 0 for all other runs."""
 
-_TABLES_12 = f"""
+_TABLES = f"""
 CREATE TABLE documents (
     digest TEXT PRIMARY KEY,
     kind TEXT NOT NULL CHECK (kind IN ('board-type', 'calibration')),
@@ -82,8 +82,7 @@ CREATE TABLE identities (
     run TEXT PRIMARY KEY REFERENCES runs (id) ON DELETE CASCADE,
     document TEXT NOT NULL,
     packed BLOB,
-    pending INTEGER NOT NULL DEFAULT 0,
-    degrading TEXT
+    pending INTEGER NOT NULL DEFAULT 0
 ) STRICT;
 CREATE INDEX identities_pending ON identities (run) WHERE pending;
 CREATE TABLE board_ids (
@@ -115,15 +114,9 @@ CREATE TABLE figure_marks (
 ) STRICT;
 CREATE INDEX figure_marks_by_kind ON figure_marks (kind, board_type);
 """
-"""All tables as version 12 made them. STRICT tables reject a value of the wrong type."""
+"""All tables of version 13. STRICT tables reject a value of the wrong type."""
 
-# The verdict of a run is decided once more when its identity is known, and stored in its summary.
-_STORED_VERDICTS = """
-UPDATE runs SET summary = identified(summary, i.document, i.packed, i.degrading)
-    FROM identities AS i WHERE i.run = runs.id;
-ALTER TABLE identities DROP COLUMN degrading;
-"""
-STEPS = {12: _TABLES_12, 13: _STORED_VERDICTS}
+STEPS = {13: _TABLES}
 """By version, the statements that make it from the version before; the first one begins with an empty file."""
 OLDEST, VERSION = min(STEPS), max(STEPS)
 PACKED = "packed"
@@ -163,42 +156,11 @@ def unpacked(text: str, content: bytes | None) -> str:
         raise sqlite3.DatabaseError(f"a packed text is damaged ({error})") from error
 
 
-def _identified(summary: str, document: str, content: bytes | None, degrading: str | None) -> str:
-    """Return the summary of a run with what its identity says, as versions before 13 showed it without storing it.
-
-    An identity that cannot be read counts as not read, and degrades the run.
-    """
-    try:
-        identity = json.loads(unpacked(document, content))
-        codes = json.loads(degrading or "[]")
-    except (sqlite3.DatabaseError, ValueError, RecursionError):
-        identity = codes = None
-    if not isinstance(identity, dict) or not isinstance(codes, list):
-        identity, codes = {"state": "not-read"}, ["identity-not-read"]
-    reasons = [*identity.get("reasons", ()), {"code": "identity-not-read", "message": "The codes were not read."}]
-    try:
-        run = json.loads(summary)
-        run["identity"] = {key: identity.get(key) for key in ("state", "board_id")} | {
-            "boards": identity.get("boards", {})
-        }
-        run["reasons"] += [reason for reason in reasons if reason["code"] in codes and reason not in run["reasons"]]
-        if codes and run["verdict"] == "ok":
-            run["verdict"] = "degraded"
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return summary  # it cannot be read: it is shown as such a record
-    return json.dumps(run, ensure_ascii=False, separators=(",", ":"))
-
-
-def add_functions(connection: sqlite3.Connection) -> None:
-    """Give a connection the SQL functions that migration steps call."""
-    connection.create_function("identified", 4, _identified, deterministic=True)
-
-
 def migrate(connection: sqlite3.Connection, path: Path) -> None:
     """Apply the missing migration steps, each in one transaction.
 
     Raises:
-        InputError: the database was written by a newer version, or by one before version 12 of the tables.
+        InputError: the database was written by a newer version, or has tables of a version before the first one.
     """
     (found,) = connection.execute("PRAGMA user_version").fetchone()
     if found > VERSION:
@@ -210,10 +172,9 @@ def migrate(connection: sqlite3.Connection, path: Path) -> None:
     if 0 < found < OLDEST:
         raise InputError(
             f"{path}: has version {found} of the tables; this software knows versions from {OLDEST} on.",
-            action=f"Start the last vaoi_station with version {OLDEST} of the tables once, or move the file away.",
+            action="Restore a backup of this version, or move the file away: the history then begins anew.",
             code="database-foreign",
         )
-    add_functions(connection)
     for version in (v for v in sorted(STEPS) if v > found):
         # Tables and version number change together, so that an interrupted migration continues at the next start.
         connection.execute("BEGIN IMMEDIATE")

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.api.held.merged import HeldMerged
+from tests.runs.finished import held_run
 from vaoi_station.errors import GoneError
 from vaoi_station.files.results import stitch_text
-from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.batches.batch_job import BatchJob, CutPart
 from vaoi_station.runs.batches.batches import BatchAccess
 
@@ -27,12 +27,6 @@ def held_batches(station: Any) -> BatchAccess:
 ROWS = 4
 
 
-class _Finished(SimpleNamespace):
-    """The parts of a finished run that batches read."""
-
-    __hash__ = object.__hash__  # type: ignore[assignment]  # as of a finished run, by which tables are kept
-
-
 class _Archive:
     def __init__(self, station: Any) -> None:
         self._station = station
@@ -41,15 +35,13 @@ class _Archive:
         detail, stitch = self._station.run(run), self._station.stitch(run)
         board_type, cameras = self._station.types["demo-board"], self._station.cameras
         numbered = tuple(f.model_copy(update={"slot": n}) for n, f in enumerate(detail.frames))
-        return _Finished(
+        return held_run(
             detail=detail.model_copy(update={"frames": numbered}),
             board_type=board_type,
             cameras=cameras,
             stitch=stitch,
-            result=stitch,
-            text=stitch_text(stitch),
+            document=stitch_text(stitch),
             head=SimpleNamespace(row_times_s=lambda: 0.1 * np.arange(ROWS)),
-            view_calculator=ViewCalculator(board_type, stitch, cameras),
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.api.held.batches import held_batches
+from tests.runs.finished import held_run
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.files.images import encode_jpeg
 from vaoi_station.mosaic import MosaicGrid
@@ -26,8 +27,8 @@ class HeldMosaics(Mosaics):
         self._station = station
         self.jobs: list[str] = []
         kept: dict[str, str] = {}
-        heights = SimpleNamespace(document=kept.get, save=kept.__setitem__)
-        archive: Any = SimpleNamespace(get=self._finished, heights=heights)
+        store = SimpleNamespace(heights=kept.get, save_heights=kept.__setitem__)
+        archive: Any = SimpleNamespace(get=self._finished, store=store)
         super().__init__(archive, self._held, self._perform)
         # Heights of components are measured, and batches cut, by the same workers.
         station.batches = held_batches(station)
@@ -40,14 +41,12 @@ class HeldMosaics(Mosaics):
     def _finished(self, run: str) -> Any:
         detail = self._station.run(run)
         numbered = tuple(f.model_copy(update={"slot": n}) for n, f in enumerate(detail.frames))
-        return SimpleNamespace(
+        return held_run(
             detail=detail.model_copy(update={"frames": numbered}),
             board_type=self._station.types["demo-board"],
             cameras=self._station.cameras,
             stitch=self._station.stitch(run),
-            result=self._station.stitch(run),
-            text=self._station.stitch_text(run),
-            head=None,
+            document=self._station.stitch_text(run),
         )
 
     @contextmanager

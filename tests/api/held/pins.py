@@ -10,8 +10,8 @@ from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Status
 from vaoi_station.model.board_identity import IdentityDocument, IdentityState, ReportedId
-from vaoi_station.runs.archive.kept_runs import RunHistory
 from vaoi_station.runs.archive.storage_watch import StorageFigures
+from vaoi_station.runs.kept_runs import RunHistory
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Choice, Decision, IdentitySummary, RunCounts, SetAsideFile
 from vaoi_station.store.run_search import RunFilter

@@ -58,7 +58,7 @@ class HeldTrends:
         if len(rows) <= points:
             return Trends(
                 boards=len(rows), times=tuple(r.started for r in rows), runs=tuple(r.run for r in rows),
-                counts=(1,) * len(rows), series=tuple(single_boards(rows, wanted).series), marks=marks, **common,
+                counts=(1,) * len(rows), series=tuple(single_boards(rows, wanted)[2]), marks=marks, **common,
             )  # fmt: skip
         width_s = bin_width_s(span, points)
         groups = groups_of_boards(rows, width_s)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.heights.conftest import Filmed, make_film
+from tests.runs.finished import held_run
 from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.heights.estimates import PartMeasure
 from vaoi_station.model import CameraHead
@@ -40,7 +41,7 @@ class Station:
         self.events: list[dict[str, Any]] = []
         self.flat_fields: Path | None = None
         frames = tuple(SimpleNamespace(camera=0, row=j, slot=j, usable=j != 1) for j in range(3))
-        self.finished = SimpleNamespace(
+        self.finished = held_run(
             detail=SimpleNamespace(id="r1", frames=frames),
             board_type=filmed.board_type,
             cameras=filmed.cameras,
@@ -75,8 +76,8 @@ class Station:
         self.events.append({"message": message, **fields})
 
     def heights(self) -> MeasuredHeights:
-        kept = SimpleNamespace(document=self.stored.get, save=self.save)
-        archive: Any = SimpleNamespace(get=lambda run: self.finished, heights=kept)
+        store = SimpleNamespace(heights=self.stored.get, save_heights=self.save)
+        archive: Any = SimpleNamespace(get=lambda run: self.finished, store=store)
         events: Any = self
         return MeasuredHeights(archive, self.lease, self.render, self.bay_of, events, self.flat_fields)
 
@@ -90,7 +91,7 @@ def measured_after(station: Station) -> None:
     """Let one run end, and wait until its heights were stored or refused."""
     heights = station.heights()
     heights.queue.start()
-    heights.finished(station.finished.detail)
+    heights.queue.put(station.finished.detail.id)
     assert station.saved.wait(20)
     heights.queue.stop()
     assert heights.queue.thread.fault() is None
@@ -140,7 +141,7 @@ def test_stored_heights_are_served_while_those_of_another_run_are_measured(stati
     heights, detail = station.heights(), station.finished.detail
     detail.id = "r2"
     heights.queue.start()
-    heights.finished(detail)
+    heights.queue.put(detail.id)
     with ThreadPoolExecutor(1) as readers:
         try:
             assert station.asked.wait(20)

@@ -9,13 +9,15 @@ from typing import Any
 
 import pytest
 
+from tests.runs.finished import held_run
 from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.identity.code_reader import Progress
+from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, BoardType, Status
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.archive import read_identities
 from vaoi_station.runs.archive.read_identities import ReadIdentities
-from vaoi_station.runs.archive.stored_documents import identity_row, unread_identity
+from vaoi_station.runs.archive.stored_documents import identity_row
 from vaoi_station.runs.run.verdict import RunVerdict, identified
 from vaoi_station.runs.states.schemas import IdentitySummary, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import RunState
@@ -47,12 +49,14 @@ class Station:
         self.fault: Exception | None = None
         self.worker_s = 0.1
         frames = tuple(SimpleNamespace(camera=0, row=j, slot=j, usable=j != 1) for j in range(3))
-        self.finished = SimpleNamespace(
+        board_type = BoardType(name="b", outline=((0, 0), (9, 9)), identity=identity)
+        pending = None if identity is None else compare(identity, None, "1", without="pending")
+        self.finished = held_run(
             detail=SimpleNamespace(id="r1", frames=frames, board_id="1", stored=True, skipped_boards=()),
-            board_type=BoardType(name="b", outline=((0, 0), (9, 9)), identity=identity),
+            board_type=board_type,
             cameras=(),
             stitch=SimpleNamespace(cad_matrix=[[1.0]]),
-            identity=unread_identity(BoardType(name="b", outline=((0, 0), (9, 9)), identity=identity), "1"),
+            identity=pending,
         )
         self.finished.detail.identity = self.finished.identity and IdentitySummary.of(self.finished.identity)
         archive: Any = SimpleNamespace(get=self.get, identities=self, identify=self.identify)

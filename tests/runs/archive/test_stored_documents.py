@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from vaoi_station.errors import DeviceError
-from vaoi_station.runs.archive.stored_documents import cut_short, detail, in_state, state_of, summary
+from vaoi_station.runs.archive.stored_documents import cut_short, decided, in_state, readable, state_of, summary
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of
 from vaoi_station.runs.states.tables import RunState
@@ -25,24 +25,24 @@ def row(progress: Progress) -> RunRow:
 def test_a_run_without_an_end_is_ended_whatever_its_state(row: RunRow, state: str) -> None:
     ended = cut_short(replace(row, state=state), 7)
     assert (ended.state, ended.finish_number) == ("gone", 7)
-    assert [reason.code for reason in detail(ended).reasons] == ["station-restarted"]
-    assert (summary(ended).state, summary(ended).stored) == ("gone", True)
-    assert (summary(ended).verdict, detail(ended).verdict) == ("failed", "failed")
+    shown, document = summary(ended, RunState.GONE), decided(ended.detail, ended.summary)
+    assert [reason.code for reason in document.reasons] == ["station-restarted"]
+    assert (shown.state, shown.stored, shown.verdict, document.verdict) == ("gone", True, "failed", "failed")
 
 
 def test_a_record_that_cannot_be_read_is_ended_and_listed_as_such(row: RunRow) -> None:
     odd = cut_short(replace(row, summary='{"new": 1}', detail="{"), 8)
     assert (odd.state, odd.finish_number, odd.detail) == ("gone", 8, "{")
-    shown = summary(odd)
+    shown = summary(odd, RunState.GONE)
     assert (shown.id, [reason.code for reason in shown.reasons]) == (row.id, ["record-unreadable"])
-    with pytest.raises(DeviceError, match="cannot be read") as refusal:
-        detail(odd)
+    with pytest.raises(DeviceError, match="cannot be read") as refusal, readable(odd.id):
+        decided(odd.detail, odd.summary)
     assert refusal.value.code == "record-unreadable"
 
 
 def test_frames_are_available_in_some_states_only(row: RunRow) -> None:
     assert state_of(replace(row, state="?")) is RunState.GONE
-    kept = detail(row).model_copy(update={"frames_kept_until": "then"})
+    kept = decided(row.detail, row.summary).model_copy(update={"frames_kept_until": "then"})
     assert in_state(kept, RunState.READY).frames_kept_until == "then"
     assert in_state(kept, RunState.READY).frames_available
     assert in_state(kept, RunState.GONE).frames_kept_until is None

@@ -17,7 +17,7 @@ from vaoi_station.rendering import ImageRequest, render_chosen
 from vaoi_station.rendering.selection import describe
 from vaoi_station.runs.batches import batch_job
 from vaoi_station.runs.batches.batch_job import BatchJob, folder_of, picture_member
-from vaoi_station.runs.batches.batch_request import BatchRequest
+from vaoi_station.runs.batches.batches import BatchRequest
 from vaoi_station.runs.batches.containers import ContainerWriter
 from vaoi_station.runs.workers.jobs import Priority
 

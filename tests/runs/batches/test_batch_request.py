@@ -10,7 +10,7 @@ from tests.api.held_station import BOARD
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model import BoardType
 from vaoi_station.rendering import ImageRequest
-from vaoi_station.runs.batches.batch_request import BatchRequest, smallest
+from vaoi_station.runs.batches.batches import BatchRequest, smallest
 
 BOARD_TYPE = BoardType.model_validate(BOARD)
 

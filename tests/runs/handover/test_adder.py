@@ -27,7 +27,7 @@ pipe, process = launch_adder()
 pipe.send(Addition("absent", Path("absent"), "one"))
 print(pipe.recv().error.message)
 pipe.close()
-process.join()
+process.wait()
 try:
     import_limited(ImportTask(file="absent.csv"))
 except InputError as error:

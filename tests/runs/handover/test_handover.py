@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,8 +27,9 @@ from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.plant.archive import Archive
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.recordings import FOR_ARCHIVE_FILE, Recordings
+from vaoi_station.runs.handover import handover as module
 from vaoi_station.runs.handover.adder import serve
-from vaoi_station.runs.handover.handover import SILENCE_S, Handover
+from vaoi_station.runs.handover.handover import Handover
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.workers.jobs import Reply
 from vaoi_station.runs.workers.picture_jobs import IdentityJob, IdentitySlice
@@ -39,12 +41,21 @@ class Helper(threading.Thread):
     def kill(self) -> None:
         """Do nothing: it ends because its pipe is closed."""
 
+    def wait(self, timeout: float) -> None:
+        """Wait for its end."""
+        self.join(timeout)
+
+    def poll(self) -> int | None:
+        """Return None while it runs."""
+        return None if self.is_alive() else 0
+
 
 class Blocked(Helper):
     """An adder that does not end when it is killed."""
 
-    def join(self, timeout: float | None = None) -> None:
+    def wait(self, timeout: float) -> None:
         """Return at once: no caller may wait for it."""
+        raise subprocess.TimeoutExpired("adder", timeout)
 
 
 def launch() -> tuple[Any, Helper]:
@@ -72,13 +83,14 @@ class Line:
     @contextmanager
     def running(self, **settings: Any) -> Iterator[Handover]:
         """Hand over to the archive in `folder`."""
-        started = settings.pop("launch", launch)
-        silence_s = settings.pop("silence_s", SILENCE_S)
-        config = ArchiveConfig(url=str(self.folder), **settings)
-        retry = BackoffPolicy(first_s=0.01, longest_s=0.02, proven_s=60.0)
-        made = Handover(config, "one", cast("EventLog", self), self.busy.is_set, retry, started, silence_s)
-        with made.running(self.recordings):
-            yield made
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "launch_adder", settings.pop("launch", launch))
+            patch.setattr(module, "SILENCE_S", settings.pop("silence_s", module.SILENCE_S))
+            patch.setattr(module, "RETRY", BackoffPolicy(first_s=0.01, longest_s=0.02, proven_s=60.0))
+            config = ArchiveConfig(url=str(self.folder), **settings)
+            made = Handover(config, "one", cast("EventLog", self), self.busy.is_set)
+            with made.running(self.recordings):
+                yield made
 
     def board(self, verdict: Status, **options: Any) -> RunDetail:
         """Film a board."""

@@ -19,9 +19,10 @@ from tests.runs.handover.test_handover import Line
 from vaoi_station.model import Status
 from vaoi_station.plant.archive import Archive
 from vaoi_station.runs.handover import adder
-from vaoi_station.runs.handover.adder import AdderProcess
+from vaoi_station.runs.handover import handover as module
 
 STATION_THAT_ENDS = """
+import subprocess
 import sys
 from pathlib import Path
 from vaoi_station.runs.handover.adder import Addition, launch_adder
@@ -30,8 +31,11 @@ if __name__ == "__main__":
     pipe.send(Addition(sys.argv[1], Path("absent"), "one"))
     sys.stdin.readline()
     process.kill()
-    process.join(0.1)
-    print("blocked" if process.is_alive() else "ended")
+    try:
+        process.wait(0.1)
+        print("ended")
+    except subprocess.TimeoutExpired:
+        print("blocked")
 """
 PATIENCE_S = 120.0
 """Longest wait; a process starts, compiles and has the lowest priority."""
@@ -50,10 +54,10 @@ def share(tmp_path: Path) -> Iterator[Share]:
 
 
 @pytest.fixture
-def launch(share: Share, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tuple[Connection[Any, Any], AdderProcess]]:
+def launch(share: Share, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Any]:
     """Return a function that starts the adder where it sees the share."""
 
-    def start() -> tuple[Connection[Any, Any], AdderProcess]:
+    def start() -> tuple[Connection[Any, Any], subprocess.Popen[bytes]]:
         popen = subprocess.Popen
         with monkeypatch.context() as patch:
             patch.setattr(subprocess, "Popen", lambda command, **how: popen([*share.prefix, *command], **how))
@@ -63,7 +67,7 @@ def launch(share: Share, monkeypatch: pytest.MonkeyPatch) -> Callable[[], tuple[
 
 
 def test_runs_wait_for_a_share_that_fails_or_hangs_and_boards_do_not(
-    make_rig: Callable[..., Any], share: Share, launch: Callable[[], Any]
+    make_rig: Callable[..., Any], share: Share, launch: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = make_rig()
     rig.ready()
@@ -83,17 +87,17 @@ def test_runs_wait_for_a_share_that_fails_or_hangs_and_boards_do_not(
         runs.append(line.board(Status.FAILED).id)
         share.order("blocked")
         # Only now: a shorter silence would end the adder while it starts.
-        handover._silence_s = 0.5
+        monkeypatch.setattr(module, "SILENCE_S", 0.5)
         wait(lambda: "does not answer" in handover.status().problem, "the share hangs")
         blocked = handover._ended
         assert blocked is not None
-        assert blocked.is_alive()
+        assert blocked.poll() is None
         runs.append(line.board(Status.FAILED).id)
         wait(lambda: handover.status().waiting == 2, "the next board is filmed and kept")
         assert handover.thread.fault() is None
-    assert blocked.is_alive(), "the station has ended before the share answers"
+    assert blocked.poll() is None, "the station has ended before the share answers"
     share.order("work")
-    blocked.join(PATIENCE_S)
+    blocked.wait(PATIENCE_S)
     with line.running(launch=launch) as handover:
         wait(lambda: handover.status().added == len(runs), "all runs are in the archive")
     archive = Archive.open(share.seen_from_here)

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from tests.runs.finished import held_run
 from vaoi_station.errors import GoneError
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, FrameRecord, RecordingHead, Stitch, Verdict
 from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, write_flat_fields
-from vaoi_station.rendering import ViewCalculator
 from vaoi_station.runs.merging.merged_pictures import MergedAccess
 from vaoi_station.runs.workers.jobs import PictureJob
 from vaoi_station.runs.workers.picture_jobs import MergeJob, RowLevelsJob
@@ -61,13 +61,11 @@ class Merging:
         """Folder with the frames of a recording, each named after its slot; None: there is no recording."""
         heads = [{"width": c.width_px, "height": c.height_px, "exposure_us": 100.0} for c in cameras]
         head = {"format": "vaoi-recording", "version": 1, "cameras": heads, "rows": rows}
-        self.finished: Any = SimpleNamespace(
+        self.finished: Any = held_run(
             detail=SimpleNamespace(id="r1", frames=tuple(records)),
             board_type=board_type,
             cameras=cameras,
             stitch=stitch,
-            result=stitch,
-            view_calculator=ViewCalculator(board_type, stitch, cameras),
             head=RecordingHead.model_validate(head | {"trigger_period_s": 0.1, "conveyor_mm_s": (0.0, 100.0)}),
         )
         self.heights: dict[str, tuple[float, float]] | None = None

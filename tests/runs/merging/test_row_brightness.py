@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -127,7 +128,7 @@ def test_a_run_that_is_kept_does_not_wait_for_another(merging: Merging, tmp_path
     brightness = RowBrightness(merging._lease, merging._recorded, render, tmp_path / "fields")
     brightness.levels(merging.finished)
     detail = SimpleNamespace(id="r2", frames=merging.finished.detail.frames)
-    other: Any = SimpleNamespace(**{**vars(merging.finished), "detail": detail})
+    other: Any = replace(merging.finished, detail=detail)
     with ThreadPoolExecutor(2) as threads:
         slow = threads.submit(brightness.levels, other)
         try:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.runs.finished import held_run
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.errors import StateError
 from vaoi_station.model import BoardType
@@ -25,7 +26,7 @@ class Line:
         self.proposal, self.jobs = proposal, list[BoardCheckJob]()
         frame = SimpleNamespace(camera=0, row=1, usable=True, slot=4)
         lost = SimpleNamespace(camera=0, row=0, usable=False, slot=3)
-        self.finished = SimpleNamespace(
+        self.finished = held_run(
             detail=SimpleNamespace(id="r1", frames=(lost, frame)),
             board_type=BOARD,
             cameras=(),

@@ -47,7 +47,8 @@ class Station:
         )
         events: Any = SimpleNamespace(add=lambda kind, message, **fields: self.events.append(fields))
         keep = KeepConfig(mosaics_gb=quota_gb)
-        return KeptMosaics(self.directory, keep, archive, self.mosaics, self, events, clock=lambda: 0.0)
+        station: Any = self
+        return KeptMosaics(self.directory, keep, archive, self.mosaics, station, events, clock=lambda: 0.0)
 
     def bay_of(self, run: str) -> Any:
         if run in self.gone:

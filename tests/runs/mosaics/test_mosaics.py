@@ -18,6 +18,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, board, film
+from tests.runs.finished import held_run
 from tests.runs.mosaics.test_opened_mosaics import means
 from vaoi_station.errors import BusyError, DeviceError, GoneError, InputError
 from vaoi_station.model import CameraHead, FrameRecord, Verdict
@@ -51,12 +52,11 @@ def mosaics_of(
         )
         for n, f in enumerate(board.taken)
     )
-    finished = SimpleNamespace(
+    finished = held_run(
         detail=SimpleNamespace(id="r1", frames=frames, frames_available=True, bay=0, generation=1),
         board_type=board.board_type,
         cameras=board.cameras,
         stitch=board.stitch,
-        result=board.stitch,
         head=SimpleNamespace(
             cameras=[CameraHead(width=e.width_px, height=e.height_px, exposure_us=250.0) for e in board.cameras], rows=0
         ),
@@ -335,6 +335,6 @@ def test_an_overview_is_not_shown_when_the_frames_are_gone(board: Filmed) -> Non
     def gone(run: str, purpose: str) -> Any:
         raise GoneError("The frames are no longer in memory.", code="frames-gone")
 
-    mosaics._callers = mosaics._callers._replace(lease=gone)
+    mosaics._lease = gone
     with pytest.raises(GoneError):
         mosaics.tile("r1", PictureName(), 8, (0, 0, 16, 16), "jpg")

@@ -26,7 +26,7 @@ from vaoi_station.runs.mosaics.opened_mosaics import (
 
 def opened() -> OpenedMosaic:
     anything: Any = SimpleNamespace()
-    return OpenedMosaic(anything, anything, {})
+    return OpenedMosaic(anything, anything)
 
 
 def planned(share: float) -> PlannedMosaic:

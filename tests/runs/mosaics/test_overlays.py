@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.mosaic.conftest import Filmed, board, film
+from tests.runs.finished import held_run
 from vaoi_station.errors import StateError
 from vaoi_station.files.results import stitch_text
 from vaoi_station.model import FrameRecord, Verdict
@@ -20,9 +21,9 @@ __all__ = ["board", "film"]
 def finished(board: Filmed, **quality: Any) -> Any:
     stitch = board.stitch.model_copy(update={"quality": quality})
     frames = tuple(FrameRecord(camera=f.camera, row=f.row, verdict=Verdict.OK) for f in board.taken)
-    return SimpleNamespace(
-        detail=SimpleNamespace(frames=frames), board_type=board.board_type, cameras=board.cameras, stitch=stitch,
-        text=stitch_text(stitch),
+    detail, document = SimpleNamespace(frames=frames), stitch_text(stitch)
+    return held_run(
+        detail=detail, board_type=board.board_type, cameras=board.cameras, stitch=stitch, document=document
     )  # fmt: skip
 
 

@@ -98,7 +98,7 @@ def test_a_record_that_cannot_be_read_keeps_every_reference_and_is_named(
     unread, unused = (directory_of(references, run) for run in ("r1", "r2"))
     # A later version may add a field; a station that was rolled back must start with it.
     later = record_of("r1").model_dump_json().replace("{", '{"added_later": 1, ', 1)
-    store.stitching.keep_reference("small", later).result(10)
+    store.references.set("small", later).result(10)
     references.sweep()
     assert unread.is_dir()
     assert unused.is_dir()

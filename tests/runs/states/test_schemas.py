@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 from pydantic import BaseModel, ValidationError
 
 from vaoi_station.errors import BusyError
 from vaoi_station.heights.estimates import NOTHING, Interval, PartHeight, heights_document
-from vaoi_station.model import BoardType, FrameRecord, Reason, RecordingHead, Strict, Verdict
-from vaoi_station.runs.archive.recordings import bytes_of_frames
+from vaoi_station.model import BoardType, Reason, Strict
 from vaoi_station.runs.states import schemas
 from vaoi_station.runs.states.schemas import (
     CameraCalibration,
@@ -126,17 +123,3 @@ def test_measured_heights_have_this_form() -> None:
 def test_other_heights_are_refused(entry: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match=r"heights\.U1"):
         HeightList.model_validate({"heights": {"U1": entry}})
-
-
-@pytest.mark.parametrize(("dtype", "shape"), [(np.uint8, (48, 64)), (np.uint16, (48, 64)), (np.uint8, (48, 64, 3))])
-def test_room_is_made_for_the_frames_of_every_pixel_format(
-    make_head: Callable[..., RecordingHead], dtype: Any, shape: tuple[int, ...]
-) -> None:
-    head = make_head(3).model_copy(update={"missing": ((0, 0),)})
-    frames = [
-        FrameRecord(camera=camera, row=row, verdict=Verdict.OK, slot=3 * camera + row)
-        for camera in range(2)
-        for row in range(3)
-    ]
-    expected = bytes_of_frames(frames, head, lambda _: np.zeros(shape, dtype))
-    assert expected == 2 * 3 * np.zeros(shape, dtype).nbytes

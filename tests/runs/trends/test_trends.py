@@ -212,9 +212,8 @@ def test_a_bin_has_the_extremes_of_its_boards_and_names_one() -> None:
 
 def test_a_figure_that_a_board_lacks_is_left_out() -> None:
     rows = [BoardRow("r1", "", "b", {"ready_ms": 1.0}), BoardRow("r2", "", "b", {"sigma_px": 0.1})]
-    boards = single_boards(iter(rows), ())
-    assert (boards.runs, boards.times) == (("r1", "r2"), ("", ""))
-    sigma, ready = boards.series
+    times, runs, (sigma, ready) = single_boards(iter(rows), ())
+    assert (runs, times) == (("r1", "r2"), ("", ""))
     assert (sigma.figure, sigma.at, sigma.values) == ("sigma_px", (1,), (0.1,))
     assert (ready.at, ready.values) == ((0,), (1.0,))
 

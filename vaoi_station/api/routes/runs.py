@@ -17,7 +17,7 @@ from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matric
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId
-from vaoi_station.runs.archive.kept_runs import Wanted
+from vaoi_station.runs.kept_runs import Wanted
 from vaoi_station.runs.states.run_ids import in_utc, is_run_id, last_midnight, utc
 from vaoi_station.runs.states.schemas import (
     HeightList,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
@@ -14,23 +14,21 @@ import numpy as np
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files.results import component_tables
 from vaoi_station.geometry import apply
-from vaoi_station.model import BoardType, Component, FrameRecord, Stitch, Verdict
+from vaoi_station.model import BoardType, Component, FrameRecord, Verdict
 from vaoi_station.model.stitch_result import Heights, with_heights
 from vaoi_station.rendering import (
     ChosenImages,
     ChosenView,
-    FrameFacts,
     Framing,
     ImageRequest,
     View,
-    ViewCalculator,
     choose_all,
 )
 from vaoi_station.rendering.selection import Measure, select
 from vaoi_station.rendering.views import ViewTable
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
-from vaoi_station.stitching.geometry import ComponentIndex, Coverage, FrameIndex
+from vaoi_station.stitching.geometry import ComponentIndex, FrameIndex
 
 _ALIKE = 8
 """Largest number of addresses that the refusal of an unknown component names."""
@@ -46,39 +44,43 @@ _ALONE, _KINDS = 8, 16
 
 def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
     """Return a summary of every component of the run's board type. Without a CAD mapping, positions are None."""
-    board_type, stitch = finished.board_type, finished.stitch
-    views, seen = _view_counts(finished), _coverages(finished)
-    parts = board_type.components
-    positions = [_tester_mm(stitch, c) for c in parts]
+    board_type, stitch, mm = finished.board_type, finished.stitch, finished.board_type.mm_per_unit
+    usable, index = finished.usable_frames, ComponentIndex.of(board_type)
+    views, seen = Counter[str](), None
+    if stitch is not None and stitch.cad_matrix is not None:
+        # Frames that show at least half of each component, and how much of it all of them show.
+        views.update(finished.view_calculator.compute_all(board_type.components).counts_in(usable))
+        moved = index.moved(stitch.displacements(index.addresses))
+        frames = FrameIndex(finished.cameras, np.array(stitch.row_motion), list(usable), stitch.surface)
+        seen = frames.coverage(moved, stitch.cad_matrix)
     unseen, skipped = {u.address for u in finished.detail.unseen}, finished.detail.skipped_boards
-    sigma_px = tables_of(finished).get("component_sigma_px", {}) if finished.document else {}
-    footprints = ComponentIndex.of(board_type).corners.round(6).tolist()
+    sigmas_px = tables_of(finished).get("component_sigma_px", {}) if finished.document else {}
+    footprints = index.corners.round(6).tolist()
     px_per_mm = float(np.mean([c.px_per_mm for c in finished.cameras])) if finished.cameras else np.inf
-    return tuple(
-        _summary(
-            part,
-            board_type.mm_per_unit,
-            at,
+    found = []
+    for n, part in enumerate(board_type.components):
+        matrix = None if stitch is None else stitch.component_matrix(part.address)
+        sigma_px = sigmas_px.get(part.address)
+        summary = ComponentSummary(
+            address=part.address,
+            ref=part.ref,
+            panel=part.panel,
+            center_mm=(part.center[0] * mm, part.center[1] * mm),
+            width_mm=part.width * mm,
+            height_mm=part.height * mm,
+            rotation_deg=part.rotation,
+            tester_mm=None if matrix is None else tuple(apply(matrix, np.array(part.center)).tolist()),
             views=views[part.address],
             coverage=None if seen is None else round(float(seen.share[n]), 4),
             in_one_frame=None if seen is None else bool(seen.in_one_frame[n]),
             unseen=part.address in unseen,
             skipped=part.panel is not None and str(part.panel) in skipped,
-            sigma_px=(sigma := sigma_px.get(part.address)),
-            sigma_mm=None if sigma is None else round(sigma / px_per_mm, 6),
+            sigma_px=sigma_px,
+            sigma_mm=None if sigma_px is None else round(sigma_px / px_per_mm, 6),
             footprint=tuple(map(tuple, footprints[n])),
         )
-        for n, (part, at) in enumerate(zip(parts, positions, strict=True))
-    )
-
-
-def _tester_mm(stitch: Stitch | None, part: Component) -> tuple[float, float] | None:
-    """Return the centre of a component in tester coordinates; None without a CAD mapping."""
-    matrix = None if stitch is None else stitch.component_matrix(part.address)
-    if matrix is None:
-        return None
-    x, y = apply(matrix, np.array(part.center))
-    return float(x), float(y)
+        found.append(summary)
+    return tuple(found)
 
 
 def images_of_component(
@@ -98,6 +100,7 @@ def images_of_component(
         InputError: an image would be too large, or the run has no frame under a light that the request names.
         StateError: the request names a direction, and the calibration does not give directions.
     """
+    parts = finished.board_type.components
     number = _numbers(finished).get(ref)
     # The complete result is parsed only for a request that needs the height of a body.
     on_top = wanted.framing.plane == "top"
@@ -105,13 +108,13 @@ def images_of_component(
         # One that is refused does not prevent its neighbours; it is refused again below.
         with suppress(InputError, StateError):
             found = views.of(number, wanted)
-            usable = [view for view in found if (view.camera, view.row) in usable_frames(finished)]
-            chosen = select(usable, frame_facts(finished), wanted, measure)
-            return ChosenImages(finished.board_type.components[number], chosen, None, None)
-    part = component_of(finished.board_type, ref) if number is None else finished.board_type.components[number]
+            usable = [view for view in found if (view.camera, view.row) in finished.usable_frames]
+            chosen = select(usable, finished.frame_facts, wanted, measure)
+            return ChosenImages(parts[number], chosen, None, None)
+    part = component_of(finished.board_type, ref) if number is None else parts[number]
     calculator = finished.view_calculator
-    stitch = with_heights(finished.result, heights_mm or {}) if on_top else finished.stitch or finished.result
-    frames = usable_frames(finished), frame_facts(finished)
+    stitch = with_heights(finished.result, heights_mm or {}) if on_top else finished.lean
+    frames = finished.usable_frames, finished.frame_facts
     return choose_all(calculator, [part], (finished.board_type, stitch), frames, wanted.check(), measure)[0]
 
 
@@ -177,32 +180,6 @@ def tables_of(finished: FinishedRun) -> Mapping[str, Mapping[str, Any]]:
     return component_tables(finished.text)
 
 
-@lru_cache(_RUNS)
-def frame_records(finished: FinishedRun) -> Mapping[tuple[int, int], FrameRecord]:
-    """Return the record of each frame (camera, row) of a run."""
-    return {(f.camera, f.row): f for f in finished.detail.frames}
-
-
-@lru_cache(_RUNS)
-def usable_frames(finished: FinishedRun) -> Set[tuple[int, int]]:
-    """Return the frames (camera, row) of a run that may give a view."""
-    # Incomplete frames have matrices too, but the areas of their missing packets are black. The matrix of a frame that
-    # is not proven may be that of another row. So neither kind of frame gives a view.
-    return frozenset((f.camera, f.row) for f in finished.detail.frames if f.usable)
-
-
-@lru_cache(_RUNS)
-def frame_facts(finished: FinishedRun) -> Mapping[tuple[int, int], FrameFacts]:
-    """Return how each frame (camera, row) of a run was taken."""
-    times_s = finished.head.row_times_s().tolist() if finished.head else []
-    return {
-        (f.camera, f.row): FrameFacts(
-            f.exposure_us, f.gain, f.light or None, times_s[f.row] - times_s[0] if f.row < len(times_s) else None
-        )
-        for f in finished.detail.frames
-    }
-
-
 def component_of(board_type: BoardType, ref: str) -> Component:
     """Return the component with the address `ref`. Raise NotFoundError if the board type does not have it."""
     part = board_type.component(ref)
@@ -220,16 +197,9 @@ def component_of(board_type: BoardType, ref: str) -> Component:
 
 
 def refuse_unusable(frame: FrameRecord, where: str, allow_incomplete: bool) -> None:
-    """Raise an error if a frame is missing, or if it is not usable and such frames are not allowed.
+    """Raise NotFoundError if a frame is missing, StateError if it is not usable and such frames are not allowed.
 
-    Args:
-        frame: record of the frame.
-        where: name of the frame in the message.
-        allow_incomplete: accept an incomplete frame, and one that is not proven to belong to its row.
-
-    Raises:
-        NotFoundError: the frame is missing.
-        StateError: the frame is incomplete or not proven, and that is not allowed.
+    `where` names the frame in the message. Frames that are not proven to belong to their row count as incomplete.
     """
     if frame.verdict is Verdict.MISSING:
         raise NotFoundError(f"{where} never arrived: {frame.cause}.", code="frame-missing")
@@ -245,39 +215,4 @@ def refuse_unusable(frame: FrameRecord, where: str, allow_incomplete: bool) -> N
         f"{where} may show another row: {frame.cause}.",
         action="Do not apply the matrix of its row to it. Allow incomplete frames to get it.",
         code="frame-unproven",
-    )
-
-
-def _view_counts(finished: FinishedRun) -> Counter[str]:
-    """Return for each component the number of usable frames that show at least half of it."""
-    stitch = finished.stitch
-    if stitch is None or stitch.cad_matrix is None:
-        return Counter()
-    whole = usable_frames(finished)
-    board = ViewCalculator(finished.board_type, stitch, finished.cameras).compute_all(finished.board_type.components)
-    return Counter(board.counts_in(whole))
-
-
-def _coverages(finished: FinishedRun) -> Coverage | None:
-    """Compute how much of each component the good frames show; None without a CAD mapping."""
-    stitch = finished.stitch
-    if stitch is None or stitch.cad_matrix is None:
-        return None
-    whole = [(f.camera, f.row) for f in finished.detail.frames if f.usable]
-    rows, parts = np.array(stitch.row_motion), ComponentIndex.of(finished.board_type)
-    parts = parts.moved(stitch.displacements(parts.addresses))
-    return FrameIndex(finished.cameras, rows, whole, stitch.surface).coverage(parts, stitch.cad_matrix)
-
-
-def _summary(part: Component, mm: float, tester_mm: tuple[float, float] | None, **seen: Any) -> ComponentSummary:
-    return ComponentSummary(
-        address=part.address,
-        ref=part.ref,
-        panel=part.panel,
-        center_mm=(part.center[0] * mm, part.center[1] * mm),
-        width_mm=part.width * mm,
-        height_mm=part.height * mm,
-        rotation_deg=part.rotation,
-        tester_mm=tester_mm,
-        **seen,
     )

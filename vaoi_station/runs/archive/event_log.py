@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from vaoi_station.errors import StateError
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import EventRecord
-from vaoi_station.store import EventRow, Store
+from vaoi_station.store import Store
 
 _log = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ class EventLog:
             # in the order of their numbers. When the station stops, the last events may come after the database was
             # closed; they are in the log.
             with contextlib.suppress(StateError):
-                self._store.add_event(EventRow(event.number, event.model_dump_json()))
+                self._store.add_event(event.number, event.model_dump_json())
             self._recent.append(event)
             self._last = event.number
             self._changed.notify_all()
@@ -89,7 +89,7 @@ class EventLog:
                     return ()
             if self._recent and self._recent[0].number <= after + 1:
                 return tuple(e for e in self._recent if e.number > after)[:limit]
-        return tuple(record for row in self._store.events(after, limit) if (record := _parsed(row)) is not None)
+        return tuple(record for text in self._store.events(after, limit) if (record := _parsed(text)) is not None)
 
     def close(self) -> None:
         """Wake all callers that wait for an event, because no more events will follow."""
@@ -98,9 +98,9 @@ class EventLog:
             self._changed.notify_all()
 
 
-def _parsed(row: EventRow) -> EventRecord | None:
+def _parsed(text: str) -> EventRecord | None:
     """Return a stored event; None if another version wrote it in a way that cannot be read."""
     try:
-        return EventRecord.model_validate_json(row.document)
+        return EventRecord.model_validate_json(text)
     except ValidationError:
         return None

@@ -12,8 +12,9 @@ import threading
 import time
 from bisect import bisect_left
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import Future, wait
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -21,13 +22,14 @@ from typing import Any
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError, VaoiError
 from vaoi_station.files.results import without_components
 from vaoi_station.geometry import Camera
-from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
+from vaoi_station.identity.comparison import compare
+from vaoi_station.model import BoardType, Calibration, FrameRecord, RecordingHead, Stitch
 from vaoi_station.model.board_identity import IdentityDocument
-from vaoi_station.rendering import ViewCalculator
+from vaoi_station.rendering import FrameFacts, ViewCalculator
 from vaoi_station.runs.archive import stored_documents
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.storage_watch import StorageWatch
-from vaoi_station.runs.archive.stored_documents import in_state, state_of
+from vaoi_station.runs.archive.stored_documents import in_state
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of, timeline_of
 from vaoi_station.runs.run.verdict import RunVerdict, identified
@@ -63,7 +65,12 @@ class FinishedRun:
     @cached_property
     def view_calculator(self) -> ViewCalculator:
         """Calculator of component views. Raises `StateError` without CAD mapping, `NotFoundError` without result."""
-        return ViewCalculator(self.board_type, self.stitch or self.result, self.cameras)
+        return ViewCalculator(self.board_type, self.lean, self.cameras)
+
+    @property
+    def lean(self) -> Stitch:
+        """The result without its tables of components. Raises `NotFoundError` if the run ended without a result."""
+        return self.stitch or self.result
 
     @cached_property
     def result(self) -> Stitch:
@@ -82,6 +89,33 @@ class FinishedRun:
             )
         return self.document
 
+    @cached_property
+    def frame_records(self) -> Mapping[tuple[int, int], FrameRecord]:
+        """The record of each frame (camera, row)."""
+        return {(f.camera, f.row): f for f in self.detail.frames}
+
+    @cached_property
+    def usable_frames(self) -> Set[tuple[int, int]]:
+        """The frames (camera, row) that may give a view."""
+        # Incomplete frames have matrices too, but the areas of their missing packets are black. The matrix of a frame
+        # that is not proven may be that of another row. So neither kind of frame gives a view.
+        return frozenset(key for key, frame in self.frame_records.items() if frame.usable)
+
+    @cached_property
+    def slots(self) -> Mapping[tuple[int, int], int]:
+        """The slots of the usable frames (camera, row)."""
+        return {k: f.slot for k, f in self.frame_records.items() if f.usable and f.slot is not None}
+
+    @cached_property
+    def frame_facts(self) -> Mapping[tuple[int, int], FrameFacts]:
+        """How each frame (camera, row) was taken."""
+        times_s = self.head.row_times_s().tolist() if self.head else []
+        since_s = dict(enumerate(time_s - times_s[0] for time_s in times_s))
+        return {
+            key: FrameFacts(f.exposure_us, f.gain, f.light or None, since_s.get(f.row))
+            for key, f in self.frame_records.items()
+        }
+
 
 class Archive:
     """The finished runs of the station and their results. Its methods may be called from any thread.
@@ -91,7 +125,7 @@ class Archive:
     """
 
     def __init__(self, store: Store, events: EventLog) -> None:
-        self._store = store
+        self.store = self._store = store
         self._events = events
         self.storage = StorageWatch(store, events, self.count_unstored)
         self.keep_s = 0.0
@@ -101,8 +135,8 @@ class Archive:
         self.statistics = RunStatistics()
         self.on_finished: Callable[[RunDetail], None] = lambda _detail: None
         """Function that is called before a run is announced, with its document. It must return at once."""
-        self.retention, self.heights, self.decisions, self.search, self.identities, self.figures = (
-            store.retention, store.heights, store.decisions, store.search, store.identities, store.figures
+        self.retention, self.search, self.identities, self.figures = (
+            store.retention, store.search, store.identities, store.figures
         )  # fmt: skip
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()
@@ -128,7 +162,7 @@ class Archive:
         """Store the record of a run that has begun, so that it is known even if the station crashes during the run."""
         with self._changed:
             self._under_way.add(progress.run)
-        self._store.save_run(stored_documents.row_of(progress, detail_of(progress), None))
+        self._store.save_run(stored_documents.row_of(progress, detail_of(progress)))
 
     def finish(self, progress: Progress) -> RunDetail:
         """Store a run that has ended, and return its document. The run is announced once it is written."""
@@ -136,7 +170,8 @@ class Archive:
         own, order = detail_of(progress), progress.order
         before = RunVerdict(own.verdict, own.reasons)
         # It is written with the run: if the station ends before the codes are read, its board does not count as known.
-        identity = stored_documents.unread_identity(order.board_type, own.board_id)
+        wanted = order.board_type.identity
+        identity = None if wanted is None else compare(wanted, None, own.board_id, without="pending")
         detail = identified(own, before, identity)
         finished = FinishedRun(
             detail,
@@ -158,11 +193,9 @@ class Archive:
             self._unannounced[progress.run] = finished.finish_number
             self._cache(finished)
         self.statistics.add(detail, finished.timeline)
-        row = stored_documents.row_of(progress, detail.model_copy(update={"stored": True}), self._finished)
-        identity_row = None if identity is None else stored_documents.identity_row(identity)
-        saved = self._store.save_run(
-            replace(row, identity=identity_row), finished.timeline.model_dump_json(), finished.document
-        )
+        stored = detail.model_copy(update={"stored": True})
+        row = stored_documents.row_of(progress, stored, self._finished, identity)
+        saved = self._store.save_run(row, finished.timeline.model_dump_json(), finished.document)
         saved.add_done_callback(lambda future: self._written(finished, future))
         return detail
 
@@ -208,17 +241,21 @@ class Archive:
         if known is not None:
             return known
         row = self._store.run(run)
-        if row is None:
-            if self._store.retention.forgotten(run):
-                raise stored_documents.forgotten(run)
-            raise stored_documents.unknown(run)
+        if row is None and not self._store.retention.forgotten(run):
+            # Of all addresses below "runs" only runs/latest itself takes this word.
+            action = "See the list of runs; the document of runs/latest has the id of the newest."
+            raise NotFoundError(f"There is no run {run!r}.", action=action, code="unknown-run")
+        if row is None or (row.finish_number is not None and not row.detail):
+            raise GoneError(
+                f"Result and record of run {run} were deleted because of their age, number or size.",
+                action="Fetch results sooner, pin runs that are needed for long, or raise the limits of [keep].",
+                code="run-forgotten",
+            )
         # A row without a finish number was written when the run began, but not again when the run ended.
         if row.finish_number is None:
             if (known := self._cached(run)) is not None:  # The run ended between the two look-ups.
                 return known
             raise DeviceError(f"The end of run {run} could not be written.", action="Check space on the data disk.")
-        if not row.detail:
-            raise stored_documents.forgotten(run)
         finished = self._parsed(row)
         with self._changed:
             return self._in_memory(run) or self._cache(finished)
@@ -257,9 +294,8 @@ class Archive:
         return None if row is None else self.get(row.id)
 
     def next(self, after: str | None, timeout_s: float) -> FinishedRun | None:
-        """Return the first run that is announced after the run `after`; None if `timeout_s` passes without one.
-
-        If `after` is None, return the first run that is announced after this call.
+        """Return the first run that is announced after the run `after` (None: after this call); None if there is none
+        for `timeout_s`.
         """
         number = self._announced if after is None else self._number_of(after)
         deadline = time.monotonic() + timeout_s
@@ -318,14 +354,15 @@ class Archive:
 
     def _keep_in_memory(self, row: RunRow, saved: Future[Any]) -> None:
         """Keep the record of an earlier run in memory until the disk takes it, if it can be read."""
+
+        def forget(_: Future[Any]) -> None:
+            with self._changed:
+                self._unstored.pop(row.id, None)
+
         with contextlib.suppress(VaoiError, ValueError):
             earlier = self._parsed(row)
             self._unstored[row.id] = replace(earlier, detail=earlier.detail.model_copy(update={"stored": False}))
-            saved.add_done_callback(lambda _: self._forget_in_memory(row.id))
-
-    def _forget_in_memory(self, run: str) -> None:
-        with self._changed:
-            self._unstored.pop(run, None)
+            saved.add_done_callback(forget)
 
     def _written(self, finished: FinishedRun, saved: Future[None]) -> None:
         """Announce a run that is on disk, or that can never be written. `saved` is the completed write."""
@@ -369,7 +406,10 @@ class Archive:
                 latest = self._cache(replace(latest, detail=kept))
             self._announced = finished.finish_number
             self._changed.notify_all()
-        message = stored_documents.announcement(latest.detail)
+        message = "; ".join(reason.message for reason in latest.detail.reasons) or "The matrices are available."
+        timings = latest.detail.timings
+        if timings is not None and timings.ready_after_last_frame_ms is not None:
+            message += f" {timings.ready_after_last_frame_ms:.0f} ms after the last frame."
         if not latest.detail.stored:
             message += " It is not on disk yet."
         self._events.add("run", message, state=finished.detail.state, run=run)
@@ -399,12 +439,12 @@ class Archive:
 
     def _state_of(self, row: RunRow) -> RunState:
         """Return the present state of a stored run; the disk may not have taken yet that its frames are gone."""
-        state = state_of(row)
+        state = stored_documents.state_of(row)
         earlier = row.finish_number is not None and row.finish_number <= self._before
         return RunState.GONE if earlier and state in IN_MEMORY else state
 
     def _summaries(self, rows: Sequence[RunRow]) -> dict[str, RunSummary]:
-        return {row.id: stored_documents.summary(replace(row, state=self._state_of(row))) for row in rows}
+        return {row.id: stored_documents.summary(row, self._state_of(row)) for row in rows}
 
     def _parsed(self, row: RunRow) -> FinishedRun:
         with stored_documents.readable(row.id):
@@ -413,7 +453,7 @@ class Archive:
             head = RecordingHead.model_validate_json(row.head) if row.head else None
             own = RunDetail.model_validate_json(row.detail)
             return FinishedRun(
-                detail=in_state(stored_documents.detail(row), self._state_of(row)),
+                detail=in_state(stored_documents.decided(row.detail, row.summary), self._state_of(row)),
                 finish_number=row.finish_number or 0,
                 board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
                 cameras=calibration.cameras(head.cameras) if head else (),
@@ -422,7 +462,7 @@ class Archive:
                 timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
                 head=head,
                 before=RunVerdict(own.verdict, own.reasons),
-                identity=stored_documents.identity(self._store.identities.documents([row.id]).get(row.id)),
+                identity=stored_documents.identity(self._store.identities.document(row.id)),
             )
 
 
@@ -433,40 +473,38 @@ LATENCY_BOUNDS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 """Upper bounds, s, of the classes into which the times from the last frame to the result are counted."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class RunFigures:
-    """The counts and waiting times of runs at one moment."""
+    """The counts and waiting times of runs."""
 
-    verdicts: dict[str, int]
+    verdicts: dict[str, int] = field(default_factory=Counter)
     """Number of runs for each verdict; `none` for runs without a result."""
-    frames: dict[str, int]
+    frames: dict[str, int] = field(default_factory=Counter)
     """Number of frames for each verdict of a frame."""
-    latencies: tuple[int, ...] = (0,) * (len(LATENCY_BOUNDS_S) + 1)
+    latencies: list[int] = field(default_factory=lambda: [0] * (len(LATENCY_BOUNDS_S) + 1))
     """Number of results in each class of `LATENCY_BOUNDS_S`; the last class is above all bounds."""
     latency_sum_s: float = 0.0
 
 
-@dataclass
 class RunStatistics:
     """Adds up the figures of runs. Its methods may be called from any thread."""
 
-    _verdicts: Counter[str] = field(default_factory=Counter)
-    _frames: Counter[str] = field(default_factory=Counter)
-    _latencies: list[int] = field(default_factory=lambda: [0] * (len(LATENCY_BOUNDS_S) + 1))
-    _sum_s: float = 0.0
-    _lock: threading.Lock = field(default_factory=threading.Lock)
+    def __init__(self) -> None:
+        self._lock, self._figures = threading.Lock(), RunFigures()
 
     def add(self, detail: RunDetail, timeline: Timeline) -> None:
         """Count a run that has ended."""
         with self._lock:
-            self._verdicts[str(detail.verdict) if detail.verdict else "none"] += 1
-            self._frames.update(detail.counts.model_dump())
+            figures = self._figures
+            figures.verdicts[str(detail.verdict) if detail.verdict else "none"] += 1
+            for verdict, count in detail.counts.model_dump().items():
+                figures.frames[verdict] += count
             if timeline.ready_s is not None:
                 waited_s = max(timeline.ready_s - timeline.last_frame_s, 0.0)
-                self._latencies[bisect_left(LATENCY_BOUNDS_S, waited_s)] += 1
-                self._sum_s += waited_s
+                figures.latencies[bisect_left(LATENCY_BOUNDS_S, waited_s)] += 1
+                figures.latency_sum_s += waited_s
 
     def figures(self) -> RunFigures:
         """Return the counts and waiting times up to now."""
         with self._lock:
-            return RunFigures(dict(self._verdicts), dict(self._frames), tuple(self._latencies), self._sum_s)
+            return deepcopy(self._figures)

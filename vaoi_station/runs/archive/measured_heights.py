@@ -22,7 +22,6 @@ from vaoi_station.photometry import FlatFields
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
 from vaoi_station.runs.workers.picture_jobs import CombineHeightsJob, HeightsJob
 from vaoi_station.supervised_queue import SupervisedQueue
@@ -49,7 +48,7 @@ class MeasuredHeights:
         events: EventLog,
         flat_fields: Path | None = None,
     ) -> None:
-        """Store the archive of runs and functions.
+        """Store the parts.
 
         Args:
             archive: the finished runs, and the stored heights.
@@ -67,11 +66,7 @@ class MeasuredHeights:
         self._lock = threading.Lock()
         """Held during a measurement, which may wait for minutes behind later boards."""
         self.queue = SupervisedQueue(self._measure_after, "heights", _MOST_WAITING)
-        """The runs whose heights are to be measured; started and stopped by the owner."""
-
-    def finished(self, detail: RunDetail) -> None:
-        """Have the heights of a run measured that has just ended; it returns at once."""
-        self.queue.put(detail.id)
+        """The runs whose heights are to be measured after their end; started and stopped by the owner."""
 
     def document(self, run: str) -> bytes:
         """Return the heights of a run's components as JSON.
@@ -83,14 +78,13 @@ class MeasuredHeights:
         """
         if (found := self._stored(run)) is not None:
             return found
-        # One measurement at a time: a second request for the same run finds the heights of the first.
         with self._lock:
-            found = self._stored(run)
-            if found is None:
-                finished = _checked(self._archive.get(run))
-                with self._lease(run, "heights of components") as bay:
-                    found = self._keep(run, self._measured(finished, bay, Priority.RENDER))
-            return found
+            # A second request for the same run finds the heights of the first.
+            if (found := self._stored(run)) is not None:
+                return found
+            finished = _checked(self._archive.get(run))
+            with self._lease(run, "heights of components") as bay:
+                return self._measured(finished, bay, Priority.RENDER)
 
     def known(self, run: str) -> dict[str, tuple[float, float]] | None:
         """Return the measured heights of a run and their standard deviations, mm, by address; None without any.
@@ -107,7 +101,7 @@ class MeasuredHeights:
         with self._memory:
             if (found := self._known.get(run)) is not None:
                 return found
-        text = self._archive.heights.document(run)
+        text = self._archive.store.heights(run)
         return None if text is None else self._remember(run, text.encode())
 
     def _remember(self, run: str, content: bytes) -> bytes:
@@ -117,30 +111,24 @@ class MeasuredHeights:
                 self._known.popitem(last=False)
         return content
 
-    def _keep(self, run: str, content: bytes) -> bytes:
-        self._remember(run, content)
-        self._archive.heights.save(run, content.decode())
-        return content
-
     def _measured(self, finished: FinishedRun, bay: Bay, priority: Priority) -> bytes:
-        """Have the heights of all components measured, slice by slice, and combined."""
-        run, board_type, head = finished.detail.id, finished.board_type, finished.head
-        stitch = finished.stitch or finished.result
-        slots = {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
+        """Have the heights of all components measured, slice by slice, combined and stored."""
+        run, board_type, head, stitch = finished.detail.id, finished.board_type, finished.head, finished.lean
         lights, fields = (head.lights or ()) if head is not None else (), self._fitting_fields(head)
         parts: dict[str, Any] = {}
         while len(parts) < len(board_type.components) and not self.queue.stopping:
             some = board_type.components[len(parts) : len(parts) + _SLICE_PARTS]
             slim = board_type.model_copy(update={"components": some})
             job = HeightsJob(
-                run, bay.number, bay.generation, slim, stitch, finished.cameras, lights, slots, fields,
+                run, bay.number, bay.generation, slim, stitch, finished.cameras, lights, finished.slots, fields,
                 priority=priority,
             )  # fmt: skip
             parts |= self._render(job, "heights")
         if self.queue.stopping:
             raise StateError("The station is stopping; the heights were not measured.")
         combine = CombineHeightsJob(run, bay.number, bay.generation, board_type, stitch, parts, priority=priority)
-        content: bytes = self._render(combine, "table of heights")
+        content = self._remember(run, self._render(combine, "table of heights"))
+        self._archive.store.save_heights(run, content.decode())
         return content
 
     def _fitting_fields(self, head: RecordingHead | None) -> Path | None:
@@ -163,7 +151,7 @@ class MeasuredHeights:
             # Callers who request the heights meanwhile wait for these.
             with self._lock:
                 if self._stored(run) is None:
-                    self._keep(run, self._measured(finished, self._bay_of(run), Priority.HEIGHTS))
+                    self._measured(finished, self._bay_of(run), Priority.HEIGHTS)
         except (StateError, GoneError, NotFoundError, BusyError):
             return  # It has no result, its frames were needed, or the station stops.
         except Exception as fault:  # noqa: BLE001  the thread must go on: later runs need it
@@ -173,5 +161,5 @@ class MeasuredHeights:
 
 def _checked(finished: FinishedRun) -> FinishedRun:
     """Return a run that can have heights; raise StateError or NotFoundError for another, before a worker is asked."""
-    open_places(finished.board_type, finished.stitch or finished.result, finished.cameras)
+    open_places(finished.board_type, finished.lean, finished.cameras)
     return finished

@@ -11,6 +11,7 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any
 
 from vaoi_station.errors import BusyError, DeviceError, GoneError, NotFoundError, StateError, VaoiError
@@ -43,14 +44,7 @@ class ReadIdentities:
         bay_of: Callable[[str], Bay],
         events: EventLog,
     ) -> None:
-        """Store the archive of runs and functions.
-
-        Args:
-            archive: the finished runs, and the stored identities.
-            render: has a worker perform a job with this name in messages, and returns the reply's value.
-            bay_of: returns the bay of a run without a lease.
-            events: the event log.
-        """
+        """Store the parts. `render` has a worker perform a job, `bay_of` returns the bay of a run without a lease."""
         self._archive, self._render, self._bay_of, self._events = archive, render, bay_of, events
         self.on_changed: Callable[[str], None] = lambda _run: None
         """Function that is called with a run whose identity was decided, or has changed. It must return at once."""
@@ -73,13 +67,7 @@ class ReadIdentities:
             self._not_read(left_out)
 
     def document(self, run: str) -> IdentityDocument:
-        """Return the identity of a run.
-
-        Raises:
-            NotFoundError: the run is unknown.
-            StateError: the run has not ended.
-            GoneError: at most a summary of the run is kept.
-        """
+        """Return the identity of a run; raises the errors of `Archive.get`."""
         finished = self._archive.get(run)
         return finished.identity or compare(finished.board_type.identity, None, finished.detail.board_id)
 
@@ -93,11 +81,10 @@ class ReadIdentities:
                     action="Wait for it by runs/{id}/identity?timeout=5, then report again.",
                     code="identity-pending",
                 )
-            finished = self._archive.get(run)
             read = None
             if before.read:
                 read = BoardReading(codes=before.codes, unread_places=before.unread_places, complete=before.complete)
-            return self._keep(run, _compared(finished, read, reported))
+            return self._keep(run, _compared(self._archive.get(run), read, reported))
 
     def _not_read(self, run: str) -> None:
         """Record that the codes of a run were not read, if it waits for that."""
@@ -151,26 +138,25 @@ class ReadIdentities:
 
     def _reading(self, finished: FinishedRun) -> BoardReading | None:
         """Have the codes read, slice by slice; None if the run has no result, or its frames were needed."""
-        run = finished.detail.id
-        slots = {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
+        run, spent_s, done = finished.detail.id, 0.0, None
         slim = finished.board_type.model_copy(update={"components": ()})
         if slim.outline is None:
             low, high = finished.board_type.extent()
             slim = slim.model_copy(update={"outline": (tuple(low.tolist()), tuple(high.tolist()))})
-        spent_s, done = 0.0, None
         try:
-            stitch = finished.stitch or finished.result
-            if stitch.cad_matrix is None:
+            if finished.lean.cad_matrix is None:
                 return None
             bay = self._bay_of(run)
-            job = IdentityJob(run, bay.number, bay.generation, slim, stitch, finished.cameras, slots)
+            job = IdentityJob(
+                run, bay.number, bay.generation, slim, finished.lean, finished.cameras, finished.slots
+            )  # fmt: skip
             while not self.queue.stopping:
                 done = self._render(job, "codes")
                 assert isinstance(done, IdentitySlice)
                 spent_s += done.worker_s
                 if done.progress.ended or spent_s > BUDGET_S:
                     return done.reading
-                job = IdentityJob(run, bay.number, bay.generation, slim, stitch, finished.cameras, slots, done.progress)
+                job = replace(job, progress=done.progress)
         except (GoneError, NotFoundError, BusyError):
             pass  # It has no result, or its frames were needed; what was read until then counts.
         if self.queue.stopping:

@@ -10,7 +10,7 @@ import logging
 import shutil
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -26,12 +26,13 @@ from vaoi_station.files.directories import new_directory, readable_size_below, r
 from vaoi_station.files.documents import parse, read_json, write_bytes, write_json
 from vaoi_station.files.images import Image
 from vaoi_station.files.recordings import frame_file
-from vaoi_station.model import FrameRecord, Program, RecordingHead, Status
+from vaoi_station.identity.comparison import compare
+from vaoi_station.model import Program, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.housekeeping import TASK_LIMIT_S
-from vaoi_station.runs.archive.stored_documents import lasting, never_read
 from vaoi_station.runs.run.memory import FrameSource
+from vaoi_station.runs.run.verdict import RunVerdict, identified
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -263,12 +264,14 @@ class Recordings:
         if finished.head is None:
             return
         head = head_of(finished.detail, finished.head)
-        copy = self._frames.copier(self._frames.bay_of(run))
-        self._make_room(bytes_of_frames(finished.detail.frames, head, copy))
+        absent, copy = set(head.missing), self._frames.copier(self._frames.bay_of(run))
+        # One frame of every camera states its size on disk: its pixel format is nowhere else.
+        of_camera = {camera: slot for (camera, row), slot in finished.slots.items() if (camera, row) not in absent}
+        self._make_room(sum(copy(slot).nbytes for slot in of_camera.values()) * head.rows)
         target = self.directory / run
         with new_directory(target) as draft:
             # Uncompressed, because the frames must be out of the ring before their memory is needed.
-            write_recording(draft, head, self._copies(finished, head, copy), suffix=".tiff")
+            write_recording(draft, head, self._copies(finished, absent, copy), suffix=".tiff")
             write_calibration(draft / "calibration.json", self._archive.calibration_of(finished))
             write_board_type(draft / "board.json", finished.board_type)
             write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
@@ -314,25 +317,31 @@ class Recordings:
         try:
             record: RunDetail | None = self._archive.get(run).detail
         except (GoneError, NotFoundError):
-            record = known and never_read(known, read_board_type(path.parent / "board.json"))
+            record = known
+            if known is not None and not known.identity_decided:
+                # No code of its board can be read any more.
+                board_type = read_board_type(path.parent / "board.json")
+                not_read = compare(board_type.identity, None, known.board_id)
+                record = identified(known, RunVerdict(known.verdict, known.reasons), not_read)
         with self._lock:
             if run not in self._sizes or record is None:
                 return None, False
-            if known is not None and lasting(known) == lasting(record):
+            # An archive needs to know these of a record; the rest says where the frames are, which changes.
+            lasting = (record.verdict, record.reasons, record.identity)
+            if known is not None and lasting == (known.verdict, known.reasons, known.identity):
                 return record, False
             write_bytes(path, record.model_dump_json().encode())
         return record, True
 
     def _copies(
-        self, finished: FinishedRun, head: RecordingHead, copy: Callable[[int], NDArray[Any]]
+        self, finished: FinishedRun, absent: Collection[tuple[int, int]], copy: Callable[[int], NDArray[Any]]
     ) -> Iterator[tuple[int, int, Image]]:
-        absent = set(head.missing)
-        for frame in finished.detail.frames:
+        for (camera, row), slot in finished.slots.items():
             if self._stopping.is_set():
                 raise StateError("The station is stopping.")
             self.thread.beat()
-            if (frame.camera, frame.row) not in absent and frame.slot is not None:
-                yield frame.camera, frame.row, copy(frame.slot)
+            if (camera, row) not in absent:
+                yield camera, row, copy(slot)
 
     def _make_room(self, needed: int) -> None:
         """Delete the oldest unpinned recordings until `needed` bytes fit; DeviceError if that is not possible."""
@@ -395,20 +404,12 @@ class Recordings:
 
 def head_of(run: RunDetail, head: RecordingHead) -> RecordingHead:
     """Return the head of the recording: frames that are not usable are missing, with causes under `x_verdicts`."""
-    frames = run.frames
-    there = {(f.camera, f.row) for f in frames if f.usable and f.slot is not None}
+    there = {(f.camera, f.row) for f in run.frames if f.usable and f.slot is not None}
     everything = {(i, j) for i in range(len(head.cameras)) for j in range(head.rows)}
     bad = [
-        {"camera": f.camera, "row": f.row, "verdict": str(f.verdict), "cause": f.cause} for f in frames if not f.usable
+        {"camera": f.camera, "row": f.row, "verdict": str(f.verdict), "cause": f.cause}
+        for f in run.frames
+        if not f.usable
     ]
     missing = tuple(sorted(everything - there | set(head.missing)))
     return head.model_copy(update={"missing": missing, "x_run": run.id, "x_verdicts": bad})
-
-
-def bytes_of_frames(frames: Iterable[FrameRecord], head: RecordingHead, copy: Callable[[int], NDArray[Any]]) -> int:
-    """Return the size of the frames on disk, from one frame of every camera: its pixel format is nowhere else."""
-    absent, sizes = set(head.missing), dict[int, int]()
-    for frame in frames:
-        if frame.camera not in sizes and (frame.camera, frame.row) not in absent and frame.slot is not None:
-            sizes[frame.camera] = copy(frame.slot).nbytes
-    return sum(sizes.values()) * head.rows

@@ -9,13 +9,12 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from vaoi_station.errors import DeviceError, GoneError, NotFoundError
-from vaoi_station.identity.comparison import compare
-from vaoi_station.model import BoardType, Reason
+from vaoi_station.errors import DeviceError
+from vaoi_station.model import Reason
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import summary_of
-from vaoi_station.runs.run.verdict import RunVerdict, decide_verdict, identified
+from vaoi_station.runs.run.verdict import decide_verdict
 from vaoi_station.runs.states.schemas import RunDetail, RunSummary, VerdictCounts
 from vaoi_station.runs.states.tables import IN_MEMORY, RunState
 from vaoi_station.store import RunRow
@@ -30,7 +29,9 @@ _UNREADABLE = Reason(
 )
 
 
-def row_of(progress: Progress, detail: RunDetail, finish_number: int | None) -> RunRow:
+def row_of(
+    progress: Progress, detail: RunDetail, finish_number: int | None = None, identity: IdentityDocument | None = None
+) -> RunRow:
     """Return the row of a run; `finish_number` is None while it is under way."""
     return RunRow(
         id=detail.id,
@@ -41,36 +42,14 @@ def row_of(progress: Progress, detail: RunDetail, finish_number: int | None) -> 
         summary=summary_of(detail).model_dump_json(),
         detail=detail.model_dump_json(),
         head=progress.head.model_dump_json() if progress.head else None,
+        identity=None if identity is None else identity_row(identity),
     )
-
-
-def unread_identity(board_type: BoardType, board_id: str | None) -> IdentityDocument | None:
-    """Return the identity of a run that ends, before its codes are read; None if its boards have none."""
-    identity = board_type.identity
-    return None if identity is None else compare(identity, None, board_id, without="pending")
 
 
 def identity_row(identity: IdentityDocument) -> IdentityRow:
     """Return the row of an identity."""
-    return IdentityRow(
-        identity.model_dump_json(exclude_none=True),
-        identity.board_ids,
-        pending=identity.state == "pending",
-    )
-
-
-def never_read(record: RunDetail, board_type: BoardType) -> RunDetail:
-    """Return the record of a run that the database has no more, once no code of its board can be read any more."""
-    if record.identity_decided:
-        return record
-    return identified(
-        record, RunVerdict(record.verdict, record.reasons), compare(board_type.identity, None, record.board_id)
-    )
-
-
-def lasting(record: RunDetail) -> tuple[object, ...]:
-    """Return what an archive needs to know of a record; the rest says where the frames are, which changes."""
-    return record.verdict, record.reasons, record.identity
+    document = identity.model_dump_json(exclude_none=True)
+    return IdentityRow(document, identity.board_ids, pending=identity.state == "pending")
 
 
 def state_of(row: RunRow) -> RunState:
@@ -88,12 +67,6 @@ def in_state(document: R, state: RunState) -> R:
     return document.model_copy(update={"state": state, "frames_available": available, **kept})
 
 
-def detail(row: RunRow) -> RunDetail:
-    """Return the document of a stored run; DeviceError if it cannot be read."""
-    with readable(row.id):
-        return decided(row.detail, row.summary)
-
-
 def identity(text: str | None) -> IdentityDocument | None:
     """Return a stored identity; None if there is none. One of another version counts as not read."""
     try:
@@ -109,10 +82,10 @@ def decided(detail: str, summary: str) -> RunDetail:
     return RunDetail.model_validate_json(detail).model_copy(update=changes)
 
 
-def summary(row: RunRow) -> RunSummary:
-    """Return the summary of a stored run. If it cannot be read, return a summary that states this."""
+def summary(row: RunRow, state: RunState) -> RunSummary:
+    """Return the summary of a stored run in a state. If it cannot be read, return a summary that states this."""
     try:
-        document = in_state(RunSummary.model_validate_json(row.summary), state_of(row))
+        document = in_state(RunSummary.model_validate_json(row.summary), state)
         return document.model_copy(update={"forgotten": not row.detail})
     except ValidationError:
         return RunSummary(
@@ -120,7 +93,7 @@ def summary(row: RunRow) -> RunSummary:
             board_type="",
             board_id=None,
             job_id=None,
-            state=state_of(row),
+            state=state,
             verdict=None,
             started="",
             finished=None,
@@ -134,13 +107,6 @@ def summary(row: RunRow) -> RunSummary:
         )
 
 
-def announcement(detail: RunDetail) -> str:
-    """Return the message of the event that announces a finished run: its reasons and the time to the matrices."""
-    message = "; ".join(reason.message for reason in detail.reasons) or "The matrices are available."
-    ms = detail.timings.ready_after_last_frame_ms if detail.timings else None
-    return message if ms is None else f"{message} {ms:.0f} ms after the last frame."
-
-
 @contextmanager
 def readable(run: str) -> Iterator[None]:
     """Raise DeviceError if a document of this run cannot be read in the `with` block, or contradicts another one."""
@@ -150,22 +116,6 @@ def readable(run: str) -> Iterator[None]:
         raise DeviceError(
             f"Run {run}: {_UNREADABLE.message}", action=_UNREADABLE.action, code=_UNREADABLE.code
         ) from error
-
-
-def unknown(run: str) -> NotFoundError:
-    """Return the refusal of a run that there is not."""
-    # Of all addresses below "runs" only runs/latest itself takes this word.
-    action = "See the list of runs; the document of runs/latest has the id of the newest."
-    return NotFoundError(f"There is no run {run!r}.", action=action, code="unknown-run")
-
-
-def forgotten(run: str) -> GoneError:
-    """Return the refusal of a run of which at most a summary is kept."""
-    return GoneError(
-        f"Result and record of run {run} were deleted because of their age, number or size.",
-        action="Fetch results sooner, pin runs that are needed for long, or raise the limits of [keep].",
-        code="run-forgotten",
-    )
 
 
 def cut_short(row: RunRow, finish_number: int) -> RunRow:

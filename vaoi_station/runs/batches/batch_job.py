@@ -20,10 +20,8 @@ from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Component, Stitch
 from vaoi_station.rendering import (
     ChosenImages,
-    ChosenView,
     FrameFacts,
     ImageRequest,
-    Measures,
     View,
     ViewCalculator,
     choose_all,
@@ -84,16 +82,6 @@ class BatchSetup:
     """Query of the addresses of pictures."""
 
 
-class Resume(NamedTuple):
-    """Where the next part begins: number of the component within the job, and of its image."""
-
-    component: int
-    image: int
-
-
-_BEGIN = Resume(0, 0)
-
-
 class CutPart(NamedTuple):
     """The reply to a job: packed members, and where the rest begins; None if all is done."""
 
@@ -101,74 +89,75 @@ class CutPart(NamedTuple):
     images: int
     refused: int
     """Number of components that were refused."""
-    rest: Resume | None
+    rest: tuple[int, int] | None
+    """Number of the component within the job, and of its image."""
 
 
 @dataclass(frozen=True)
 class BatchJob(PictureJob):
-    """Cut the pictures of some components; the reply's value is a `CutPart`."""
+    """Cut the pictures of some components, of the first one from image `first` on; the reply's value is a `CutPart`."""
 
     setup: bytes
     """Pickled `BatchSetup`."""
     components: tuple[Component, ...]
     quality: Mapping[str, Mapping[str, Any]]
     """The entries of the result's quality for these components."""
-    start: Resume = _BEGIN
+    first: int = 0
     recorded: bool = False
     priority: Priority = field(default=Priority.BATCH, kw_only=True)
 
     def perform(self, frame: Callable[[int], NDArray[Any]]) -> CutPart:
         """Cut pictures until the part is large or has taken long; `frame` returns the pixels of a slot."""
-        setup, calculator = _opened(self.setup)
-        return _Cutting(self, setup, calculator, frame).cut()
+        return _Cutting(self, frame).cut()
 
     def __str__(self) -> str:
-        return f"a batch of pictures of run {self.run}, from {self.components[self.start.component].address} on"
+        return f"a batch of pictures of run {self.run}, from {self.components[0].address} on"
 
 
 class _Cutting:
     """The work of one job."""
 
-    def __init__(
-        self, job: BatchJob, setup: BatchSetup, calculator: ViewCalculator, frame: Callable[[int], NDArray[Any]]
-    ) -> None:
-        self._job, self._setup, self._calculator, self._frame = job, setup, calculator, frame
+    def __init__(self, job: BatchJob, frame: Callable[[int], NDArray[Any]]) -> None:
+        self._job, self._frame = job, frame
+        self._setup, self._calculator = _opened(job.setup)
         self._held: dict[FrameKey, NDArray[Any]] = {}
-        quality = {**setup.stitch.quality, **job.quality}
-        self._stitch = setup.stitch.model_copy(update={"quality": quality})
+        stitch = self._setup.stitch
+        self._stitch = stitch.model_copy(update={"quality": {**stitch.quality, **job.quality}})
         self._members: list[Member] = []
-        self._bytes = self._images = self._refused = 0
+        self._images = self._refused = 0
         self._until_s = time.thread_time() + PART_S
 
     def cut(self) -> CutPart:
-        """Cut the part."""
         rest = self._work()
         packed = pack(self._setup.container, self._members, self._setup.modified_s)
         return CutPart(packed, self._images, self._refused, rest)
 
-    def _work(self) -> Resume | None:
+    def _work(self) -> tuple[int, int] | None:
         """Make members until the part is full; return where the rest begins."""
-        first, image = self._job.start
-        wanted = self._setup.wanted
+        image, wanted = self._job.first, self._setup.wanted
         # A part that ends early must measure again what it had chosen and not rendered.
         chunk = 1 if wanted.needs_pixels or wanted.choice.measure else CHUNK
-        for start in range(first, len(self._job.components), chunk):
+        for start in range(0, len(self._job.components), chunk):
             parts = self._job.components[start : start + chunk]
             for n, (part, chosen) in enumerate(zip(parts, self._choose(parts), strict=True), start):
                 if (stopped := self._component(part, chosen, image)) is not None:
-                    return Resume(n, stopped)
+                    return n, stopped
                 image = 0
                 if self._full() and n + 1 < len(self._job.components):
-                    return Resume(n + 1, 0)
+                    return n + 1, 0
         return None
 
     def _full(self) -> bool:
-        return self._bytes >= PART_BYTES or time.thread_time() > self._until_s
+        return sum(len(m.content) for m in self._members) >= PART_BYTES or time.thread_time() > self._until_s
 
     def _choose(self, parts: Sequence[Component]) -> Iterator[ChosenImages | VaoiError]:
         """Choose the images of each component. One that is refused does not prevent the others."""
+        setup = self._setup
+        run, frames = (setup.board_type, self._stitch), (setup.usable, setup.facts)
         try:
-            yield from self._chosen(parts)
+            yield from choose_all(
+                self._calculator, parts, run, frames, setup.wanted, lambda view: measure(view, self._pixels(view))
+            )
         except (InputError, NotFoundError, StateError) as error:  # frames that are lost end the batch
             if len(parts) == 1:
                 yield error
@@ -176,44 +165,39 @@ class _Cutting:
             for part in parts:
                 yield from self._choose([part])
 
-    def _chosen(self, parts: Sequence[Component]) -> list[ChosenImages]:
-        run = (self._setup.board_type, self._stitch)
-        frames = (self._setup.usable, self._setup.facts)
-        return choose_all(self._calculator, parts, run, frames, self._setup.wanted, self._measure)
-
-    def _measure(self, view: View) -> Measures:
-        return measure(view, self._pixels(view))
-
     def _component(self, part: Component, chosen: ChosenImages | VaoiError, first: int) -> int | None:
         """Make the members of a component from image `first` on; return the image at which the part is full."""
         folder = folder_of(part, region=not self._setup.address)
         if isinstance(chosen, VaoiError):
             self._refused += 1
-            self._add(views_member(folder, refusal_entry(part, chosen)))
+            self._members.append(views_member(folder, refusal_entry(part, chosen)))
             return None
         suffix, media = MEDIA[self._setup.format]
         if first == 0:
-            self._add(views_member(folder, self._entry(part, chosen, folder, suffix)))
+            self._members.append(views_member(folder, self._entry(part, chosen, folder, suffix)))
         for k, choice in enumerate(chosen.chosen[first:], first):
             # Every job renders a picture, also if the choice alone has taken its time: otherwise a batch may never end.
             if k > first and self._full():
                 return k
-            self._add(picture_member(f"{folder}/{k}.{suffix}", media, self._render(choice), self._setup.format))
+            other = None if choice.minus is None else self._pixels(choice.minus.view)
+            picture = render_chosen(choice, self._pixels(choice.view), other)
+            self._members.append(picture_member(f"{folder}/{k}.{suffix}", media, picture, self._setup.format))
             self._images += 1
         return None
 
     def _entry(self, part: Component, chosen: ChosenImages, folder: str, suffix: str) -> dict[str, Any]:
         rows = self._job.quality.get("component_covariance_px2", {}).get(part.address, ())
         certain = {(camera, row): ((xx, xy), (xy, yy)) for camera, row, xx, xy, yy in rows}
-        address = f"{self._setup.address}/{quote(part.address)}/images"
         views = []
         for k, choice in enumerate(chosen.chosen):
             covariance = chosen.covariance_px2(choice, certain.get((choice.view.camera, choice.view.row)))
             entry = {"k": k, "file": f"{folder}/{k}.{suffix}", **describe(choice, covariance)}
             if self._setup.address:
-                entry["url"] = f"{address}/{k}{self._setup.query}"
+                entry["url"] = f"{self._setup.address}/{quote(part.address)}/images/{k}{self._setup.query}"
             if self._setup.format == "raw":
-                entry |= _pixel_layout(self._pixels(choice.view))
+                # What a reader must know besides the size; lines follow each other without a gap.
+                frame = self._pixels(choice.view)
+                entry |= {"dtype": frame.dtype.name, "channels": 1 if frame.ndim == 2 else frame.shape[2]}
             views.append({name: value for name, value in entry.items() if value is not None})
         found: dict[str, Any] = {"address": part.address}
         if chosen.chosen:
@@ -221,10 +205,6 @@ class _Cutting:
         if chosen.remark is not None:
             found["remark"] = chosen.remark
         return {**found, "views": views}
-
-    def _render(self, choice: ChosenView) -> NDArray[Any]:
-        other = None if choice.minus is None else self._pixels(choice.minus.view)
-        return render_chosen(choice, self._pixels(choice.view), other)
 
     def _pixels(self, view: View) -> NDArray[Any]:
         key = (view.camera, view.row)
@@ -235,10 +215,6 @@ class _Cutting:
                 del self._held[next(iter(self._held))]
             self._held[key] = read_kept_image(self._setup.files[key])
         return self._held[key]
-
-    def _add(self, member: Member) -> None:
-        self._members.append(member)
-        self._bytes += len(member.content)
 
 
 def folder_of(part: Component, *, region: bool) -> str:
@@ -279,11 +255,6 @@ def picture_member(name: str, media: str, image: NDArray[Any], format: str) -> M
     pixels = image if image.ndim == 2 else image[..., ::-1]
     # One copy only: the largest picture in colour has 96 MB.
     return Member(name, media, pixels.tobytes(), tuple(headers))
-
-
-def _pixel_layout(frame: NDArray[Any]) -> dict[str, Any]:
-    """Return what a reader of bare pixels must know besides the size; lines follow each other without a gap."""
-    return {"dtype": frame.dtype.name, "channels": 1 if frame.ndim == 2 else frame.shape[2]}
 
 
 @lru_cache(maxsize=2)

@@ -7,9 +7,9 @@ are evicted meanwhile, the batch ends with a document that says so.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
@@ -20,30 +20,31 @@ from pydantic_core import to_json
 
 from vaoi_station.errors import GoneError, InputError, NotFoundError, VaoiError
 from vaoi_station.hdr.encoding import MergedFormat
-from vaoi_station.model import Component
+from vaoi_station.hdr.merging import region_component
+from vaoi_station.model import BoardType, Component
 from vaoi_station.model.stitch_result import Heights, with_heights
-from vaoi_station.rendering import choose_all
-from vaoi_station.runs.archive.component_views import frame_facts, tables_of
+from vaoi_station.rendering import ImageRequest, choose_all
+from vaoi_station.runs.archive.component_views import component_of, tables_of
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.batches.batch_job import (
     MEDIA,
     BatchJob,
     BatchSetup,
     CutPart,
-    Resume,
     folder_of,
     refusal,
     refusal_entry,
     views_member,
 )
-from vaoi_station.runs.batches.batch_request import BatchRequest, smallest
-from vaoi_station.runs.batches.containers import Member, Packed, pack
+from vaoi_station.runs.batches.containers import CONTAINERS, ContainerName, Member, Packed, pack
 from vaoi_station.runs.merging.merged_pictures import MergedAccess, MergedChoice, MergeRequest
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.version import __version__
 
+Corners = tuple[float, float, float, float]
+_OF_MERGES = ("light", "px_per_mm", "min_coverage")
 FIRST_PARTS = (4, 8, 16, 32)
 """Numbers of components of the first parts; they are small, so that the first picture comes early."""
 PART_COMPONENTS = 64
@@ -51,20 +52,79 @@ PART_COMPONENTS = 64
 
 
 @dataclass(frozen=True)
-class BatchPart:
+class BatchRequest:
+    """A request for the pictures of many components. At most one of the first three fields is given."""
+
+    components: tuple[str, ...] = ()
+    """Addresses; empty: all components."""
+    within: Corners | None = None
+    """Only components whose centre lies in this box: x0, y0, x1, y1 in CAD coordinates."""
+    region: Corners | None = None
+    """One picture per frame of this part of the board, in place of components."""
+    images: ImageRequest = field(default_factory=ImageRequest)
+    hdr: bool = False
+    """One picture per component, merged of all its frames under one light, in place of one per frame."""
+    format: str = "png"
+    container: ContainerName = "multipart"
+
+    def check(self) -> BatchRequest:
+        """Return the request. Raise InputError if fields contradict each other or have values that do not exist."""
+        given = [name for name in ("components", "within", "region") if getattr(self, name)]
+        if len(given) > 1:
+            raise InputError(
+                f"batch: {given[0]} and {given[1]} are given together.", action="Give one of them, or none for all."
+            )
+        if self.container not in CONTAINERS:
+            raise InputError.field("batch", "container", self.container, f"one of {', '.join(CONTAINERS)}")
+        if self.format not in MEDIA:
+            raise InputError.field("batch", "format", self.format, f"one of {', '.join(MEDIA)}")
+        self.images.check()
+        if self.hdr and (other := sorted(set(self.images.options()) - set(_OF_MERGES))):
+            raise InputError(
+                f"batch: {other[0]} has no meaning with hdr, whose pictures are merged of all frames of a light.",
+                action=f"Give only {', '.join(_OF_MERGES)} with hdr.",
+            )
+        return self
+
+    def parts(self, board_type: BoardType, px_per_mm: float) -> tuple[Component, ...]:
+        """Return the components of the request. `px_per_mm` is the resolution of a region without one of its own.
+
+        Raises:
+            NotFoundError: a component is unknown.
+            InputError: a box has no area or no component, or the region is off the board or too large.
+        """
+        if self.region is not None:
+            resolution = self.images.framing.px_per_mm or px_per_mm
+            return (region_component(self.region, board_type, resolution, "batch: region"),)
+        if self.components:
+            return tuple(component_of(board_type, ref) for ref in dict.fromkeys(self.components))
+        if self.within is None:
+            return board_type.components
+        x0, y0, x1, y1 = self.within
+        found = tuple(c for c in board_type.components if x0 <= c.center[0] <= x1 and y0 <= c.center[1] <= y1)
+        if not found:
+            shown = " ".join(f"{v:g}" for v in self.within)
+            limit = f"a box x0,y0,x1,y1 around the centre of at least one component ({board_type.unit}, CAD)"
+            raise InputError.field("batch", "within", shown, limit)
+        return found
+
+    def of_merge(self, part: Component) -> MergeRequest:
+        """Return the request for the merged picture of a component, or of the region."""
+        light, resolution = self.images.choice.light, self.images.framing.px_per_mm
+        address = part.address if self.region is None else None
+        return MergeRequest(address, self.region, light, resolution, self.images.options().get("min_coverage"))
+
+
+def smallest(parts: Sequence[Component]) -> Component:
+    """Return the component with the smallest picture. A request that it refuses is refused by all."""
+    return parts[int(np.argmin([part.width * part.height for part in parts]))]
+
+
+class BatchPart(NamedTuple):
     """Components that are cut next, and the image with which the first one begins."""
 
     components: tuple[Component, ...]
     image: int = 0
-
-
-class Prepared(NamedTuple):
-    """What all parts of a batch need."""
-
-    setup: bytes
-    """Pickled `BatchSetup`."""
-    quality: Mapping[str, Mapping[str, Any]]
-    """Entries of the result's quality that have one value per component."""
 
 
 @dataclass(frozen=True)
@@ -74,18 +134,21 @@ class Batch:
     run: str
     request: BatchRequest
     components: tuple[Component, ...]
-    prepare: Callable[[], Prepared]
-    """Function that makes what all parts need; the head is sent before it is called."""
-    recorded: bool
-    """Whether frames are read from the run's recording."""
-    modified_s: int
+    setup: BatchSetup
     head: Member
     """The first file: what the batch is of."""
+    tables: Callable[[], Mapping[str, Mapping[str, Any]]]
+    """Function that reads the entries of the result's quality that have one value per component."""
 
     @cached_property
-    def prepared(self) -> Prepared:
-        """What all parts need."""
-        return self.prepare()
+    def prepared(self) -> tuple[bytes, Mapping[str, Mapping[str, Any]]]:
+        """The pickled set-up and the tables that all parts need; both take time, and the head is sent before."""
+        return pickle.dumps(self.setup, pickle.HIGHEST_PROTOCOL), self.tables()
+
+    @property
+    def modified_s(self) -> int:
+        """Time of the files in the container, seconds since 1970."""
+        return self.setup.modified_s
 
     def parts(self) -> list[BatchPart]:
         """Return the parts of the batch, in the order of the components."""
@@ -98,9 +161,9 @@ class Batch:
             start += size
         return found
 
-    def pack(self, member: Member) -> Packed:
-        """Return a file as bytes of the batch's container."""
-        return pack(self.request.container, [member], self.modified_s)
+    def pack(self, *members: Member) -> Packed:
+        """Return files as bytes of the batch's container."""
+        return pack(self.request.container, members, self.modified_s)
 
     def end(self, images: int, refused: int, error: VaoiError | None) -> Member:
         """Return the last file. Without it, or if `complete` is false in it, pictures are missing."""
@@ -131,16 +194,12 @@ class BatchAccess:
     heights: Callable[[str], Heights | None] = lambda _run: None
     """Function that returns the measured heights of a run's components."""
     published: Callable[[RunDetail], RunDetail] = lambda detail: detail
-    """Function that returns the document of a run as callers see it: its identity may lower the verdict."""
+    """Function that returns the document of a run as callers see it."""
 
     def open(self, run: str, request: BatchRequest, address: str, query: str = "") -> Batch:
         """Check a request, and prepare its batch.
 
-        Args:
-            run: id of the run.
-            request: the request.
-            address: path of the run's components over REST, for the addresses of single pictures.
-            query: query of these addresses.
+        `address` is the path of the run's components over REST and `query` a query, for the addresses of pictures.
 
         Raises:
             InputError, NotFoundError, StateError: no part of the request can be fulfilled.
@@ -148,28 +207,25 @@ class BatchAccess:
         """
         request = request.check()
         finished = self.get(run)
-        calculator = finished.view_calculator
+        calculator, detail = finished.view_calculator, finished.detail
         resolution = float(np.mean([c.px_per_mm for c in finished.cameras]))
         components = request.parts(finished.board_type, resolution)
-        facts, slots = frame_facts(finished), _slots(finished)
+        facts, slots = finished.frame_facts, finished.slots
         on_top = request.images.framing.plane == "top"
-        result = (
-            with_heights(finished.result, self.heights(run) or {}) if on_top else finished.stitch or finished.result
-        )
+        result = with_heights(finished.result, self.heights(run) or {}) if on_top else finished.lean
         files = self._files(run, slots)
-        if request.hdr:
-            self._try_merging(run, request, components)
-        elif components:
-            # A light or a direction that the run does not have is refused here, before the first byte.
+        if components:
+            # A request that no component can fulfil is refused here, before the first byte.
             part = smallest(components)
-            choose_all(
-                calculator, [part], (finished.board_type, result), (slots, facts), request.images, lambda _: None
-            )
-        detail = finished.detail
-        modified_s = int(datetime.fromisoformat(detail.finished or detail.started).timestamp())
+            if request.hdr:
+                with suppress(NotFoundError):  # one that no frame shows does not count
+                    self.merged.pictures(run, request.of_merge(part))
+            else:
+                board = finished.board_type, result
+                choose_all(calculator, [part], board, (slots, facts), request.images, lambda _: None)
         setup = BatchSetup(
             board_type=finished.board_type.model_copy(update={"components": ()}),
-            stitch=finished.stitch or finished.result,
+            stitch=finished.lean,
             cameras=finished.cameras,
             facts=facts,
             usable={key: slot for key, slot in slots.items() if not files or key in files},
@@ -177,19 +233,17 @@ class BatchAccess:
             wanted=request.images,
             format=request.format,
             container=request.container,
-            modified_s=modified_s,
+            modified_s=int(datetime.fromisoformat(detail.finished or detail.started).timestamp()),
             address="" if request.region else address,
             query=query,
         )
 
-        def prepare() -> Prepared:
-            quality = tables_of(finished)
-            if on_top:
-                quality = {**quality, **{key: result.quality[key] for key in ("heights_mm", "height_sigma_mm")}}
-            return Prepared(pickle.dumps(setup, pickle.HIGHEST_PROTOCOL), quality)
+        def tables() -> Mapping[str, Mapping[str, Any]]:
+            of_top = ("heights_mm", "height_sigma_mm") if on_top else ()
+            return {**tables_of(finished), **{key: result.quality[key] for key in of_top}}
 
-        head = _head(self.published(finished.detail), request, len(components), resolution)
-        return Batch(run, request, components, prepare, bool(files), modified_s, head)
+        head = _head(self.published(detail), request, len(components), resolution)
+        return Batch(run, request, components, setup, head, tables)
 
     def cut(self, batch: Batch, part: BatchPart) -> tuple[CutPart, BatchPart | None]:
         """Have a part cut. Return its members, and what remains of it.
@@ -202,19 +256,16 @@ class BatchAccess:
             return self._merge(batch, part.components[0]), None
         setup, tables = batch.prepared
         addresses = {c.address for c in part.components}
-        quality = {
-            key: {address: figures[address] for address in addresses & figures.keys()}
-            for key, figures in tables.items()
-        }
-        job = BatchJob(batch.run, 0, 0, setup, part.components, quality, Resume(0, part.image), batch.recorded)
+        quality = {key: {a: figures[a] for a in addresses & figures.keys()} for key, figures in tables.items()}
+        recorded = bool(batch.setup.files)
+        job = BatchJob(batch.run, 0, 0, setup, part.components, quality, part.image, recorded)
         name = f"{part.components[0].address} of a batch"
-        if batch.recorded:
+        if recorded:
             found = self.render(job, name)
         else:
             with self.lease(batch.run, "batch of pictures") as bay:
                 found = self.render(replace(job, bay=bay.number, generation=bay.generation), name)
-        rest = found.rest
-        return found, None if rest is None else BatchPart(part.components[rest.component :], rest.image)
+        return found, None if found.rest is None else BatchPart(part.components[found.rest[0] :], found.rest[1])
 
     def _files(self, run: str, slots: Mapping[FrameKey, int]) -> dict[FrameKey, Path]:
         """Return the files of frames in the run's recording; none if the frames are in memory."""
@@ -224,26 +275,17 @@ class BatchAccess:
         except GoneError:
             files = {}
             for key in slots:
-                try:
-                    file = self.recorded(run, *key)
-                except GoneError:  # the recording has only complete, proven frames
-                    continue
-                if file is not None:
-                    files[key] = file
+                with suppress(GoneError):  # the recording has only complete, proven frames
+                    if (file := self.recorded(run, *key)) is not None:
+                        files[key] = file
             if not files:
                 raise
             return files
 
-    def _try_merging(self, run: str, request: BatchRequest, components: tuple[Component, ...]) -> None:
-        """Refuse a request that no component can fulfil; one that no frame shows does not count."""
-        if components:
-            with suppress(NotFoundError):
-                self.merged.pictures(run, _merge_request(request, smallest(components)))
-
     def _merge(self, batch: Batch, part: Component) -> CutPart:
         """Have the merged picture of one component made."""
-        folder, request = folder_of(part, region=batch.request.region is not None), batch.request
-        wanted = _merge_request(request, part)
+        request, wanted = batch.request, batch.request.of_merge(part)
+        folder = folder_of(part, region=request.region is not None)
         try:
             choice = self.merged.pictures(batch.run, wanted)[-1]
             form: MergedFormat = "npy" if request.format == "raw" else cast("MergedFormat", request.format)
@@ -255,8 +297,7 @@ class BatchAccess:
             content = content[-4 * choice.view.width * choice.view.height :]
         file = f"{folder}/merged.{suffix}"
         entry = {"address": part.address, "views": [{"file": file, **merged_entry(choice)}]}
-        members = [views_member(folder, entry), Member(file, media, content)]
-        return CutPart(pack(request.container, members, batch.modified_s), 1, 0, None)
+        return CutPart(batch.pack(views_member(folder, entry), Member(file, media, content)), 1, 0, None)
 
 
 def merged_entry(choice: MergedChoice) -> dict[str, Any]:
@@ -275,35 +316,15 @@ def merged_entry(choice: MergedChoice) -> dict[str, Any]:
     }
 
 
-def _merge_request(request: BatchRequest, part: Component) -> MergeRequest:
-    light, resolution = request.images.choice.light, request.images.framing.px_per_mm
-    asked = request.images.options().get("min_coverage")
-    if request.region is not None:
-        return MergeRequest(None, request.region, light, resolution, asked)
-    return MergeRequest(part.address, None, light, resolution, asked)
-
-
-def _slots(finished: FinishedRun) -> dict[FrameKey, int]:
-    return {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}
-
-
 def _head(detail: RunDetail, request: BatchRequest, components: int, px_per_mm: float) -> Member:
     """Return the first file: the run, and what was asked of it."""
+    of_run = ("board_type", "board_id", "job_id", "state", "verdict", "started")
     document = {
         "run": detail.id,
-        "board_type": detail.board_type,
-        "board_id": detail.board_id,
-        "job_id": detail.job_id,
-        "state": detail.state,
-        "verdict": detail.verdict,
-        "started": detail.started,
+        **{key: getattr(detail, key) for key in of_run},
         "components": components,
         "cameras_px_per_mm": px_per_mm,
-        "format": request.format,
-        "container": request.container,
-        "hdr": request.hdr,
-        "region": request.region,
-        "within": request.within,
+        **{key: getattr(request, key) for key in ("format", "container", "hdr", "region", "within")},
         "parameters": request.images.options(),
         "version": __version__,
     }

@@ -6,11 +6,12 @@ of every member: the station adds it while it passes the bytes on (`ContainerWri
 
 from __future__ import annotations
 
-import struct
+import io
 import time
 import zlib
 from collections.abc import Iterable
 from typing import Literal, NamedTuple, get_args
+from zipfile import ZipFile, ZipInfo
 
 ContainerName = Literal["multipart", "zip"]
 CONTAINERS: tuple[ContainerName, ...] = get_args(ContainerName)
@@ -20,14 +21,8 @@ MEDIA_TYPES: dict[ContainerName, str] = {
     "multipart": f"multipart/mixed; boundary={BOUNDARY}",
     "zip": "application/zip",
 }
-_MOST_32 = 0xFFFFFFFF
-_MOST_16 = 0xFFFF
-_LOCAL = struct.Struct("<4sHHHHHIIIHH")
-_CENTRAL = struct.Struct("<4sHHHHHHIIIHHHHHII")
-_END = struct.Struct("<4sHHHHIIH")
-_END_64 = struct.Struct("<4sQHHIIQQQQ")
-_LOCATOR_64 = struct.Struct("<4sIQI")
-_VERSION, _VERSION_64, _UTF8 = 20, 45, 0x800
+_EARLIEST_S = 315_532_800
+"""Begin of 1980, the earliest time of a file in a zip file."""
 
 
 class Member(NamedTuple):
@@ -42,13 +37,19 @@ class Member(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """What the directory of a zip file states about a member."""
+    """What the directory of a zip file states about a member; `offset` is its position in its packed bytes."""
 
     name: str
     crc: int
     size: int
     offset: int
-    """Position of the member in its packed bytes."""
+
+    def info(self, modified_s: int, start: int = 0) -> ZipInfo:
+        """Return the same for `zipfile`, of a member whose packed bytes begin at `start`."""
+        info = ZipInfo(self.name, time.gmtime(max(modified_s, _EARLIEST_S))[:6])
+        info.CRC, info.file_size, info.compress_size = self.crc, self.size, self.size
+        info.header_offset = start + self.offset
+        return info
 
 
 class Packed(NamedTuple):
@@ -56,25 +57,22 @@ class Packed(NamedTuple):
 
     content: bytes
     entries: tuple[Entry, ...] = ()
-    members: int = 0
 
 
 def pack(container: ContainerName, members: Iterable[Member], modified_s: int) -> Packed:
     """Return members as bytes of a container. `modified_s` is the time of the files, seconds since 1970."""
     pieces: list[bytes] = []
     entries: list[Entry] = []
-    size = count = 0
+    size = 0
     for member in members:
-        count += 1
         if container == "multipart":
             new = [_part_head(member), member.content, b"\r\n"]
         else:
-            crc = zlib.crc32(member.content)
-            entries.append(Entry(member.name, crc, len(member.content), size))
-            new = [_zip_head(member, crc, modified_s), member.content]
+            entries.append(Entry(member.name, zlib.crc32(member.content), len(member.content), size))
+            new = [entries[-1].info(modified_s).FileHeader(), member.content]
         pieces += new
         size += sum(map(len, new))
-    return Packed(b"".join(pieces), tuple(entries), count)
+    return Packed(b"".join(pieces), tuple(entries))
 
 
 class ContainerWriter:
@@ -83,23 +81,37 @@ class ContainerWriter:
     def __init__(self, container: ContainerName, modified_s: int) -> None:
         self._container, self._modified_s = container, modified_s
         self._position = 0
-        self._directory = bytearray()
-        self.members = 0
-        """Number of members so far."""
+        self._directory: list[ZipInfo] = []
 
     def add(self, packed: Packed) -> bytes:
         """Return the bytes that the container continues with."""
-        for entry in packed.entries:
-            self._directory += _zip_entry(entry, self._position, self._modified_s)
+        self._directory += [entry.info(self._modified_s, self._position) for entry in packed.entries]
         self._position += len(packed.content)
-        self.members += packed.members
         return packed.content
 
     def end(self) -> bytes:
         """Return the last bytes of the container."""
         if self._container == "multipart":
             return f"--{BOUNDARY}--\r\n".encode()
-        return bytes(self._directory) + _zip_end(self.members, len(self._directory), self._position)
+        tail = _Tail(self._position)
+        with ZipFile(tail, "w") as archive:
+            archive.infolist().extend(self._directory)
+        return bytes(tail.content)
+
+
+class _Tail(io.RawIOBase):
+    """The end of a file, of which a position is written already; it cannot be sought in."""
+
+    def __init__(self, position: int) -> None:
+        super().__init__()
+        self._position, self.content = position, bytearray()
+
+    def tell(self) -> int:
+        return self._position + len(self.content)
+
+    def write(self, content: bytes) -> int:  # type: ignore[override]
+        self.content += content
+        return len(content)
 
 
 def _part_head(member: Member) -> bytes:
@@ -111,41 +123,3 @@ def _part_head(member: Member) -> bytes:
     )
     lines = "".join(f"{name}: {value}\r\n" for name, value in headers)
     return f"--{BOUNDARY}\r\n{lines}\r\n".encode("ascii")
-
-
-def _zip_head(member: Member, crc: int, modified_s: int) -> bytes:
-    name, size = member.name.encode("ascii"), len(member.content)
-    clock, day = _dos_time(modified_s)
-    return _LOCAL.pack(b"PK\3\4", _VERSION, _UTF8, 0, clock, day, crc, size, size, len(name), 0) + name
-
-
-def _zip_entry(entry: Entry, start: int, modified_s: int) -> bytes:
-    name, offset = entry.name.encode("ascii"), start + entry.offset
-    clock, day = _dos_time(modified_s)
-    # A position above 4 GiB stands in an extra field of 64 bits.
-    extra = struct.pack("<HHQ", 1, 8, offset) if offset >= _MOST_32 else b""
-    version = _VERSION_64 if extra else _VERSION
-    return (
-        _CENTRAL.pack(
-            b"PK\1\2", version, version, _UTF8, 0, clock, day, entry.crc, entry.size, entry.size,
-            len(name), len(extra), 0, 0, 0, 0, min(offset, _MOST_32),
-        )
-        + name
-        + extra
-    )  # fmt: skip
-
-
-def _zip_end(members: int, size: int, offset: int) -> bytes:
-    end = _END.pack(
-        b"PK\5\6", 0, 0, min(members, _MOST_16), min(members, _MOST_16), min(size, _MOST_32), min(offset, _MOST_32), 0
-    )
-    if members < _MOST_16 and max(size, offset) < _MOST_32:
-        return end
-    large = _END_64.pack(b"PK\6\6", _END_64.size - 12, _VERSION_64, _VERSION_64, 0, 0, members, members, size, offset)
-    return large + _LOCATOR_64.pack(b"PK\6\7", 0, offset + size, 1) + end
-
-
-def _dos_time(seconds: int) -> tuple[int, int]:
-    """Return time and date (UTC) as a zip file has them: steps of 2 s, from 1980 on."""
-    t = time.gmtime(max(seconds, 315_532_800))
-    return t.tm_hour << 11 | t.tm_min << 5 | t.tm_sec // 2, (t.tm_year - 1980) << 9 | t.tm_mon << 5 | t.tm_mday

@@ -23,7 +23,6 @@ from vaoi_station.rendering import ChosenImages, ImageRequest
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
 from vaoi_station.runs.archive.finished_runs import RunFigures
-from vaoi_station.runs.archive.kept_runs import KeptRuns
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.core import Core, Parts
@@ -31,6 +30,7 @@ from vaoi_station.runs.control.pictures import FrameAccess, ViewRequest
 from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
 from vaoi_station.runs.control.teaching import BoardTypeService
 from vaoi_station.runs.host.processes import GcPolicy
+from vaoi_station.runs.kept_runs import KeptRuns
 from vaoi_station.runs.lighting.trials import Lighting
 from vaoi_station.runs.merging.merged_pictures import MergedAccess
 from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS

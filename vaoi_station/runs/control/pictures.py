@@ -227,7 +227,7 @@ def _job(
 
     `place` is number and generation of the bay.
     """
-    record = component_views.frame_records(finished)[choice.view.camera, choice.view.row]
+    record = finished.frame_records[choice.view.camera, choice.view.row]
     assert record.slot is not None, "views are of whole frames"
     minus = None if choice.minus is None else _job(finished, choice.minus, format, place, files[1:])
     file = files[0] if files else None

@@ -10,7 +10,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import Pipe, current_process
 from multiprocessing.connection import Connection
@@ -53,53 +52,27 @@ class Failed(NamedTuple):
     """Whether the run is at fault, and not the archive."""
 
 
-class AdderProcess:
-    """The process of the adder.
+def launch_adder() -> tuple[Connection[Any, Any], subprocess.Popen[bytes]]:
+    """Start the process, and return the pipe to it.
 
     It is none of `multiprocessing`, which waits at the end of a program for each of its processes: one that a share
     blocks ends only when the share answers, and would keep the station from ending.
     """
-
-    def __init__(self, connection: int) -> None:
-        """Start it with its end of the pipe, a file descriptor."""
-        command = [sys.executable, "-P", "-c", f"from {__name__} import main; main({connection})"]
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, pass_fds=(connection,), env=child_environment()
-        )
-
-    def kill(self) -> None:
-        """End it at once, unless it is blocked."""
-        self._process.kill()
-
-    def join(self, timeout: float | None = None) -> None:
-        """Wait for its end, at most `timeout` s."""
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout)
-
-    def is_alive(self) -> bool:
-        """Return whether it has not ended."""
-        return self._process.poll() is None
-
-
-def launch_adder() -> tuple[Connection[Any, Any], AdderProcess]:
-    """Start the process, and return the pipe to it."""
     ours, its = Pipe()
-    process = AdderProcess(its.fileno())
+    command = [sys.executable, "-P", "-c", f"from {__name__} import main; main({its.fileno()})"]
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, pass_fds=(its.fileno(),), env=child_environment()
+    )  # fmt: skip
     its.close()
     return ours, process
 
 
 def main(connection: int) -> None:
-    """Run the process with its end of the pipe, a file descriptor."""
+    """Run the process with its end of the pipe, a file descriptor, until the station closes the pipe."""
     current_process().name = "vaoi-archive"
-    run_adder(Connection(connection))
-
-
-def run_adder(connection: Connection[Any, Any]) -> None:
-    """Set the process up, and add runs until the station closes the pipe."""
     set_up_process(one_thread=True)
     os.setpriority(os.PRIO_PROCESS, 0, LOWEST_PRIORITY)
-    serve(connection)
+    serve(Connection(connection))
 
 
 def serve(connection: Connection[Any, Any]) -> None:

@@ -7,13 +7,14 @@ absent costs the oldest of them, and never a board.
 from __future__ import annotations
 
 import logging
+import subprocess
 import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import Any
 
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import ArchiveConfig
@@ -38,48 +39,15 @@ END_S = 5.0
 """Longest wait for the end of the adder: one that is blocked by a share ends only when the share answers."""
 
 
-class Ending(Protocol):
-    """A process that can be ended."""
-
-    def kill(self) -> None:
-        """End it at once."""
-
-    def join(self, timeout: float | None = None) -> None:
-        """Wait for its end, at most `timeout` s."""
-
-    def is_alive(self) -> bool:
-        """Return whether it has not ended."""
-
-
 class Handover:
     """Adds every kept recording to an archive, and of the good runs every n-th."""
 
-    def __init__(
-        self,
-        config: ArchiveConfig,
-        station: str,
-        events: EventLog,
-        busy: Callable[[], bool],
-        retry: BackoffPolicy = RETRY,
-        launch: Callable[[], tuple[Connection[Any, Any], Ending]] = launch_adder,
-        silence_s: float = SILENCE_S,
-    ) -> None:
-        """Prepare.
-
-        Args:
-            config: the archive, and what it gets.
-            station: name of the station.
-            events: log of the events.
-            busy: returns whether a board is being filmed or stitched.
-            retry: pauses after failures.
-            launch: starts the adder.
-            silence_s: longest silence of the adder while no board is filmed or stitched.
-        """
-        self._config, self._station, self._events = config, station, events
-        self._busy, self._backoff, self._launch = busy, Backoff(retry), launch
-        self._silence_s = silence_s
-        self._adder: tuple[Connection[Any, Any], Ending] | None = None
-        self._ended: Ending | None = None
+    def __init__(self, config: ArchiveConfig, station: str, events: EventLog, busy: Callable[[], bool]) -> None:
+        """Prepare. `busy` returns whether a board is being filmed or stitched."""
+        self._config, self._station, self._events, self._busy = config, station, events, busy
+        self._backoff = Backoff(RETRY)
+        self._adder: tuple[Connection[Any, Any], subprocess.Popen[bytes]] | None = None
+        self._ended: subprocess.Popen[bytes] | None = None
         """The last adder that was ended. While it is blocked no other is started: each would be blocked as well."""
         self._changed = threading.Condition()
         self._waiting: dict[str, int] = {}
@@ -133,11 +101,9 @@ class Handover:
     def status(self) -> ArchiveStatus:
         """Return what was added and what waits."""
         problem = self._problem
-        with self._changed:
-            waiting = len(self._waiting)
         return ArchiveStatus(
             url=self._config.url,
-            waiting=waiting,
+            waiting=len(self._waiting),
             adding=self._present,
             added=self._added,
             dropped=self._dropped,
@@ -150,16 +116,12 @@ class Handover:
         problem = self._problem
         if problem is None:
             return ()
-        with self._changed:
-            waiting = len(self._waiting)
-        return (
-            Reason(
-                code="archive-waits",
-                message=f"The archive takes no runs: {problem.message} {waiting} runs wait on this disk; the oldest "
-                "are deleted when recordings exceed [keep] recordings_gb.",
-                action=problem.action or "Free space in the archive, or correct [archive] of station.toml.",
-            ),
+        message = (
+            f"The archive takes no runs: {problem.message} {len(self._waiting)} runs wait on this disk; the oldest are "
+            "deleted when recordings exceed [keep] recordings_gb."
         )
+        action = problem.action or "Free space in the archive, or correct [archive] of station.toml."
+        return (Reason(code="archive-waits", message=message, action=action),)
 
     def _run(self) -> None:
         try:
@@ -196,7 +158,10 @@ class Handover:
             _log.info("run %s is in the archive %s, %d bytes", run, self._config.url, outcome.bytes)
             if self._done(run, offers):
                 self._added += 1
-                self._release(run)
+                try:
+                    self._recordings.release(run)
+                except (VaoiError, OSError) as error:  # It is released after the next start.
+                    _log.warning("the recording of run %s, which the archive has, stays: %s", run, error)
             self._reached()
         elif self._recordings.path_of(run) is None:
             self._drop(run)  # Its recording was deleted meanwhile, to make room for a later one.
@@ -207,20 +172,13 @@ class Handover:
         else:
             self._failed(outcome.error)
 
-    def _release(self, run: str) -> None:
-        """Delete the recording of a run that the archive has. One that stays is released after the next start."""
-        try:
-            self._recordings.release(run)
-        except (VaoiError, OSError) as error:
-            _log.warning("the recording of run %s, which the archive has, stays: %s", run, error)
-
     def _outcome(self, wanted: Addition) -> Added | Failed:
         """Have the adder add a run; StateError if the station stops meanwhile."""
-        if self._ended is not None and self._ended.is_alive():
+        if self._ended is not None and self._ended.poll() is None:
             return Failed(self._silent(), of_run=False)
         try:
             if self._adder is None:
-                self._adder = self._launch()
+                self._adder = launch_adder()
             pipe = self._adder[0]
             pipe.send(wanted)
             while isinstance(reply := self._reply(pipe), Turn):
@@ -247,14 +205,14 @@ class Handover:
             self._go_on()
             # A board takes the processor from the adder, which has the lowest priority.
             silent_s += 0.0 if self._busy() else LINE_PAUSE_S
-            if silent_s >= self._silence_s:
+            if silent_s >= SILENCE_S:
                 raise self._silent()
         reply: Turn | Added | Failed = pipe.recv()
         return reply
 
     def _silent(self) -> DeviceError:
         return DeviceError(
-            f"{self._config.url}: does not answer for more than {self._silence_s:g} s.",
+            f"{self._config.url}: does not answer for more than {SILENCE_S:g} s.",
             action="Check the server and the connection of the share.",
             code="archive-absent",
         )
@@ -284,7 +242,8 @@ class Handover:
             self._adder = None
             pipe.close()
             process.kill()
-            process.join(END_S)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(END_S)
             self._ended = process
 
     def _reached(self) -> None:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -42,8 +41,15 @@ from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.workers.jobs import PictureJob
 from vaoi_station.runs.workers.picture_jobs import LevelFrame, MergedBody, MergedFrame, MergeJob, RowLevelsJob
 
+_log = logging.getLogger(__name__)
+Lease = Callable[[str, str], AbstractContextManager[Bay]]
+"""Keeps the frames of a run in memory in a `with` block; arguments are the run and the purpose."""
+Render = Callable[[PictureJob, str], Any]
+"""Has a worker perform a job with this name in messages, and returns the reply's value."""
 MOST_WORK = 400_000_000
 """Largest number of pixels times frames of one merged picture; it takes a worker about four seconds."""
+MOST_KEPT = 16
+"""Number of runs whose levels are kept; they are one number per row."""
 _UNKNOWN = FieldMaps(None, 0.0, NoiseModel())
 
 
@@ -117,12 +123,6 @@ def merged_pictures(
             action="Ask for another place or light, or lower min_coverage.",
             code="no-such-image",
         )
-    groups = [*exposure_groups(exposed), exposed]
-    _refuse_too_much(exposed)
-    return tuple(_choice(group, records, height) for group in groups)
-
-
-def _refuse_too_much(exposed: Sequence[Exposed]) -> None:
     work = sum(e.view.width * e.view.height for e in exposed)
     if work > MOST_WORK:
         first = exposed[0].view
@@ -131,6 +131,14 @@ def _refuse_too_much(exposed: Sequence[Exposed]) -> None:
             f"pixels, but the limit is {MOST_WORK / 1e6:.0f} million.",
             action="Ask for a smaller region, or for fewer px_per_mm.",
         )
+    return tuple(
+        MergedChoice(
+            tuple(MergedFrame(e.view, e.taken, e.frame_size, finished.slots[e.key]) for e in group),
+            len(distinct_exposures(group)),
+            height,
+        )
+        for group in (*exposure_groups(exposed), exposed)
+    )
 
 
 def taken_with(record: FrameRecord) -> Taken:
@@ -143,15 +151,6 @@ def taken_with(record: FrameRecord) -> Taken:
     return Taken(record.exposure_us, record.gain or 1.0, record.light or None)
 
 
-def _choice(group: Sequence[Exposed], records: dict[tuple[int, int], FrameRecord], height_mm: float) -> MergedChoice:
-    frames = []
-    for e in group:
-        slot = records[e.key].slot
-        assert slot is not None, "usable frames have a slot"
-        frames.append(MergedFrame(e.view, e.taken, e.frame_size, slot))
-    return MergedChoice(tuple(frames), len(distinct_exposures(group)), height_mm)
-
-
 def _no_pixels() -> np.ndarray:
     raise AssertionError("frames are chosen without their pixels")
 
@@ -162,12 +161,10 @@ class MergedAccess:
 
     get: Callable[[str], FinishedRun]
     """Function that returns a finished run."""
-    lease: Callable[[str, str], AbstractContextManager[Bay]]
-    """Function that keeps a run's frames in memory in a `with` block."""
+    lease: Lease
     recorded: Callable[[str, int, int], Path | None]
     """Function that returns the file of a frame in the run's recording; None if no recording is kept."""
-    render: Callable[[PictureJob, str], Any]
-    """Function that submits a job and waits for its reply: here an encoded picture, or the levels of rows."""
+    render: Render
     flat_fields: Path | None
     """Directory of the station's flat fields."""
     heights: Callable[[str], Heights | None] = lambda _run: None
@@ -197,77 +194,53 @@ class MergedAccess:
                 action="See the list of merged pictures.",
                 code="no-such-image",
             )
-        choice = choices[-1 if k is None else k]
-        self._check_fields(run, choice)
-        choice = self._at_levels(run, choice)
-        name = f"{wanted.component or 'region'}/merged"
-        first = choice.frames[0]
+        finished, choice = self.get(run), choices[-1 if k is None else k]
+        frames = choice.frames
+        if self.flat_fields is not None:
+            if finished.head is not None:
+                # Flat fields of another array, resolution or light are refused before a worker is asked.
+                lights = [f.taken.light for f in frames if f.taken.light is not None]
+                FlatFields.peek(self.flat_fields).check(finished.head.cameras, lights or None)
+            # As if all rows were equally bright; without flat fields that is not known.
+            levels = self._brightness.levels(finished)
+            frames = tuple(f._replace(taken=at_level(f.taken, levels[f.view.row])) for f in frames)
+        name, first = f"{wanted.component or 'region'}/merged", frames[0]
+        job = MergeJob(
+            run, 0, 0, first.slot, first.view, format, frames=frames,
+            bodies=self._bodies(finished, wanted, frames), flat_fields=self.flat_fields, sigma=sigma,
+        )  # fmt: skip
+        content: bytes
         try:
             with self.lease(run, f"image {name}") as bay:
-                job = MergeJob(
-                    run, bay.number, bay.generation, first.slot, first.view, format, frames=choice.frames,
-                    bodies=self._bodies(run, wanted, choice.frames), flat_fields=self.flat_fields, sigma=sigma,
-                )  # fmt: skip
-                return self._encoded(job, name)
+                content = self.render(replace(job, bay=bay.number, generation=bay.generation), name)
+                return content
         except GoneError:
-            files = [self.recorded(run, f.view.camera, f.view.row) for f in choice.frames]
+            files = [self.recorded(run, f.view.camera, f.view.row) for f in frames]
             if None in files:
                 raise
-        frames = tuple(f._replace(file=file) for f, file in zip(choice.frames, files, strict=True))
-        job = MergeJob(
-            run, 0, 0, 0, first.view, format, file=files[0], frames=frames,
-            bodies=self._bodies(run, wanted, frames), flat_fields=self.flat_fields, sigma=sigma,
-        )  # fmt: skip
-        return self._encoded(job, name)
+        frames = tuple(f._replace(file=file) for f, file in zip(frames, files, strict=True))
+        bodies = self._bodies(finished, wanted, frames)
+        content = self.render(replace(job, file=files[0], frames=frames, bodies=bodies), name)
+        return content
 
-    def _bodies(self, run: str, wanted: MergeRequest, frames: Sequence[MergedFrame]) -> tuple[MergedBody, ...]:
+    def _bodies(
+        self, finished: FinishedRun, wanted: MergeRequest, frames: Sequence[MergedFrame]
+    ) -> tuple[MergedBody, ...]:
         """Return the bodies in the picture of a region, each with those of the picture's frames that show it."""
         if wanted.region is None:
             return ()
-        finished, of = self.get(run), {(f.view.camera, f.view.row): f for f in frames}
-        view = frames[0].view
-        bodies = bodies_in(view, finished.board_type, with_heights(finished.result, self.heights(run) or {}))
+        of, view = {(f.view.camera, f.view.row): f for f in frames}, frames[0].view
+        stitch = with_heights(finished.result, self.heights(finished.detail.id) or {})
+        bodies = bodies_in(view, finished.board_type, stitch)
         return tuple(
             MergedBody(body, tuple(of[v.camera, v.row]._replace(view=v) for v in views if (v.camera, v.row) in of))
             for body, views in views_of_bodies(finished.view_calculator, bodies, view.px_per_mm)
         )
 
-    def _encoded(self, job: MergeJob, name: str) -> bytes:
-        content: bytes = self.render(job, name)
-        return content
-
-    def _at_levels(self, run: str, choice: MergedChoice) -> MergedChoice:
-        """Return the choice with frames as if all rows were equally bright; without flat fields that is not known."""
-        if self._brightness is None:
-            return choice
-        levels = self._brightness.levels(self.get(run))
-        frames = tuple(f._replace(taken=at_level(f.taken, levels[f.view.row])) for f in choice.frames)
-        return replace(choice, frames=frames)
-
     @cached_property
-    def _brightness(self) -> RowBrightness | None:
-        if self.flat_fields is None:
-            return None
+    def _brightness(self) -> RowBrightness:
+        assert self.flat_fields is not None, "rows are compared only with flat fields"
         return RowBrightness(self.lease, self.recorded, self.render, self.flat_fields)
-
-    def _check_fields(self, run: str, choice: MergedChoice) -> None:
-        """Refuse flat fields of another array, resolution or light, before a worker is asked."""
-        if self.flat_fields is None:
-            return
-        head = self.get(run).head
-        if head is not None:
-            lights = [f.taken.light for f in choice.frames if f.taken.light is not None]
-            FlatFields.peek(self.flat_fields).check(head.cameras, lights or None)
-
-
-_log = logging.getLogger(__name__)
-MOST_KEPT = 16
-"""Number of runs whose levels are kept; they are one number per row."""
-
-Lease = Callable[[str, str], AbstractContextManager[Bay]]
-"""Keeps the frames of a run in memory in a `with` block; arguments are the run and the purpose."""
-Render = Callable[[PictureJob, str], Any]
-"""Has a worker perform a job with this name in messages, and returns the reply's value."""
 
 
 class RowBrightness:
@@ -276,110 +249,68 @@ class RowBrightness:
     def __init__(
         self, lease: Lease, recorded: Callable[[str, int, int], Path | None], render: Render, flat_fields: Path
     ) -> None:
-        """Create it.
-
-        Args:
-            lease: keeps a run's frames in memory.
-            recorded: returns the file of a frame in the run's recording; None if no recording is kept.
-            render: submits a job and waits for its reply.
-            flat_fields: directory of the flat fields.
-        """
-        self._lease, self._recorded, self._render = lease, recorded, render
-        self._flat_fields = flat_fields
-        self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[str, int], Floats] = OrderedDict()
-        self._under_way: dict[tuple[str, int], threading.Lock] = {}
-        """A lock for each run whose rows are being compared."""
+        """Store the parts, as those of `MergedAccess`."""
+        self._lease, self._recorded, self._render, self._flat_fields = lease, recorded, render, flat_fields
+        self._kept: dict[tuple[str, int], Floats] = {}
+        self._comparing = threading.Lock()
+        """Held while the rows of a run are compared. Callers of a run whose levels are kept do not wait."""
 
     def levels(self, finished: FinishedRun) -> Floats:
-        """Return the level (m,) of every row of a run; 1 for all if its rows cannot be compared.
-
-        Callers who want the same run wait for each other. Those of a run whose levels are kept do not wait.
-        """
+        """Return the level (m,) of every row of a run; 1 for all if its rows cannot be compared."""
         key = finished.detail.id, changed_ns(self._flat_fields)
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
-            comparison = self._under_way.setdefault(key, threading.Lock())
-        with comparison:
-            with self._lock:
-                if key in self._kept:
-                    return self._kept[key]
+        if (known := self._kept.get(key)) is not None:
+            return known
+        with self._comparing:
+            if (known := self._kept.get(key)) is not None:
+                return known
             try:
                 levels = self._compared(finished)
-                with self._lock:
-                    self._kept[key] = levels
-                    while len(self._kept) > MOST_KEPT:
-                        self._kept.popitem(last=False)
             except GoneError:
                 # Not kept: whether the picture itself can be made is decided by its own frames.
-                levels = _equal(finished)
-            finally:
-                with self._lock:
-                    self._under_way.pop(key, None)
+                return _equal(finished)
+            self._kept[key] = levels
+            if len(self._kept) > MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
             return levels
 
     def _compared(self, finished: FinishedRun) -> Floats:
         """Return the levels of a run. Raise GoneError if none of its frames is available."""
         run, name = finished.detail.id, "brightness of the rows"
         frames = level_frames(finished.detail.frames)
+        job = RowLevelsJob(
+            run, 0, 0, frames, finished.board_type, finished.lean, finished.cameras, self._flat_fields, recorded=True
+        )
+        levels: Floats
         try:
-            with self._lease(run, name) as bay:
-                return self._performed(finished, self._job(finished, frames, bay.number, bay.generation), name)
-        except GoneError:
-            files = [(f, self._file(run, f)) for f in frames]
-            kept = tuple(f._replace(file=file) for f, file in files if file is not None)
-            if not kept:
-                raise
-        return self._performed(finished, self._job(finished, kept, recorded=True), name)
-
-    def _file(self, run: str, frame: LevelFrame) -> Path | None:
-        """Return the file of a recorded frame; None if it was not recorded: the others are compared without it."""
-        try:
-            return self._recorded(run, frame.camera, frame.row)
-        except GoneError:
-            return None
-
-    def _performed(self, finished: FinishedRun, job: RowLevelsJob, name: str) -> Floats:
-        try:
-            levels: Floats = self._render(job, name)
+            try:
+                with self._lease(run, name) as bay:
+                    own = replace(job, bay=bay.number, generation=bay.generation, recorded=False)
+                    levels = self._render(own, name)
+                    return levels
+            except GoneError:
+                kept = []
+                for frame in frames:
+                    with suppress(GoneError):  # The others are compared without one that was not recorded.
+                        if (file := self._recorded(run, frame.camera, frame.row)) is not None:
+                            kept.append(frame._replace(file=file))
+                if not kept:
+                    raise
+                levels = self._render(replace(job, frames=tuple(kept)), name)
+                return levels
         except InternalError as error:
             # Kept as well: the same comparison would end the next worker too.
             _log.warning("%s: rows count as equally bright (%s)", job, error.message)
             return _equal(finished)
-        return levels
-
-    def _job(
-        self,
-        finished: FinishedRun,
-        frames: tuple[LevelFrame, ...],
-        bay: int = 0,
-        generation: int = 0,
-        *,
-        recorded: bool = False,
-    ) -> RowLevelsJob:
-        return RowLevelsJob(
-            finished.detail.id,
-            bay,
-            generation,
-            frames,
-            finished.board_type,
-            finished.stitch or finished.result,
-            finished.cameras,
-            self._flat_fields,
-            recorded,
-        )
 
 
 def _equal(finished: FinishedRun) -> Floats:
-    return np.ones(len((finished.stitch or finished.result).row_motion))
+    return np.ones(len(finished.lean.row_motion))
 
 
 def level_frames(records: Iterable[FrameRecord]) -> tuple[LevelFrame, ...]:
     """Return the usable frames of which it is known what they were taken with."""
     return tuple(
-        LevelFrame(f.camera, f.row, Taken(f.exposure_us, f.gain or 1.0, f.light or None), f.slot)
+        LevelFrame(f.camera, f.row, taken_with(f), f.slot)
         for f in records
         if f.usable and f.slot is not None and f.exposure_us is not None
     )

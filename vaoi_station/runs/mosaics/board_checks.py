@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import Any
 
 from vaoi_station.errors import StateError
 from vaoi_station.model import BoardType
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.runs.workers.picture_jobs import BoardCheckJob, CheckedBoard, Slots
+from vaoi_station.runs.merging.merged_pictures import Lease, Render
+from vaoi_station.runs.workers.picture_jobs import BoardCheckJob, CheckedBoard
 
 MOST_KEPT = 4
 """Number of replies that are kept: picture and correction are asked for after the report."""
-
-Lease = Callable[[str, str], AbstractContextManager[Bay]]
-"""Keeps the frames of a run in memory in a `with` block; arguments are the run and the purpose."""
-Render = Callable[[PictureJob, str], Any]
-"""Has a worker perform a job with this name in messages, and returns the reply's value."""
 
 
 class BoardChecks:
@@ -72,24 +63,11 @@ class BoardChecks:
 
     def _checked(self, finished: FinishedRun, board_type: BoardType) -> CheckedBoard:
         run, head = finished.detail.id, finished.head
-        stitch = finished.stitch or finished.result
         lights = (head.lights or ()) if head is not None else ()
         with self._lease(run, "check of a board type") as bay:
             job = BoardCheckJob(
-                run,
-                bay.number,
-                bay.generation,
-                slots_of(finished),
-                stitch,
-                finished.cameras,
-                lights,
-                finished.board_type,
-                board_type,
-            )
+                run, bay.number, bay.generation, finished.slots, finished.lean, finished.cameras, lights,
+                finished.board_type, board_type,
+            )  # fmt: skip
             checked: CheckedBoard = self._render(job, "check of a board type")
         return checked
-
-
-def slots_of(finished: FinishedRun) -> Slots:
-    """Return the slots of the usable frames of a run."""
-    return {(f.camera, f.row): f.slot for f in finished.detail.frames if f.usable and f.slot is not None}

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import monotonic
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import NotFoundError, StateError, VaoiError
@@ -27,7 +27,7 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.recordings import DISK_RESERVE
 from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.mosaics.opened_mosaics import PictureName
-from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.run.memory import Bay, FrameSource
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.supervised_queue import SupervisedQueue
 
@@ -48,16 +48,6 @@ _MOST_SWEPT = 20
 _NAME = re.compile(r"(?P<run>[0-9a-z-]+)_(?P<reduction>[0-9]+)\.jpg")
 
 
-class Frames(Protocol):
-    """The frames of finished runs in the ring."""
-
-    def bay_of(self, run: str) -> Bay:
-        """Return the bay of a run. Raise GoneError if its frames are no longer in memory."""
-
-    def busy(self) -> bool:
-        """Return whether a board is being filmed or stitched."""
-
-
 class _File(NamedTuple):
     """A kept picture: by how much it is reduced, and its size in bytes."""
 
@@ -74,7 +64,7 @@ class KeptMosaics:
         keep: KeepConfig,
         archive: Archive,
         mosaics: Mosaics,
-        frames: Frames,
+        frames: FrameSource,
         events: EventLog,
         clock: Callable[[], float] = monotonic,
     ) -> None:
@@ -112,12 +102,7 @@ class KeptMosaics:
         return None if file is None else self._mosaics.grid(run, PictureName()).reduced(file.reduction)
 
     def content(self, run: str) -> bytes:
-        """Return the kept picture of a run as JPEG.
-
-        Raises:
-            NotFoundError: the run is unknown, or no picture of it is kept.
-            GoneError: the run was forgotten.
-        """
+        """Return the kept picture of a run as JPEG. NotFoundError: there is none. GoneError: the run was forgotten."""
         self._archive.get(run)
         file = self._files.get(run)
         with suppress(FileNotFoundError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,20 +18,21 @@ from vaoi_station.files.images import encode_jpeg, encode_png
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, refuse_without_room, write_pyramid
 from vaoi_station.frame_index import Box, FrameIndex
 from vaoi_station.model.stitch_result import Heights, with_heights
-from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
+from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TakenFrame, TileRenderer, choose_frames, distinct_exposures_us
 from vaoi_station.mosaic.grid import Region
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.mosaic.tiles import NODATA
 from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.mosaics.board_checks import BoardChecks, Lease, Render, slots_of
+from vaoi_station.runs.merging.merged_pictures import Lease, Render
+from vaoi_station.runs.mosaics.board_checks import BoardChecks
 from vaoi_station.runs.mosaics.opened_mosaics import OpenedMosaic, OpenedMosaics, Overview, PictureName, PlannedMosaic
 from vaoi_station.runs.mosaics.overlays import overlay_of
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import RunOverlay
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
-from vaoi_station.runs.workers.picture_jobs import PlanJob, Slots, TileJob
+from vaoi_station.runs.workers.picture_jobs import PlanJob, TileJob
 
 KnownHeights = Callable[[str], Heights | None]
 """Function that returns the measured heights of a run; None while there are none."""
@@ -53,29 +55,6 @@ class Download(NamedTuple):
     """Resolution; None for that of the cameras."""
 
 
-class _Access(NamedTuple):
-    """How frames are kept while a worker reads them, and how urgent its jobs are."""
-
-    lease: Lease
-    priority: Priority
-
-
-class _Tile(NamedTuple):
-    """A part of a mosaic that is rendered: all that its job needs, apart from the place of the run in memory."""
-
-    run: str
-    slots: Slots
-    spec: TileSpec
-    tone: tuple[float, float]
-    format: str | None
-    """`jpg`, `png`, or None for the pixels."""
-
-    def job(self, bay: int, generation: int) -> TileJob:
-        """Return the job that renders it from the frames in a bay of the ring."""
-        needed = {(p.camera, p.row): self.slots[p.camera, p.row] for p in self.spec.parts}
-        return TileJob(self.run, bay, generation, needed, self.spec, self.tone, self.format)
-
-
 class Mosaics:
     """Renders mosaics of runs. Methods may be called from any thread."""
 
@@ -90,20 +69,13 @@ class Mosaics:
         fetched: Callable[[], None] = lambda: None,
         own: Callable[[TileJob], bytes | None] = lambda _job: None,
     ) -> None:
-        """Create it.
+        """Store the parts.
 
-        Args:
-            archive: the finished runs.
-            lease: keeps the frames of a run in memory in a `with` block.
-            render: has a worker perform a job, and returns the reply's value.
-            flat_fields: directory of the station's flat fields.
-            heights: see `KnownHeights`.
-            hastened: see `Hastened`.
-            fetched: notes that a caller fetches a tile, and is likely to fetch the next one.
-            own: renders a tile in this process, without a lease; None if a worker has to.
+        `fetched` notes that a caller fetches a tile, and is likely to fetch the next one. `own` renders a tile in this
+        process, without a lease; None if a worker has to.
         """
-        self._archive, self._render, self._hastened = archive, render, hastened
-        self._callers, self._fetched, self._own = _Access(lease, Priority.RENDER), fetched, own
+        self._archive, self._lease, self._render, self._hastened = archive, lease, render, hastened
+        self._fetched, self._own = fetched, own
         self._flat_fields, self._heights = flat_fields, heights
         self.board_checks = BoardChecks(archive, lease, render)
         """Board types laid over these runs."""
@@ -134,7 +106,7 @@ class Mosaics:
         if download is None and (opened := self._opened.get(self._key(run, name))) is not None:
             return opened.grid
         choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
-        resolution = self._projector(finished).px_per_mm
+        resolution = FrameIndex(finished.lean, finished.cameras).px_per_mm
         if download is None:
             return MosaicGrid.of_board(finished.board_type, resolution)
         return MosaicGrid.of_board(
@@ -160,13 +132,13 @@ class Mosaics:
         if overview is not None and overview.reduction <= reduction and finished.detail.frames_available:
             cut = overview.cut(reduction, box)
             return encode_jpeg(cut) if format == "jpg" else encode_png(cut)
-        spec, detail = opened.renderer(plan, reduction).spec(box), finished.detail
-        tile = _Tile(run, opened.slots, spec, plan.tone, format)
+        job = _tile_job(finished, opened.renderer(plan, reduction).spec(box), plan, format)
+        detail = finished.detail
         if detail.bay is not None and detail.generation is not None and detail.frames_available:
-            own = self._own(tile.job(detail.bay, detail.generation))
+            own = self._own(replace(job, bay=detail.bay, generation=detail.generation))
             if own is not None:
                 return own
-        content: bytes = self._rendered(tile)
+        content: bytes = self._rendered(job)
         return content
 
     def small(self, run: str, most_px: int, lease: Lease) -> tuple[NDArray[Any], int]:
@@ -179,8 +151,8 @@ class Mosaics:
         reduction = 1
         while opened.grid.width * opened.grid.height > most_px * reduction**2:
             reduction *= 2
-        spare = _Access(lease, Priority.OVERVIEW)
-        overview = (opened.planned or self._made(finished, PictureName(), opened, spare)).overview
+        planned = opened.planned or self._made(finished, PictureName(), opened, lease, Priority.OVERVIEW)
+        overview = planned.overview
         assert overview is not None, "it is not HDR"
         reduction = max(reduction, overview.reduction)
         picture = overview.level(reduction)
@@ -200,10 +172,8 @@ class Mosaics:
         # Refused first what is refused without frames: a plan that cannot be made would displace another one.
         grid = self.grid(run, name, download)
         pixels = grid.width * grid.height
-        if pixels <= LARGE_PX:
-            self._write(run, name, grid, path)
-            return
-        if not self._large.acquire(blocking=False):
+        large = self._large if pixels > LARGE_PX else threading.Lock()
+        if not large.acquire(blocking=False):
             raise BusyError(
                 f"another file of a whole board is being made; of more than {LARGE_PX / 1e6:.0f} megapixels, and this "
                 f"one has {pixels / 1e6:.0f}, there is one at a time.",
@@ -212,16 +182,16 @@ class Mosaics:
         try:
             self._write(run, name, grid, path)
         finally:
-            self._large.release()
+            large.release()
 
     def _write(self, run: str, name: PictureName, grid: MosaicGrid, path: Path) -> None:
-        opened = self._open(run, name, asked=True)
-        plan = self._planned(self._archive.get(run), name, opened).plan
+        finished, opened = self._archive.get(run), self._open(run, name, asked=True)
+        plan = self._planned(finished, name, opened).plan
         renderer = TileRenderer(plan, opened.projector, grid)
 
         def rendered(x: int, y: int) -> NDArray[Any] | None:
-            tile = _Tile(run, opened.slots, renderer.spec(_box(grid, x, y)), plan.tone, None)
-            pixels: NDArray[Any] | None = self._rendered(tile)
+            box = x * TILE_PX, y * TILE_PX, min((x + 1) * TILE_PX, grid.width), min((y + 1) * TILE_PX, grid.height)
+            pixels: NDArray[Any] | None = self._rendered(_tile_job(finished, renderer.spec(box), plan, None))
             return pixels
 
         sample: NDArray[Any] | None = None
@@ -239,7 +209,6 @@ class Mosaics:
         layout = PyramidLayout(
             grid.width, grid.height, sample.dtype, 3 if colour else 1, nodata, grid.px_per_mm, f"run {run}, {name}"
         )
-
         refuse_without_room(path, layout, LEFT_FREE)
 
         def tile(x: int, y: int) -> NDArray[Any]:
@@ -251,10 +220,10 @@ class Mosaics:
 
         write_pyramid(path, layout, tile)
 
-    def _rendered(self, tile: _Tile) -> Any:
+    def _rendered(self, job: TileJob) -> Any:
         """Have a worker render a tile, and return the reply's value."""
-        with self._callers.lease(tile.run, "tile of a mosaic") as bay:
-            return self._render(tile.job(bay.number, bay.generation), "tile of the mosaic")
+        with self._lease(job.run, "tile of a mosaic") as bay:
+            return self._render(replace(job, bay=bay.number, generation=bay.generation), "tile of the mosaic")
 
     def _key(self, run: str, name: PictureName) -> Hashable:
         """Return what a plan depends on besides the frames.
@@ -270,7 +239,7 @@ class Mosaics:
         opened = self._opened.get(key)
         if opened is None:
             finished, grid = self._archive.get(run), self.grid(run, name)
-            opened = OpenedMosaic(grid, self._projector(finished), slots_of(finished))
+            opened = OpenedMosaic(grid, FrameIndex(finished.lean, finished.cameras))
         return self._opened.use(key, opened, asked=asked)
 
     def _planned(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic) -> PlannedMosaic:
@@ -281,15 +250,17 @@ class Mosaics:
         if opened.planned is not None:
             return opened.planned
         with self._hastened(PlanJob, finished.detail.id):
-            return self._made(finished, name, opened, self._callers)
+            return self._made(finished, name, opened, self._lease, Priority.RENDER)
 
-    def _made(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic, access: _Access) -> PlannedMosaic:
+    def _made(
+        self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic, lease: Lease, priority: Priority
+    ) -> PlannedMosaic:
         """Have a worker make plan and overview of a mosaic, or wait until they are there if others have them made."""
         # Each holds the frames by a lease of its own: those of a caller stay, those of spare time need not. The lease
         # comes first, because in spare time it waits for the line.
-        with access.lease(finished.detail.id, "plan of a mosaic") as bay, opened.planning:
+        with lease(finished.detail.id, "plan of a mosaic") as bay, opened.planning:
             if (planned := opened.planned) is None:
-                planned = self._plan(finished, name, opened, bay, access.priority)
+                planned = self._plan(finished, name, opened, bay, priority)
                 self._opened.keep(opened, planned)
             return planned
 
@@ -297,9 +268,8 @@ class Mosaics:
         self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic, bay: Bay, priority: Priority
     ) -> PlannedMosaic:
         choice = choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
-        projector = self._projector(finished)
-        base = MosaicGrid.of_board(finished.board_type, projector.px_per_mm, most_px=float("inf"))
-        run, stitch = finished.detail.id, finished.stitch or finished.result
+        base = MosaicGrid.of_board(finished.board_type, opened.projector.px_per_mm, most_px=float("inf"))
+        run, stitch = finished.detail.id, finished.lean
         if name.hdr:
             # The complete result has heights of its own, from its links.
             stitch = with_heights(finished.result, self._heights(run) or {})
@@ -308,28 +278,17 @@ class Mosaics:
             lights = [choice.light] if choice.light is not None else None
             FlatFields.peek(self._flat_fields).check(finished.head.cameras, lights)
         job = PlanJob(
-            run,
-            bay.number,
-            bay.generation,
-            slots_of(finished),
-            choice,
-            finished.cameras,
-            stitch,
-            finished.board_type,
-            base,
-            opened.grid,
-            self._flat_fields,
-            priority=priority,
-        )
+            run, bay.number, bay.generation, finished.slots, choice, finished.cameras, stitch, finished.board_type,
+            base, opened.grid, self._flat_fields, priority=priority,
+        )  # fmt: skip
         plan, reduction, picture = self._render(job, "plan of the mosaic")
         return PlannedMosaic(plan, None if choice.hdr else Overview(picture, reduction))
 
-    def _projector(self, finished: FinishedRun) -> FrameIndex:
-        return FrameIndex(finished.stitch or finished.result, finished.cameras)
 
-
-def _box(grid: MosaicGrid, x: int, y: int) -> Box:
-    return x * TILE_PX, y * TILE_PX, min((x + 1) * TILE_PX, grid.width), min((y + 1) * TILE_PX, grid.height)
+def _tile_job(finished: FinishedRun, spec: TileSpec, plan: MosaicPlan, format: str | None) -> TileJob:
+    """Return the job that renders a tile as `jpg`, `png` or pixels (None), without the place of the run in memory."""
+    needed = {(p.camera, p.row): finished.slots[p.camera, p.row] for p in spec.parts}
+    return TileJob(finished.detail.id, 0, 0, needed, spec, plan.tone, format)
 
 
 def _taken(finished: FinishedRun) -> tuple[TakenFrame, ...]:

@@ -18,7 +18,6 @@ from vaoi_station.frame_index import Box, FrameIndex
 from vaoi_station.mosaic import MosaicGrid, MosaicPlan, TileRenderer
 from vaoi_station.mosaic.grid import TILE_PX
 from vaoi_station.mosaic.tiles import NODATA
-from vaoi_station.runs.workers.picture_jobs import Slots
 
 MOST_PLANS = 8
 """Number of plans that are kept; one of a board of 400 × 410 mm takes 2 MB per layer."""
@@ -43,8 +42,6 @@ class OpenedMosaic:
     grid: MosaicGrid
     """The largest grid."""
     projector: FrameIndex
-    slots: Slots
-    """Slots of the usable frames of the run."""
     planning: threading.Lock = field(default_factory=threading.Lock)
     """Held while a worker makes the plan, for which all who need it wait."""
     planned: PlannedMosaic | None = None

@@ -24,7 +24,7 @@ def overlay_of(finished: FinishedRun) -> RunOverlay:
         StateError: the run has no CAD mapping.
     """
     quality = quality_of(finished.text)
-    stitch, board_type = finished.stitch or finished.result, finished.board_type
+    stitch, board_type = finished.lean, finished.board_type
     projector = FrameIndex(stitch, finished.cameras)
     assert stitch.cad_matrix is not None, "the projector refuses a run without it"
     cad_from_tester: Floats = np.asarray(np.linalg.inv(stitch.cad_matrix), np.float64)

@@ -25,7 +25,7 @@ from vaoi_station.stitching.expectation import expectation_of, refuse_unplaceabl
 from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
-from vaoi_station.store.documents import StandingDocuments
+from vaoi_station.store.documents import KeyedTexts
 
 _KEY = "armed"
 _MOST_FORMER = 16
@@ -338,7 +338,7 @@ class Resumed:
 class StandingOrder:
     """Stores the order in force in the database. Callers do not wait for the disk."""
 
-    def __init__(self, documents: StandingDocuments) -> None:
+    def __init__(self, documents: KeyedTexts) -> None:
         self._documents = documents
 
     def keep(self, order: Order | None, runs: int | None) -> None:

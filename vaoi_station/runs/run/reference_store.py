@@ -49,20 +49,19 @@ class ReferenceStore:
     def __init__(self, directory: Path, store: Store, cameras: tuple[Camera, ...]) -> None:
         """Open the store of references in `directory`. `cameras` are the cameras of the calibration in force."""
         self._directory, self._cameras = directory, cameras
-        self._store, self._kept = store, store.stitching
+        self._store = store
         self._lock = threading.Lock()
         self._opened: dict[str, tuple[BoardType, StoredReference]] = {}
         """Cache of the references that were opened last, by board type, so that arming does not wait for the disk."""
 
     def method(self, board_type: str) -> MethodName | None:
         """Return the method that was set for a board type; None if the station's method applies."""
-        method = self._kept.method(board_type)
+        method = self._store.methods.get(board_type)
         return None if method is None else _METHOD.validate_python(method)
 
     def set_method(self, board_type: str, method: MethodName | None) -> None:
         """Set the stitching method of a board type. With None, the station's method applies."""
-        kept = self._kept
-        (kept.drop_method(board_type) if method is None else kept.keep_method(board_type, method)).result()
+        self._store.methods.set(board_type, method).result()
 
     def path_of(self, run: str) -> Path:
         """Return the directory of the reference made from a run. The directory may not exist."""
@@ -70,11 +69,11 @@ class ReferenceStore:
 
     def has(self, board_type: str) -> bool:
         """Return whether a board type has a reference, also one that is unusable."""
-        return self._kept.reference(board_type) is not None
+        return self._store.references.get(board_type) is not None
 
     def record(self, board_type: str) -> ReferenceRecord | None:
         """Return the record of a board type's reference; None if it has none. DeviceError if it cannot be read."""
-        document = self._kept.reference(board_type)
+        document = self._store.references.get(board_type)
         try:
             return None if document is None else ReferenceRecord.model_validate_json(document)
         except ValidationError as error:
@@ -110,11 +109,11 @@ class ReferenceStore:
 
     def keep(self, board_type: str, record: ReferenceRecord) -> None:
         """Assign a reference to a board type; it replaces an earlier one."""
-        self._kept.keep_reference(board_type, record.model_dump_json()).result()
+        self._store.references.set(board_type, record.model_dump_json()).result()
 
     def drop(self, board_type: str) -> None:
         """Remove the assignment of a reference to a board type, if there is one. The directory stays until `sweep`."""
-        self._kept.drop_reference(board_type).result()
+        self._store.references.set(board_type, None).result()
         # An order or a run that still uses the reference holds a copy of it. If the cache held it too, the directory
         # would be kept for ever.
         with self._lock:
@@ -137,7 +136,7 @@ class ReferenceStore:
             if keep.exists():
                 return
             try:
-                named = {ReferenceRecord.model_validate_json(document).run for document in self._kept.references()}
+                named = {ReferenceRecord.model_validate_json(document).run for document in self._store.references.all()}
             except ValidationError as error:
                 _log.warning("A record of a reference cannot be read, so no reference is removed: %s", error)
                 return

@@ -10,7 +10,7 @@ from collections import Counter, OrderedDict, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -29,11 +29,11 @@ from vaoi_station.store.figures import (
     SHARE,
     BoardFigures,
     BoardRow,
-    FigureTotal,
     HourFigure,
     HourRow,
     MarkRow,
     Span,
+    merged,
 )
 
 MarkKind = Literal["calibration", "configuration", "board-type", "light", "reference", "software"]
@@ -193,30 +193,30 @@ class TrendHistory:
         oldest = next(self._figures.hours(hours[:1]), None)
         by_hour = len(runs) > MOST_READ or (oldest is not None and oldest.hour < (first or span.until)[:13])
         marks = self._figures.marks(span, MOST_MARKS + 1)
-        width_s, groups, single = None, [], SingleBoards((), (), [])
+        width_s, of = None, None
         if not by_hour and len(runs) <= points:
-            single = single_boards(self._figures.boards(runs), wanted)
-            series = single.series
+            times, of, series = single_boards(self._figures.boards(runs), wanted)
+            counts = (1,) * len(of)
         else:
             width_s = bin_width_s(span, points, HOUR_S if by_hour else 0.0)
             if by_hour:
                 groups = groups_of_hours(self._figures.hours(hours), width_s)
             else:
                 groups = groups_of_boards(self._figures.boards(runs), width_s)
-            series = series_of_groups(groups, wanted)
-        whole = len(series) <= MOST_SERIES and len(marks) <= MOST_MARKS and len(hours) < MOST_HOURS
+            times, series = tuple(group.time for group in groups), series_of_groups(groups, wanted)
+            counts = tuple(group.boards for group in groups)
         return Trends(
             since=span.since,
             until=span.until,
             board_type=span.board_type,
-            boards=sum(group.boards for group in groups) if width_s else len(single.runs),
+            boards=sum(counts),
             bin_s=width_s,
-            times=tuple(group.time for group in groups) if width_s else single.times,
-            runs=None if width_s else single.runs,
-            counts=tuple(group.boards for group in groups) if width_s else (1,) * len(single.runs),
+            times=times,
+            runs=of,
+            counts=counts,
             series=tuple(series[:MOST_SERIES]),
             marks=tuple(_mark(mark) for mark in marks[-MOST_MARKS:]),
-            complete=whole,
+            complete=len(series) <= MOST_SERIES and len(marks) <= MOST_MARKS and len(hours) < MOST_HOURS,
         )
 
     def figures(self, runs: Sequence[str]) -> dict[str, dict[str, float]]:
@@ -269,16 +269,8 @@ def _faults_logged(run: str) -> Iterator[None]:
 
 
 def _mark(row: MarkRow) -> TrendMark:
-    return TrendMark.model_validate(
-        {
-            "time": row.started,
-            "run": row.run,
-            "kind": row.kind,
-            "board_type": row.board_type or None,
-            "before": row.before,
-            "after": row.after,
-        }
-    )
+    fields = {"time": row.started, "run": row.run, "kind": row.kind, "board_type": row.board_type or None}
+    return TrendMark.model_validate(fields | {"before": row.before, "after": row.after})
 
 
 MOST_SERIES = 200
@@ -295,17 +287,9 @@ class Group(NamedTuple):
     figures: Mapping[str, HourFigure]
 
 
-class SingleBoards(NamedTuple):
-    """Boards one by one."""
-
-    times: tuple[str, ...]
-    runs: tuple[str, ...]
-    series: list[TrendSeries]
-
-
 def bin_width_s(span: Span, points: int, least_s: float = 0.0) -> float:
     """Return the width of the bins, s, with which a span has at most `points` of them, if a week suffices."""
-    length_s = (_moment(span.until) - _moment(span.since)).total_seconds()
+    length_s = (datetime.fromisoformat(span.until) - datetime.fromisoformat(span.since)).total_seconds()
     return next((float(s) for s in BINS_S if s >= least_s and length_s / s <= points), float(BINS_S[-1]))
 
 
@@ -320,19 +304,20 @@ def groups_of_hours(rows: Iterable[HourRow], width_s: float) -> list[Group]:
     return _binned(entries, width_s)
 
 
-def single_boards(rows: Iterable[BoardRow], wanted: Sequence[str]) -> SingleBoards:
-    """Return boards, and one series per figure with the value of every board."""
+def single_boards(
+    rows: Iterable[BoardRow], wanted: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...], list[TrendSeries]]:
+    """Return times and runs of boards, and one series per figure with the value of every board."""
     times, runs = [], []
     columns: dict[str, tuple[list[int], list[float]]] = defaultdict(lambda: ([], []))
     for n, row in enumerate(rows):
         times.append(row.started)
         runs.append(row.run)
         for key, value in row.figures.items():
-            at, values = columns[key]
-            at.append(n)
-            values.append(value)
+            columns[key][0].append(n)
+            columns[key][1].append(value)
     series = [_series(key, tuple(columns[key][0]), tuple(columns[key][1])) for key in _keys([columns], wanted)]
-    return SingleBoards(tuple(times), tuple(runs), series)
+    return tuple(times), tuple(runs), series
 
 
 def series_of_groups(groups: Sequence[Group], wanted: Sequence[str]) -> list[TrendSeries]:
@@ -363,25 +348,20 @@ def _keys(rows: Iterable[Mapping[str, object]], wanted: Sequence[str]) -> list[s
 
 def _binned(entries: Iterable[tuple[str, Mapping[str, HourFigure], int]], width_s: float) -> list[Group]:
     # Only the totals of each bin are kept: memory does not grow with the number of entries.
-    bins: dict[float, dict[str, FigureTotal]] = defaultdict(dict)
+    bins: dict[float, dict[str, HourFigure]] = defaultdict(dict)
     counts: Counter[float] = Counter()
     for time, figures, boards in entries:
-        number = _moment(time).timestamp() // width_s
+        number = datetime.fromisoformat(time).timestamp() // width_s
         counts[number] += boards
         totals = bins[number]
         for key, figure in figures.items():
-            if key not in totals:
-                totals[key] = FigureTotal(only_lower_limit=has_only_lower_limit(key))
-            totals[key].add(figure)
-    groups = []
-    for number in sorted(bins):
-        begin = utc(datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=number * width_s))
-        groups.append(Group(begin, counts[number], {key: total.figure() for key, total in bins.pop(number).items()}))
-    return groups
-
-
-def _moment(time: str) -> datetime:
-    return datetime.fromisoformat(time)
+            known = totals.get(key)
+            only_lower = has_only_lower_limit(key)
+            totals[key] = figure if known is None else merged(known, figure, only_lower_limit=only_lower)
+    return [
+        Group(utc(datetime.fromtimestamp(number * width_s, UTC)), counts[number], bins[number])
+        for number in sorted(bins)
+    ]
 
 
 LEAST_COMPARED = 5
@@ -416,7 +396,11 @@ def _columns(rows: Iterable[BoardRow]) -> dict[str, array[float]]:
 def _change(key: str, before: Sequence[float], now: Sequence[float]) -> TrendChange:
     figure, _, part = key.partition(":")
     summary = _count if FIGURES[figure].counts else _figure
-    earlier, later = summary(before), summary(now)
+    earlier, later = (
+        SpanFigure(boards=len(values), middle=float(f"{middle:.5g}"), spread=float(f"{spread:.3g}"))
+        for values in (before, now)
+        for middle, spread in [summary(values)]
+    )
     change = later.middle - earlier.middle
     spread = max(earlier.spread, later.spread)
     error = _MEDIAN * math.hypot(earlier.spread / math.sqrt(len(before)), later.spread / math.sqrt(len(now)))
@@ -434,20 +418,15 @@ def _change(key: str, before: Sequence[float], now: Sequence[float]) -> TrendCha
     )
 
 
-def _figure(values: Sequence[float]) -> SpanFigure:
+def _figure(values: Sequence[float]) -> tuple[float, float]:
     """Return median and spread of the values of a span."""
     array = np.asarray(values)
     median = float(np.median(array))
     spread = _NORMAL * float(np.median(np.abs(array - median))) if len(values) >= _FEW else 0.0
-    spread = spread or float(array.std(ddof=1))
-    return _rounded(values, median, spread)
+    return median, spread or float(array.std(ddof=1))
 
 
-def _count(values: Sequence[float]) -> SpanFigure:
+def _count(values: Sequence[float]) -> tuple[float, float]:
     """Return the mean of counts, which are 0 on most boards, and by how much chance may change this mean."""
     array = np.asarray(values)
-    return _rounded(values, float(array.mean()), _CHANCE * float(array.std()) / math.sqrt(len(values)))
-
-
-def _rounded(values: Sequence[float], middle: float, spread: float) -> SpanFigure:
-    return SpanFigure(boards=len(values), middle=float(f"{middle:.5g}"), spread=float(f"{spread:.3g}"))
+    return float(array.mean()), _CHANCE * float(array.std()) / math.sqrt(len(values))

@@ -12,7 +12,7 @@ import pytest
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.archive.kept_runs import KeptRuns, RunHistory
+from vaoi_station.runs.kept_runs import KeptRuns, RunHistory
 from vaoi_station.runs.states.tables import RunState
 from vaoi_station.store import Store
 from vaoi_station.store.run_search import RunFilter

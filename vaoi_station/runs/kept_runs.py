@@ -6,19 +6,19 @@ import logging
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import ValidationError
 
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, NotFoundError, StateError, VaoiError
 from vaoi_station.model import Status
-from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.archive.read_identities import ReadIdentities
 from vaoi_station.runs.archive.recordings import DIRECTORY, Recordings
+from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
 from vaoi_station.runs.run.memory import FrameSource
 from vaoi_station.runs.states.run_ids import earliest_id, utc
 from vaoi_station.runs.states.schemas import (
@@ -34,36 +34,9 @@ from vaoi_station.runs.states.tables import RunState
 from vaoi_station.runs.trends.trends import TrendHistory
 from vaoi_station.runs.workers.jobs import PictureJob
 from vaoi_station.store.run_search import NO_VERDICT, RunFilter
-from vaoi_station.supervised_queue import SupervisedQueue
 
 R = TypeVar("R", bound=RunSummary)
 _log = logging.getLogger(__name__)
-
-
-class KeptPictures(Protocol):
-    """The small pictures of whole boards that are kept."""
-
-    queue: SupervisedQueue[Any]
-
-    @property
-    def runs(self) -> int:
-        """Number of kept pictures."""
-
-    @property
-    def size_bytes(self) -> int:
-        """Size of all kept pictures."""
-
-    def finished(self, detail: RunDetail) -> None:
-        """Have the picture of a run made that has just ended; it returns at once."""
-
-    def tend(self) -> None:
-        """Delete pictures that are not to be kept any more."""
-
-    def grid(self, run: str) -> MosaicGrid | None:
-        """Return the pixel grid of the kept picture of a run; None if none is kept."""
-
-    def content(self, run: str) -> bytes:
-        """Return the kept picture of a run as JPEG; `NotFoundError` if none is kept."""
 
 
 class KeptRuns:
@@ -76,18 +49,17 @@ class KeptRuns:
         events: EventLog,
         frames: FrameSource,
         heights: MeasuredHeights,
-        mosaics: KeptPictures,
+        mosaics: KeptMosaics,
         render: Callable[[PictureJob, str], Any],
     ) -> None:
         """Store the parts. `frames` are those in the ring; `render` has a worker perform a job for callers."""
-        self._archive, self._events = archive, events
+        self._archive, self._events, self._after_run = archive, events, config.heights == "after-run"
         self.recordings = Recordings(config.data / DIRECTORY, config.keep, archive, events, frames)
         self.recordings.program = config.program
         self.archive_status: Callable[[], ArchiveStatus | None] = lambda: None
         """Function that returns the state of the archive to which runs are handed."""
-        self.heights, self._after_run = heights, config.heights == "after-run"
+        self.heights, self.mosaics = heights, mosaics
         self.identities = ReadIdentities(archive, render, frames.bay_of, events)
-        self.mosaics = mosaics
         self.history = RunHistory(archive, events)
         names = [camera.name for camera in config.cameras]
         self.trends = TrendHistory(archive.figures, names, config.keep.database_gb)
@@ -118,15 +90,16 @@ class KeptRuns:
 
         An error in one part prevents neither the others nor the announcement of the run.
         """
-        parts: list[tuple[str, Callable[[RunDetail], object]]] = [
-            ("trends", lambda run: self.trends.finished(run, lambda name: self._archive.get(name).stitch)),
+        parts: dict[str, Callable[[RunDetail], object]] = {
+            "trends": lambda run: self.trends.finished(run, lambda name: self._archive.get(name).stitch),
             # Before the recording, which states whether the identity of its run is decided.
-            ("identity", self.identities.finished),
-            ("recording", self.recordings.finished),
-            ("heights", self.heights.finished if self._after_run else lambda _: None),
-            ("picture of the board", self.mosaics.finished),
-        ]
-        for name, finish in parts:
+            "identity": self.identities.finished,
+            "recording": self.recordings.finished,
+            "picture of the board": self.mosaics.finished,
+        }
+        if self._after_run:
+            parts["heights"] = lambda run: self.heights.queue.put(run.id)
+        for name, finish in parts.items():
             try:
                 finish(detail)
             except Exception as fault:  # noqa: BLE001  callers wait for the run, whatever follows it
@@ -149,8 +122,7 @@ class KeptRuns:
         """Keep a run until it is unpinned: its record and result, and its frames if they are in memory.
 
         Raises:
-            NotFoundError: the run is unknown.
-            GoneError: result and record of the run were deleted.
+            NotFoundError, GoneError: the run is unknown, or its result and record were deleted.
             StateError: too many runs are pinned.
         """
         try:
@@ -179,18 +151,15 @@ class KeptRuns:
         pins, decisions = self._archive.retention.pins(), self.history.decisions(documents)
         known = self.trends.figures([document.id for document in documents]) if figures else {}
 
-        def filled(document: R) -> R:
-            run = document.id
-            recording = self.recordings.path_of(run) is not None
-            update = {
+        def filled(run: str) -> dict[str, Any]:
+            return {
                 "pinned": run in pins,
-                "recording": recording,
+                "recording": self.recordings.path_of(run) is not None,
                 "decision": decisions.get(run),
                 "figures": known.get(run),
             }
-            return document.model_copy(update=update)
 
-        return tuple(map(filled, documents))
+        return tuple(document.model_copy(update=filled(document.id)) for document in documents)
 
     def with_id(
         self, board_id: str, wanted: RunFilter, limit: int, before: str | None
@@ -276,7 +245,7 @@ class RunHistory:
         """
         self._archive.get(run)
         decision = Decision(choice=choice, name=name, reason=reason, decided=utc())
-        if not self._archive.decisions.save(run, decision.model_dump_json()):
+        if not self._archive.store.save_decision(run, decision.model_dump_json()):
             raise StateError(
                 f"Run {run} is not on disk yet, so that no decision about it can be kept.",
                 action="Repeat this once the data disk takes writes again.",
@@ -288,7 +257,7 @@ class RunHistory:
         """Return the decisions about some runs, by run id."""
         found: dict[str, Decision] = {}
         try:
-            documents = self._archive.decisions.documents([run.id for run in runs])
+            documents = self._archive.store.decisions([run.id for run in runs])
         except DeviceError:
             return {}  # The latest runs are in memory, and shown even if the disk cannot be read.
         for run, document in documents.items():
