@@ -18,19 +18,15 @@ from vaoi_station.geometry import Camera, apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Stitch
 
-Box = tuple[int, int, int, int]
-"""Part x0, y0, x1, y1 of a picture in pixels, ends excluded."""
+Box = tuple[int, int, int, int]  # part x0, y0, x1, y1 of a picture in pixels, ends excluded
 
 
 class Lenses(NamedTuple):
     """The lenses of all cameras, as compiled functions take them (`geometry.projection_kernels`)."""
 
-    radial: Floats
-    """(cameras, coefficients) of the distortion; 0 where a lens has fewer."""
-    shape: Floats
-    """(cameras, 5) `Lens.shape`."""
-    distorts: NDArray[np.bool_]
-    """(cameras,) whether the lens distorts at all."""
+    radial: Floats  # (cameras, coefficients) of the distortion; 0 where a lens has fewer
+    shape: Floats  # (cameras, 5) `Lens.shape`
+    distorts: NDArray[np.bool_]  # (cameras,) whether the lens distorts at all
 
 
 class FrameIndex:
@@ -51,12 +47,10 @@ class FrameIndex:
         self.cameras, self.surface = stitch.cameras(calibrated), stitch.surface
         self.tester_from_cad: Floats = np.asarray(stitch.cad_matrix, dtype=np.float64)
         self.row_from_tester: Floats = np.array(stitch.row_motion, dtype=np.float64).reshape(-1, 3, 3)
-        self.row_from_cad: Floats = self.row_from_tester @ self.tester_from_cad
-        """(rows, 3, 3)."""
+        self.row_from_cad: Floats = self.row_from_tester @ self.tester_from_cad  # (rows, 3, 3)
         placed = [(i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None]
         self._placed = frozenset(placed)
-        self.key = np.array(placed, dtype=np.int_).reshape(-1, 2)
-        """(f, 2) camera and row."""
+        self.key = np.array(placed, dtype=np.int_).reshape(-1, 2)  # (f, 2) camera and row
 
     @property
     def px_per_mm(self) -> float:

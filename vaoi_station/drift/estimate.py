@@ -50,7 +50,7 @@ def estimate_displacements(findings: Findings) -> DisplacementEstimate:
     o, points = adjusted.problem.links, adjusted.problem.fiducials
     # Links on components are left out, because the height of a component looks like a displacement of a camera.
     kept = np.flatnonzero((o.p == o.q) & (adjusted.weight > _USED) & (findings.problem.component < 0))
-    a, b = o.pairs.a[o.group[kept]], o.pairs.b[o.group[kept]]
+    a, b = o.camera_a[kept], o.camera_b[kept]
     counted = _of_c(findings, points)
     seen_by = points.camera[counted] if points is not None else np.zeros(0, dtype=np.int_)
     marks = np.bincount(seen_by, minlength=n)
@@ -106,8 +106,8 @@ def _calibrated(findings: Findings, adjusted: AdjustmentResult, ground_mm: Float
 def _explained(findings: Findings, adjusted: AdjustmentResult, kept: Ints) -> Floats:
     """Return the part (k, 2) px of the links' residuals that the displacements explain."""
     o, motion = adjusted.problem.links, adjusted.motion
-    a_mm = _calibrated(findings, adjusted, o.a_mm[kept], o.pairs.a[o.group[kept]])
-    b_mm = _calibrated(findings, adjusted, o.b_mm[kept], o.pairs.b[o.group[kept]])
+    a_mm = _calibrated(findings, adjusted, o.a_mm[kept], o.camera_a[kept])
+    b_mm = _calibrated(findings, adjusted, o.b_mm[kept], o.camera_b[kept])
     change = motion.turned(o.q[kept], b_mm - o.b_mm[kept]) - motion.turned(o.p[kept], a_mm - o.a_mm[kept])
     return np.asarray(change * o.px_per_mm[kept, None])
 

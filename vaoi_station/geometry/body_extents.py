@@ -16,8 +16,7 @@ _REACHES = (0.4, 0.52, 0.64, 0.76, 0.88, 1.0)
 
 Typical values: 0.42 for a SOT-23, 0.64 to 0.84 for integrated circuits with leads, 1 for a block that fills its
 footprint."""
-_REACH_PRIORS = (0.3, 0.6, 1.0, 1.0, 1.0, 1.5)
-"""Relative prior probability of each of `_REACHES`."""
+_REACH_PRIORS = (0.3, 0.6, 1.0, 1.0, 1.0, 1.5)  # relative prior probability of each of `_REACHES`
 
 
 def _extents() -> Floats:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,12 +20,13 @@ from numpy.typing import ArrayLike
 from vaoi_station.geometry.lens import Lens
 from vaoi_station.geometry.transforms import Floats, Projective, System
 
-_BORDER_POINTS = 9
-"""Number of sampled points per side of the frame, from which the bounding box of the view is computed."""
-_BOX_MARGIN = 0.01
-"""Margin of the bounding box, as a share of its size.
+if TYPE_CHECKING:
+    from vaoi_station.geometry.projection_kernels import CameraArrays
 
-A usable lens bends the border of the view between two sampled points by less than this."""
+_BORDER_POINTS, _BOX_MARGIN = 9, 0.01
+"""Points per side of the frame from which the box of the view is computed, and its margin as a share of its size.
+
+A usable lens bends the border of the view between two of these points by less than this."""
 _FOOT_ITERATIONS = 5
 
 
@@ -60,36 +62,49 @@ class Camera:
     def foot_mm(self) -> Floats:
         """The point of the calibrated plane vertically below the camera centre, (2,) mm.
 
-        It is computed from N_i = K [r1 r2 t], with the focal length that puts the camera at the working distance. If
-        the working distance is unknown, the centre of the view is returned, which is exact for a camera without tilt.
+        If the working distance is unknown, it is the centre of the view, which is exact for a camera without tilt.
         """
         if self.working_distance_mm is None:
             return self.row_from_image(self.center_px)
         return _foot_of(self.image_from_row, self.principal_point_px or self.center_px, self.working_distance_mm)
 
+    @cached_property
+    def viewpoint(self) -> tuple[float, float, float]:
+        """The foot (x, y), mm, and the inverse working distance, 1/mm: 0 if unknown, so that heights have no effect."""
+        x, y = self.foot_mm
+        return float(x), float(y), 0.0 if self.working_distance_mm is None else 1 / self.working_distance_mm
+
+    @cached_property
+    def arrays(self) -> CameraArrays:
+        """The camera as compiled functions take it."""
+        return camera_arrays([self])
+
     def ground(self, raw_px: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
         """Project raw pixels (..., 2) to points (..., 2) in mm, `height_mm` above the calibrated plane."""
-        # Imported here, because Numba takes a moment to load and many callers of this package never project.
         from vaoi_station.geometry.projection_kernels import image_to_ground
 
         raw, height, out = _flatten_pairs(raw_px, height_mm)
-        n = self.row_from_image.matrix
-        image_to_ground(raw, height, self.viewpoint, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
+        image_to_ground(raw, height, self.arrays, out.reshape(-1, 2))
+        return out
+
+    def project(self, place_mm: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
+        """Project points (..., 2) in mm, `height_mm` above the calibrated plane, to raw pixels (..., 2)."""
+        from vaoi_station.geometry.projection_kernels import ground_to_image
+
+        place, height, out = _flatten_pairs(place_mm, height_mm)
+        ground_to_image(place, height, self.arrays, out.reshape(-1, 2))
         return out
 
     def view_mm(self, margin_px: float = 0.0, heights_mm: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
         """Return the lowest and the highest corner, mm, of a box that contains all points visible in a frame.
-
-        The box is slightly too large, because the border of the frame is sampled and a lens bends it between samples.
 
         Args:
             margin_px: width of the strip along the border of the frame that is left out.
             heights_mm: the lowest and the highest considered height above the calibrated plane.
         """
         # Most callers need the whole frame at height 0, so that box is cached.
-        if margin_px == 0 and heights_mm == (0.0, 0.0):
-            return self._view_mm
-        return self._seen_mm(margin_px, heights_mm)
+        whole = margin_px == 0 and heights_mm == (0.0, 0.0)
+        return self._view_mm if whole else self._seen_mm(margin_px, heights_mm)
 
     @cached_property
     def _view_mm(self) -> tuple[Floats, Floats]:
@@ -105,40 +120,18 @@ class Camera:
         return np.asarray(seen.min(0) - extra), np.asarray(seen.max(0) + extra)
 
     def parallax(self, ground_mm: ArrayLike) -> Floats:
-        """Return the offset (..., 2) from the ground position of a raised point to its real position, per mm of height.
+        """Return by how much a raised point lies off the ground points (..., 2) at which it is seen, per mm of height.
 
-        The ground position (..., 2) is where the ray through the point meets the calibrated plane. The offset is 0 if
-        the working distance is unknown.
+        0 if the working distance is unknown.
         """
-        ground = np.asarray(ground_mm, dtype=np.float64)
-        if self.working_distance_mm is None:
-            return np.zeros_like(ground)
-        return np.asarray((self.foot_mm - ground) / self.working_distance_mm, dtype=np.float64)
-
-    def project(self, place_mm: ArrayLike, height_mm: ArrayLike = 0.0) -> Floats:
-        """Project points (..., 2) in mm, `height_mm` above the calibrated plane, to raw pixels (..., 2)."""
-        from vaoi_station.geometry.projection_kernels import ground_to_image
-
-        place, height, out = _flatten_pairs(place_mm, height_mm)
-        n = self.image_from_row.matrix
-        ground_to_image(place, height, self.viewpoint, n, self.lens.coefficients, self.lens.shape, out.reshape(-1, 2))
-        return out
-
-    @cached_property
-    def viewpoint(self) -> tuple[float, float, float]:
-        """The foot (x, y), mm, and the inverse working distance, 1/mm, as compiled functions take them.
-
-        The inverse is 0 for an unknown distance, so that heights have no effect.
-        """
-        x, y = self.foot_mm
-        return float(x), float(y), 0.0 if self.working_distance_mm is None else 1 / self.working_distance_mm
+        x, y, inverse = self.viewpoint
+        return np.asarray(((x, y) - np.asarray(ground_mm, dtype=np.float64)) * inverse)
 
     def image_from_row_at(self, height_mm: float) -> Projective:
         """Return the homography from the plane at a height above the calibrated plane to undistorted pixels."""
-        if self.working_distance_mm is None or height_mm == 0:
+        x, y, inverse = self.viewpoint
+        if (k := height_mm * inverse) == 0:
             return self.image_from_row
-        k = height_mm / self.working_distance_mm
-        x, y = self.foot_mm
         ground_from_place = np.array([[1, 0, -k * x], [0, 1, -k * y], [0, 0, 1 - k]])
         return Projective(self.image_from_row.matrix @ ground_from_place, System.IMAGE, System.ROW)
 
@@ -150,12 +143,25 @@ class Camera:
         return np.asarray((x >= low) & (y >= low) & (x <= self.width_px - 1 - low) & (y <= self.height_px - 1 - low))
 
 
-def _flatten_pairs(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Convert points and heights to the form that compiled functions take.
+def camera_arrays(cameras: Sequence[Camera]) -> CameraArrays:
+    """Return the parameters of cameras as arrays for compiled functions."""
+    # Imported here, because Numba takes a moment to load and many callers of this package never project.
+    from vaoi_station.geometry.projection_kernels import CameraArrays
 
-    Returns points (k, 2), heights (k,) or one height (1,) for all points, and an uninitialised output array in the
-    shape of the points.
-    """
+    radial = np.zeros((len(cameras), max((len(c.lens.coefficients) for c in cameras), default=0)))
+    for own, camera in zip(radial, cameras, strict=True):
+        own[: len(camera.lens.coefficients)] = camera.lens.coefficients
+    return CameraArrays(
+        np.array([c.image_from_row.matrix for c in cameras]),
+        np.array([c.row_from_image.matrix for c in cameras]),
+        radial,
+        np.array([c.lens.shape for c in cameras]),
+        np.array([c.viewpoint for c in cameras]),
+    )
+
+
+def _flatten_pairs(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats, Floats]:
+    """Return points (k, 2) and heights (k,), or one height (1,) for all, and an output array in the points' shape."""
     p, h = np.asarray(points, dtype=np.float64), np.asarray(height, dtype=np.float64)
     if h.ndim and h.shape != p.shape[:-1]:
         shape = np.broadcast_shapes(p.shape[:-1], h.shape)
@@ -166,37 +172,26 @@ def _flatten_pairs(points: ArrayLike, height: ArrayLike) -> tuple[Floats, Floats
 def _foot_of(image_from_row: Projective, principal_point_px: tuple[float, float], distance_mm: float) -> Floats:
     """Compute the camera's foot (2,), mm, from its homography, principal point and working distance.
 
-    A fixed-point iteration finds the focal length that fits the distance.
+    A fixed-point iteration finds the focal length that fits the distance: the distance is proportional to it except for
+    the small tilt. Plain numbers, because numpy takes ten times as long, and this is part of the time of a result.
     """
     x, y = principal_point_px
-    f = image_from_row.scale_onto(principal_point_px) * distance_mm
-    (ax, bx, cx), (ay, by, cy), (az, bz, cz) = image_from_row.matrix.tolist()
-    foot = (0.0, 0.0)
-    # The distance is proportional to the focal length, except for the small tilt. So five iterations converge.
+    f, foot = image_from_row.scale_onto(principal_point_px) * distance_mm, (0.0, 0.0)
+    columns = image_from_row.matrix.T.tolist()
     for _ in range(_FOOT_ITERATIONS):
-        # Plain numbers: numpy takes ten times as long for vectors of three, and this is part of the time of a result.
-        a = ((ax - x * az) / f, (ay - y * az) / f, az)
-        b = ((bx - x * bz) / f, (by - y * bz) / f, bz)
-        c = ((cx - x * cz) / f, (cy - y * cz) / f, cz)
+        a, b, c = (((u - x * w) / f, (v - y * w) / f, w) for u, v, w in columns)
         # Two columns of a rotation have length 1; their mean length is the unknown scale of the homography.
         scale = (math.hypot(*a) + math.hypot(*b)) / 2
-        u, v, w = _dot(a, c) / scale**2, _dot(b, c) / scale**2, _normal(a, b)
-        # With noise, the three columns are not exactly orthonormal. Therefore the nearest rotation is taken: the third
-        # column is perpendicular to the others, so it is theirs that changes, by the inverse root of their products.
-        p, q, r = _dot(a, a) / scale**2, _dot(a, b) / scale**2, _dot(b, b) / scale**2
+        p, q, r, u, v = (_dot(*two) / scale**2 for two in ((a, a), (a, b), (b, b), (a, c), (b, c)))
+        # With noise, the columns are not exactly orthonormal. Therefore the nearest rotation is taken: the third one is
+        # perpendicular to the others, so it is theirs that changes, by the inverse root of their products.
         root = math.sqrt(p * r - q * q)
         size = root * math.sqrt(p + r + 2 * root)
         foot = (-((r + root) * u - q * v) / size, -((p + root) * v - q * u) / size)
-        f *= distance_mm / abs(_dot(w, c) / scale)
+        normal = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+        f *= distance_mm * math.hypot(*normal) / abs(_dot(normal, c) / scale)
     return np.array(foot)
 
 
 def _dot(a: Sequence[float], b: Sequence[float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _normal(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]:
-    """Return the vector of length 1 that is perpendicular to two vectors."""
-    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    length = math.hypot(x, y, z)
-    return x / length, y / length, z / length

@@ -24,8 +24,7 @@ from numpy.typing import ArrayLike
 from vaoi_station.geometry.camera import Camera
 from vaoi_station.geometry.transforms import Floats
 
-FIELDS = 9
-"""Number of basis fields of which the error of a camera consists."""
+FIELDS = 9  # number of basis fields of which the error of a camera consists
 
 
 def frame_radius_px(camera: Camera) -> float:

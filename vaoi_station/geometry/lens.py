@@ -33,15 +33,7 @@ class Lens:
 
     def undistort(self, raw_px: ArrayLike) -> Floats:
         """Convert raw pixels (..., 2) to undistorted pixels (..., 2)."""
-        p = np.asarray(raw_px, dtype=np.float64)
-        if self.ideal:
-            return p
-        # Imported here: Numba takes a moment to load, and an ideal lens needs no compiled code.
-        from vaoi_station.geometry.projection_kernels import undistort_points
-
-        out = np.empty(p.shape)
-        undistort_points(p.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
-        return out
+        return self._converted(raw_px, "undistort_points")
 
     def distort(self, undistorted_px: ArrayLike) -> Floats:
         """Convert undistorted pixels (..., 2) to raw pixels (..., 2) by Newton's method, to 1e-9 px.
@@ -49,13 +41,17 @@ class Lens:
         Beyond the turning point of the polynomial a point has no raw pixel. Such a point is mapped beyond the
         turning radius, monotonically, so that it never lands inside the frame.
         """
-        u = np.asarray(undistorted_px, dtype=np.float64)
-        if self.ideal:
-            return u
-        from vaoi_station.geometry.projection_kernels import distort_points
+        return self._converted(undistorted_px, "distort_points")
 
-        out = np.empty(u.shape)
-        distort_points(u.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
+    def _converted(self, px: ArrayLike, kernel: str) -> Floats:
+        p = np.asarray(px, dtype=np.float64)
+        if self.ideal:
+            return p
+        # Imported here: Numba takes a moment to load, and an ideal lens needs no compiled code.
+        from vaoi_station.geometry import projection_kernels
+
+        out = np.empty(p.shape)
+        getattr(projection_kernels, kernel)(p.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
         return out
 
     @cached_property
@@ -65,10 +61,7 @@ class Lens:
 
     @cached_property
     def shape(self) -> tuple[float, float, float, float, float]:
-        """The lens as (x0, y0, R, edge, furthest), as the functions of `geometry.projection_kernels` take it.
-
-        It contains the centre, the radius R, and the raw and the undistorted ρ of the turning point (∞ without one).
-        """
+        """(x0, y0, R, edge, furthest): centre, radius, raw and undistorted ρ of the turning point (∞ without one)."""
         edge = furthest = self.turning_point
         if math.isfinite(edge):
             furthest = edge * (1 + sum(a * edge ** (2 * k) for k, a in enumerate(self.radial, start=1)))

@@ -1,14 +1,12 @@
 """Compiled projection between pixels and points above the belt: lens, N_i and height in one pass.
 
-`lens` is (x0, y0, R, edge, furthest): the centre and the radius in px, and the raw and the undistorted ρ of the turning
-point of the polynomial. `radial` holds a1, a2, … and is empty for an ideal lens. `viewpoint` is (x, y, 1 / d): the
-foot of the camera in mm and its inverse working distance. The module is imported on first use, because Numba takes a
-moment to load.
+The module is imported on first use, because Numba takes a moment to load.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,93 +18,50 @@ _MAX_NEWTON_STEPS = 30
 _CONVERGED = 1e-14
 
 
-@compiled
-def ground_to_image(
-    place: Floats,
-    height: Floats,
-    viewpoint: tuple[float, float, float],
-    n: Floats,
-    radial: Floats,
-    lens: LensShape,
-    out: Floats,
-) -> None:
-    """Project points to raw pixels, which are written to `out` (k, 2).
+class CameraArrays(NamedTuple):
+    """c cameras, in the form that compiled functions take."""
 
-    Args:
-        place: points (k, 2), mm in row coordinates.
-        height: heights (k,) of the points above the calibrated plane, mm, or one height (1,) for all points.
-        viewpoint: foot of the camera and inverse working distance.
-        n: N_i (3, 3).
-        radial: coefficients of the distortion.
-        lens: shape of the distortion.
-        out: raw pixels (k, 2).
+    image_from_row: Floats  # (c, 3, 3) N_i
+    row_from_image: Floats  # (c, 3, 3) the inverse N_i
+    radial: Floats  # (c, r) coefficients a1, a2, … of the lenses; shorter ones are filled up with zeros
+    lens: Floats  # (c, 5) `Lens.shape`
+    viewpoint: Floats  # (c, 3) foot of the camera, x and y in mm, and inverse working distance; 0 if it is unknown
+
+
+@compiled
+def ground_to_image(place: Floats, height: Floats, cameras: CameraArrays, out: Floats) -> None:
+    """Project points (k, 2), mm in row coordinates, to raw pixels of the first camera, written to `out` (k, 2).
+
+    `height` has the heights above the calibrated plane (k,), mm, or one (1,) for all points.
     """
-    x0, y0, inverse = viewpoint
+    x0, y0, inverse = cameras.viewpoint[0]
     for i in range(len(place)):
         # The ray from the camera through the raised point meets the calibrated plane further away from the foot.
         share = height[i if len(height) > 1 else 0] * inverse
         x, y = (place[i, 0] - share * x0) / (1 - share), (place[i, 1] - share * y0) / (1 - share)
-        w = n[2, 0] * x + n[2, 1] * y + n[2, 2]
-        u, v = (n[0, 0] * x + n[0, 1] * y + n[0, 2]) / w, (n[1, 0] * x + n[1, 1] * y + n[1, 2]) / w
-        out[i, 0], out[i, 1] = distort_point(u, v, radial, lens)
+        out[i, 0], out[i, 1] = ground_to_raw(x, y, 0, cameras)
 
 
 @compiled
-def image_to_ground(
-    raw: Floats,
-    height: Floats,
-    viewpoint: tuple[float, float, float],
-    n: Floats,
-    radial: Floats,
-    lens: LensShape,
-    out: Floats,
-) -> None:
-    """Project raw pixels to points at known heights, which are written to `out` (k, 2).
-
-    Args:
-        raw: raw pixels (k, 2).
-        height: heights (k,) of the points above the calibrated plane, mm, or one height (1,) for all points.
-        viewpoint: (x, y, 1/d): the point of the calibrated plane below the camera, mm, and the inverse of the working
-            distance, 1/mm.
-        n: inverse of N_i (3, 3).
-        radial: coefficients a1, a2, … of the distortion.
-        lens: centre, radius and limits of the distortion, as the module describes them.
-        out: points (k, 2), mm in row coordinates.
-    """
-    x0, y0, inverse = viewpoint
+def image_to_ground(raw: Floats, height: Floats, cameras: CameraArrays, out: Floats) -> None:
+    """Project raw pixels (k, 2) of the first camera to points at known heights: the inverse of `ground_to_image`."""
+    x0, y0, inverse = cameras.viewpoint[0]
     for i in range(len(raw)):
-        u, v = undistort_point(raw[i, 0], raw[i, 1], radial, lens)
-        w = n[2, 0] * u + n[2, 1] * v + n[2, 2]
-        x, y = (n[0, 0] * u + n[0, 1] * v + n[0, 2]) / w, (n[1, 0] * u + n[1, 1] * v + n[1, 2]) / w
+        x, y, _, _ = raw_to_ground(raw[i, 0], raw[i, 1], 0, cameras)
         share = height[i if len(height) > 1 else 0] * inverse
         out[i, 0], out[i, 1] = x + (x0 - x) * share, y + (y0 - y) * share
 
 
 @compiled
-def transfer_points(
-    raw: Floats,
-    ground_from_a: Floats,
-    radial_a: Floats,
-    lens_a: LensShape,
-    shift_mm: Floats,
-    b_from_ground: Floats,
-    radial_b: Floats,
-    lens_b: LensShape,
-) -> Floats:
+def transfer_points(raw: Floats, a: CameraArrays, b: CameraArrays, shift_mm: Floats) -> Floats:
     """Return the raw pixels (k, 2) of camera b that show the same points of the calibrated plane as those of camera a.
 
-    The points move by `shift_mm` (2,) between the exposures of the two cameras. `ground_from_a` is the inverse of N_a,
-    and `b_from_ground` is N_b.
+    The points move by `shift_mm` (2,) between the exposures of the two cameras.
     """
-    out, m, n = np.empty((len(raw), 2)), ground_from_a, b_from_ground
+    out = np.empty((len(raw), 2))
     for i in range(len(raw)):
-        u, v = undistort_point(raw[i, 0], raw[i, 1], radial_a, lens_a)
-        w = m[2, 0] * u + m[2, 1] * v + m[2, 2]
-        x = (m[0, 0] * u + m[0, 1] * v + m[0, 2]) / w + shift_mm[0]
-        y = (m[1, 0] * u + m[1, 1] * v + m[1, 2]) / w + shift_mm[1]
-        w = n[2, 0] * x + n[2, 1] * y + n[2, 2]
-        u, v = (n[0, 0] * x + n[0, 1] * y + n[0, 2]) / w, (n[1, 0] * x + n[1, 1] * y + n[1, 2]) / w
-        out[i, 0], out[i, 1] = distort_point(u, v, radial_b, lens_b)
+        x, y, _, _ = raw_to_ground(raw[i, 0], raw[i, 1], 0, a)
+        out[i, 0], out[i, 1] = ground_to_raw(x + shift_mm[0], y + shift_mm[1], 0, b)
     return out
 
 
@@ -122,6 +77,24 @@ def distort_points(points: Floats, radial: Floats, lens: LensShape, out: Floats)
     """Convert undistorted pixels (k, 2) to raw pixels, which are written to `out` (k, 2)."""
     for i in range(len(points)):
         out[i, 0], out[i, 1] = distort_point(points[i, 0], points[i, 1], radial, lens)
+
+
+@inlined
+def raw_to_ground(x: float, y: float, i: int, cameras: CameraArrays) -> tuple[float, float, float, float]:
+    """Return the point of the calibrated plane that a raw pixel of camera i shows, and its undistorted pixel."""
+    n, s = cameras.row_from_image[i], cameras.lens[i]
+    u, v = undistort_point(x, y, cameras.radial[i], (s[0], s[1], s[2], s[3], s[4]))
+    w = n[2, 0] * u + n[2, 1] * v + n[2, 2]
+    return (n[0, 0] * u + n[0, 1] * v + n[0, 2]) / w, (n[1, 0] * u + n[1, 1] * v + n[1, 2]) / w, u, v
+
+
+@inlined
+def ground_to_raw(x: float, y: float, i: int, cameras: CameraArrays) -> tuple[float, float]:
+    """Return the raw pixel in which camera i shows a point of the calibrated plane."""
+    n, s = cameras.image_from_row[i], cameras.lens[i]
+    w = n[2, 0] * x + n[2, 1] * y + n[2, 2]
+    u, v = (n[0, 0] * x + n[0, 1] * y + n[0, 2]) / w, (n[1, 0] * x + n[1, 1] * y + n[1, 2]) / w
+    return distort_point(u, v, cameras.radial[i], (s[0], s[1], s[2], s[3], s[4]))
 
 
 @inlined

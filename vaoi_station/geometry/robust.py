@@ -14,10 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from vaoi_station.errors import InternalError
 from vaoi_station.geometry.transforms import Floats, Similarity, System
 
-_ROUNDING = 1e-12
-"""Largest distance of points that count as equal, relative to their coordinates: rounding errors only."""
-_UNRELATED = 1e-12
-"""A fit fails if it explains less than this share of the squared spread of the target points."""
+_ROUNDING = 1e-12  # largest distance of points that count as equal, relative to their coordinates: rounding errors only
+_UNRELATED = 1e-12  # a fit fails if it explains less than this share of the squared spread of the target points
 
 
 @dataclass(frozen=True)
@@ -25,8 +23,7 @@ class Failure:
     """The failure of an estimate, with a sentence that states why it is not possible, with numbers."""
 
     reason: str
-    code: str = ""
-    """Code of the failure, if it can become a reason of a verdict (`ReasonCode`); otherwise empty."""
+    code: str = ""  # code of the failure, if it can become a reason of a verdict (`ReasonCode`); otherwise empty
 
 
 def fit_similarity(

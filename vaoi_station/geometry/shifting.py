@@ -26,40 +26,30 @@ BENT = 0.0018
 It is less than half a grey level of 255 at the steepest edge, so that with rounding it stays within one grey level."""
 _STEEPEST = 0.04
 """Largest deviation of the steps along a line from one pixel to the right: runs would be shorter than 25 px."""
-_BLOCK = 16
-"""Values that are computed at once: a known number, for which the compiler makes no loop for a rest."""
-_CACHE_LINE = 64
-"""Bytes that the processor reads from memory at once."""
-_BAND_PX = 64
-"""Lines of a picture that are read ahead together: with their width, they fit into the fastest cache."""
-_CLEAR_PX = 1e-6
-"""Distance from the border of a frame that positions keep; it exceeds every error of rounding."""
+_BLOCK = 16  # values that are computed at once: a known number, for which the compiler makes no loop for a rest
+_CACHE_LINE = 64  # bytes that the processor reads from memory at once
+_BAND_PX = 64  # lines of a picture that are read ahead together: with their width, they fit into the fastest cache
+_CLEAR_PX = 1e-6  # distance from the border of a frame that positions keep; it exceeds every error of rounding
 
 
 class Run(NamedTuple):
     """Pixels of one line whose neighbours in the frame are runs of values as well."""
 
-    left: int
-    """Column and row in the frame of the neighbour above and to the left of the first pixel."""
+    left: int  # column and row in the frame of the neighbour above and to the left of the first pixel
     top: int
-    right: float
-    """Weights of the neighbours to the right and below, at the first pixel."""
+    right: float  # weights of the neighbours to the right and below, at the first pixel
     down: float
-    step_right: float
-    """Change of these weights from one pixel to the next."""
+    step_right: float  # change of these weights from one pixel to the next
     step_down: float
-    length: int
-    """Number of pixels."""
+    length: int  # number of pixels
 
 
 class Linear(NamedTuple):
     """A linear function from pixels of a picture to those of a frame, and how far a homography is from it."""
 
-    u: float
-    """Column and row in the frame of the first pixel."""
+    u: float  # column and row in the frame of the first pixel
     v: float
-    u_x: float
-    """Change of column and row per pixel along x and along y."""
+    u_x: float  # change of column and row per pixel along x and along y
     v_x: float
     u_y: float
     v_y: float

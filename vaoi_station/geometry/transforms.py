@@ -24,16 +24,12 @@ _KIND_TOLERANCE = 1e-6
 class System(StrEnum):
     """A coordinate system; docs/conventions.md shows all of them."""
 
-    CAD = "cad"
-    """Coordinates of the CAD data, in the unit of the board type."""
-    TESTER = "tester"
-    """mm in the conveyor's plane, fixed to the board. In row 0 they are equal to ROW coordinates."""
+    CAD = "cad"  # coordinates of the CAD data, in the unit of the board type
+    TESTER = "tester"  # mm in the conveyor's plane, fixed to the board. In row 0 they are equal to ROW coordinates
     ROW = "row"
     """mm in the conveyor's plane, fixed to the cameras. The board moves in these coordinates from row to row."""
-    IMAGE = "image"
-    """Undistorted pixels of one frame; the centre of the top-left pixel is (0, 0)."""
-    CROP = "crop"
-    """Pixels of a temporary image. The centre of the top-left pixel is (0, 0), as in IMAGE."""
+    IMAGE = "image"  # undistorted pixels of one frame; the centre of the top-left pixel is (0, 0)
+    CROP = "crop"  # pixels of a temporary image. The centre of the top-left pixel is (0, 0), as in IMAGE
 
 
 def apply(matrix: ArrayLike, points: ArrayLike) -> Floats:

@@ -23,15 +23,13 @@ from vaoi_station.geometry.projection_kernels import distort_point
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.marks.candidate_search import SURROUND
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.adjustment.motion import points_in_box
 from vaoi_station.stitching.adjustment.problem import Ints
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.frames import Scene
 
 _AROUND_MM = 0.3
 """Margin around a footprint, mm. Points in it count as on the component, because solder and shadow lie there."""
-_MOST_CELLS = 400
-"""Largest number of cells along each axis of the grid."""
+_MOST_CELLS = 400  # largest number of cells along each axis of the grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +37,9 @@ class ComponentIndex:
     """The n components of a board type as arrays, in the order of the board type."""
 
     addresses: tuple[str, ...]
-    center: Floats
-    """(n, 2) centres of the footprints."""
-    size: Floats
-    """(n, 2) width and height of the footprints before rotation."""
-    angle_rad: Floats
-    """(n,) rotation of the footprints."""
+    center: Floats  # (n, 2) centres of the footprints
+    size: Floats  # (n, 2) width and height of the footprints before rotation
+    angle_rad: Floats  # (n,) rotation of the footprints
     stands_out: NDArray[np.bool_]
     """(n,) whether the component stands above the board; true too if its height is unknown."""
     mm_per_unit: float
@@ -133,14 +128,10 @@ class ComponentIndex:
 class _Cells(NamedTuple):
     """A search grid of cells, with the list of boxes that reach into each cell."""
 
-    origin: Floats
-    """(2,) lowest corner of the grid."""
-    size: Floats
-    """(2,) width and height of one cell."""
-    first: Ints
-    """(rows, columns + 1): cell (r, c) holds the boxes `numbers[first[r, c] : first[r, c + 1]]`."""
-    numbers: Ints
-    """Numbers of the boxes, cell by cell; within a cell in the order in which the boxes were given."""
+    origin: Floats  # (2,) lowest corner of the grid
+    size: Floats  # (2,) width and height of one cell
+    first: Ints  # (rows, columns + 1): cell (r, c) holds the boxes `numbers[first[r, c] : first[r, c + 1]]`
+    numbers: Ints  # numbers of the boxes, cell by cell; within a cell in the order in which the boxes were given
 
     @staticmethod
     def of(numbers: Ints, low: Floats, high: Floats) -> _Cells:
@@ -166,12 +157,9 @@ class _Cells(NamedTuple):
 class _Boxes(NamedTuple):
     """n rotated rectangles, in CAD coordinates."""
 
-    center: Floats
-    """(n, 2) centres of the rectangles."""
-    turn: Floats
-    """(n, 2) cosine and sine of the rectangles' rotations."""
-    half: Floats
-    """(n, 2) half the width and half the height of the rectangles."""
+    center: Floats  # (n, 2) centres of the rectangles
+    turn: Floats  # (n, 2) cosine and sine of the rectangles' rotations
+    half: Floats  # (n, 2) half the width and half the height of the rectangles
 
 
 @compiled
@@ -196,35 +184,29 @@ def _find(cad_from_board: Floats, board_mm: Floats, cells: _Cells, boxes: _Boxes
                 break
 
 
-_BEYOND_PX = 3.0
-"""A footprint's centre up to this far outside a frame still counts as a view."""
+_BEYOND_PX = 3.0  # a footprint's centre up to this far outside a frame still counts as a view
 _BORDER_PX = 6.0
 """Least distance of a fiducial's bare rim from the border of a frame: nearer to the border it may not be detected."""
-_MARGIN_MM = 1.0
-"""Least distance of a point from the border of its best frame."""
+_MARGIN_MM = 1.0  # least distance of a point from the border of its best frame
 _FAINT = 1 / 3
 """A frame whose grey levels scatter less than this share of those of another frame is exposed too short or too long."""
 _DEEPEST, _DEEPEST_VIEW = 7, 4
 """Number of times that a footprint is divided into quarters at its border: for its share, and to count its views."""
-_VIEW_SHARE = 0.5
-"""Least share of a footprint that a frame must show, for the frame to count as a view."""
+_VIEW_SHARE = 0.5  # least share of a footprint that a frame must show, for the frame to count as a view
 
-View = tuple[int, int, float, float]
-"""One view of a point: camera, row, and raw pixels x and y."""
+View = tuple[int, int, float, float]  # one view of a point: camera, row, and raw pixels x and y
 
 
 @dataclass(frozen=True, eq=False)
 class FootprintViews:
     """k views of points of the board, ordered by point, then by camera, then by row."""
 
-    point: Ints
-    """(k,) number of the point that each view shows."""
+    point: Ints  # (k,) number of the point that each view shows
     camera: Ints
     row: Ints
     place_mm: Floats
     """(k, 2) position of the point in the conveyor's plane, mm in row coordinates, in the row of the view."""
-    px: Floats
-    """(k, 2) raw pixels. Some lie a little outside the frame."""
+    px: Floats  # (k, 2) raw pixels. Some lie a little outside the frame
 
     @property
     def frames(self) -> list[FrameKey]:
@@ -258,12 +240,9 @@ class FootprintViews:
 class Coverage:
     """How much of each of n components the frames show."""
 
-    share: Floats
-    """(n,) share of the footprint's area that the frames show together."""
-    views: Ints
-    """(n,) number of frames that show at least half of the footprint."""
-    in_one_frame: NDArray[np.bool_]
-    """(n,) whether one frame shows the whole footprint."""
+    share: Floats  # (n,) share of the footprint's area that the frames show together
+    views: Ints  # (n,) number of frames that show at least half of the footprint
+    in_one_frame: NDArray[np.bool_]  # (n,) whether one frame shows the whole footprint
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,14 +250,11 @@ class FrameIndex:
     """The frames of a run, with their poses above the board: cameras N_i, rows D_j, and the board's surface."""
 
     cameras: Sequence[Camera]
-    rows: Floats
-    """(m, 3, 3) the matrices D_j of all rows."""
+    rows: Floats  # (m, 3, 3) the matrices D_j of all rows
     present: Sequence[FrameKey] = ()
     """Camera and row of the frames that count; `views` gives those of all cameras and rows."""
-    surface: Surface | None = None
-    """Surface of the board; None for a board in the calibrated plane."""
-    scene: Scene | None = None
-    """The pixels of the frames, for those questions that read them."""
+    surface: Surface | None = None  # surface of the board; None for a board in the calibrated plane
+    scene: Scene | None = None  # the pixels of the frames, for those questions that read them
 
     @staticmethod
     def of(scene: Scene, rows: Floats) -> FrameIndex:
@@ -375,6 +351,32 @@ class FrameIndex:
         return _poses_of(self.cameras, self.rows, (0.0, 0.0))
 
 
+@compiled
+def points_in_box(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> tuple[Ints, Ints, Floats]:
+    """Find in which rows which points of the board lie inside a box on the conveyor's plane.
+
+    Args:
+        board_mm: (k, 2) points of the board in tester coordinates.
+        low: (2,) the corner of the box with the smallest x and y, in row coordinates.
+        high: (2,) the corner with the largest x and y.
+
+    Returns:
+        For each of v hits, row by row: the row (v,), the index of the point (v,), its row coordinates (v, 2).
+    """
+    most = len(rows) * len(board_mm)
+    row, point, place = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 2))
+    count = 0
+    for j in range(len(rows)):
+        d = rows[j]
+        for n in range(len(board_mm)):
+            x = d[0, 0] * board_mm[n, 0] + d[0, 1] * board_mm[n, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[n, 0] + d[1, 1] * board_mm[n, 1] + d[1, 2]
+            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+                row[count], point[count], place[count, 0], place[count, 1] = j, n, x, y
+                count += 1
+    return row[:count].copy(), point[:count].copy(), place[:count].copy()
+
+
 def frames_of_marks(
     board_type: BoardType, views: FootprintViews, cameras: Sequence[Camera], confirmed: Collection[FrameKey]
 ) -> dict[int, FrameKey]:
@@ -390,17 +392,12 @@ def frames_of_marks(
 class _Poses(NamedTuple):
     """The poses of c cameras in m rows, in the form that compiled functions take."""
 
-    rows: Floats
-    """(m, 3, 3) the matrices D_j."""
+    rows: Floats  # (m, 3, 3) the matrices D_j
     image_from_row: Floats
-    radial: Floats
-    """(c, r) radial coefficients of the lenses; shorter polynomials are filled up with zeros."""
-    lens: Floats
-    """(c, 5) other parameters of each lens, in the form of `geometry.projection_kernels`."""
-    viewpoint: Floats
-    """(c, 3) foot x and y, mm, and the inverse working distance; 0 for an unknown distance."""
-    size_px: Floats
-    """(c, 3) width and height of each camera's frame, and the margin at its border."""
+    radial: Floats  # (c, r) radial coefficients of the lenses; shorter polynomials are filled up with zeros
+    lens: Floats  # (c, 5) other parameters of each lens, in the form of `geometry.projection_kernels`
+    viewpoint: Floats  # (c, 3) foot x and y, mm, and the inverse working distance; 0 for an unknown distance
+    size_px: Floats  # (c, 3) width and height of each camera's frame, and the margin at its border
     view_mm: Floats
     """(c, 4) lowest x and y, then highest x and y, of a box around each camera's view, mm in row coordinates."""
 

@@ -15,15 +15,10 @@ from vaoi_station.geometry.displacement import displace_camera
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.cameras import (
+    CameraEffects,
     attribute_motion,
-    camera_effects,
-    comparable_cameras,
     displaced_cameras,
-    ground_changes,
-    move_points,
     prior_weights,
-    rotation_of_all,
-    row_changes,
     spread_of_unseen_motion,
     without_direction,
 )
@@ -53,7 +48,7 @@ def between_neighbours(d: Floats) -> tuple[Floats, Floats]:
     return a.T @ a, a.T @ a @ d.ravel()
 
 
-@pytest.mark.parametrize("camera", [0, 1, 2, 3])
+@pytest.mark.parametrize("camera", [0, 2])
 @pytest.mark.parametrize("moved", [(34.0, 0.0, 0.0), (0.0, 0.4, -0.8)])
 def test_one_camera_of_four_that_moved_is_named(camera: int, moved: tuple[float, float, float]) -> None:
     d = np.zeros((4, 3))
@@ -64,25 +59,11 @@ def test_one_camera_of_four_that_moved_is_named(camera: int, moved: tuple[float,
     assert found.displacement_px == pytest.approx(d, abs=0.02)
 
 
-def test_two_cameras_of_five() -> None:
-    d = np.zeros((5, 3))
-    d[1], d[4] = (3.0, -1.0, 0.5), (0.0, 2.0, 0.0)
-    found = attribute_motion(*between_neighbours(d))
-    assert found.moved == (1, 4)
-    assert found.displacement_px == pytest.approx(d, abs=0.02)
-
-
 def test_with_two_cameras_the_first_is_corrected_and_the_other_named() -> None:
     d = np.array([[0.0, 0.0, 0.0], [5.0, -1.0, 0.3]])
     found = attribute_motion(*between_neighbours(d))
     assert (found.moved, found.rivals) == ((0,), (1,))
     assert found.displacement_px[0] == pytest.approx(-d[1], abs=0.02)
-
-
-def test_a_motion_of_the_whole_array_is_not_attributed() -> None:
-    found = attribute_motion(*between_neighbours(np.full((4, 3), 7.0)))
-    assert found.moved == ()
-    assert found.displacement_px == pytest.approx(np.zeros((4, 3)), abs=1e-6)
 
 
 STILL_PX, UNMOVED_PX = 0.006, 0.001
@@ -92,7 +73,7 @@ DRAWN = 400_000
 
 
 @pytest.mark.parametrize("others_px", [0.003, 2.0])
-@pytest.mark.parametrize(("shown_px", "seen_at_px"), [(0.002, 0.0), (0.05, 0.0), (0.1, 0.3), (0.3, 0.1), (2.0, 0.0)])
+@pytest.mark.parametrize(("shown_px", "seen_at_px"), [(0.002, 0.0), (0.1, 0.3), (2.0, 0.0)])
 def test_what_a_push_adds_is_that_of_the_whole_distribution(
     shown_px: float, seen_at_px: float, others_px: float
 ) -> None:
@@ -108,7 +89,7 @@ def test_what_a_push_adds_is_that_of_the_whole_distribution(
 
 
 @pytest.mark.parametrize("unmoved_px", [UNMOVED_PX, 0.03])
-@pytest.mark.parametrize("shown_px", [0.001, 0.003, 0.006])
+@pytest.mark.parametrize("shown_px", [0.001, 0.006])
 def test_a_camera_that_was_not_pushed_has_the_error_of_the_estimate(shown_px: float, unmoved_px: float) -> None:
     """Compare with estimates of drawn displacements: narrower than the curvature of the prior, or as wide as stated."""
     g = np.random.default_rng(1)
@@ -123,13 +104,6 @@ def test_a_camera_that_was_not_pushed_has_the_error_of_the_estimate(shown_px: fl
     assert spread(information, np.zeros(6), unmoved_px)[0, 0] == pytest.approx(
         unpushed(shown_px, unmoved_px), abs=rare + 1e-9
     )
-
-
-def test_links_that_show_a_camera_to_a_fifth_of_a_push_leave_little_of_it() -> None:
-    """Most boards pass under cameras that have not moved, and their links say so: sigma must follow them."""
-    seen = np.sqrt(0.02**-2 + prior_weights(np.zeros((1, 3)), STILL_PX)[0]) ** -1
-    assert spread(np.eye(6) * 0.02**-2, np.zeros(6), UNMOVED_PX)[0, 0] + seen**2 < (STILL_PX / 2) ** 2
-    assert spread(np.eye(6) * 0.3**-2, np.zeros(6), UNMOVED_PX)[0, 0] > (4 * STILL_PX) ** 2
 
 
 def test_a_camera_beside_a_blank_overlap_may_have_been_pushed_further() -> None:
@@ -236,20 +210,11 @@ def test_the_effect_on_a_row_is_that_of_the_displaced_camera(number: int, parame
     px = g.uniform((0, 0), SIZE, (20, 2))
     angle, row = np.array([0.2]), np.zeros(20, dtype=np.int_)
     here = Motion(angle, np.zeros((1, 2)), pivot)
-    change = row_changes(camera_effects(CAMERAS, np.zeros((3, 3))), np.array([number]), angle, pivot)[0] @ step[number]
+    change = CameraEffects.of(CAMERAS, np.zeros((3, 3))).row_changes(angle, pivot)[number, 0] @ step[number]
     as_row = Motion(angle + change[0], change[None, 1:], pivot).board(row, CAMERAS[number].ground(px))
     as_camera = here.board(row, displace_camera(CAMERAS[number], step[number]).ground(px))
     # the rest is the keystone distortion of a camera that turned, which a motion of the row cannot have
     assert as_row == pytest.approx(as_camera, abs=1e-5)
-
-
-def test_moved_points_are_those_of_the_displaced_camera() -> None:
-    d = np.random.default_rng(2).normal(0, 3, (3, 3))
-    px = np.random.default_rng(3).uniform((0, 0), SIZE, (9, 2))
-    number = np.arange(9) % 3
-    ground = np.array([CAMERAS[i].ground(p) for i, p in zip(number, px, strict=True)])
-    expected = [displace_camera(CAMERAS[i], d[i]).ground(p) for i, p in zip(number, px, strict=True)]
-    assert move_points(ground, number, ground_changes(CAMERAS, d)) == pytest.approx(np.array(expected), abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -293,20 +258,6 @@ def test_cameras_as_calibrated_stay_where_they_are() -> None:
     assert found.cameras.rivals == ()
 
 
-def test_the_true_displacement_solves_the_equations_of_the_run() -> None:
-    d = moved(1, 0.3, 0.2, -0.4)
-    found = adjusted(d).cameras
-    assert found is not None
-
-    def violation(at: Array) -> float:
-        left = found.information @ at.ravel() - found.vector
-        return float((np.abs(left) / np.sqrt(np.diag(found.information))).max())
-
-    assert violation(d) < 0.5
-    assert violation(np.zeros((3, 3))) > 3
-    assert np.linalg.eigvalsh(found.information).min() > -1e-6 * np.abs(found.information).max()
-
-
 def test_a_shift_of_the_whole_array_is_not_observable() -> None:
     found = adjusted(np.zeros((3, 3))).cameras
     assert found is not None
@@ -314,11 +265,6 @@ def test_a_shift_of_the_whole_array_is_not_observable() -> None:
     together[:, 0], alone[1, 0] = 1, 1
     of_all = together.ravel() @ found.information @ together.ravel()
     assert of_all < 1e-3 * (alone.ravel() @ found.information @ alone.ravel())
-
-
-def test_a_single_camera_has_nothing_to_be_compared_with() -> None:
-    assert comparable_cameras(CAMERAS[:1]) == ()
-    assert comparable_cameras(CAMERAS) is CAMERAS
 
 
 def test_without_cameras_the_calibration_is_exact() -> None:
@@ -330,22 +276,11 @@ def test_without_cameras_the_calibration_is_exact() -> None:
     assert adjust(replace(problem, cameras=CAMERAS), MOTION).cameras is not None
 
 
-@pytest.mark.parametrize("moved_px", [(0.0, 34.0, 0.0), (0.0, -34.0, 0.0)])
-def test_one_far_displaced_camera_is_not_taken_for_a_rotated_array(moved_px: tuple[float, float, float]) -> None:
-    displacement = np.zeros((3, 3))
-    displacement[1] = moved_px
+def test_one_far_displaced_camera_is_not_taken_for_a_rotated_array() -> None:
+    displacement = moved(1, 0.0, 34.0, 0.0)
     found = adjusted(displacement).cameras
     assert found is not None
     np.testing.assert_allclose(found.displacement_px, displacement, atol=0.1)
-
-
-def test_the_rotation_of_all_cameras_rotates_their_views_about_one_point() -> None:
-    d = 1e-4 * rotation_of_all(camera_effects(CAMERAS, np.zeros((3, 3)))).reshape(3, 3)
-    corners = np.array([(0.0, 0.0), (479.0, 0.0), (479.0, 359.0)])
-    for calibrated, displaced in zip(CAMERAS, displaced_cameras(CAMERAS, d), strict=True):
-        x, y = (before := calibrated.row_from_image(corners)).T
-        expected = before + 1e-4 * np.column_stack([-y, x])
-        np.testing.assert_allclose(displaced.row_from_image(corners), expected, atol=2e-3)
 
 
 def test_a_direction_that_is_left_out_has_no_information() -> None:

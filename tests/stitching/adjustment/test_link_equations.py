@@ -8,23 +8,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.stitching.adjustment.test_envelope import dense
 from vaoi_station.stitching.adjustment.cameras import CameraEffects
-from vaoi_station.stitching.adjustment.envelope import Envelope, add_equations
+from vaoi_station.stitching.adjustment.envelope import NormalEquations, add_equations
 from vaoi_station.stitching.adjustment.equations import (
     Coupling,
-    HeightModel,
     LinkModel,
     LinkState,
-    MotionArrays,
     NoiseModel,
-    OtherColumns,
     add_links,
     compute_residuals,
     compute_weights,
     eliminate_heights,
-    height_changes,
 )
-from vaoi_station.stitching.adjustment.problem import CameraPairs, LinkArrays, cells_of
+from vaoi_station.stitching.adjustment.motion import MotionArrays
+from vaoi_station.stitching.adjustment.problem import LinkArrays
 
 Array = NDArray[np.float64]
 ROWS, LINKS, BASIS, PARTS, CAMERAS = 4, 60, 3, 5, 3
@@ -39,9 +37,9 @@ BARE = np.full(LINKS, -1)
 @dataclass
 class Scene:
     links: LinkArrays
-    model: HeightModel
+    basis: Array
+    component: NDArray[np.int_]
     pivot: Array
-    pairs: CameraPairs
     effects: CameraEffects
 
     def motion(self, unknowns: Array) -> MotionArrays:
@@ -55,9 +53,9 @@ class Scene:
         displacements = unknowns[AT_CAMERAS:SIZE].reshape(CAMERAS, 3)
         out = []
         for n in range(LINKS):
-            h = self.model.basis[n] @ beta + heights[self.model.component[n]]
+            h = self.basis[n] @ beta + heights[self.component[n]]
             board, lean = [], []
-            of_a, of_b = self.pairs.a[o.group[n]], self.pairs.b[o.group[n]]
+            of_a, of_b = o.camera_a[n], o.camera_b[n]
             ends = (o.q[n], o.b_mm[n], o.b_lean[n], of_b), (o.p[n], o.a_mm[n], o.a_lean[n], of_a)
             for row, seen, of, camera in ends:
                 theta, tx, ty = self.effects.motion[camera] @ displacements[camera]
@@ -73,7 +71,7 @@ class Scene:
     def evaluate(self, unknowns: Array) -> LinkState:
         """The compiled residuals at these unknowns."""
         heights = np.append(unknowns[SIZE:], 0.0)
-        height = self.model.basis @ unknowns[3 * ROWS : AT_CAMERAS] + heights[self.model.component]
+        height = self.basis @ unknowns[3 * ROWS : AT_CAMERAS] + heights[self.component]
         state = LinkState.zeros(LINKS)
         compute_residuals(self.links, self.motion(unknowns), height, state)
         return state
@@ -94,33 +92,17 @@ def scene() -> Scene:
     group = np.concatenate([[0], np.cumsum(np.diff(p * ROWS + q) != 0)])
     places, leans = g.normal(0, 10, (2, LINKS, 2)), g.normal(0, 0.02, (2, LINKS, 2))
     noise, resolution, overlap = np.tile(np.diag([1e-4, 4e-4]), (LINKS, 1, 1)), np.full(LINKS, 20.0), np.ones(LINKS)
-    links = LinkArrays(p, q, places[0], places[1], leans[0], leans[1], noise, resolution, overlap, group)
-    model = HeightModel(g.normal(0, 1, (LINKS, BASIS)), g.integers(-1, PARTS, LINKS))
-    a = g.integers(0, CAMERAS - 1, group[-1] + 1)
-    first = np.searchsorted(group, np.arange(len(a)))
-    pairs = CameraPairs(a, a + (p == q)[first])
+    a = g.integers(0, CAMERAS - 1, group[-1] + 1)[group]
+    links = LinkArrays._make([p, q, a, a + (p == q), group, *places, *leans, noise, resolution, overlap])
+    model = g.normal(0, 1, (LINKS, BASIS)), g.integers(-1, PARTS, LINKS)
     effects = CameraEffects(g.normal(0, 0.1, (CAMERAS, 3, 3)), g.normal(0, 10, (CAMERAS, 2)))
-    return Scene(links, model, np.array([3.0, -2.0]), pairs, effects)
-
-
-def coupling(scene: Scene, component: NDArray[np.int_], camera_column: int = AT_CAMERAS) -> Coupling:
-    return Coupling.of(component, scene.links, scene.pairs, OtherColumns(BASIS, 3 * ROWS, camera_column, PARTS))
+    return Scene(links, *model, np.array([3.0, -2.0]), effects)
 
 
 def test_the_residual_of_a_link_is_that_of_its_definition(scene: Scene) -> None:
     unknowns = np.random.default_rng(4).normal(0, 0.1, TOTAL)
     unknowns[AT_CAMERAS:SIZE] = 0  # displacements move the links before their residuals are computed
     assert scene.evaluate(unknowns).residual == pytest.approx(scene.residual(unknowns), abs=1e-12)
-
-
-def test_the_lean_of_a_link_is_the_change_of_its_residual_with_height(scene: Scene) -> None:
-    unknowns = np.random.default_rng(8).normal(0, 0.1, TOTAL)
-    raised = unknowns.copy()
-    raised[SIZE:] += 1.0
-    change = scene.evaluate(raised).residual - scene.evaluate(unknowns).residual
-    on = scene.model.component >= 0
-    assert scene.evaluate(unknowns).lean[on] == pytest.approx(change[on], abs=1e-12)
-    assert not change[~on].any()
 
 
 def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) -> None:
@@ -131,24 +113,21 @@ def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) ->
     matrices = root @ root.swapaxes(1, 2)
     state = scene.evaluate(unknowns)
     state.weight[:] = np.stack([matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]], -1)
-    tied = coupling(scene, scene.model.component)
-    envelope = Envelope.of(np.full(ROWS, ROWS - 1), BASIS + 3 * CAMERAS)
-    normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0, 1.0)
-    model = LinkModel(scene.model, tied, scene.pairs, scene.effects)
-    add_links(scene.links, scene.motion(unknowns), model, state, heights, normal)
+    tied = Coupling.of(scene.component, PARTS, scene.links, ROWS, BASIS, (3 * ROWS, AT_CAMERAS))
+    normal = NormalEquations.of(np.full(ROWS, ROWS - 1), BASIS + 3 * CAMERAS)
+    heights, motion = tied.equations(np.zeros(PARTS), 1.0, 1.0), scene.motion(unknowns)
+    model = LinkModel(scene.basis, scene.component, tied, scene.effects.row_changes(motion.angle, scene.pivot))
+    add_links(scene.links, motion, model, state, heights, normal)
 
     j = scene.jacobian(unknowns)
     whole = np.einsum("kic,kij,kjd->cd", j, matrices, j)
     pull = -np.einsum("kic,kij,kj->c", j, matrices, state.residual)
     scale = np.abs(whole).max()
-    assert envelope.dense(normal.values) == pytest.approx(whole[:SIZE, :SIZE], abs=1e-7 * scale)
+    assert dense(normal) == pytest.approx(whole[:SIZE, :SIZE], abs=1e-7 * scale)
     for c in range(PARTS):
         own = heights.entries[tied.at[c] : tied.at[c + 1]]
-        line = whole[SIZE + c]
-        first = AT_CAMERAS + 3 * tied.camera[c]
-        cameras = line[first : first + len(own) - 3 * (tied.last[c] - tied.row[c] + 1) - BASIS]
-        expected = [line[3 * tied.row[c] : 3 * tied.last[c] + 3], line[3 * ROWS : AT_CAMERAS], cameras]
-        assert own == pytest.approx(np.concatenate(expected), abs=1e-7 * scale)
+        columns = tied.columns[tied.at[c] : tied.at[c + 1]]
+        assert own == pytest.approx(whole[SIZE + c, columns], abs=1e-7 * scale)
         assert np.count_nonzero(abs(whole[SIZE + c, :SIZE]) > 1e-6 * scale) <= len(own), "no coupling is left out"
     assert heights.normal - 1 == pytest.approx(np.diag(whole)[SIZE:], abs=1e-7 * scale)
     assert np.concatenate([normal.right, heights.right]) == pytest.approx(pull, abs=1e-7 * np.abs(pull).max())
@@ -158,25 +137,9 @@ def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) ->
     add_equations(np.arange(SIZE)[None], np.eye(SIZE)[None], np.zeros((1, SIZE)), normal)
     assert (normal.right == right).all()
     eliminate_heights(tied, heights, normal)
-    delta = np.asarray(np.linalg.solve(envelope.dense(normal.values), normal.right), dtype=np.float64)
+    delta = np.asarray(np.linalg.solve(dense(normal), normal.right), dtype=np.float64)
     assert delta == pytest.approx(full[:SIZE], rel=1e-5)
-    assert height_changes(tied, heights, delta) == pytest.approx(full[SIZE:], rel=1e-5)
-
-
-def test_without_cameras_the_equations_are_those_of_rows_and_surface(scene: Scene) -> None:
-    """The lines of rows and surface are the same, whether displacements are unknowns or not."""
-    unknowns, found = np.zeros(TOTAL), []
-    for column, others in ((AT_CAMERAS, BASIS + 3 * CAMERAS), (-1, BASIS)):
-        state, tied = scene.evaluate(unknowns), coupling(scene, scene.model.component, column)
-        state.weight[:] = (1.0, 0.2, 2.0)
-        envelope = Envelope.of(np.full(ROWS, ROWS - 1), others)
-        normal, heights = envelope.zeros(), tied.equations(np.zeros(PARTS), 1.0, 1.0)
-        model = LinkModel(scene.model, tied, scene.pairs, scene.effects)
-        add_links(scene.links, scene.motion(unknowns), model, state, heights, normal)
-        eliminate_heights(tied, heights, normal)
-        found.append((envelope.dense(normal.values)[:AT_CAMERAS, :AT_CAMERAS], normal.right[:AT_CAMERAS]))
-    assert found[0][0] == pytest.approx(found[1][0], abs=1e-9)
-    assert found[0][1] == pytest.approx(found[1][1], abs=1e-9)
+    assert tied.changes(heights, delta) == pytest.approx(full[SIZE:], rel=1e-5)
 
 
 def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
@@ -187,7 +150,6 @@ def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
     compute_weights(
         scene.links,
         NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT, BARE, FLAT, np.inf),
-        int(group.max()) + 1,
         state,
     )
     information = 1 / (np.array([1e-4, 4e-4]) + ((floor[kind] / px) ** 2)[:, None])
@@ -208,16 +170,6 @@ def test_links_whose_patches_cover_one_another_weigh_together_as_much_as_one(sce
     assert each.sigma.tolist() == one.sigma.tolist(), "an outlier is recognised by its own noise"
 
 
-def test_links_of_one_pair_never_weigh_more_than_their_common_error_allows(scene: Scene) -> None:
-    state, group = LinkState.zeros(LINKS), scene.links.group
-    shared_px = 0.4
-    kind, floor, shared = np.zeros(LINKS, np.int_), np.array([0.01]), np.array([shared_px])
-    noise = NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT, BARE, FLAT, np.inf)
-    compute_weights(scene.links, noise, int(group.max()) + 1, state)
-    limit = 2 / (shared_px / 20.0) ** 2
-    assert (np.bincount(group, state.weight[:, 0] + state.weight[:, 2]) <= limit * (1 + 1e-12)).all()
-
-
 def weights_of(
     scene: Scene,
     raised: NDArray[np.bool_],
@@ -232,7 +184,7 @@ def weights_of(
     state.residual[:], state.lean[:] = residual, (0.1, 0.0)
     kind, floor, common = np.zeros(LINKS, np.int_), np.array([0.01]), np.full(LINKS, common_mm)
     noise = NoiseModel(kind, floor, np.array([0.0]), 2.0, 6.0, raised, scatter_mm, cell, common, plainly)
-    compute_weights(scene.links, noise, int(scene.links.group.max()) + 1, state)
+    compute_weights(scene.links, noise, state)
     return state
 
 
@@ -264,20 +216,6 @@ def test_links_on_one_component_never_weigh_more_along_the_lean_than_their_commo
     assert tied.weight[on, 0].sum() == pytest.approx(1 / (1 / plain.weight[on, 0].sum() + 0.02**2))
     assert tied.weight[~on] == pytest.approx(plain.weight[~on])
     assert tied.weight[:, 1:] == pytest.approx(plain.weight[:, 1:])
-
-
-def test_a_cell_is_one_component_in_one_pair_of_frames() -> None:
-    cell = cells_of(np.array([4, -1, 4, 2, 4, 2, -1]), np.array([0, 0, 0, 0, 3, 3, 3]))
-    assert cell.tolist() == [1, -1, 1, 0, 3, 2, -1]
-    assert cells_of(np.full(2, -1), np.zeros(2, np.int_)).tolist() == [-1, -1]
-
-
-def test_a_point_beside_a_component_scatters_and_may_be_raised_besides(scene: Scene) -> None:
-    every, side = np.ones(LINKS, np.bool_), np.full(LINKS, 0.1)
-    plain, raised = (weights_of(scene, every, np.array([-0.01 * n, 0.0]), side) for n in (0, 5))
-    assert 1 / plain.weight[:, 0] == pytest.approx(1e-4 + (0.01 / 20) ** 2 + 0.01**2)
-    assert (raised.weight[:, 0] < 0.2 * plain.weight[:, 0]).all()
-    assert (raised.robust == 1).all()
 
 
 def test_a_point_plainly_above_the_bare_board_loses_weight(scene: Scene) -> None:

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Observations, Problem
+from vaoi_station.stitching.adjustment.problem import (
+    REFERENCE,
+    AdjustmentResult,
+    FiducialPoints,
+    Problem,
+    to_observations,
+)
 from vaoi_station.stitching.quality.uncertainty import (
     largest_sigma,
     matrix_sigmas,
@@ -19,7 +25,7 @@ from vaoi_station.stitching.quality.uncertainty import (
 from vaoi_station.stitching.work import TaskRunner
 
 PIVOT = np.array([3.0, -2.0])
-NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), Observations.empty(), np.zeros(0, dtype=np.int_))
+NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), to_observations([], ()), np.zeros(0, dtype=np.int_))
 MOTION = Motion(np.array([0.0, 0.3, -0.8]), np.array([[0.0, 0.0], [1.0, -8.0], [-2.0, -17.0]]), PIVOT)
 
 

@@ -19,6 +19,7 @@ from vaoi_station.stitching.adjustment.problem import (
     FiducialPoints,
     Observations,
     Problem,
+    to_observations,
 )
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import OutlineShift
@@ -100,7 +101,7 @@ BOARD = BoardType.model_validate(
 PLANE = BoardPlane(BOARD, mirrored=False)
 STILL: Motion = nominal_motion(np.array([0.0]), np.zeros(2), np.zeros(2))
 C = np.array([1.0, 0.0, -20.0, -10.0])
-NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), Observations.empty(), np.zeros(0, dtype=np.int_))
+NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), to_observations([], ()), np.zeros(0, dtype=np.int_))
 
 
 def points(count: int = 4, sigma_px: float = 0.02) -> FiducialPoints:
@@ -278,7 +279,7 @@ def test_links_beside_components_show_no_offset_of_a_seam_along_their_lean() -> 
     near, pairs, row = np.arange(30) < 18, np.zeros((30, 2)), np.zeros(30, dtype=np.int_)
     lean = np.tile((0.1, 0.0), (30, 1))
     covariance = np.zeros((30, 2, 2))
-    links = Observations(row, row, pairs, pairs, pairs, lean, covariance, np.full(30, 10.0), np.ones(30), row, ())
+    links = Observations(*(row,) * 5, pairs, pairs, pairs, lean, covariance, np.full(30, 10.0), np.ones(30), ())
     problem = replace(NO_PROBLEM, links=links, component=np.full(30, -1), near=np.where(near, 3, -1))
     of_sides = replace(adjusted(), link_px=np.where(near[:, None], (0.4, 0.0), (0.01, 0.02)))
     every = np.arange(30)
@@ -294,7 +295,7 @@ def test_a_seam_of_components_whose_links_were_rejected_shows_the_offset_across_
     """A camera tilted by 1.7 px beside components only: its links were outliers, and the run was ok and 1.1 px off."""
     row, pairs, lean = np.zeros(13, dtype=np.int_), np.zeros((13, 2)), np.tile((0.1, 0.0), (13, 1))
     noise, resolution, overlap = np.zeros((13, 2, 2)), np.full(13, 10.0), np.ones(13)
-    links = Observations(row, row, pairs, pairs, pairs, lean, noise, resolution, overlap, row, ())
+    links = Observations(*(row,) * 5, pairs, pairs, pairs, lean, noise, resolution, overlap, ())
     problem, at = replace(NO_PROBLEM, links=links, component=np.full(13, 3)), np.arange(13)
     apart = replace(adjusted(), link_px=np.tile((-1.1, -1.7), (13, 1)), weight=np.where(at < 2, 1.0, 0.0))
     assert seam_px(problem, apart, at, 12) == pytest.approx(1.7)

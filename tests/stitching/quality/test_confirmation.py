@@ -13,7 +13,7 @@ from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Observations
+from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Observations, to_observations
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.quality.confirmation import (
@@ -44,7 +44,7 @@ def observed(*pairs: tuple[Task, Floats]) -> Observations:
     zero = np.zeros_like(a_mm)
     empty = tuple(Links.empty(task, "") for task, _ in pairs)
     noise, ones = np.zeros((len(a_mm), 2, 2)), np.ones(len(a_mm))
-    return Observations(p, q, a_mm, a_mm + way_mm, zero, zero, noise, ones, ones, group, empty)
+    return Observations(p, q, 0 * p, 0 * p, group, a_mm, a_mm + way_mm, zero, zero, noise, ones, ones, empty)
 
 
 def ways(*mm: float) -> Floats:
@@ -126,7 +126,7 @@ def test_few_links_beside_the_board_and_links_between_cameras_confirm_nothing() 
     assert confirmed_beside(mixed, MOTION, {(0, 0)}) == set()
     neighbours = observed((Task("neighbours", (0, 0), (1, 0)), ways(*[0.0] * 20)))
     assert confirmed_beside(neighbours, MOTION, {(0, 0)}) == set()
-    assert confirmed_beside(Observations.empty(), MOTION, {(0, 0)}) == set()
+    assert confirmed_beside(to_observations([], ()), MOTION, {(0, 0)}) == set()
 
 
 def test_links_along_an_edge_beside_the_board_confirm_nothing() -> None:

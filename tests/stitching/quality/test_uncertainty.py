@@ -11,7 +11,7 @@ import pytest
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Observations, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Problem, to_observations
 from vaoi_station.stitching.board.board_plane import board_plane, landmarks
 from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.frames import Scene
@@ -30,7 +30,7 @@ from vaoi_station.stitching.quality.uncertainty import (
 )
 
 ROWS = 3
-NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), Observations.empty(), np.zeros(0, dtype=np.int_))
+NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), to_observations([], ()), np.zeros(0, dtype=np.int_))
 BOARD = {
     "name": "b",
     "y_axis": "down",

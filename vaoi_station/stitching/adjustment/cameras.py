@@ -1,4 +1,4 @@
-"""Equations of the displacements of cameras against their calibration, as unknowns of the adjustment.
+"""Displacements of cameras against their calibration, as unknowns of the adjustment, and their prior.
 
 A camera whose picture moved by a displacement (x, y, turn), in px (`geometry.displacement`), sees every ground point
 moved by a small rotation and shift of the calibrated plane. Within one pair of frames, this has the same effect as a
@@ -6,16 +6,14 @@ change of the row's motion: with m the middle of the camera's view, a rotation b
 
     δφ_j = θ,    δs_j = R(φ_j)·(t − θ·J(m − c)),    J = rotation by 90°.
 
-The equations of a camera's displacement are therefore linear combinations of the equations of its rows. They are
-computed from sums over the links of a pair of frames, not from single links.
+The equations of a displacement are therefore linear combinations of the equations of rows, computed from sums over the
+links of a pair of frames.
 
-The prior of the cameras' displacements, and the attribution of motion to as few cameras as possible.
-
-Links between neighbouring cameras show how these cameras moved against one another. Links do not show a motion of the
-whole array. A stretch of the array along the row of cameras looks to them like boards that lie higher. A camera is
-either where it was calibrated, to a few hundredths of a pixel, or it was moved by an unknown amount. This knowledge is
-a prior with heavy tails for each camera: Student's t distribution with one degree of freedom. Under this prior, of all
-displacements that explain the links, those in which most cameras have not moved are the most likely.
+Links between neighbouring cameras show how these cameras moved against one another. They do not show a motion of the
+whole array; a stretch of the array along the row of cameras looks to them like boards that lie higher. A camera is
+either where it was calibrated, to a few hundredths of a pixel, or it was moved by an unknown amount: its prior is
+Student's t distribution with one degree of freedom. Of all displacements that explain the links, those in which most
+cameras have not moved are then the most likely.
 """
 
 from __future__ import annotations
@@ -26,28 +24,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vaoi_station.compiled import compiled, inlined
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.displacement import PARAMETERS, displace_camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.envelope import Envelope, NormalEquations, solve_forward, trailing_lines
-from vaoi_station.stitching.adjustment.problem import (
-    CameraEstimate,
-    CameraPairs,
-    FiducialPoints,
-    Ints,
-    LinkArrays,
-    Problem,
-)
+from vaoi_station.stitching.adjustment.envelope import NormalEquations, solve_forward
+from vaoi_station.stitching.adjustment.problem import CameraEstimate, Ints, Problem
 
-STILL_PX = 0.03
-"""Standard deviation, over many runs, of the displacement of a camera that was not moved, for each of x, y and turn."""
-MOVED_PX = 2 * STILL_PX
-"""Length of the displacement vector (x, y, turn) above which a camera counts as moved."""
-_WIDE_PX = 100.0
-_ITERATIONS = 40
-_SAME_PX = 0.01
-"""Two explanations whose displacements differ by at most this are the same one."""
+STILL_PX = 0.03  # standard deviation, over many runs, of x, y and turn of a camera that was not moved
+MOVED_PX = 2 * STILL_PX  # length of the displacement vector (x, y, turn) above which a camera counts as moved
+_WIDE_PX, _ITERATIONS = 100.0, 40
+_SAME_PX = 0.01  # two explanations whose displacements differ by at most this are the same one
 _CLOSE = 10.0
 """Difference of log-probability up to which two explanations count as equally good.
 
@@ -71,12 +58,9 @@ camera may have been pushed further than what an overlap would have shown on ear
 class Attribution:
     """The most likely displacements of n cameras, their covariance, and the cameras that may have moved instead."""
 
-    displacement_px: Floats
-    """(n, 3) displacement x, y and turn of each camera."""
-    covariance: Floats
-    """(3n, 3n) covariance of the displacements, px², camera by camera."""
-    rivals: tuple[int, ...] = ()
-    """Cameras that have moved in another, equally good explanation, but have not moved in this one."""
+    displacement_px: Floats  # (n, 3) displacement x, y and turn of each camera
+    covariance: Floats  # (3n, 3n) covariance of the displacements, px², camera by camera
+    rivals: tuple[int, ...] = ()  # cameras that have moved in another, equally good explanation, but not in this one
     spread: Floats | None = None
     """(3n, 3n) px², mean square of the differences of all good explanations from this one, weighted by probability."""
 
@@ -91,65 +75,84 @@ class Attribution:
         return np.asarray(np.sqrt(np.diag(self.covariance)).reshape(-1, PARAMETERS))
 
 
-def attribute_motion(information: Floats, vector: Floats, still_px: float | Floats = STILL_PX) -> Attribution:
-    """Find which of n cameras were displaced, and how far, in a way that gives the same cameras for many runs.
-
-    Different cameras can explain the same links. Of equally probable explanations, the one with the lowest camera
-    numbers is returned, so that every run names the same camera.
+def attribute_motion(
+    information: Floats, vector: Floats, still_px: float | Floats = STILL_PX, *, same_for_all_runs: bool = True
+) -> Attribution:
+    """Find which of n cameras were displaced, and how far; different cameras can explain the same links.
 
     Args:
         information: (3n, 3n) px⁻², normal matrix of the displacements, without their prior.
         vector: (3n,) px⁻¹, right-hand side of the same normal equations.
         still_px: standard deviation of the displacement of a camera that was not moved, for all or for each (n,).
+        same_for_all_runs: whether to return, of equally probable explanations, the one with the lowest camera numbers,
+            so that every run names the same camera, instead of the most probable one.
     """
-    good = _explanations(information, vector, still_px)
-    alike = _of_as_many_cameras(good)
-    return _with_rivals(min(alike, key=lambda a: a.moved) if good[0][1].moved else good[0][1], good)
-
-
-def most_likely_motion(information: Floats, vector: Floats, still_px: Floats) -> Attribution:
-    """Find the most likely displacements of n cameras, for the same arguments as `attribute_motion`."""
-    good = _explanations(information, vector, still_px)
-    return _with_rivals(good[0][1], good)
-
-
-def _explanations(information: Floats, vector: Floats, still_px: float | Floats) -> list[tuple[float, Attribution]]:
-    """Find the good explanations, the most likely first, each with its negative log-probability."""
     # The probability has several maxima, so one search starts from each camera as the only fixed one, and one from each
     # camera as the only moved one.
     n = len(vector) // PARAMETERS
-    tight, wide = 1 / np.broadcast_to(still_px, n) ** 2, np.full(n, 1 / _WIDE_PX**2)
-    starts = [np.where(np.arange(n) == still, tight, wide) for still in range(n)]
-    starts += [np.where(np.arange(n) == moved, wide, tight) for moved in range(n)]
+    own, tight, wide = np.eye(n, dtype=np.bool_), 1 / np.broadcast_to(still_px, n) ** 2, 1 / _WIDE_PX**2
+    starts = [*np.where(own, tight, wide), *np.where(own, wide, tight)]
     found = sorted((_maximum(information, vector, weight, still_px) for weight in starts), key=lambda f: f[0])
     good: list[tuple[float, Attribution]] = []
     for cost, a in found:
         known = any(np.abs(a.displacement_px - other.displacement_px).max() < _SAME_PX for _, other in good)
         if cost < found[0][0] + _CLOSE and not known:
             good.append((cost, a))
-    return good
-
-
-def _of_as_many_cameras(good: list[tuple[float, Attribution]]) -> list[Attribution]:
-    """Return the explanations that move as many cameras as the most likely one."""
-    return [a for _, a in good if len(a.moved) == len(good[0][1].moved)]
-
-
-def _with_rivals(chosen: Attribution, good: list[tuple[float, Attribution]]) -> Attribution:
-    """Return an explanation with the cameras that may have moved instead, and with the spread of all `good`."""
-    others = {camera for a in _of_as_many_cameras(good) for camera in a.moved} - {*chosen.moved}
+    least, chosen = good[0]
     # The displacements do not show which camera moved: explanations that move as many cameras are equally good.
-    as_many = [len(a.moved) == len(good[0][1].moved) for _, a in good]
-    odds = np.where(as_many, 1.0, np.exp([good[0][0] - cost for cost, _ in good]))
+    as_many = [len(a.moved) == len(chosen.moved) for _, a in good]
+    alike = [a for (_, a), same in zip(good, as_many, strict=True) if same]
+    if same_for_all_runs and chosen.moved:
+        chosen = min(alike, key=lambda a: a.moved)
+    others = {camera for a in alike for camera in a.moved} - {*chosen.moved}
+    odds = np.where(as_many, 1.0, np.exp([least - cost for cost, _ in good]))
     apart = np.array([a.displacement_px.ravel() - chosen.displacement_px.ravel() for _, a in good])
     spread = np.asarray((apart * (odds / odds.sum())[:, None]).T @ apart, dtype=np.float64)
-    return Attribution(chosen.displacement_px, chosen.covariance, tuple(sorted(others)), spread)
+    return replace(chosen, rivals=tuple(sorted(others)), spread=spread)
+
+
+def _maximum(
+    information: Floats, vector: Floats, weight: Floats, still_px: float | Floats
+) -> tuple[float, Attribution]:
+    """Find one local maximum of the probability from an initial weight (n,) of each camera's prior.
+
+    Return the negative log-probability of the maximum, up to a constant, and the displacements there.
+    """
+    d, _ = most_likely(information, vector, weight, still_px, _ITERATIONS)
+    x, tails = d.ravel(), np.log1p((d**2).sum(1) / still_px**2)
+    cost = float(x @ information @ x / 2 - x @ vector) + (1 + PARAMETERS) / 2 * float(tails.sum())
+    prior = np.diag(np.repeat(prior_weights(d, still_px), PARAMETERS))
+    return cost, Attribution(d, np.asarray(np.linalg.inv(information + prior), dtype=np.float64))
+
+
+def most_likely(
+    information: Floats, vector: Floats, weight: Floats, still_px: float | Floats, iterations: int
+) -> tuple[Floats, Floats]:
+    """Find a local maximum of the probability by iterative reweighting (EM), for the arguments of `attribute_motion`.
+
+    `weight` (n,) px⁻² are the weights of the prior with which the search starts. Return the displacements (n, 3), and
+    the weights with which they were computed.
+    """
+    for left in range(iterations - 1, -1, -1):
+        whole = information + np.diag(np.repeat(weight, PARAMETERS))
+        d = np.asarray(np.linalg.solve(whole, vector), dtype=np.float64).reshape(-1, PARAMETERS)
+        if left:
+            weight = prior_weights(d, still_px)
+    return d, weight
+
+
+def prior_weights(displacement_px: Floats, still_px: float | Floats) -> Floats:
+    """Return the weight (n,) px⁻² of the prior of each camera, at displacements (n, 3).
+
+    The prior is a t distribution. A normal distribution with this weight has the same gradient at the displacements.
+    """
+    return np.asarray((1 + PARAMETERS) / (still_px**2 + (displacement_px**2).sum(1)))
 
 
 def spread_of_unseen_motion(
     information: Floats, vector: Floats, displacement_px: Floats, weight: Floats, unmoved_px: Floats
 ) -> Floats:
-    """Return the mean square error of estimated displacements, beyond the curvature at the estimate.
+    """Return the mean square error (3n, 3n) px² of estimated displacements, beyond the curvature at the estimate.
 
     The estimate is the maximum of the probability, under a prior that is wide near its peak and has heavy tails. The
     error follows from where cameras are: nearly all exactly where they were calibrated, a few pushed. For the first the
@@ -157,7 +160,7 @@ def spread_of_unseen_motion(
     camera may have been pushed by an amount that no link would show. So each of x, y and turn of a camera is a mixture
     of two normal distributions here, not pushed and pushed, between which the links decide, while all others keep their
     priors. One by one, because a camera may move along one of them alone: that the links show no motion along the
-    other two is no evidence against it.
+    other two is no evidence against it. The result may have negative eigenvalues.
 
     Args:
         information: (3n, 3n) px⁻², normal matrix of the displacements, without their prior.
@@ -165,11 +168,7 @@ def spread_of_unseen_motion(
         displacement_px: (n, 3) the estimated displacements.
         weight: (n,) px⁻², weights of the prior at these (`prior_weights`).
         unmoved_px: (n,) standard deviation of x, y and turn of each camera if it was not pushed.
-
-    Returns:
-        (3n, 3n) px², to be added to the covariance of the displacements. It may have negative eigenvalues.
     """
-    n = len(displacement_px)
     weights, unmoved = np.repeat(weight, PARAMETERS), np.repeat(unmoved_px**2, PARAMETERS)
     whole = information + np.diag(weights)
     curvature = np.linalg.inv(whole)
@@ -180,7 +179,7 @@ def spread_of_unseen_motion(
     blind = np.repeat(np.diag(information)[1::PARAMETERS] < _BLIND_PX**-2, PARAMETERS)
     pushed_px = np.where(blind, _PUSHED_BLIND_PX, _PUSHED_PX)
     for k, estimate in enumerate(displacement_px.ravel()):
-        rest = np.delete(np.arange(PARAMETERS * n), k)
+        rest = np.delete(np.arange(displacement_px.size), k)
         follow = information[k, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
         alone = float(information[k, k] - follow @ information[rest, k])
         right = float(vector[k] - follow @ vector[rest])
@@ -193,56 +192,7 @@ def spread_of_unseen_motion(
     return spread
 
 
-def prior_weights(displacement_px: Floats, still_px: float | Floats) -> Floats:
-    """Return the weight (n,) px⁻² of the prior of each camera, at displacements (n, 3).
-
-    The prior is a t distribution. A normal distribution with this weight has the same gradient at the displacements.
-    """
-    return np.asarray((1 + PARAMETERS) / (still_px**2 + (displacement_px**2).sum(1)))
-
-
-def most_likely(
-    information: Floats, vector: Floats, weight: Floats, still_px: float | Floats, iterations: int
-) -> tuple[Floats, Floats]:
-    """Find a local maximum of the probability of displacements by iterative reweighting (EM).
-
-    Args:
-        information: (3n, 3n) px⁻², normal matrix without the prior.
-        vector: (3n,) px⁻¹, its right-hand side.
-        weight: (n,) px⁻², weights of the prior with which the search starts.
-        still_px: standard deviation of the displacement of a camera that was not moved, for all or for each (n,).
-        iterations: number of iterations.
-
-    Returns:
-        The displacements (n, 3), and the weights (n,) of the prior with which they were computed.
-    """
-    for left in range(iterations - 1, -1, -1):
-        whole = information + np.diag(np.repeat(weight, PARAMETERS))
-        d = np.asarray(np.linalg.solve(whole, vector), dtype=np.float64).reshape(-1, PARAMETERS)
-        if left:
-            weight = prior_weights(d, still_px)
-    return d, weight
-
-
-def _maximum(
-    information: Floats, vector: Floats, weight: Floats, still_px: float | Floats
-) -> tuple[float, Attribution]:
-    """Find one local maximum of the probability from an initial weight (n,) of each camera's prior.
-
-    Return the negative log-probability of the maximum, up to a constant, and the displacements there.
-    """
-    d, _ = most_likely(information, vector, weight, still_px, _ITERATIONS)
-    x, moved = d.ravel(), (d**2).sum(1)
-    cost = float(x @ information @ x / 2 - x @ vector) + (1 + PARAMETERS) / 2 * float(
-        np.log1p(moved / still_px**2).sum()
-    )
-    prior = np.diag(np.repeat(prior_weights(d, still_px), PARAMETERS))
-    covariance = np.asarray(np.linalg.inv(information + prior), dtype=np.float64)
-    return cost, Attribution(d, covariance)
-
-
-_STEP_PX = 0.05
-"""Step of the numeric derivatives with respect to a displacement; the functions are smooth over hundreds of px."""
+_STEP_PX = 0.05  # step of the numeric derivatives by a displacement; the functions are smooth over hundreds of px
 _STILL_PX, _UNMOVED_PX = 0.006, 0.001
 """Scale of the prior of the estimate, and standard deviation of x, y and turn of a camera that was not pushed.
 
@@ -253,48 +203,55 @@ _FIRST_STILL_PX, _TIGHTENING = 0.5, 4.0
 """The first step uses `_FIRST_STILL_PX` in place of `_STILL_PX`; each further step divides it by `_TIGHTENING`.
 
 With the tight prior from the start, the search would stay at displacements of 0, which is a local maximum."""
-_ANYWHERE_PX = 1000.0
-"""Standard deviation of the weak prior that makes the normal matrix regular, before the real prior replaces it."""
-_EM_ITERATIONS = 5
-"""Iterations of the search for the most likely displacements in each step of the adjustment."""
-_LARGE_PX = 1.0
-"""If a displacement exceeds this, px, the first steps of the search try each camera as the only one that moved."""
-_UNCHANGED_PX = 1e-7
-"""If no displacement changes by more than this, px, the links are not projected again."""
-_NEW_EFFECTS_PX = 0.5
-"""The effects of displacements are computed again after a displacement has changed by this, px; they vary slowly."""
-_OTHER_PX = 0.02
-"""Another explanation of the links is tried only if one of its displacements differs by more than this, px."""
+_ANYWHERE_PX = 1000.0  # σ of the weak prior that makes the normal matrix regular, before the real one replaces it
+_EM_ITERATIONS = 5  # iterations of the search for the most likely displacements in each step of the adjustment
+_LARGE_PX = 1.0  # beyond this displacement, the first steps try each camera as the only one that moved
+_UNCHANGED_PX = 1e-7  # if no displacement changes by more than this, the links are not projected again
+_NEW_EFFECTS_PX = 0.5  # the effects, which vary slowly, are computed again after a displacement has changed by this
+_OTHER_PX = 0.02  # another explanation is tried only if one of its displacements differs by more than this
 
 
 class CameraEffects(NamedTuple):
     """The effect of small displacements of n cameras on the ground points that they see."""
 
-    motion: Floats
-    """(n, 3, 3) change of (θ, tx, ty), in rad and mm, per px of x, y and turn."""
-    middle_mm: Floats
-    """(n, 2) middle of each camera's view, about which the ground points are rotated."""
+    motion: Floats  # (n, 3, 3) change of (θ, tx, ty), in rad and mm, per px of x, y and turn
+    middle_mm: Floats  # (n, 2) middle of each camera's view, about which the ground points are rotated
 
+    @staticmethod
+    def of(cameras: Sequence[Camera], displacement_px: Floats) -> CameraEffects:
+        """Return the effects of changes of the displacements (n, 3) with which the cameras are taken."""
+        motion, middle = np.zeros((len(cameras), 3, 3)), np.zeros((len(cameras), 2))
+        for i, camera in enumerate(cameras):
+            here = displace_camera(camera, displacement_px[i])
+            c = np.array(camera.center_px)
+            # three points of the picture: its middle, and one to each side, from whose motion the rotation follows
+            px = np.array([c, c + (c[0], 0), c - (c[0], 0)])
+            ground = here.row_from_image(px)
+            middle[i], arm = ground[0], ground[1] - ground[2]
+            for k, step in enumerate(np.eye(PARAMETERS) * _STEP_PX):
+                moved = displace_camera(camera, displacement_px[i] + step).row_from_image(px)
+                change, turned = (moved - ground) / _STEP_PX, (moved[1] - moved[2] - arm) / _STEP_PX
+                motion[i, 0, k] = (arm[0] * turned[1] - arm[1] * turned[0]) / (arm @ arm)
+                motion[i, 1:, k] = change[0]
+        return CameraEffects(motion, middle)
 
-def camera_effects(cameras: Sequence[Camera], displacement_px: Floats) -> CameraEffects:
-    """Return how small changes of the displacements of cameras move the ground points that the cameras see.
+    def row_changes(self, angle: Floats, pivot: Floats) -> Floats:
+        """Return the changes of (φ, sx, sy) of m rows that have the effect of a displacement of a camera.
 
-    The changes are counted from the displacements `displacement_px` (n, 3), with which the cameras are taken.
-    """
-    motion, middle = np.zeros((len(cameras), 3, 3)), np.zeros((len(cameras), 2))
-    for i, camera in enumerate(cameras):
-        here = displace_camera(camera, displacement_px[i])
-        c = np.array(camera.center_px)
-        # three points of the picture: its middle, and one to each side, from whose motion the rotation follows
-        px = np.array([c, c + (c[0], 0), c - (c[0], 0)])
-        ground = here.row_from_image(px)
-        middle[i], arm = ground[0], ground[1] - ground[2]
-        for k, step in enumerate(np.eye(PARAMETERS) * _STEP_PX):
-            moved = displace_camera(camera, displacement_px[i] + step).row_from_image(px)
-            change, turned = (moved - ground) / _STEP_PX, (moved[1] - moved[2] - arm) / _STEP_PX
-            motion[i, 0, k] = (arm[0] * turned[1] - arm[1] * turned[0]) / (arm @ arm)
-            motion[i, 1:, k] = change[0]
-    return CameraEffects(motion, middle)
+        (n, m, 3, 3) for each camera and row, per px of x, y and turn, for rows at angles (m,) about a pivot (2,).
+        """
+        theta, tx, ty = np.moveaxis(self.motion, 1, 0)
+        x, y = (self.middle_mm - pivot).T[:, :, None]
+        tx, ty = (tx + theta * y)[:, None], (ty - theta * x)[:, None]
+        cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        sx = cos * tx - sin * ty
+        return np.stack([np.broadcast_to(theta[:, None], sx.shape), sx, sin * tx + cos * ty], 2)
+
+    def rotation_of_all(self) -> Floats:
+        """Return the displacements (3n,) px of the cameras by which the whole array is rotated by 1 rad."""
+        x, y = self.middle_mm.T
+        turn = np.stack([np.ones_like(x), -y, x], -1)
+        return np.asarray(np.linalg.solve(self.motion, turn[:, :, None]).ravel())
 
 
 def comparable_cameras(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
@@ -312,15 +269,8 @@ def displaced_cameras(cameras: Sequence[Camera], displacement_px: Floats) -> tup
 
 def ground_changes(cameras: Sequence[Camera], displacement_px: Floats) -> Floats:
     """Return homographies (n, 3, 3) from ground points by the calibrated cameras to those by the displaced ones."""
-    displaced = displaced_cameras(cameras, displacement_px)
-    pairs = zip(displaced, cameras, strict=True)
+    pairs = zip(displaced_cameras(cameras, displacement_px), cameras, strict=True)
     return np.array([now.row_from_image.matrix @ then.image_from_row.matrix for now, then in pairs])
-
-
-def displaced_links(links: LinkArrays, pairs: CameraPairs, changes: Floats) -> LinkArrays:
-    """Return links (k) with the ground points that displaced cameras see; `changes` are from `ground_changes`."""
-    a_mm = move_points(links.a_mm, pairs.a[links.group], changes)
-    return links._replace(a_mm=a_mm, b_mm=move_points(links.b_mm, pairs.b[links.group], changes))
 
 
 @compiled
@@ -333,45 +283,6 @@ def move_points(ground_mm: Floats, camera: Ints, changes: Floats) -> Floats:
         out[k, 0] = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
         out[k, 1] = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
     return out
-
-
-@inlined
-def row_change(cameras: CameraEffects, i: int, cos: float, sin: float, pivot: Floats, out: Floats) -> None:
-    """Compute the change of a row that has the effect of a displacement of camera i.
-
-    Args:
-        cameras: effects of displacements.
-        i: number of the camera.
-        cos: cosine of the row's angle φ.
-        sin: sine of the row's angle φ.
-        pivot: (2,) point c about which the rows are rotated.
-        out: (3, 3) changes of (φ, sx, sy) per px of x, y and turn, overwritten.
-    """
-    motion = cameras.motion[i]
-    x, y = cameras.middle_mm[i, 0] - pivot[0], cameras.middle_mm[i, 1] - pivot[1]
-    for k in range(3):
-        tx, ty = motion[1, k] + motion[0, k] * y, motion[2, k] - motion[0, k] * x
-        out[0, k], out[1, k], out[2, k] = motion[0, k], cos * tx - sin * ty, sin * tx + cos * ty
-
-
-@compiled
-def row_changes(cameras: CameraEffects, camera: Ints, angle: Floats, pivot: Floats) -> Floats:
-    """Return the changes (k, 3, 3) of k rows that have the effect of a displacement of a camera; see `row_change`.
-
-    The cameras are numbered `camera` (k,); the rows have angles (k,), rad.
-    """
-    out = np.empty((len(camera), 3, 3))
-    for k in range(len(camera)):
-        row_change(cameras, camera[k], np.cos(angle[k]), np.sin(angle[k]), pivot, out[k])
-    return out
-
-
-def rotation_of_all(cameras: CameraEffects) -> Floats:
-    """Return the displacements (3n,) of n cameras in px by which the whole array is rotated by 1 rad."""
-    steps = [
-        np.linalg.solve(motion, (1.0, -y, x)) for motion, (x, y) in zip(cameras.motion, cameras.middle_mm, strict=True)
-    ]
-    return np.concatenate(steps)
 
 
 def without_direction(information: Floats, vector: Floats, direction: Floats) -> tuple[Floats, Floats]:
@@ -388,20 +299,6 @@ def without_direction(information: Floats, vector: Floats, direction: Floats) ->
     return remaining, vector - effect * (float(direction @ vector) / strength)
 
 
-def _still_px(cameras: Sequence[Camera]) -> Floats:
-    """Return the standard deviation (n,) of each camera's displacement if it was not moved, px.
-
-    It is at least `_STILL_PX`. Where the calibration states its covariance, the errors of shift and turn are added.
-    """
-    return np.asarray(np.hypot(_STILL_PX, _stated_px(cameras)))
-
-
-def _stated_px(cameras: Sequence[Camera]) -> Floats:
-    """Return the largest standard deviation (n,) of shift and turn that each camera's calibration states, px."""
-    stated = [0.0 if c.covariance_px2 is None else float(np.diag(c.covariance_px2)[:PARAMETERS].max()) for c in cameras]
-    return np.asarray(np.sqrt(np.array(stated)))
-
-
 class MovingCameras:
     """The displacements of a problem's cameras as unknowns: their current values, prior, and effect on observations.
 
@@ -414,16 +311,16 @@ class MovingCameras:
         self.displacement_px = np.zeros((len(problem.cameras), PARAMETERS))
         self.unknowns = self.displacement_px.size
         self.first_column = first_column if self.unknowns else -1
-        self.links = problem.links.arrays
-        """Links as the cameras see them with their current displacements."""
-        self.points: FiducialPoints | None = problem.fiducials
-        """Detections as the cameras see them with their current displacements."""
-        self.effects = camera_effects(self.calibrated, self.displacement_px)
-        self._problem = problem
-        self._effects_at = self.displacement_px
-        self._final_px = _still_px(self.calibrated)
+        # Links and detections as the cameras see them with their current displacements.
+        self.links, self.points = problem.links.arrays, problem.fiducials
+        self.effects = CameraEffects.of(self.calibrated, self.displacement_px)
+        self._problem, self._effects_at = problem, self.displacement_px
+        # Where the calibration states its covariance, the errors of shift and turn are added.
+        errors = [np.zeros(1) if c.covariance_px2 is None else np.diag(c.covariance_px2) for c in self.calibrated]
+        stated_px = np.sqrt(np.array([variance[:PARAMETERS].max() for variance in errors]))
+        self._final_px: Floats = np.hypot(_STILL_PX, stated_px)
         self._still_px = np.maximum(_FIRST_STILL_PX, self._final_px)
-        self._unmoved_px: Floats = np.hypot(_UNMOVED_PX, _stated_px(self.calibrated))
+        self._unmoved_px: Floats = np.hypot(_UNMOVED_PX, stated_px)
         self._weight: Floats | None = None
         self._information, self._vector = np.zeros((self.unknowns,) * 2), np.zeros(self.unknowns)
         self._rivals: tuple[int, ...] = ()
@@ -435,19 +332,15 @@ class MovingCameras:
         """Whether the prior had its final width in the last step."""
         return bool((self._still_px <= self._final_px).all())
 
-    def columns_of(self, camera: Ints) -> Ints:
-        """Return the columns (k, 3) of the displacements of cameras numbered `camera` (k,)."""
-        return np.asarray(self.first_column + PARAMETERS * camera[:, None] + np.arange(PARAMETERS))
-
-    def regularise(self, envelope: Envelope, normal: NormalEquations) -> None:
+    def regularise(self, normal: NormalEquations) -> None:
         """Add a weak prior to the normal equations, without which a camera that no link shows would be singular.
 
         `constrain` replaces it by the real prior.
         """
-        own = np.arange(envelope.size - self.unknowns, envelope.size)
-        normal.values[envelope.at[own] + own] += 1 / _ANYWHERE_PX**2
+        own = np.arange(len(normal.first) - self.unknowns, len(normal.first))
+        normal.values[normal.at[own] + own] += 1 / _ANYWHERE_PX**2
 
-    def constrain(self, envelope: Envelope, normal: NormalEquations) -> Floats:
+    def constrain(self, normal: NormalEquations) -> Floats:
         """Add the prior of the displacements to factorised normal equations; return the vector of `solve_forward`.
 
         The displacements stand last. The trailing block of the factor therefore is the factor of their reduced normal
@@ -456,20 +349,19 @@ class MovingCameras:
         forward = solve_forward(normal)
         if not self.unknowns:
             return forward
-        at = trailing_lines(envelope, self.unknowns)
+        at = normal.trailing(self.unknowns)
         lower: Floats = np.tril(normal.values[at])
-        self._information, reduced = lower @ lower.T, lower @ forward[-self.unknowns :]
-        self._information -= np.eye(self.unknowns) / _ANYWHERE_PX**2
+        reduced = lower @ forward[-self.unknowns :]
+        information = lower @ lower.T - np.eye(self.unknowns) / _ANYWHERE_PX**2
         d = self.displacement_px.ravel()
-        self._information, reduced = without_direction(self._information, reduced, rotation_of_all(self.effects))
+        self._information, reduced = without_direction(information, reduced, self.effects.rotation_of_all())
         self._vector = reduced + self._information @ d
         start = prior_weights(self.displacement_px, self._still_px) if self._weight is None else self._weight
         found, weight = most_likely(self._information, self._vector, start, self._still_px, _EM_ITERATIONS)
         if not self.settled and np.abs(found).max() > _LARGE_PX:
             # Otherwise, one large displacement becomes a rotation of the whole array, which links do not show. The true
             # displacements are then too far away for linear equations.
-            found = most_likely_motion(self._information, self._vector, self._still_px).displacement_px
-            weight = prior_weights(found, self._still_px)
+            weight = prior_weights(self._attribution(self._still_px).displacement_px, self._still_px)
         prior = np.repeat(weight, PARAMETERS)
         lower = np.asarray(np.linalg.cholesky(self._information + np.diag(prior)), dtype=np.float64)
         stored = np.tril_indices(self.unknowns)
@@ -478,6 +370,9 @@ class MovingCameras:
         self._weight = None
         self._still_px = np.maximum(self._still_px / _TIGHTENING, self._final_px)
         return forward
+
+    def _attribution(self, still_px: Floats) -> Attribution:
+        return attribute_motion(self._information, self._vector, still_px, same_for_all_runs=False)
 
     def move(self, delta: Floats) -> None:
         """Change the displacements by the solution (n,) of a step, and all observations with them."""
@@ -488,10 +383,12 @@ class MovingCameras:
         if np.abs(change).max() < _UNCHANGED_PX:
             return
         if np.abs(self.displacement_px - self._effects_at).max() > _NEW_EFFECTS_PX:
-            self.effects = camera_effects(self.calibrated, self.displacement_px)
+            self.effects = CameraEffects.of(self.calibrated, self.displacement_px)
             self._effects_at = self.displacement_px
         changes, points = ground_changes(self.calibrated, self.displacement_px), self._problem.fiducials
-        self.links = displaced_links(self._problem.links.arrays, self._problem.links.pairs, changes)
+        links = self._problem.links.arrays
+        a_mm = move_points(links.a_mm, links.camera_a, changes)
+        self.links = links._replace(a_mm=a_mm, b_mm=move_points(links.b_mm, links.camera_b, changes))
         if points is not None:
             self.points = replace(points, ground_mm=move_points(points.ground_mm, points.camera, changes))
 
@@ -513,7 +410,7 @@ class MovingCameras:
         self._considered = True
         if np.hypot.reduce(self.displacement_px, axis=1).max() <= MOVED_PX:
             return False
-        found = most_likely_motion(self._information, self._vector, self._final_px)
+        found = self._attribution(self._final_px)
         self._rivals, self._spread = found.rivals, found.spread
         if np.abs(found.displacement_px - self.displacement_px).max() <= _OTHER_PX:
             return False
@@ -544,19 +441,8 @@ class MovingCameras:
         return np.asarray(covariance + follow @ spread @ follow.swapaxes(1, 2))
 
     def estimate(self, covariance: Floats, others: int) -> CameraEstimate | None:
-        """Return the estimate of the displacements; None if the cameras are taken as exact.
-
-        Args:
-            covariance: (m, v, v) for each row, covariance of its unknowns, the shared ones, and the displacements.
-            others: number u of unknowns before the displacements.
-        """
+        """Return the estimate of the displacements, for the arguments of `widen`; None if the cameras are exact."""
         if not self.unknowns:
             return None
-        return CameraEstimate(
-            self.displacement_px,
-            np.ascontiguousarray(covariance[0, others:, others:]),
-            np.ascontiguousarray(covariance[:, :others, others:]),
-            self._information,
-            self._vector,
-            self._rivals,
-        )
+        own, cross = covariance[0, others:, others:].copy(), covariance[:, :others, others:].copy()
+        return CameraEstimate(self.displacement_px, own, cross, self._information, self._vector, self._rivals)

@@ -1,18 +1,15 @@
 """Store, solve and invert normal equations within the envelope of their matrix.
 
-A row of a run shares observations with nearby rows only. Only the lower triangle of the normal matrix is stored. The
-three lines of a row begin at the columns of the first row with which it shares an observation; entries before that are
-0 and are not stored. The stored part is the envelope. C and the surface share observations with all rows and stand
-last. The Cholesky factor has the same envelope. The entries of the inverse inside the envelope follow from the factor
-by Takahashi's recursion (Erisman and Tinney, On computing certain elements of the inverse of a sparse matrix,
-Communications of the ACM 18, 1975). Time and memory grow linearly with the number of rows; with a full matrix they
-would grow with its cube and square.
+A row of a run shares observations with nearby rows only, so the three lines of a row begin at the columns of the first
+row with which it shares one; what is before that is 0 and not stored. C, the surface and the cameras share observations
+with all rows and stand last. The Cholesky factor has the same envelope, and the entries of the inverse inside it follow
+from the factor by Takahashi's recursion (Erisman and Tinney, On computing certain elements of the inverse of a sparse
+matrix, Communications of the ACM 18, 1975). Time and memory grow linearly with the number of rows.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,79 +23,66 @@ _MIN_PIVOT = 1e-14
 
 
 class NormalEquations(NamedTuple):
-    """The normal equations (n, n) in the form that compiled functions take: the stored entries and the right-hand side.
+    """The normal equations (n, n): the lower triangle, of each line only from the first entry that can differ from 0.
 
-    Only the lower triangle is stored, and of each line only the entries from the first one that can differ from 0
-    (envelope).
+    The first 3·rows unknowns are (φ, sx, sy) of each row. Entry (i, j) is `values[at[i] + j]`.
     """
 
-    first: Ints
-    """(n,) the first stored column of each line of the matrix."""
-    at: Ints
-    """(n,) index of column 0 of each line in `values`: entry (i, j) is `values[at[i] + j]`."""
-    values: Floats
-    """The entries inside the envelope; after `factorise`, those of the Cholesky factor."""
-    right: Floats
-    """(n,) the right-hand side of the equations."""
-
-
-@dataclass(frozen=True, eq=False)
-class Envelope:
-    """Which entries of a lower triangular matrix (n, n) are stored, and where: entry (i, j) is `values[at[i] + j]`."""
-
-    first: Ints
-    """Which entries of a lower triangular matrix (n, n) are stored, and where: entry (i, j) is `values[at[i] + j]`."""
-    at: Ints
-    """(n,) for each line, the index in the stored values minus the column; it is the same for all entries of the
-    line."""
+    first: Ints  # (n,) the first stored column of each line
+    at: Ints  # (n,) index of column 0 of each line in `values`
+    values: Floats  # the entries inside the envelope; after `factorise`, those of the Cholesky factor
+    right: Floats  # (n,) the right-hand side
     rows: int
-    """The number of rows of the run. The first 3·rows unknowns are their (φ, sx, sy). The other unknowns are coupled to
-    all rows and stand last."""
 
     @staticmethod
-    def of(furthest: Ints, others: int) -> Envelope:
-        """Build the envelope of m rows and a number of other unknowns.
+    def of(furthest: Ints, others: int) -> NormalEquations:
+        """Make equations without any observation.
 
-        `furthest` (m,) is the last row with which each row shares an observation, or the row itself.
+        `furthest` (m,) is the last row with which each row shares an observation, or the row itself; `others` is the
+        number of unknowns that are coupled to all rows.
         """
-        m = len(furthest)
-        lowest = np.arange(m)
+        rows = np.arange(len(furthest))
+        lowest = rows.copy()
         for row, last in enumerate(furthest.tolist()):
             lowest[row : last + 1] = np.minimum(lowest[row : last + 1], row)
         first = np.append(np.repeat(3 * lowest, 3), np.zeros(others, dtype=np.int_))
         lengths = np.arange(1, len(first) + 1) - first
-        return Envelope(first, np.cumsum(lengths) - lengths - first, m)
-
-    @property
-    def size(self) -> int:
-        """The number n of unknowns."""
-        return len(self.first)
-
-    @property
-    def entries(self) -> int:
-        """The number of matrix entries that lie inside the envelope."""
-        return int(self.at[-1]) + self.size
+        at = np.cumsum(lengths) - lengths - first
+        return NormalEquations(first, at, np.zeros(int(lengths.sum())), np.zeros(len(first)), len(rows))
 
     def zeros(self) -> NormalEquations:
-        """Return normal equations with this envelope and without any observation: all values are 0."""
-        return NormalEquations(self.first, self.at, np.zeros(self.entries), np.zeros(self.size))
+        """Return equations of the same envelope without any observation."""
+        return self._replace(values=np.zeros_like(self.values), right=np.zeros_like(self.right))
 
-    def dense(self, values: Floats) -> Floats:
-        """Return the full symmetric matrix (n, n) whose lower triangle has these stored values."""
-        out = np.zeros((self.size, self.size))
-        for i, (first, at) in enumerate(zip(self.first.tolist(), self.at.tolist(), strict=True)):
-            out[i, first : i + 1] = out[first : i + 1, i] = values[at + first : at + i + 1]
-        return out
+    def less(self, part: NormalEquations) -> NormalEquations:
+        """Return the equations without a part of their observations."""
+        return self._replace(values=self.values - part.values, right=self.right - part.right)
+
+    def trailing(self, count: int) -> Ints:
+        """Return the indices (count, count) in `values` of the block of the last unknowns, mirrored above its diagonal.
+
+        After `factorise`, the lower triangle of this block is the factor of their reduced normal matrix.
+        """
+        own = np.arange(len(self.first) - count, len(self.first))
+        return np.asarray(self.at[np.maximum.outer(own, own)] + np.minimum.outer(own, own))
+
+    def row_blocks(self, values: Floats) -> Floats:
+        """Return one block (u, u) per row, (m, u, u), of a symmetric matrix that is stored in this envelope.
+
+        The u unknowns of a block are the three of the row, followed by those that all rows share.
+        """
+        own = 3 * np.arange(self.rows)[:, None] + np.arange(3)
+        others = np.arange(3 * self.rows, len(self.first))
+        at = np.concatenate([own, np.broadcast_to(others, (self.rows, len(others)))], 1)
+        i, j = np.maximum(at[:, :, None], at[:, None, :]), np.minimum(at[:, :, None], at[:, None, :])
+        return np.asarray(values[self.at[i] + j])
 
 
 @compiled
 def add_equations(columns: Ints, a: Floats, b: Floats, normal: NormalEquations) -> None:
-    """Add k sets of whitened equations a·δ + b ≈ 0 to normal equations; δ are the changes of the unknowns.
+    """Add k sets of r whitened equations a·δ + b ≈ 0 in f different unknowns to normal equations.
 
-    Args:
-        columns: (k, f) indices of the f unknowns of each set. Within a set they are all different.
-        a: (k, r, f) coefficients of the r equations of each set.
-        b: (k, r) constant terms.
+    `columns` (k, f) are the unknowns of each set, a (k, r, f) the coefficients, b (k, r) the constant terms.
     """
     at, values, right = normal.at, normal.values, normal.right
     for k in range(len(a)):
@@ -123,7 +107,7 @@ def hold_first_row(normal: NormalEquations) -> None:
 
 @compiled
 def factorise(normal: NormalEquations) -> None:
-    """Replace a normal matrix, in place, by its Cholesky factor L. L is lower triangular, and L·Lᵀ is the matrix."""
+    """Replace a normal matrix, in place, by its lower triangular Cholesky factor L: L·Lᵀ is the matrix."""
     first, at, values = normal.first, normal.at, normal.values
     for i in range(len(first)):
         for j in range(first[i], i):
@@ -164,23 +148,10 @@ def solve_backward(factor: NormalEquations, forward: Floats) -> Floats:
     return out
 
 
-def trailing_lines(envelope: Envelope, count: int) -> Ints:
-    """Return the indices (count, count), in the stored values, of the block of the last `count` unknowns.
-
-    The entries above the diagonal are not stored: their indices are those of the mirrored entries.
-    """
-    n = envelope.size
-    i, j = np.meshgrid(np.arange(n - count, n), np.arange(n - count, n), indexing="ij")
-    return np.asarray(envelope.at[np.maximum(i, j)] + np.minimum(i, j))
-
-
 @compiled
-def inverse(factor: NormalEquations, rows: int) -> Floats:
-    """Return those entries of the inverse normal matrix that are inside the envelope, stored like the factor.
-
-    `factor` holds the factorised normal equations of a run with `rows` rows.
-    """
-    first, at, values = factor.first, factor.at, factor.values
+def inverse(factor: NormalEquations) -> Floats:
+    """Return those entries of the inverse normal matrix that are inside the envelope, stored like the factor."""
+    first, at, values, rows = factor.first, factor.at, factor.values, factor.rows
     out = np.zeros_like(values)
     below = np.zeros(len(first), np.int64)
     # columns from last to first: an entry of the inverse depends on entries of later columns only
@@ -205,17 +176,3 @@ def inverse(factor: NormalEquations, rows: int) -> Floats:
             own += total / pivot * values[at[i] + j]
         out[at[j] + j] = own / pivot
     return out
-
-
-def row_blocks(envelope: Envelope, values: Floats) -> Floats:
-    """Return one block (u, u) per row of a symmetric matrix that is stored in an envelope: (m, u, u) for m rows.
-
-    The u unknowns of a block are the three of the row, followed by those that all rows share.
-    """
-    own = 3 * np.arange(envelope.rows)[:, None] + np.arange(3)
-    others = np.broadcast_to(
-        np.arange(3 * envelope.rows, envelope.size), (envelope.rows, envelope.size - 3 * envelope.rows)
-    )
-    at = np.concatenate([own, others], 1)
-    i, j = np.maximum(at[:, :, None], at[:, None, :]), np.minimum(at[:, :, None], at[:, None, :])
-    return np.asarray(values[envelope.at[i] + j])

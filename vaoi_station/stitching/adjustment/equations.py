@@ -1,4 +1,4 @@
-"""Build the normal equations of all links in compiled passes over the links, in every step of the adjustment.
+"""The normal equations of an adjustment: those of links, of detected fiducials, of the scale of C.
 
 A link states that ground point a of row p and ground point b of row q are the same point of the board. Its residual is
 
@@ -8,19 +8,12 @@ where board() is the map from ground to board of `Motion`, R(φ) a rotation, l_a
 the change of the residual per mm of height, and h the height of the point: that of the surface plus that of the
 component.
 
-Unknowns are (φ, sx, sy) of every row, in the columns 3·row to 3·row + 2, the coefficients of the surface, and the
-displacements of the cameras (`camera_equations.py`). The normal matrix is stored in its envelope (`envelope.py`). The
-heights of components have separate normal equations (`height_equations.py`).
+Unknowns are (φ, sx, sy) of every row, in the columns 3·row to 3·row + 2, C, the coefficients of the surface, and the
+displacements of the cameras (`cameras.py`). Each height of a component occurs only in the links that lie on it, and is
+coupled to the rows and cameras that see the component and to the surface, but to no other height. The heights therefore
+have normal equations of their own (`HeightEquations`), whose Schur complement is subtracted from the others.
 
 Compiled functions take their arrays in named tuples, which Numba unpacks without a copy.
-
-Set up the equations of detected fiducials, and the prior equation of the scale of C.
-
-Eliminate the heights of components from the normal equations.
-
-Each height occurs only in the links that lie on its component. It is coupled to the rows and cameras that see the
-component and to the surface, but to no other height. The heights therefore have normal equations of their own
-(`HeightEquations`). Their Schur complement is subtracted from the other normal equations before these are solved.
 """
 
 from __future__ import annotations
@@ -35,26 +28,16 @@ from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.similarity import apply_similarity, similarity_jacobian
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.cameras import CameraEffects, row_change
-from vaoi_station.stitching.adjustment.envelope import Envelope, NormalEquations
-from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import (
-    CameraPairs,
-    FiducialPoints,
-    Ints,
-    LinkArrays,
-    Problem,
-    cells_of,
-    group_begins,
-)
+from vaoi_station.stitching.adjustment.envelope import NormalEquations
+from vaoi_station.stitching.adjustment.motion import Motion, MotionArrays
+from vaoi_station.stitching.adjustment.problem import FiducialPoints, Ints, LinkArrays, Problem
 
 _SINGLE_PX, _COMMON_PX = 0.002, 0.004
 """Standard deviations of two errors of a detection that `sigma_mm` does not include.
 
 `_SINGLE_PX` is independent for each detection. `_COMMON_PX` is common to all detections of one fiducial (artwork,
 light) and does not average out (docs/measured/uncertainty.md)."""
-_SCALE_SIGMA = 3e-4
-"""Standard deviation of the relative size of a board against its CAD data: boards shrink and stretch."""
+_SCALE_SIGMA = 3e-4  # σ of the relative size of a board against its CAD data: boards shrink and stretch
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber). Fixture marks and reference points, of which there
 are many, have no weight beyond `_CUT` standard deviations."""
@@ -66,23 +49,17 @@ Equations = tuple[Ints, Floats, Floats]
 def fiducial_residuals(
     points: FiducialPoints, motion: Motion, c: Floats, basis: Floats, surface_mm: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the residuals (s, 2) of s detections in mm, and their Jacobian (s, 2, 3 + 4 + f).
+    """Return the residuals (s, 2) of s detections in mm, and their derivatives (s, 2, 3 + 4 + f) by row, C and surface.
 
-    The Jacobian contains the derivatives by (φ, sx, sy) of the row, by the four numbers of C, and by the f coefficients
-    of the surface.
-
-    Args:
-        c: the similarity C as (a, b, x, y).
-        basis: (s, f) values of the surface's basis functions at the detections; f may be 0.
-        surface_mm: (f,) coefficients of the surface.
+    `c` is the similarity C as (a, b, x, y); `basis` (s, f) has the values of the surface's basis functions, f ≥ 0, and
+    `surface_mm` (f,) its coefficients.
     """
-    height = basis @ surface_mm if basis.shape[1] else np.zeros(len(points.row))
-    lean = motion.turned(points.row, points.lean)
-    residual = motion.board(points.row, points.ground_mm) + lean * height[:, None] - apply_similarity(c, points.cad)
-    parts = [_row_jacobian(motion, points.row, points.ground_mm), -similarity_jacobian(points.cad)]
-    if basis.shape[1]:
-        parts.append(lean[:, :, None] * basis[:, None, :])
-    return residual, np.concatenate(parts, 2)
+    lean, arm = motion.turned(points.row, points.lean), motion.turned(points.row, points.ground_mm - motion.pivot)
+    board = motion.board(points.row, points.ground_mm) + lean * (basis @ surface_mm)[:, None]
+    one, nil = np.ones(len(arm)), np.zeros(len(arm))
+    by_row = np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)
+    jacobian = [by_row, -similarity_jacobian(points.cad), lean[:, :, None] * basis[:, None, :]]
+    return board - apply_similarity(c, points.cad), np.concatenate(jacobian, 2)
 
 
 def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floats, others: Ints) -> Equations:
@@ -112,10 +89,8 @@ def scale_equation(c: Floats, nominal_scale: float, columns: Ints) -> Equations:
 
     `columns` (2,) are the columns of the unknowns a and b.
     """
-    scale = float(np.hypot(*c[:2]))
-    sigma = _SCALE_SIGMA * nominal_scale
-    gradient = c[None, None, :2] / scale / sigma
-    return columns[None], gradient, np.array([[(scale - nominal_scale) / sigma]])
+    scale, sigma = float(np.hypot(*c[:2])), _SCALE_SIGMA * nominal_scale
+    return columns[None], c[None, None, :2] / scale / sigma, np.array([[(scale - nominal_scale) / sigma]])
 
 
 def detection_sigma_mm(points: FiducialPoints) -> Floats:
@@ -125,18 +100,10 @@ def detection_sigma_mm(points: FiducialPoints) -> Floats:
     detections then has at least the variance of the common error.
     """
     own = points.sigma_mm**2 + (_SINGLE_PX / points.px_per_mm) ** 2
-    shared = (_COMMON_PX / points.px_per_mm) ** 2
     fiducial = points.which >= 0
     count = np.bincount(points.which[fiducial], minlength=1)
     times = np.where(fiducial, count[np.maximum(points.which, 0)], 1)
-    return np.asarray(np.sqrt(own + times * shared))
-
-
-def _row_jacobian(motion: Motion, row: Ints, ground_mm: Floats) -> Floats:
-    """Return the derivatives (k, 2, 3) of `motion.board` at ground points (k, 2) by (φ, sx, sy) of their rows (k,)."""
-    arm = motion.turned(row, ground_mm - motion.pivot)
-    one, nil = np.ones(len(arm)), np.zeros(len(arm))
-    return np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)
+    return np.asarray(np.sqrt(own + times * (_COMMON_PX / points.px_per_mm) ** 2))
 
 
 _BODY_MM, _COMMON_MM = 0.3, 0.2
@@ -157,15 +124,6 @@ _BESIDE_SHARE, _LOW_MM = 0.58, 0.5
 `_LOW_MM`. The sides of lower components hardly reach into patches beside them."""
 
 
-class HeightModel(NamedTuple):
-    """For each of k links, the surface functions and the component on which the height of its point depends."""
-
-    basis: Floats
-    """(k, f) values of the surface's f basis functions at the links; f may be 0."""
-    component: Ints
-    """(k,) index of the component height, −1 for a link on the bare board."""
-
-
 class HeightScatter:
     """The scatter of the heights of k links' points about the modelled heights.
 
@@ -174,14 +132,13 @@ class HeightScatter:
     board. Both grow with the component's height, which the adjustment estimates.
     """
 
-    cell: Ints
-    """(k,) number of the links on or beside one component in one pair of frames (`cells_of`); −1 on the bare board."""
+    cell: Ints  # (k,) number of the links on or beside one component in one pair of frames; −1 on the bare board
 
     def __init__(self, problem: Problem, height: Ints, parts: int) -> None:
         """Find the component on or beside which each link lies.
 
         Args:
-            height: (k,) index of the height of each link, or −1 (`HeightModel.component`).
+            height: (k,) index of the height of each link, or −1.
             parts: number of components with links.
         """
         links, on = problem.links, problem.component >= 0
@@ -190,7 +147,10 @@ class HeightScatter:
         self._part = np.where(self._beside, problem.near, problem.component) if len(problem.near) else problem.component
         # Sides at a seam have their heights in common, whatever component they belong to.
         beside = np.where(sides, 2 * parts, 2 * parts + 1 + self._part)
-        self.cell = cells_of(np.where(self._beside, beside, height), links.group)
+        shared = np.where(self._beside, beside, height)
+        self.cell, tied = np.full(len(shared), -1), shared >= 0
+        most = int(shared.max(initial=0)) + 1
+        self.cell[tied] = np.unique(links.group[tied] * most + shared[tied], return_inverse=True)[1]
         self._least = np.where(on, _BODY_MM, np.where(sides, _SIDE_MM, 0.0))
         self._least_common = np.where(self._least > 0, _COMMON_MM, 0.0)
         self._known = np.flatnonzero((self._part >= 0) & (self._part < parts))
@@ -208,186 +168,121 @@ class HeightScatter:
         return np.maximum(self._least, of_height), np.maximum(self._least_common, of_height * (_COMMON_MM / _BODY_MM))
 
 
-class Coupling(NamedTuple):
-    """The unknowns to which each of c component heights is coupled: a range of rows, the surface, a range of cameras.
-
-    The entries of a height in `HeightEquations.entries` stand in this order, which is that of the columns of the normal
-    matrix: (φ, sx, sy) of its rows, the coefficients of the surface, (x, y, turn) of its cameras.
-    """
-
-    row: Ints
-    """(c,) the first row that sees each component; 0 for a component without links."""
-    last: Ints
-    """(c,) the last row that sees each component; −1 for a component without links."""
-    camera: Ints
-    """(c,) the first camera that sees each component; 0 for a component without links."""
-    at: Ints
-    """(c + 1,) index of the first entry of each component in `HeightEquations.entries`."""
-    surface: int
-    """The number of coefficients of the surface."""
-    surface_column: int
-    """Column of the first coefficient of the surface in the normal matrix."""
-    camera_column: int
-    """Column of the first camera's displacement in the normal matrix; −1 if the cameras are taken as exact."""
-
-    @staticmethod
-    def of(component: Ints, links: LinkArrays, pairs: CameraPairs, columns: OtherColumns) -> Coupling:
-        """Build the coupling of component heights to the unknowns of the links that lie on the components.
-
-        `component` (k,) is the index of the height of every link, or −1.
-        """
-        first, last, camera, width = _ranges(component, links.p, links.q, links.group, pairs, columns)
-        at = np.append(0, np.cumsum(width))
-        return Coupling(first, last, camera, at, columns.surface, columns.surface_column, columns.camera_column)
-
-    def equations(self, heights_mm: Floats, sigma_mm: float, sunk_mm: float) -> HeightEquations:
-        """Return the equations of the component heights without any link: they contain only the prior.
-
-        The prior expects a height of 0 with standard deviation `sigma_mm`. As components stand above the board, the
-        standard deviation of heights that are below 0 is `sunk_mm`. The unknowns are changes of the current heights
-        `heights_mm` (c,).
-        """
-        normal = np.where(heights_mm < 0, 1 / sunk_mm**2, 1 / sigma_mm**2)
-        return HeightEquations(np.zeros(int(self.at[-1])), normal, -heights_mm * normal)
-
-    def envelope(self, links: LinkArrays, rows: int, others: int) -> Envelope:
-        """Build the envelope of the normal equations of `rows` rows and `others` further unknowns.
-
-        Two rows are coupled if they are consecutive (prior of the belt), if a link connects them, or if both see the
-        same component, whose height is eliminated.
-        """
-        furthest, first = np.minimum(np.arange(rows) + 1, rows - 1), group_begins(links.group)
-        p, q = links.p[first], links.q[first]
-        np.maximum.at(furthest, np.minimum(p, q), np.maximum(p, q))
-        np.maximum.at(furthest, self.row, self.last)
-        return Envelope.of(furthest, others)
-
-
-class OtherColumns(NamedTuple):
-    """The columns of the unknowns that all rows share, and the number of component heights."""
-
-    surface: int
-    """The number of coefficients of the surface that are unknowns."""
-    surface_column: int
-    """Column of the first coefficient of the surface in the normal matrix."""
-    camera_column: int
-    """Column of the first camera's displacement; −1 if the cameras are taken as exact."""
-    heights: int
-    """The number c of component heights."""
-
-
 class HeightEquations(NamedTuple):
     """The normal equations of c component heights, and their coupling to the other unknowns."""
 
-    entries: Floats
-    """The entries of the normal matrix between each height and the other unknowns, in the order of `Coupling`."""
-    normal: Floats
-    """(c,) diagonal of the normal matrix of the heights, which are not coupled to one another."""
-    right: Floats
-    """(c,) right-hand side of the heights' normal equations."""
+    entries: (
+        Floats  # entries of the normal matrix between each height and the other unknowns, in the order of `Coupling`
+    )
+    normal: Floats  # (c,) diagonal of the normal matrix of the heights, which are not coupled to one another
+    right: Floats  # (c,) right-hand side of the heights' normal equations
+
+    def less(self, part: HeightEquations) -> HeightEquations:
+        """Return the equations without a part of their observations."""
+        return HeightEquations(*(a - b for a, b in zip(self, part, strict=True)))
+
+    def zeros(self) -> HeightEquations:
+        """Return equations of the same heights without any observation or prior."""
+        return HeightEquations(*(np.zeros_like(values) for values in self))
 
 
-@compiled
-def _ranges(
-    component: Ints, p: Ints, q: Ints, group: Ints, pairs: CameraPairs, columns: OtherColumns
-) -> tuple[Ints, Ints, Ints, Ints]:
-    """Find the rows and cameras to which the height of each of c components is coupled.
+class Coupling(NamedTuple):
+    """The unknowns to which each of c component heights is coupled: a range of rows, the surface, a range of cameras.
 
-    Returns:
-        First row, last row, first camera, and number of entries in `HeightEquations.entries`, (c,) each.
+    The entries of a height in `HeightEquations.entries` begin at `at` and stand in the order of their columns: (φ, sx,
+    sy) of its rows, the coefficients of the surface, (x, y, turn) of its cameras. A height without links has none.
     """
-    count = columns.heights
-    first, last = np.zeros(count, np.int64), np.full(count, -1)
-    camera, furthest = np.zeros(count, np.int64), np.full(count, -1)
-    for n in range(len(component)):
-        c = component[n]
-        if c >= 0:
-            low, high = min(p[n], q[n]), max(p[n], q[n])
-            left, right = pairs.a[group[n]], pairs.b[group[n]]
-            first[c] = low if last[c] < 0 else min(first[c], low)
-            camera[c] = left if last[c] < 0 else min(camera[c], left)
-            last[c], furthest[c] = max(last[c], high), max(furthest[c], right)
-    width = np.zeros(count, np.int64)
-    for c in range(count):
-        if last[c] >= 0:
-            width[c] = 3 * (last[c] - first[c] + 1) + columns.surface
-            if columns.camera_column >= 0:
-                width[c] += 3 * (furthest[c] - camera[c] + 1)
-    return first, last, camera, width
 
+    at: Ints  # (c + 1,)
+    columns: Ints  # column of the normal matrix of each entry
+    of_row: Ints  # (c,) the entries with row j begin at `of_row` + 3·j
+    of_surface: Ints  # (c,) the entry with the first coefficient of the surface
+    of_camera: Ints  # (c,) the entries with camera i begin at `of_camera` + 3·i
+    furthest: Ints  # (m,) the last row with which each row shares an observation or a component, or itself
+    surface_column: int
+    camera_column: int  # −1 if the cameras are taken as exact
 
-@inlined
-def _fill_columns(coupling: Coupling, c: int, columns: Ints) -> int:
-    """Write the columns of the normal matrix to which the entries of component c belong; return their number."""
-    count = 0
-    for row in range(coupling.row[c], coupling.last[c] + 1):
-        for k in range(3):
-            columns[count + k] = 3 * row + k
-        count += 3
-    for k in range(coupling.surface):
-        columns[count + k] = coupling.surface_column + k
-    for k in range(count + coupling.surface, coupling.at[c + 1] - coupling.at[c]):
-        columns[k] = coupling.camera_column + 3 * coupling.camera[c] + k - count - coupling.surface
-    return int(coupling.at[c + 1] - coupling.at[c])
+    @staticmethod
+    def of(
+        component: Ints, heights: int, links: LinkArrays, rows: int, surface: int, columns: tuple[int, int]
+    ) -> Coupling:
+        """Couple heights to the unknowns of the links that lie on the components.
+
+        Args:
+            component: (k,) index of the height of every link, or −1.
+            heights: number c of heights.
+            rows: number m of rows.
+            surface: number of coefficients of the surface.
+            columns: column of the first of them, and of the first displacement of a camera; −1 for exact cameras.
+        """
+        low, high, on = np.minimum(links.p, links.q), np.maximum(links.p, links.q), component >= 0
+        row, left = (np.full(heights, most) for most in (rows, 1 << 30))
+        last, right = np.full(heights, -1), np.full(heights, -1)
+        for grow, ends, values in (
+            (np.minimum, row, low), (np.minimum, left, links.camera_a),
+            (np.maximum, last, high), (np.maximum, right, links.camera_b),
+        ):  # fmt: skip
+            grow.at(ends, component[on], values[on])
+        seen, surface_column, camera_column = last >= 0, *columns
+        of_rows = np.where(seen, 3 * (last - row + 1), 0)
+        of_cameras = np.where(seen, 3 * (right - left + 1), 0) if camera_column >= 0 else np.zeros(heights, np.int_)
+        width = of_rows + surface * seen + of_cameras
+        at = np.append(0, np.cumsum(width))
+        height = np.repeat(np.arange(heights), width)
+        k = np.arange(at[-1]) - at[height]
+        beyond = k - of_rows[height]
+        others = np.where(
+            beyond < surface, surface_column + beyond, camera_column + 3 * left[height] + beyond - surface
+        )
+        # Rows are coupled that are consecutive (prior of the belt), that a link connects, or that see one component.
+        furthest = np.minimum(np.arange(rows) + 1, rows - 1)
+        np.maximum.at(furthest, low, high)
+        np.maximum.at(furthest, row[seen], last[seen])
+        begin = at[:-1]
+        return Coupling(
+            at, np.where(beyond < 0, 3 * row[height] + k, others), begin - 3 * row, begin + of_rows,
+            begin + of_rows + surface - 3 * left, furthest, surface_column, camera_column,
+        )  # fmt: skip
+
+    def equations(self, heights_mm: Floats, sigma_mm: float, sunk_mm: float) -> HeightEquations:
+        """Return the equations of changes of the component heights (c,) without any link: only their prior.
+
+        The prior expects a height of 0 with standard deviation `sigma_mm`. As components stand above the board, the
+        standard deviation of heights that are below 0 is `sunk_mm`.
+        """
+        normal = np.where(heights_mm < 0, 1 / sunk_mm**2, 1 / sigma_mm**2)
+        return HeightEquations(np.zeros(len(self.columns)), normal, -heights_mm * normal)
+
+    def changes(self, heights: HeightEquations, delta: Floats) -> Floats:
+        """Return the changes (c,) of component heights, mm, that follow from changes (n,) of all other unknowns."""
+        of_entries = np.append(0, np.cumsum(heights.entries * delta[self.columns]))
+        return np.asarray((heights.right - np.diff(of_entries[self.at])) / heights.normal)
 
 
 @compiled
 def eliminate_heights(coupling: Coupling, heights: HeightEquations, normal: NormalEquations) -> None:
     """Eliminate the heights: subtract their Schur complement from the normal equations of the other unknowns."""
-    at, values, right, entries = normal.at, normal.values, normal.right, heights.entries
-    columns = np.empty(len(right), np.int64)
+    at, values, right, entries, columns = normal.at, normal.values, normal.right, heights.entries, coupling.columns
     for c in range(len(heights.normal)):
         begin = coupling.at[c]
-        if coupling.at[c + 1] == begin:
-            continue
-        count = _fill_columns(coupling, c, columns)
-        for a in range(count):
-            own = entries[begin + a] / heights.normal[c]
+        for a in range(begin, coupling.at[c + 1]):
+            own = entries[a] / heights.normal[c]
             if own != 0:
                 i = columns[a]
                 right[i] -= own * heights.right[c]
-                for b in range(a + 1):
+                for b in range(begin, a + 1):
                     # columns ascend, so that this is in the lower triangle
-                    values[at[i] + columns[b]] -= own * entries[begin + b]
-
-
-@compiled
-def height_changes(coupling: Coupling, heights: HeightEquations, delta: Floats) -> Floats:
-    """Return the changes (c,) of component heights, mm, that follow from changes (n,) of all other unknowns."""
-    out, columns = heights.right.copy(), np.empty(len(delta), np.int64)
-    for c in range(len(out)):
-        begin = coupling.at[c]
-        if coupling.at[c + 1] > begin:
-            for a in range(_fill_columns(coupling, c, columns)):
-                out[c] -= heights.entries[begin + a] * delta[columns[a]]
-        out[c] /= heights.normal[c]
-    return out
-
-
-class MotionArrays(NamedTuple):
-    """The motion of m rows, in the form that compiled functions take."""
-
-    angle: Floats
-    """(m,) angle φ by which each row is rotated, rad."""
-    shift: Floats
-    """(m, 2) shift s of each row, mm."""
-    pivot: Floats
-    """(2,) point about which the rows are rotated, mm."""
+                    values[at[i] + columns[b]] -= own * entries[b]
 
 
 class LinkState(NamedTuple):
     """Values that each step of the adjustment computes for k links; the arrays are overwritten in place."""
 
-    residual: Floats
-    """(k, 2) residual r, mm."""
-    lean: Floats
-    """(k, 2) change l of the residual per mm of height of the point."""
-    sigma: Floats
-    """(k,) length of the residual in standard deviations: rms of its two axes."""
-    robust: Floats
-    """(k,) robust weight, 0 … 1."""
-    weight: Floats
-    """(k, 3) entries xx, xy, yy of the weight matrix, mm⁻²."""
+    residual: Floats  # (k, 2) residual r, mm
+    lean: Floats  # (k, 2) change l of the residual per mm of height of the point
+    sigma: Floats  # (k,) length of the residual in standard deviations: rms of its two axes
+    robust: Floats  # (k,) robust weight, 0 … 1
+    weight: Floats  # (k, 3) entries xx, xy, yy of the weight matrix, mm⁻²
 
     @staticmethod
     def zeros(k: int) -> LinkState:
@@ -396,28 +291,18 @@ class LinkState(NamedTuple):
 
 
 class NoiseModel(NamedTuple):
-    """The noise of k links by kind of link, and the limits of the robust loss."""
+    """The noise of k links by kind of link, and the limits of the robust loss, in standard deviations."""
 
-    kind: Ints
-    """(k,) kind of each link, an index into `floor_px` and `shared_px` (`NoiseFloors`)."""
-    floor_px: Floats
-    """(n,) noise floor of each of n kinds: scatter of single links beyond image noise."""
-    shared_px: Floats
-    """(n,) standard deviation, for each kind, of the error that all links of one pair of frames have in common."""
-    knee: float
-    """Residuals beyond this number of standard deviations lose weight (Huber)."""
-    cut: float
-    """Residuals beyond this number of standard deviations have no weight."""
-    raised: NDArray[np.bool_]
-    """(k,) whether each link may lie above the modelled height: on a component or on its leads."""
-    scatter_mm: Floats
-    """(k,) standard deviation of the height of each link's point about the modelled height; 0 on the bare board."""
-    cell: Ints
-    """(k,) number of the cell of each link (`observations.cells_of`); −1 on the bare board."""
-    common_mm: Floats
-    """(k,) standard deviation of the mean height of the points of each link's cell, which its links have in common."""
-    plainly: float
-    """Number of standard deviations above the bare board from which on a point loses weight; infinite for none."""
+    kind: Ints  # (k,) kind of each link, an index into `floor_px` and `shared_px`
+    floor_px: Floats  # (n,) noise floor of each of n kinds: scatter of single links beyond image noise
+    shared_px: Floats  # (n,) for each kind, σ of the error that all links of one pair of frames have in common
+    knee: float  # residuals beyond this lose weight (Huber)
+    cut: float  # residuals beyond this have no weight
+    raised: NDArray[np.bool_]  # (k,) whether each link may lie above the modelled height: on a component or its leads
+    scatter_mm: Floats  # (k,) σ of the height of each link's point about the modelled height; 0 on the bare board
+    cell: Ints  # (k,) number of the cell of each link (`HeightScatter.cell`); −1 on the bare board
+    common_mm: Floats  # (k,) σ of the mean height of the points of each link's cell, which its links have in common
+    plainly: float  # height above the bare board from which on a point loses weight; infinite for none
 
 
 @compiled
@@ -438,7 +323,7 @@ def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats
 
 
 @compiled
-def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: LinkState) -> None:
+def compute_weights(links: LinkArrays, noise: NoiseModel, state: LinkState) -> None:
     """Compute sigma, robust weight and weight matrix of every link from its residual.
 
     A link may lie above the modelled height (`noise.raised`). If its residual shows this, its weight along the lean is
@@ -451,15 +336,12 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
     share the noise of their pixels, and weigh together as much as one. The links of one pair of frames have an error in
     common: its inverse variance limits the sum of their weights.
 
-    Args:
-        links: the links, of which covariance, resolution, overlap and group are used.
-        groups: number of pairs of frames.
-        state: its residuals are read; sigma, robust weight and weight are written.
+    Of `state` residual and lean are read; sigma, robust weight and weight are written.
     """
     px_per_mm, group, noise_mm2, kind = links.px_per_mm, links.group, links.noise_mm2, noise.kind
     floor_px, shared_px, knee, cut = noise.floor_px, noise.shared_px, noise.knee, noise.cut
     residual, sigma, robust, weight = state.residual, state.sigma, state.robust, state.weight
-    of_group, of_cell = np.zeros(groups), np.zeros(noise.cell.max() + 1 if len(noise.cell) else 0)
+    of_group, of_cell = np.zeros(group[-1] + 1 if len(group) else 0), np.zeros(len(residual))
     for n in range(len(residual)):
         floor = (floor_px[kind[n]] / px_per_mm[n]) ** 2
         a, b, d = noise_mm2[n, 0, 0] + floor, noise_mm2[n, 0, 1], noise_mm2[n, 1, 1] + floor
@@ -508,10 +390,10 @@ def compute_weights(links: LinkArrays, noise: NoiseModel, groups: int, state: Li
 class LinkModel(NamedTuple):
     """The unknowns on which links depend besides the rows: surface, component heights, camera displacements."""
 
-    heights: HeightModel
+    basis: Floats  # (k, f) values of the surface's f basis functions at the links; f may be 0
+    component: Ints  # (k,) index of the component height, −1 for a link on the bare board
     coupling: Coupling
-    pairs: CameraPairs
-    cameras: CameraEffects
+    row_changes: Floats  # (n, m, 3, 3) `CameraEffects.row_changes`
 
 
 @compiled
@@ -523,21 +405,15 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
     heights: HeightEquations,
     normal: NormalEquations,
 ) -> None:
-    """Add all links to the normal equations of rows, surface and cameras, and to those of the heights.
+    """Add links to the normal equations of rows, surface and cameras, and to those of the heights.
 
-    Args:
-        links: the links. Those of one group (pair of frames) are adjacent and have the same rows p and q.
-        motion: the motion at which the residuals were computed.
-        model: the other unknowns on which the links depend.
-        state: the state of the links, of which residual, lean and weight are used.
-        heights: normal equations of the heights, changed in place.
-        normal: normal equations of the other unknowns, changed in place.
+    The links of one group (pair of frames) are adjacent and have the same rows p and q. Of `state` residual, lean and
+    weight at this motion are used.
     """
     p, q, a_mm, b_mm, group = links.p, links.q, links.a_mm, links.b_mm, links.group
-    pivot, basis, component = motion.pivot, model.heights.basis, model.heights.component
-    coupling, pairs, cameras = model.coupling, model.pairs, model.cameras
+    pivot, basis, component = motion.pivot, model.basis, model.component
+    coupling, entries = model.coupling, heights.entries
     residual, lean, weight = state.residual, state.lean, state.weight
-    tied_row, tied_at, entries = coupling.row, coupling.at, heights.entries
     height_normal, height_right = heights.normal, heights.right
     cos, sin = np.cos(motion.angle), np.sin(motion.angle)
     f, movable = basis.shape[1], coupling.camera_column >= 0
@@ -546,15 +422,10 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
     square, product = np.zeros((width, width)), np.zeros(width)
     for k in range(f):
         columns[6 + k] = coupling.surface_column + k
-    # changes of (φ, sx, sy) of row p and of row q that have the effect of a displacement of the first, second camera
-    by_a, by_b = np.zeros((3, 3)), np.zeros((3, 3))
     most = _longest(group)
     at_lift, bases, count = np.empty((6, most)), np.empty((f, most)), 0
     for n in range(len(p)):
         i, j = p[n], q[n]
-        if movable and count == 0:
-            row_change(cameras, pairs.a[group[n]], cos[i], sin[i], pivot, by_a)
-            row_change(cameras, pairs.b[group[n]], cos[j], sin[j], pivot, by_b)
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
         # derivatives of the residual by φ_p (px, py) and φ_q (qx, qy); those by the shifts of p and q are −1 and 1
         px, py = sin[i] * ax + cos[i] * ay, -cos[i] * ax + sin[i] * ay
@@ -589,14 +460,14 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
         if c >= 0:
             height_normal[c] += ll
             height_right[c] -= lr
-            _couple(entries, tied_at[c] + 3 * (i - tied_row[c]), pl, -wlx, -wly)
-            _couple(entries, tied_at[c] + 3 * (j - tied_row[c]), ql, wlx, wly)
-            first = tied_at[c] + 3 * (coupling.last[c] - tied_row[c] + 1)
+            _couple(entries, coupling.of_row[c] + 3 * i, pl, -wlx, -wly)
+            _couple(entries, coupling.of_row[c] + 3 * j, ql, wlx, wly)
             for k in range(f):
-                entries[first + k] += ll * basis[n, k]
+                entries[coupling.of_surface[c] + k] += ll * basis[n, k]
             if movable:
-                at_a = first + f + 3 * (pairs.a[group[n]] - coupling.camera[c])
-                at_b = first + f + 3 * (pairs.b[group[n]] - coupling.camera[c])
+                by_a, by_b = model.row_changes[links.camera_a[n], i], model.row_changes[links.camera_b[n], j]
+                at_a = coupling.of_camera[c] + 3 * links.camera_a[n]
+                at_b = coupling.of_camera[c] + 3 * links.camera_b[n]
                 for k in range(3):
                     entries[at_a + k] += by_a[0, k] * pl - by_a[1, k] * wlx - by_a[2, k] * wly
                     entries[at_b + k] += by_b[0, k] * ql + by_b[1, k] * wlx + by_b[2, k] * wly
@@ -604,12 +475,13 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
             for k in range(3):
                 columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
                 if movable:
-                    columns[6 + f + k] = coupling.camera_column + 3 * pairs.a[group[n]] + k
-                    columns[9 + f + k] = coupling.camera_column + 3 * pairs.b[group[n]] + k
+                    columns[6 + f + k] = coupling.camera_column + 3 * links.camera_a[n] + k
+                    columns[9 + f + k] = coupling.camera_column + 3 * links.camera_b[n] + k
             _add_surface(at_lift, bases, count, square, product)
             count = 0
             _complete(square, product, 6 + f)
             if movable:
+                by_a, by_b = model.row_changes[links.camera_a[n], i], model.row_changes[links.camera_b[n], j]
                 _add_cameras(by_a, by_b, 6 + f, square, product)
             _flush(columns, square, product, normal)
 
@@ -631,13 +503,6 @@ def _add_surface(at_lift: Floats, bases: Floats, count: int, square: Floats, pro
 
     The inner loops run over links, which are adjacent in memory, so that the compiler keeps the sums in vector
     registers.
-
-    Args:
-        at_lift: (6, most) products of weight, lean, derivatives and residual of each link, as `add_links` stores them.
-        bases: (f, most) values of the surface's basis functions at each link.
-        count: number of links of the group.
-        square: (6 + f, 6 + f) the small normal matrix, changed in place.
-        product: (6 + f,) its right-hand side with opposite sign, changed in place.
     """
     for k in range(len(bases)):
         p, q, x, y, r = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -664,13 +529,7 @@ def _couple(entries: Floats, at: int, angle: float, x: float, y: float) -> None:
 
 @inlined
 def _complete(square: Floats, product: Floats, width: int) -> None:
-    """Complete the small normal matrix of a pair of frames: the shift of row p, then the upper triangle.
-
-    Args:
-        square: the matrix, changed in place; its lines are (φ, sx, sy) of row p, the same of row q, the surface.
-        product: its right-hand side with opposite sign, changed in place.
-        width: number of lines to complete.
-    """
+    """Complete the small normal matrix of a pair of frames: the shift of row p, then the upper triangle."""
     # derivatives by the shift of row p (columns 1 and 2) are those by the shift of row q (4 and 5) with opposite sign
     for x in range(1, 3):
         product[x] = -product[3 + x]
@@ -690,13 +549,6 @@ def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats, product
 
     A displacement of a camera has the effect of a change of the row in which it saw its end of the links. The lines of
     the cameras are therefore combinations of the lines of rows p and q.
-
-    Args:
-        by_a: (3, 3) change of (φ, sx, sy) of row p per displacement of the first camera.
-        by_b: (3, 3) the same for row q and the second camera.
-        width: number of lines of rows and surface, which are complete.
-        square: (width + 6, width + 6) the small normal matrix, changed in place.
-        product: (width + 6,) its right-hand side with opposite sign, changed in place.
     """
     for k in range(3):
         for m in range(width):

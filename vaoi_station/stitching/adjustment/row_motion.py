@@ -18,8 +18,7 @@ from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Observat
 from vaoi_station.stitching.adjustment.solver import adjust, evaluate_at, solve_subsampled
 from vaoi_station.stitching.matching.evidence import Detections, Links, Task
 
-_LEAST_LINKS = 3
-"""Least number of links that connect two rows."""
+_LEAST_LINKS = 3  # least number of links that connect two rows
 
 
 def chain_links(nominal: Motion, links: Observations) -> Motion:
@@ -66,8 +65,7 @@ _CONVERGED_MM = 5e-4
 This is accurate enough to locate the board. The adjustment with the CAD mapping then estimates the motion again."""
 _TEXTURE_SAMPLE, _ON_BOARD_WEIGHT = 4000, 0.5
 """About how many points represent the texture of the board, and the least robust weight of their links."""
-_NEAR_MM = 1.2
-"""Largest distance of a mark from the position that the nominal motion predicts."""
+_NEAR_MM = 1.2  # largest distance of a mark from the position that the nominal motion predicts
 
 
 def motion_from_links(problem: Problem, nominal: Motion) -> AdjustmentResult:

@@ -4,11 +4,6 @@ The unknowns are (φ_j, s_j) of every row j, the four numbers of the similarity 
 coefficients of the surface if one is requested, the heights of the components on which links lie, and the displacements
 of the cameras against their calibration. The paper chains the rows (equations 11–16), so that their errors add up. Here
 all links are used together, in a robust least-squares solution by iteratively reweighted Gauss-Newton.
-
-The equations are linear in the heights: a ground point moves by its lean per mm of height. The heights of components
-are eliminated from the normal equations, because each of them occurs only in the links that lie on the component.
-
-Estimate the noise floor of measurements: by how much they scatter beyond their stated noise.
 """
 
 from __future__ import annotations
@@ -21,58 +16,34 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.cameras import MovingCameras, row_changes
+from vaoi_station.stitching.adjustment.cameras import MovingCameras
 from vaoi_station.stitching.adjustment.envelope import (
     NormalEquations,
     factorise,
     hold_first_row,
     inverse,
-    row_blocks,
     solve_backward,
 )
 from vaoi_station.stitching.adjustment.equations import (
     Coupling,
     Equations,
-    HeightEquations,
-    HeightModel,
     HeightScatter,
     LinkModel,
     LinkState,
-    MotionArrays,
     NoiseModel,
-    OtherColumns,
     compute_residuals,
     compute_weights,
     detection_equations,
     eliminate_heights,
     fiducial_residuals,
-    height_changes,
     scale_equation,
 )
 from vaoi_station.stitching.adjustment.influence import Assembly, examine_influence
-from vaoi_station.stitching.adjustment.motion import (
-    SPEED_TOLERANCE,
-    STEP_TOLERANCE,
-    Motion,
-    belt_equations,
-    let_irregular_steps_free,
-)
-from vaoi_station.stitching.adjustment.problem import (
-    USED,
-    AdjustmentResult,
-    Influence,
-    Ints,
-    Problem,
-    index_in_group,
-    linked_steps,
-    median_noise_px,
-    prior_sigma_mm,
-)
+from vaoi_station.stitching.adjustment.motion import Motion, belt_equations
+from vaoi_station.stitching.adjustment.problem import USED, AdjustmentResult, Influence, Ints, Problem, prior_sigma_mm
 
-_MEDIAN = 2 * math.log(2)
-"""Median of the χ² distribution with two degrees of freedom."""
-_HALVINGS = 12
-"""Number of bisections. With limits of 0.003 and 5 px, the result is uncertain by 0.2 %."""
+_MEDIAN = 2 * math.log(2)  # median of the χ² distribution with two degrees of freedom
+_HALVINGS = 12  # number of bisections. With limits of 0.003 and 5 px, the result is uncertain by 0.2 %
 
 _LIMITS_PX, _FIRST_PX = (0.003, 5.0), 0.05
 """Smallest and largest noise floor of links, px, and a usual value, used until the noise floor is estimated."""
@@ -96,34 +67,33 @@ agree with one another. Links on tall components beside the seam become outliers
 
 
 class NoiseFloors:
-    """The noise floors of the links of a problem, one for each kind of link.
+    """The noise floors of the links of a problem, by kind: how much they scatter beyond their stated noise.
 
-    Each pair of neighbouring cameras is a kind of its own. A lifted board or a displaced camera at first causes a large
-    scatter, but only in the links between the cameras concerned. All other links keep their weight until the surface
-    and the displacements explain this scatter.
+    Kinds are 0 between rows, 1 + i between cameras i and i + 1 in one row, and the last one between rows of different
+    lights. Each pair of neighbouring cameras is a kind of its own: a lifted board or a displaced camera at first causes
+    a large scatter, but only in the links between the cameras concerned. All other links keep their weight until the
+    surface and the displacements explain this scatter.
     """
 
-    def __init__(self, problem: Problem, kind: Ints, seams: int, raised: NDArray[np.bool_]) -> None:
+    def __init__(self, problem: Problem, raised: NDArray[np.bool_]) -> None:
         """Choose the links from which the noise floors are estimated.
 
-        Args:
-            kind: (k,) kind of each link: 0 between rows, 1 … `seams` between two cameras in one row, and the last one
-                between rows of different lights.
-            seams: number of kinds of links between two cameras.
-            raised: (k,) whether each link may lie above the board although no component is under it.
+        `raised` (k,) says whether each link may lie above the board although no component is under it.
         """
-        self._problem, self._seams = problem, seams
-        bare = [_bare(problem, kind == k, raised) for k in range(1 + seams + 1)]
-        self._samples = [_sample(at) for at in bare]
-        """Indices of sampled links on the bare board, by kind. The model explains these links: what is left is noise.
-        """
-        rows = np.flatnonzero(kind == 0)
-        self._all_rows = _sample(rows if len(bare[0]) < _FEW else rows[:0])
-        """Indices of sampled links between rows, if those on the bare board are few."""
-        self.noise_px = np.array([median_noise_px(problem.links, at) for at in self._samples])
-        """Median image noise of the sampled links, by kind."""
-        self.px = np.full(1 + seams + 1, _FIRST_PX)
-        """The noise floors, by kind."""
+        self._problem, links = problem, problem.links
+        self.kind = np.where(links.p == links.q, 1 + links.camera_a, 0)
+        self._seams = max(int(self.kind.max(initial=0)), 1)
+        self.kind[problem.of_two_lights] = 1 + self._seams
+        bare = [np.flatnonzero((problem.component < 0) & (self.kind == k)) for k in range(1 + self._seams + 1)]
+        # near components only if the others are too few
+        surely = [at[~raised[at]] for at in bare]
+        surely = [own if len(own) >= _MIN_LINKS else at for own, at in zip(surely, bare, strict=True)]
+        # Indices of sampled links on the bare board, by kind. The model explains these links: what is left is noise.
+        self._samples = [_sample(at) for at in surely]
+        rows = np.flatnonzero(self.kind == 0)
+        self._all_rows = _sample(rows if len(surely[0]) < _FEW else rows[:0])
+        self.noise_px = np.array([links.median_noise_px(at) for at in self._samples])
+        self.px = np.full(len(bare), _FIRST_PX)
 
     def update(self, residual: Floats, *, displaceable: bool) -> None:
         """Estimate the noise floors from residuals (k, 2), mm.
@@ -131,30 +101,32 @@ class NoiseFloors:
         `displaceable` says whether the displacements of the cameras are unknowns.
         """
         links, (low, high) = self._problem.links, _LIMITS_PX
+
+        def scatter_of(at: Ints, low: float = low, high: float = high) -> float:
+            return noise_floor(residual, links.noise_mm2, links.px_per_mm, at, low, high)
+
         for kind, at in enumerate(self._samples):
             seam = 0 < kind <= self._seams
             if len(at) < (_SEAM_LINKS if seam else _MIN_LINKS):
                 continue
-            scatter = noise_floor(residual, links.noise_mm2, links.px_per_mm, at, low, high)
+            scatter = scatter_of(at)
             if seam and displaceable and scatter > _AT_LIMIT * high:
-                scatter = noise_floor(residual, links.noise_mm2, links.px_per_mm, at, high, _DISPLACED_PX)
+                scatter = scatter_of(at, high, _DISPLACED_PX)
             if seam and self._problem.surface is not None:
                 scatter = max(min(scatter, _SEAM_PX), scatter / _NARROWING)
             if kind == 0 and len(self._all_rows) >= _MIN_LINKS:
-                every = noise_floor(residual, links.noise_mm2, links.px_per_mm, self._all_rows, low, high)
-                scatter = min(scatter, every)
+                scatter = min(scatter, scatter_of(self._all_rows))
             self.px[kind] = scatter if len(at) >= _MIN_LINKS else max(scatter, _FIRST_PX)
 
-
-def _bare(problem: Problem, of_kind: NDArray[np.bool_], raised: NDArray[np.bool_]) -> Ints:
-    """Return indices of the links of a kind on the bare board; near components only if the others are too few."""
-    bare = (problem.component < 0) & of_kind
-    surely = np.flatnonzero(bare & ~raised)
-    return surely if len(surely) >= _MIN_LINKS else np.flatnonzero(bare)
+    def shared_px(self) -> Floats:
+        """Return for each kind the σ of the error that all links of one pair of frames have in common."""
+        out = np.maximum(_PAIR_SIGMA_PX[1], np.maximum(_NOISE_SHARE * self.noise_px, _PAIR_SHARE * self.px))
+        beyond_px = np.sqrt(max(self.px[0] ** 2 - self.noise_px[0] ** 2, 0.0))
+        out[0], out[-1] = max(_PAIR_SIGMA_PX[0], _PAIR_SHARE * beyond_px), _LIGHTS_SIGMA_PX
+        return np.asarray(out)
 
 
 def _sample(at: Ints) -> Ints:
-    """Return about `_SAMPLE` of the indices."""
     # A contiguous copy: for a slice with a step, Numba would compile another variant while a board waits.
     return np.ascontiguousarray(at[:: max(len(at) // _SAMPLE, 1)])
 
@@ -164,15 +136,13 @@ def noise_floor(residual: Floats, noise: Floats, per_unit: Floats, use: Ints, lo
     """Return the noise floor: the standard deviation per axis that must be added to the stated noise.
 
     With the noise floor, the median of the squared normalised residuals is that of χ² with two degrees of freedom. As a
-    median is used, up to half of the measurements may be outliers.
+    median is used, up to half of the measurements may be outliers. The result lies between `low` and `high`.
 
     Args:
         residual: (k, 2) residuals.
         noise: (k, 2, 2) covariances of the stated noise.
         per_unit: (k,) units of the noise floor per unit of the residuals, for example px per mm.
         use: indices of the measurements that are used.
-        low: lower limit of the noise floor.
-        high: upper limit of the noise floor.
     """
     left = use.copy()
     surely, undecided = 0, len(use)
@@ -215,8 +185,7 @@ because of different light and of the different perspective of points slightly a
 `_PAIR_SHARE` of the noise floor and the share `_NOISE_SHARE` of the median image noise of the links: noise draws
 matches towards certain fractions of a pixel, which are the same in all rows of two cameras. What links have in common
 because their patches overlap is not in it: `patch_overlap` computes that."""
-_LIGHTS_SIGMA_PX = 0.3
-"""The same error between rows of different lights: the bright edges of metal move with the lamp."""
+_LIGHTS_SIGMA_PX = 0.3  # the same error between rows of different lights: the bright edges of metal move with the lamp
 _FLOOR_STEPS = 6
 """The noise floors are estimated in the first steps only, up to this number. Then they stay constant, so that steps
 converge."""
@@ -228,8 +197,7 @@ list (seeds 102826, 103588: a board with other parts)."""
 _FREE_STEPS = 3
 """Number of first steps in which heights may be below the board, and links near components count as links on the board.
 The initial motion may be that of the tops of components. Relative to these, the board seems to lie too low."""
-_HEIGHT_MIN_LINKS = 3
-"""Least number of used links by which the height of a component is reported."""
+_HEIGHT_MIN_LINKS = 3  # least number of used links by which the height of a component is reported
 
 
 def adjust(
@@ -248,69 +216,61 @@ def adjust(
 
 
 def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
-    """Estimate the motion, to a thousandth of a millimetre, from a subsample of the links.
-
-    Return None if there are too few links for a subsample.
-    """
+    """Estimate the motion to a thousandth of a millimetre from a subsample of the links; None if they are too few."""
     every = len(problem.links) // (_SAMPLE_PER_ROW * len(start.angle))
     if every < 2:
         return None
     # Every n-th link of each pair of frames is taken, not every n-th of all links, so that each pair keeps some links.
-    some = np.flatnonzero(index_in_group(problem.links.group) % every == 0)
-    solver = _Solver(problem.select(some), start, None)
+    group = problem.links.group
+    in_pair = np.arange(len(group)) - np.searchsorted(group, group)
+    solver = _Solver(problem.select(np.flatnonzero(in_pair % every == 0)), start, None)
     solver.run(_SAMPLE_CONVERGED_MM)
     return solver.motion
 
 
 def evaluate_at(problem: Problem, motion: Motion) -> AdjustmentResult:
-    """Return residuals and weights of all links at a given motion, as if it were the solution.
-
-    The covariance is not computed: it is 0 in the solution.
-    """
+    """Return residuals and weights of all links at a given motion; the covariance is 0."""
     return _Solver(problem, motion, None).result()
+
+
+def linked_steps(problem: Problem) -> NDArray[np.bool_]:
+    """Return for each step from a row to the next (rows − 1,) whether a link connects rows across this step."""
+    rows = len(problem.times_s)
+    change = np.bincount(problem.links.p, minlength=rows) - np.bincount(problem.links.q, minlength=rows)
+    return np.asarray(np.cumsum(change)[:-1] > 0)
 
 
 class _Solver:
     """The state of one adjustment: its current unknowns, and the arrays that its steps reuse."""
 
     def __init__(self, problem: Problem, start: Motion, similarity: Floats | None) -> None:
-        self.problem = problem
-        self.motion = start
-        self.similarity = similarity
-        links, surface = problem.links, problem.surface
-        self.rows = len(start.angle)
-        basis = surface.at_links if surface else np.zeros((len(links), 0))
-        self.n_surface = basis.shape[1]
+        self.problem, self.motion, self.similarity = problem, start, similarity
+        links, surface, self.rows = problem.links, problem.surface, len(start.angle)
+        self.basis = surface.at_links if surface else np.zeros((len(links), 0))
+        self.n_surface = self.basis.shape[1]
         self.surface_mm = np.zeros(self.n_surface)
-        between = (links.p == links.q).astype(np.int_)
-        self.kind = between * (1 + links.pairs.a[links.group])
-        """(k,) kind of each link: 0 between rows, 1 + i between cameras i and i + 1 in one row, and the last one
-        between rows of different lights."""
-        self.seams = max(int(self.kind.max(initial=0)), 1)
-        """Number of kinds of links between cameras."""
-        self.kind[mixed := problem.of_two_lights] = 1 + self.seams
         # A component has two heights, one for each kind of link. Two cameras see its top, while links from row to row
         # may lie on its leads or on the board between them. With a single unknown, the difference would lift the whole
         # board.
         self.n_parts = int(problem.component.max(initial=-1)) + 1
-        component = np.where(mixed | (problem.component < 0), -1, problem.component + self.n_parts * between)
+        bare = problem.of_two_lights | (problem.component < 0)
+        self.component = np.where(bare, -1, problem.component + self.n_parts * (links.p == links.q))
         self.heights_mm = np.zeros(2 * self.n_parts)
-        shared = (4 if problem.fiducials else 0) + self.n_surface
-        self.shared = np.arange(3 * self.rows, 3 * self.rows + shared)
-        """Columns of the unknowns of C and of the surface, which stand after the rows."""
-        self.cameras = MovingCameras(problem, 3 * self.rows + shared)
-        surface_column = 3 * self.rows + shared - self.n_surface
-        columns = OtherColumns(self.n_surface, surface_column, self.cameras.first_column, 2 * self.n_parts)
-        self.coupling = Coupling.of(component, links.arrays, links.pairs, columns)
-        self.heights = HeightModel(basis, component)
-        self.envelope = self.coupling.envelope(links.arrays, self.rows, shared + self.cameras.unknowns)
+        # C and the surface stand after the rows, the cameras last.
+        first, shared = 3 * self.rows, (4 if problem.fiducials else 0) + self.n_surface
+        self.shared = np.arange(first, first + shared)
+        self.cameras = MovingCameras(problem, first + shared)
+        columns = first + shared - self.n_surface, self.cameras.first_column
+        self.coupling = Coupling.of(
+            self.component, len(self.heights_mm), links.arrays, self.rows, self.n_surface, columns
+        )
+        self.empty = NormalEquations.of(self.coupling.furthest, shared + self.cameras.unknowns)
         self.factor: NormalEquations | None = None
         self.state = LinkState.zeros(len(links))
-        self.linked_steps = linked_steps(links, self.rows)
+        self.linked_steps = linked_steps(problem)
         self.raised = (problem.component < 0) & problem.reaches_component
-        """(k,) whether each link may lie above the board although no component is under it."""
-        self.scatter = HeightScatter(problem, component, self.n_parts)
-        self.floors = NoiseFloors(problem, self.kind, self.seams, self.raised)
+        self.scatter = HeightScatter(problem, self.component, self.n_parts)
+        self.floors = NoiseFloors(problem, self.raised)
         self.steps = 0
 
     def run(self, converged_mm: float) -> None:
@@ -324,96 +284,59 @@ class _Solver:
     def step(self) -> float:
         """Make one reweighted Gauss-Newton step; return the largest change of a shift in mm."""
         self.steps += 1
-        priors = self._priors()
         self._compute_residuals()
         # in this order: the noise floor depends on the residuals, and the weights depend on the noise floor
         if self.steps <= _FLOOR_STEPS:
             self.floors.update(self.state.residual, displaceable=bool(self.cameras.unknowns))
         self._compute_weights()
-        normal, heights = self._assembly(priors).whole()
+        normal, heights = self._assembly().whole()
         eliminate_heights(self.coupling, heights, normal)
         hold_first_row(normal)
-        self.cameras.regularise(self.envelope, normal)
+        self.cameras.regularise(normal)
         factorise(normal)
-        forward = self.cameras.constrain(self.envelope, normal)
+        delta = solve_backward(normal, self.cameras.constrain(normal))
         self.factor = normal
-        return self._move(solve_backward(normal, forward), heights)
-
-    def _priors(self) -> list[Equations]:
-        """Return all equations but those of links: of the belt, of detections and scale, of the surface."""
-        return [self._belt(), *self._fiducials(), self._surface()]
-
-    def _assembly(self, priors: list[Equations]) -> Assembly:
-        """Return the parts of the normal equations at the current unknowns, residuals and weights."""
-        sunk_mm = _HEIGHT_SIGMA_MM if self.steps <= _FREE_STEPS else _SUNK_MM
-        heights = self.coupling.equations(self.heights_mm, _HEIGHT_SIGMA_MM, sunk_mm)
-        model = LinkModel(self.heights, self.coupling, self.problem.links.pairs, self.cameras.effects)
-        return Assembly(self.envelope, priors, self.cameras.links, self._motion_arrays(), model, self.state, heights)
-
-    def _move(self, delta: Floats, heights: HeightEquations) -> float:
-        """Add the solution (n,) of a step to all unknowns; return the largest change of a shift in mm.
-
-        The changes of the eliminated heights are computed from `heights`.
-        """
         rows = delta[: 3 * self.rows].reshape(self.rows, 3)
         self.motion = replace(self.motion, angle=self.motion.angle + rows[:, 0], shift=self.motion.shift + rows[:, 1:])
         if self.similarity is not None:
             self.similarity = self.similarity + delta[self.shared[:4]]
-        self.surface_mm = self.surface_mm + delta[self.shared[len(self.shared) - self.n_surface :]]
-        self.heights_mm = self.heights_mm + height_changes(self.coupling, heights, delta)
+        self.surface_mm = self.surface_mm + delta[self._surface_columns]
+        self.heights_mm = self.heights_mm + self.coupling.changes(heights, delta)
         self.cameras.move(delta)
         return float(np.abs(rows[:, 1:]).max())
 
-    def _motion_arrays(self) -> MotionArrays:
-        """Return the current motion in the form that compiled functions take."""
-        return MotionArrays(self.motion.angle, self.motion.shift, self.motion.pivot)
+    @property
+    def _surface_columns(self) -> Ints:
+        return self.shared[len(self.shared) - self.n_surface :]
+
+    def _assembly(self) -> Assembly:
+        """Return the parts of the normal equations at the current unknowns, residuals and weights."""
+        problem, motion = self.problem, self.motion
+        belt = belt_equations(motion, problem.times_s, problem.velocity_mm_s, self.linked_steps)
+        # The prior of the surface: every coefficient is 0 with its prior standard deviation at its value.
+        sigma = prior_sigma_mm(self.surface_mm, problem.surface.sigma_mm) if problem.surface else np.ones(0)
+        surface = self._surface_columns[None], np.diag(1 / sigma)[None], (self.surface_mm / sigma)[None]
+        sunk_mm = _HEIGHT_SIGMA_MM if self.steps <= _FREE_STEPS else _SUNK_MM
+        heights = self.coupling.equations(self.heights_mm, _HEIGHT_SIGMA_MM, sunk_mm)
+        row_changes = self.cameras.effects.row_changes(motion.angle, motion.pivot)
+        model = LinkModel(self.basis, self.component, self.coupling, row_changes)
+        priors = [belt, *self._fiducials(row_changes), surface]
+        return Assembly(priors, self.cameras.links, motion.arrays, model, self.state, self.empty, heights)
 
     def _compute_residuals(self) -> None:
-        """Compute the residual of every link at the current unknowns."""
-        height = self.heights.basis @ self.surface_mm + np.append(self.heights_mm, 0.0)[self.heights.component]
-        compute_residuals(self.cameras.links, self._motion_arrays(), height, self.state)
+        height = self.basis @ self.surface_mm + np.append(self.heights_mm, 0.0)[self.component]
+        compute_residuals(self.cameras.links, self.motion.arrays, height, self.state)
 
     def _compute_weights(self) -> None:
-        """Compute the robust weights of the links from their current residuals and the noise floor."""
-        links = self.problem.links
-        floor_px, noise_px = self.floors.px, self.floors.noise_px
-        shared_px = np.maximum(_PAIR_SIGMA_PX[1], np.maximum(_NOISE_SHARE * noise_px, _PAIR_SHARE * floor_px))
-        beyond_px = np.sqrt(max(floor_px[0] ** 2 - noise_px[0] ** 2, 0.0))
-        shared_px[0], shared_px[-1] = max(_PAIR_SIGMA_PX[0], _PAIR_SHARE * beyond_px), _LIGHTS_SIGMA_PX
-        free = self.steps <= _FREE_STEPS
+        free, floors = self.steps <= _FREE_STEPS, self.floors
         raised = np.zeros_like(self.raised) if free else self.raised
         plainly = np.inf if free or not self.n_surface or not self.n_parts else _PLAINLY
         scatter_mm, common_mm = self.scatter.at(self.heights_mm.reshape(2, -1))
-        loss = _KNEE, _CUT
-        noise = NoiseModel(
-            self.kind, floor_px, shared_px, *loss, raised, scatter_mm, self.scatter.cell, common_mm, plainly
-        )
-        compute_weights(links.arrays, noise, len(links.groups), self.state)
+        limits = floors.kind, floors.px, floors.shared_px(), _KNEE, _CUT
+        noise = NoiseModel(*limits, raised, scatter_mm, self.scatter.cell, common_mm, plainly)
+        compute_weights(self.problem.links.arrays, noise, self.state)
 
-    def _belt(self) -> Equations:
-        """Return the prior of the motion between consecutive rows: the belt moves at its measured mean velocity.
-
-        This prior determines the position of rows without links.
-        """
-        problem, velocity = self.problem, self.problem.velocity_mm_s
-        if self.rows > 1:
-            dt = np.diff(problem.times_s)
-            steps = -np.diff(self.motion.shift, axis=0)[self.linked_steps] / dt[self.linked_steps, None]
-            # Weighted mean of the measured steps and of the nominal speed, each with its own variance.
-            prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
-            velocity = (steps.sum(0) + prior * velocity) / (len(steps) + prior)
-        columns, slopes, rest = belt_equations(self.motion, problem.times_s, velocity)
-        if self.rows > 1:
-            let_irregular_steps_free(rest, slopes, dt * float(np.hypot(*velocity)), self.linked_steps)
-        return columns, slopes, rest
-
-    def _surface(self) -> Equations:
-        """Return the prior of the surface: every coefficient is 0 with its prior standard deviation at its value."""
-        sigma = prior_sigma_mm(self.surface_mm, self.problem.surface.sigma_mm) if self.problem.surface else np.ones(0)
-        columns = self.shared[None, len(self.shared) - self.n_surface :]
-        return columns, np.diag(1 / sigma)[None], (self.surface_mm / sigma)[None]
-
-    def _fiducials(self) -> list[Equations]:
+    def _fiducials(self, row_changes: Floats) -> list[Equations]:
         """Return the equations of the detections and of the scale of C; none if the problem has no fiducials."""
         points, c = self.cameras.points, self.similarity
         if points is None or c is None:
@@ -421,14 +344,14 @@ class _Solver:
         residual, jacobian = self._fiducial_residuals(c)
         others = np.broadcast_to(self.shared, (len(points.row), len(self.shared)))
         if self.cameras.unknowns:
-            turn = row_changes(self.cameras.effects, points.camera, self.motion.angle[points.row], self.motion.pivot)
+            turn = row_changes[points.camera, points.row]
             jacobian = np.concatenate([jacobian, jacobian[:, :, :3] @ turn], 2)
-            others = np.concatenate([others, self.cameras.columns_of(points.camera)], 1)
+            of_camera = self.cameras.first_column + 3 * points.camera[:, None] + np.arange(3)
+            others = np.concatenate([others, of_camera], 1)
         detections = detection_equations(points, residual, jacobian, others)
         return [detections, scale_equation(c, self.problem.nominal_scale, self.shared[:2])]
 
     def _fiducial_residuals(self, c: Floats) -> tuple[Floats, Floats]:
-        """Return the residuals and the Jacobian of the detections at similarity c and the other current unknowns."""
         points, surface = self.cameras.points, self.problem.surface
         assert points is not None
         basis = surface.at_fiducials if surface else np.zeros((len(points.row), 0))
@@ -447,12 +370,20 @@ class _Solver:
         if points is not None and self.similarity is not None:
             fiducial_px = self._fiducial_residuals(self.similarity)[0] * points.px_per_mm[:, None]
         u = 3 + len(self.shared)
-        covariance = self.cameras.widen(self._covariance(), u)
+        covariance = np.zeros((self.rows, u + self.cameras.unknowns, u + self.cameras.unknowns))
+        if self.factor is not None:
+            covariance = self.factor.row_blocks(inverse(self.factor))
+            # The gauge fixes row 0: the lines of row 0 in the inverse are those of the identity, not a covariance.
+            covariance[0, :3] = covariance[0, :, :3] = 0
+        covariance = self.cameras.widen(covariance, u)
+        on = self.component >= 0
+        used = np.bincount(self.component[on], state.robust[on] > USED, minlength=len(self.heights_mm))
+        heights_mm = np.where(used >= _HEIGHT_MIN_LINKS, self.heights_mm, np.nan).reshape(2, self.n_parts)
         return AdjustmentResult(
             self.motion,
             self.similarity,
             self.surface_mm,
-            self._reported_heights(),
+            heights_mm,
             np.ascontiguousarray(covariance[:, :u, :u]),
             state.sigma,
             state.residual * links.px_per_mm[:, None],
@@ -467,30 +398,7 @@ class _Solver:
 
     def _influence(self) -> Influence | None:
         """Examine the influence of single places and marks on the solution; None before C is an unknown."""
-        points = self.cameras.points
-        if self.similarity is None or points is None or not self.steps:
+        if self.similarity is None or self.cameras.points is None or not self.steps:
             return None
-        first = 3 * self.rows + len(self.shared)
-        held = np.arange(first, first + self.cameras.unknowns)
-        assembly = self._assembly(self._priors())
-        return examine_influence(assembly, self.problem.links.seam, points, len(self.shared), held)
-
-    def _covariance(self) -> Floats:
-        """Return for each row the covariance (v, v) of its unknowns, C, the surface and the cameras.
-
-        It is 0 before the first step.
-        """
-        size = 3 + len(self.shared) + self.cameras.unknowns
-        covariance = np.zeros((self.rows, size, size))
-        if self.factor is not None:
-            covariance = row_blocks(self.envelope, inverse(self.factor, self.rows))
-            # The gauge fixes row 0: the lines of row 0 in the inverse are those of the identity, not a covariance.
-            covariance[0, :3] = covariance[0, :, :3] = 0
-        return covariance
-
-    def _reported_heights(self) -> Floats:
-        """Return the heights of all components for both kinds of links (2, parts); NaN where too few links are used."""
-        component = self.heights.component
-        on = component >= 0
-        used = np.bincount(component[on], self.state.robust[on] > USED, minlength=2 * self.n_parts)
-        return np.where(used >= _HEIGHT_MIN_LINKS, self.heights_mm, np.nan).reshape(2, self.n_parts)
+        held = np.arange(len(self.empty.first) - self.cameras.unknowns, len(self.empty.first))
+        return examine_influence(self._assembly(), self.cameras.points, len(self.shared), held)

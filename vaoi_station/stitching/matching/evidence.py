@@ -10,8 +10,7 @@ import numpy as np
 from vaoi_station.config import MethodName
 from vaoi_station.geometry.transforms import Floats
 
-FrameKey = tuple[int, int]
-"""The address of a frame: camera and row."""
+FrameKey = tuple[int, int]  # the address of a frame: camera and row
 
 
 class Task(NamedTuple):
@@ -24,8 +23,7 @@ class Task(NamedTuple):
     a: FrameKey
     b: FrameKey | None = None
     """The second frame. It is a frame of the reference run if `kind` is "reference", and None if `kind` is "marks"."""
-    dt_s: float = 0.0
-    """Time from the pulse of frame a to the pulse of frame b. Only linking two rows ("rows") uses it."""
+    dt_s: float = 0.0  # time from the pulse of frame a to the pulse of frame b. Only linking two rows ("rows") uses it
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,21 +31,16 @@ class Links:
     """k links: pairs of corresponding points in the frames `task.a` (frame a) and `task.b` (frame b)."""
 
     task: Task
-    a_px: Floats
-    """(k, 2) raw pixels in frame a."""
-    b_px: Floats
-    """(k, 2) raw pixels in frame b."""
+    a_px: Floats  # (k, 2) raw pixels in frame a
+    b_px: Floats  # (k, 2) raw pixels in frame b
     information: Floats
     """(k, 2, 2) information matrix, px⁻²: the inverse covariance of b_px − a_px that image noise causes. It is small
     along an edge and large across it."""
-    score: Floats
-    """(k,) correlation of the two patches, from −1 to 1, after their means are subtracted."""
-    note: str = ""
-    """Text that states why there are no links; empty if there are links."""
+    score: Floats  # (k,) correlation of the two patches, from −1 to 1, after their means are subtracted
+    note: str = ""  # text that states why there are no links; empty if there are links
     coarse_px: tuple[float, float] | None = None
     """Shift that the coarse search added to the predicted one; None if no links were found."""
-    tried: int = 0
-    """The number of corners of frame a that were searched in frame b."""
+    tried: int = 0  # the number of corners of frame a that were searched in frame b
     unmatched: bool = False
     """Whether the overlap of two cameras shows texture of which hardly any was found in both frames."""
 
@@ -71,14 +64,10 @@ class Detections:
     """k detections in the frame `task.a`: places that look like a fiducial of the board type."""
 
     task: Task
-    px: Floats
-    """(k, 2) positions of the detections in raw pixels."""
-    sigma_px: Floats
-    """(k,) standard deviation of `px`, per axis, in px."""
-    score: Floats
-    """(k,) correlation of the pixels with the expected picture of the mark."""
-    kind: np.ndarray
-    """(k,) kind of mark of each detection: index into the list that `mark_kinds(board_type)` returns."""
+    px: Floats  # (k, 2) positions of the detections in raw pixels
+    sigma_px: Floats  # (k,) standard deviation of `px`, per axis, in px
+    score: Floats  # (k,) correlation of the pixels with the expected picture of the mark
+    kind: np.ndarray  # (k,) kind of mark of each detection: index into the list that `mark_kinds(board_type)` returns
 
 
 Evidence = Links | Detections
@@ -91,14 +80,10 @@ __all__ = ["METHODS", "Method", "MethodName"]
 class Method:
     """The kinds of evidence that a stitching method may use."""
 
-    links: bool
-    """Whether to use texture that is linked from row to row and from camera to camera."""
-    marks: bool
-    """Whether to use the fiducials of the board."""
-    fixture: bool
-    """Whether to use the fixture marks."""
-    reference: bool
-    """Whether to use texture that is linked to a reference run of the same board type."""
+    links: bool  # whether to use texture that is linked from row to row and from camera to camera
+    marks: bool  # whether to use the fiducials of the board
+    fixture: bool  # whether to use the fixture marks
+    reference: bool  # whether to use texture that is linked to a reference run of the same board type
 
 
 METHODS: dict[str, Method] = {

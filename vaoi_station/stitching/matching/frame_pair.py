@@ -35,10 +35,8 @@ from vaoi_station.stitching.matching.refinement import MARGIN_PX, WINDOW_PX
 
 _UPRIGHT = math.cos(math.radians(2.0))
 """Two frames are turned against one another if the cosine of the angle between them is below this."""
-_LEAST_PX = 2.0
-"""Least width of an overlap, px. A narrower one is only the result of rounding."""
-Box = tuple[int, int, int, int]
-"""A rectangle (x0, y0, x1, y1) in pixels; column x1 and line y1 do not belong to it."""
+_LEAST_PX = 2.0  # least width of an overlap, px. A narrower one is only the result of rounding
+Box = tuple[int, int, int, int]  # a rectangle (x0, y0, x1, y1) in pixels; column x1 and line y1 do not belong to it
 
 
 def predict(a_px: Floats, a: Camera, b: Camera, shift_mm: Floats) -> Floats:
@@ -46,13 +44,7 @@ def predict(a_px: Floats, a: Camera, b: Camera, shift_mm: Floats) -> Floats:
 
     The points lie in the calibrated plane, and the board moves by `shift_mm` (2,) from frame a to frame b.
     """
-    shift = np.asarray(shift_mm, dtype=np.float64)
-    return transfer_points(a_px, a.row_from_image.matrix, *_lens(a), shift, b.image_from_row.matrix, *_lens(b))
-
-
-def _lens(camera: Camera) -> tuple[Floats, tuple[float, float, float, float, float]]:
-    """Return the radial coefficients and the shape of a camera's lens, as compiled functions take them."""
-    return camera.lens.coefficients, camera.lens.shape
+    return transfer_points(a_px, a.arrays, b.arrays, np.asarray(shift_mm, dtype=np.float64))
 
 
 def overlap_box(a: Camera, b: Camera, shift_mm: Floats, margin_px: float = 0.0) -> Box | None:
@@ -119,14 +111,11 @@ With a shift alone, matches would then be wrong by some hundredths of a pixel.""
 _GRAIN_PX = 16
 """A resampled part begins at a multiple of this, so that the reduced copies of both frames have about the same
 pixels."""
-_BESIDE_PX = 2 * MARGIN_PX
-"""Distance by which a resampled part extends beyond the overlap, px."""
+_BESIDE_PX = 2 * MARGIN_PX  # distance by which a resampled part extends beyond the overlap, px
 _DENSEST = 4.0
 """Largest factor by which the grid of corners is made denser where the overlap fills only part of its box."""
-_KEPT_MAPS = 256
-"""Entries of the cache of linear maps, one for each pair of cameras."""
-_BLOCK_PX = 8
-"""Side of the blocks whose means are compared."""
+_KEPT_MAPS = 256  # entries of the cache of linear maps, one for each pair of cameras
+_BLOCK_PX = 8  # side of the blocks whose means are compared
 _HIGH, _LEAST_BLOCKS = 220, 50
 """Largest grey level of the blocks of the brighter frame, and their least number, from which the ratio is estimated."""
 _CEILING = 240
@@ -134,10 +123,8 @@ _CEILING = 240
 saturated."""
 _EQUAL, _NOISY = 0.6, 0.25
 """Ratio of the grey levels down to which frames are compared as they are, and below which they are smoothed."""
-_ALIKE = 0.7
-"""Least correlation of the block means of two frames that show the same."""
-_SMOOTH_PX = 1.5
-"""Standard deviation of the smoothing: it leaves a thirtieth of the variance of white noise."""
+_ALIKE = 0.7  # least correlation of the block means of two frames that show the same
+_SMOOTH_PX = 1.5  # standard deviation of the smoothing: it leaves a thirtieth of the variance of white noise
 _IDENTITY = np.eye(2, 3)
 
 
@@ -149,8 +136,7 @@ class FramePair:
     b: PreparedFrame
     camera_a: Camera
     camera_b: Camera
-    shift_mm: Floats
-    """(2,) nominal motion of the board from frame a to frame b."""
+    shift_mm: Floats  # (2,) nominal motion of the board from frame a to frame b
 
     @property
     def px_per_mm(self) -> float:

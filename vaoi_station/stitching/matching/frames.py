@@ -20,12 +20,9 @@ from vaoi_station.pixel_formats import eight_bit_grey
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.refinement import KERNEL, KERNEL_REACH, KERNEL_STEPS
 
-_COARSE_WIDTH_PX = 150
-"""Smallest width of `PreparedFrame.coarse`."""
-_SAMPLED_PX = 16
-"""Distance of the pixels from which the contrast is computed."""
-_FAR_PX = 30_000
-"""Largest coordinate of a polygon that OpenCV fills without overflow."""
+_COARSE_WIDTH_PX = 150  # smallest width of `PreparedFrame.coarse`
+_SAMPLED_PX = 16  # distance of the pixels from which the contrast is computed
+_FAR_PX = 30_000  # largest coordinate of a polygon that OpenCV fills without overflow
 
 
 class PreparedFrame:
@@ -222,9 +219,7 @@ class Scene:
     """The cameras and good frames of a run, with access to the prepared frames."""
 
     cameras: tuple[Camera, ...]
-    present: tuple[FrameKey, ...]
-    """Camera and row of every good frame, sorted."""
+    present: tuple[FrameKey, ...]  # camera and row of every good frame, sorted
     prepared: Callable[[FrameKey], PreparedFrame]
     """A function that returns the prepared frame of a camera and row, and raises LookupError if it is missing."""
-    doubts: tuple[str, ...] = ()
-    """Doubts about the frames that arose when they were recorded (`RecordingHead.doubts`)."""
+    doubts: tuple[str, ...] = ()  # doubts about the frames that arose when they were recorded (`RecordingHead.doubts`)

@@ -113,8 +113,7 @@ def _corners(image: NDArray[np.uint8], x0: int, y0: int, score: Small) -> None:
             to[x] = half * (p + r) - math.sqrt(half * half * (p - r) * (p - r) + q * q)
 
 
-_LEAST_SHIFT_SCORE = 0.25
-"""Smallest correlation with which a shift is reported."""
+_LEAST_SHIFT_SCORE = 0.25  # smallest correlation with which a shift is reported
 _WIDE_PX = 24
 """Width of an overlap, in pixels of half size, from which on it is searched at half size only.
 
@@ -124,15 +123,13 @@ _PEAKS, _RIVAL, _AROUND_PX = 4, 0.8, 2
 """Which peaks of the search at half size are searched again at full size.
 
 At most `_PEAKS`, with at least the share `_RIVAL` of the highest correlation, each within ±`_AROUND_PX` pixels."""
-_SIMILAR = 0.75
-"""Another shift is reported as a rival if its correlation is at least this share of the highest one."""
+_SIMILAR = 0.75  # another shift is reported as a rival if its correlation is at least this share of the highest one
 _DISTINCT_PX = 3
 """Least distance of a rival from the best shift, in pixels of the searched copy: closer peaks are the same peak."""
 _DIRECT = 1_200_000
 """Largest number of products for which a correlation is summed directly. Beyond it, OpenCV's Fourier transform is
 faster."""
-_MIN_CONTRAST = 1.0
-"""Contrast, rms of the high-passed grey levels, below which an overlap counts as empty."""
+_MIN_CONTRAST = 1.0  # contrast, rms of the high-passed grey levels, below which an overlap counts as empty
 
 
 @dataclass(frozen=True)
@@ -357,10 +354,8 @@ _SLIP_SHARE, _PLAY_MM = 0.15, 1.0
 """Range of the coarse search between rows: the share `_SLIP_SHARE` of the nominal motion, plus `_PLAY_MM`."""
 _COMPARED = 37
 """Every 37th line is compared first: frames that are no copies of one another differ in the first of these lines."""
-_MOVED_MM = 4.0
-"""Range of the coarse search between two cameras if one of them may be displaced."""
-_ENOUGH = 8
-"""With at least this number of links between two cameras, neither was displaced since its calibration."""
+_MOVED_MM = 4.0  # range of the coarse search between two cameras if one of them may be displaced
+_ENOUGH = 8  # with at least this number of links between two cameras, neither was displaced since its calibration
 _CERTAIN, _CERTAIN_SHARE = 24, 0.6
 """Number of links, and share of the tried corners, that only correct links reach.
 
@@ -535,10 +530,8 @@ def _shrink(box: Box, shape: tuple[int, ...], correction_px: Floats) -> Box:
     )
 
 
-STATIC_PX = 1.5
-"""Largest distance in px between two places that count as the same: noise, and vibration of the cameras."""
-_SAME_SCORE = 0.8
-"""Least correlation of two patches that show the same texture."""
+STATIC_PX = 1.5  # largest distance in px between two places that count as the same: noise, and vibration of the cameras
+_SAME_SCORE = 0.8  # least correlation of two patches that show the same texture
 
 
 def shows_patches(

@@ -28,8 +28,7 @@ _SETTLED_PX = 0.1
 """A match has converged if its last step was at most this, px. Otherwise its score belongs to another position."""
 _SATURATED_SHARE = 0.02
 """Largest share of saturated pixels in a match; more would spoil it, because they do not move with the texture."""
-_NOISE_FLOOR = 0.5
-"""Smallest noise that is assumed after the blur, in grey levels: pixels are rounded to whole numbers."""
+_NOISE_FLOOR = 0.5  # smallest noise that is assumed after the blur, in grey levels: pixels are rounded to whole numbers
 _TINY = 1e-9
 """Small number, added to the diagonal of a covariance (2, 2), so that it can be inverted even where it is 0."""
 
@@ -38,16 +37,11 @@ _TINY = 1e-9
 class Matches:
     """The matches of k patches of image a in image b."""
 
-    b_px: Floats
-    """(k, 2) measured centres of the patches in image b, px."""
-    information: Floats
-    """(k, 2, 2) inverse covariance of b_px, px⁻²."""
-    sigma_px: Floats
-    """(k,) standard deviation of b_px in the direction in which it is largest."""
-    score: Floats
-    """(k,) correlation of the matched patches; 0 for a lost patch."""
-    found: NDArray[np.bool_]
-    """(k,) whether the patch was found; only then the other values can be used."""
+    b_px: Floats  # (k, 2) measured centres of the patches in image b, px
+    information: Floats  # (k, 2, 2) inverse covariance of b_px, px⁻²
+    sigma_px: Floats  # (k,) standard deviation of b_px in the direction in which it is largest
+    score: Floats  # (k,) correlation of the matched patches; 0 for a lost patch
+    found: NDArray[np.bool_]  # (k,) whether the patch was found; only then the other values can be used
 
 
 def patch_centres(corners: NDArray[np.int_]) -> Floats:

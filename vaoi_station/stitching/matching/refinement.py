@@ -37,8 +37,7 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.transforms import Floats
 
-WINDOW_PX = 24
-"""Side of a patch: three vector registers of eight pixels."""
+WINDOW_PX = 24  # side of a patch: three vector registers of eight pixels
 PITCH_PX = 32
 """Distance between the starts of two lines of a patch or tile in memory, in pixels.
 
@@ -48,16 +47,13 @@ BINOMIAL = (20, 15, 6, 1)
 
 They are whole numbers, they are close to a Gaussian with σ = 1.22 px, and they remove the Nyquist frequency
 completely."""
-BLUR_REACH = 3
-"""Number of pixels on each side of a pixel that the blur reads."""
-TAPS = 6
-"""Number of neighbouring pixels from which the sinc interpolates a value in one direction."""
+BLUR_REACH = 3  # number of pixels on each side of a pixel that the blur reads
+TAPS = 6  # number of neighbouring pixels from which the sinc interpolates a value in one direction
 FRACTIONS = 512
 """Number of fractions of a pixel for which `SINC` contains weights; weights in between are interpolated linearly."""
 KERNEL_REACH, KERNEL_STEPS = 3, 512
 """Reach in pixels of the sinc with which frames are resampled, and number of distances per pixel in `KERNEL`."""
-_KAISER = 6.0
-"""Shape parameter of the Kaiser window, which limits the sinc to `TAPS` pixels."""
+_KAISER = 6.0  # shape parameter of the Kaiser window, which limits the sinc to `TAPS` pixels
 
 _Table = NDArray[np.float32]
 
@@ -94,8 +90,7 @@ C(12, 6) / 64² = 924 / 64² in x, and the same in y."""
 SINC = _sinc()
 """(FRACTIONS + 1, TAPS) weights of the sinc interpolation at the fractions 0 … 1 of a pixel. The error of the
 interpolation displaces blurred texture by 0.002 px."""
-KERNEL = _kernel()
-"""(1538,) weights of the sinc, by distance from a pixel."""
+KERNEL = _kernel()  # (1538,) weights of the sinc, by distance from a pixel
 INSIDE = _in_lines(np.ones((WINDOW_PX, WINDOW_PX)))
 """(768,) 1 at the pixels of a patch and 0 in the padding of its lines."""
 ACROSS, DOWN = map(_in_lines, np.meshgrid(np.linspace(-1, 1, WINDOW_PX), np.linspace(-1, 1, WINDOW_PX)))
@@ -105,8 +100,7 @@ ACROSS, DOWN = map(_in_lines, np.meshgrid(np.linspace(-1, 1, WINDOW_PX), np.lins
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 
-_SATURATED = 254
-"""Grey level from which a pixel counts as saturated."""
+_SATURATED = 254  # grey level from which a pixel counts as saturated
 _F32 = np.float32
 
 
@@ -191,8 +185,7 @@ Below it, the patch shows only an edge, so that its position along the edge cann
 _A_PX, _B_PX, _B_PITCH = WINDOW_PX + 2, 32, 40
 """Sides of the tiles cut out of images a and b, and the pitch of the raw pixels of image b.
 That pitch includes the margin of the blur."""
-_B_FIRST = 4
-"""Position in x and y of the window's first pixel in a tile that is newly cut out of image b."""
+_B_FIRST = 4  # position in x and y of the window's first pixel in a tile that is newly cut out of image b
 _RAW_LINES, _PADDING, _TILE = 40, 6 * PITCH_PX, 34 * PITCH_PX
 """Sizes of buffers. They exceed the data, because loops over whole lines read a little beyond the last line."""
 _LEFT = WINDOW_PX // 2 - 1
@@ -212,14 +205,10 @@ class Refinement(NamedTuple):
     """(k, 2, 2) the normal matrices H = g·gᵀ, grey levels² / px²; g are the slopes of a patch in x and y."""
     blurred: Floats
     """(k, 2, 2) Σ (B g)(B g)ᵀ, with B the blur: the covariance of g·n for blurred white noise n of unit variance."""
-    score: Floats
-    """(k,) correlation of the matched patches; 0 for a lost patch."""
-    scatter: Floats
-    """(k,) rms of the difference between the two matched patches, grey levels."""
-    last_step_px: Floats
-    """(k,) larger component of the last step; infinite if the patch was lost."""
-    saturated: Floats
-    """(k,) share of saturated pixels in the patch of image a or of image b, whichever is larger."""
+    score: Floats  # (k,) correlation of the matched patches; 0 for a lost patch
+    scatter: Floats  # (k,) rms of the difference between the two matched patches, grey levels
+    last_step_px: Floats  # (k,) larger component of the last step; infinite if the patch was lost
+    saturated: Floats  # (k,) share of saturated pixels in the patch of image a or of image b, whichever is larger
 
 
 @compiled

@@ -43,25 +43,19 @@ from vaoi_station.stitching.matching.link import (
 )
 
 Ints = NDArray[np.int64]
-FASTEST = 1.5
-"""Largest motion between two rows that is searched, as a share of the nominal motion. The smallest is 0."""
-_ACROSS_MM = 2.0
-"""Largest motion across the belt between two rows that is searched."""
+FASTEST = 1.5  # largest motion between two rows that is searched, as a share of the nominal motion. The smallest is 0
+_ACROSS_MM = 2.0  # largest motion across the belt between two rows that is searched
 _BACK_MM = 1.0
 """Range of the search against the belt's direction, mm.
 
 A board at rest has its highest correlation at a motion of 0, and a maximum needs neighbours on both sides."""
-_LEAST_OVERLAP = 0.12
-"""Least share of a frame that the frames of both rows must show."""
-_MIN_CONTRAST = 1.0
-"""Contrast, rms of the high-passed grey levels, below which a frame counts as empty."""
+_LEAST_OVERLAP = 0.12  # least share of a frame that the frames of both rows must show
+_MIN_CONTRAST = 1.0  # contrast, rms of the high-passed grey levels, below which a frame counts as empty
 _MIN_SCORE = 0.12
 """Smallest correlation of a candidate. It is low because components that lean reduce it; links decide later."""
 _CANDIDATES = 5
-SIMILAR = 0.75
-"""Another motion fits as well if it has at least this share of the largest number of links."""
-APART_MM = 0.5
-"""Least difference between two motions. A smaller difference comes from components that lean."""
+SIMILAR = 0.75  # another motion fits as well if it has at least this share of the largest number of links
+APART_MM = 0.5  # least difference between two motions. A smaller difference comes from components that lean
 _STATIC_BOX, _STATIC_SHARE = 5, 0.4
 """Limits for texture that stands still, which is searched in squares of `_STATIC_BOX` reduced pixels.
 
@@ -75,8 +69,7 @@ class _Sums(NamedTuple):
     products: Floats
     energy_a: Floats
     energy_b: Floats
-    overlap: Floats
-    """Number of common pixels, as a share of the frame."""
+    overlap: Floats  # number of common pixels, as a share of the frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,8 +213,7 @@ _FEW, _MOST = 8, 0.6
 
 Links near the nominal motion need no search if they reach this number and share. Pins of components and other periodic
 texture reached a share of 0.3 at a wrong motion; the correct motion reached 0.9."""
-_BETTER = 2.0
-"""Least ratio of the agreeing links around a new motion to those around the nominal motion."""
+_BETTER = 2.0  # least ratio of the agreeing links around a new motion to those around the nominal motion
 _REST_MM = 1.0
 """The board counts as at rest if its motion between two rows is at most this. Texture that stands still is then
 removed."""
@@ -235,12 +227,9 @@ A patch continues if it appears within `_NEAR_PX` px of its place after the moti
 class RowLinks(NamedTuple):
     """The k links between rows near the nominal motion: their rows, and the motion that each of them measures."""
 
-    p: np.ndarray
-    """(k,) row of the first frame."""
-    q: np.ndarray
-    """(k,) row of the second frame."""
-    motion_mm: Floats
-    """(k, 2) motion of the board from row p to row q on the conveyor's plane."""
+    p: np.ndarray  # (k,) row of the first frame
+    q: np.ndarray  # (k,) row of the second frame
+    motion_mm: Floats  # (k, 2) motion of the board from row p to row q on the conveyor's plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,12 +239,9 @@ class _Found:
     motion_mm: Floats
     links: tuple[Links, ...]
     agreeing: int
-    ambiguous: bool = False
-    """Whether another motion fits as well because of a repeated pattern."""
-    repeated: bool = False
-    """Whether a camera sees a repeated pattern, so that its coarse search is no evidence."""
-    still: int = 0
-    """Number of the tried corners that both rows show in the same place."""
+    ambiguous: bool = False  # whether another motion fits as well because of a repeated pattern
+    repeated: bool = False  # whether a camera sees a repeated pattern, so that its coarse search is no evidence
+    still: int = 0  # number of the tried corners that both rows show in the same place
 
     @property
     def certain(self) -> bool:
@@ -282,8 +268,7 @@ class _Relinker:
     scene: Scene
     velocity_mm_s: Floats
     times_s: Floats
-    rows: tuple[int, ...] = ()
-    """Numbers of the rows that have frames, sorted."""
+    rows: tuple[int, ...] = ()  # numbers of the rows that have frames, sorted
     step_mm: dict[tuple[int, int], Floats] = field(default_factory=dict)
     """Motion between consecutive rows with frames: the one found, else that of links near the nominal motion, else the
     nominal one."""

@@ -10,7 +10,7 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.marks.blur import BLUR_LIMIT_PX, measure_blur_px
 from vaoi_station.model import Reason, ReasonCode
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem, group_begins
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.frames import Scene
 
@@ -59,8 +59,8 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
     use = np.flatnonzero((o.p != o.q) & (adjusted.weight > _LEAST_WEIGHT))
     if not len(use):
         return {}
-    group, first = o.group[use], group_begins(o.group[use])
-    camera, pair = o.pairs.a[group], np.repeat(np.arange(len(first)), np.diff(first, append=len(use)))
+    _, first, pair = np.unique(o.group[use], return_index=True, return_inverse=True)
+    camera = o.camera_a[use]
     centre_mm = np.array([c.ground(np.array([c.center_px]))[0] for c in cameras])[camera]
     radius_mm = np.array([float(np.hypot(*c.center_px)) / c.px_per_mm for c in cameras])[camera, None]
     a, b = (o.a_mm[use] - centre_mm) / radius_mm, (o.b_mm[use] - centre_mm) / radius_mm

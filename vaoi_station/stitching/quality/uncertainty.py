@@ -36,7 +36,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.camera_error import basis_px
 from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.cameras import camera_effects, row_changes
+from vaoi_station.stitching.adjustment.cameras import CameraEffects
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Ints, basis
 from vaoi_station.stitching.board.board_plane import BoardPlane, landmarks
 from vaoi_station.stitching.board.reference import inliers
@@ -355,8 +355,8 @@ def _displacements(scene: Scene, adjusted: AdjustmentResult, camera: Ints, row: 
     estimate, motion = adjusted.cameras, adjusted.motion
     if estimate is None:
         return _exact_cameras(adjusted, camera)
-    effects = camera_effects(scene.cameras, np.zeros_like(estimate.displacement_px))
-    by_camera = row_changes(effects, camera, motion.angle[row], motion.pivot)
+    effects = CameraEffects.of(scene.cameras, np.zeros_like(estimate.displacement_px))
+    by_camera = effects.row_changes(motion.angle, motion.pivot)[camera, row]
     return DisplacementArrays(camera, by_camera, estimate.cross, estimate.covariance)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode, Status
-from vaoi_station.stitching.adjustment.problem import USED, FiducialPoints, Influence, Ints, median_noise_px
+from vaoi_station.stitching.adjustment.problem import USED, FiducialPoints, Influence, Ints
 from vaoi_station.stitching.adjustment.row_motion import board_texture
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
@@ -154,7 +154,7 @@ def repeated_rows(f: Findings) -> Iterator[Reason]:
 def scattered_links(f: Findings) -> Iterator[Reason]:
     """Yield a reason if the links between rows scatter by more than noise explains."""
     links, floor = f.problem.links, f.adjusted.floor_px
-    noise = median_noise_px(links, np.flatnonzero((f.adjusted.weight > USED) & (links.p != links.q)))
+    noise = links.median_noise_px(np.flatnonzero((f.adjusted.weight > USED) & (links.p != links.q)))
     if floor > _FLOOR_LIMIT_PX:
         scatter = f"links scatter by {floor:.2f} px (limit {_FLOOR_LIMIT_PX})"
         yield Reason(ReasonCode.LINKS_SCATTER, f"{scatter}: the board is not rigid or flat")
