@@ -51,7 +51,6 @@ def test_threads_of_the_service_are_supervised() -> None:
     short_lived = {
         "vaoi_station/acquisition/cameras/aravis/connection.py": "releases one device; opening it again is limited",
         "vaoi_station/acquisition/process/main_loop.py": "closes devices; its end is awaited for END_S",
-        "vaoi_station/runs/control/small_pictures.py": "loads compiled functions; workers render meanwhile",
         "vaoi_station/runs/workers/second_compiler.py": "ends a process of the first start with its parent",
         "vaoi_station/station.py": "writes the event of a lost thread; its end is awaited for REPORT_S",
     }

@@ -19,8 +19,7 @@ from vaoi_station.geometry import Camera, Lens, Projective, System, apply
 from vaoi_station.geometry.homographies import rectangle_homographies, through
 from vaoi_station.model import BoardType, Component
 from vaoi_station.rendering import Framing, View, ViewCalculator
-from vaoi_station.rendering.frame_pairs import Crops
-from vaoi_station.rendering.views import MOST_PIXELS, cut_tiles, lay_out, sigma_px
+from vaoi_station.rendering.views import MOST_PIXELS, Crops, cut_tiles, lay_out, sigma_px
 
 BENT = (0.012, 0.001)
 HARDLY_BENT = (0.0002,)
@@ -340,19 +339,6 @@ def test_views_in_some_frames_are_counted(make: Any) -> None:
     assert table.counts_in(some) == {address: n for address, n in expected.items() if n}
     assert sum(table.counts_in(everywhere).values()) == len(table.component)
     assert table.counts_in(set()) == {}
-
-
-def test_views_are_collected_by_frame(make: Any) -> None:
-    s = make()
-    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
-    order, begins = table.by_frame()
-    assert sorted(order.tolist()) == [*range(len(table.key))]
-    ends = [*begins[1:], len(order)]
-    keys = [{tuple(key) for key in table.key[order[a:b]].tolist()} for a, b in zip(begins, ends, strict=True)]
-    assert all(len(own) == 1 for own in keys)
-    assert len(set.union(*keys)) == len(keys)
-    nothing = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all([])
-    assert nothing.by_frame()[1] == []
 
 
 SIDES = [(y, s) for y in ("up", "down") for s in ("top", "bottom")]

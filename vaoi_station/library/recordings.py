@@ -280,8 +280,7 @@ class StitchedRun:
     ) -> dict[str, list[NDArray[Any]]]:
         """Return the pictures of all components by address, those of one as in `component(ref).images`.
 
-        All are rendered at once, frame by frame, in a fraction of the time of one component after the other. Pictures
-        of one frame are parts of one array.
+        All are rendered at once, frame by frame, so that each is read once.
 
         Raises:
             InputError: an option is outside its limits or gives too large a picture.

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,6 @@ from vaoi_station.geometry.homographies import rectangle_homographies, through
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component, Stitch
 from vaoi_station.rendering.request import Framing, Plane, check_number
-
-if TYPE_CHECKING:
-    from vaoi_station.rendering.frame_pairs import Crops, Pairs
 
 MOST_PIXELS = 16_000_000
 """Largest number of pixels of a temporary image. A caller who exceeds it must ask for fewer pixels per mm."""
@@ -47,6 +44,10 @@ _CORNERS = (0, 2, 8, 6)
 """Indices of the four corners, in order around the square, among 3×3 points in row order."""
 _STAYS = np.eye(3)
 """Displacement of a component that follows C."""
+_FITTING = 0.999
+"""Share of the largest resolution that is used, because the sides of a picture are rounded to whole pixels."""
+_GRID = 9
+"""Points per side of the grid on which the coverage of a component is computed if the frame shows only a part of it."""
 _NEAR = 1.1
 """Factor on the size of a component in a frame, within which a frame may show it: perspective makes it larger."""
 
@@ -161,6 +162,27 @@ def sigma_px(covariance_px2: Floats | None) -> float | None:
     return None if covariance_px2 is None else math.sqrt(max(float(np.linalg.eigvalsh(covariance_px2)[-1]), 0.0))
 
 
+class Crops(NamedTuple):
+    """The pictures of k components, independent of any frame."""
+
+    center: Floats
+    """(k, 2) centres of the footprints, CAD."""
+    half: Floats
+    """(k, 2) half the width and half the height of the footprints before rotation."""
+    along: Floats
+    """(k, 2, 2) half the width (`[:, :, 0]`) and half the height (`[:, :, 1]`) as vectors in CAD."""
+    px_per_mm: Floats
+    """(k,) resolution of each picture."""
+    size: Floats
+    """(k, 2) width and height of each picture in px, whole numbers."""
+    crop_from_cad: Floats
+    """(k, 3, 3) matrices from CAD coordinates to the pixels of each picture."""
+    cad_from_crop: Floats
+    """(k, 3, 3) inverse matrices."""
+    bare: NDArray[np.bool_]
+    """(k,) whether a picture shows the footprint and nothing else."""
+
+
 def lay_out(components: Sequence[Component], board_type: BoardType, framing: Framing, px_per_mm: float) -> Crops:
     """Compute the pictures of components. `px_per_mm` is the resolution if `framing` states none.
 
@@ -170,24 +192,41 @@ def lay_out(components: Sequence[Component], board_type: BoardType, framing: Fra
     Raises:
         InputError: a picture would have more than `MOST_PIXELS`.
     """
-    # Imported on first use, because Numba takes a moment to load.
-    from vaoi_station.rendering.frame_pairs import upright
-
     rows = [(*c.center, c.width / 2, c.height / 2, c.rotation) for c in components]
     values = np.array(rows, dtype=np.float64).reshape(-1, 5)
+    center, half, rotation = values[:, :2], values[:, 2:4], values[:, 4]
     mm, turned = board_type.mm_per_unit, framing.align == "part"
     # Pictures show the board as the camera sees it, never mirrored (docs/conventions.md). On the bottom side, CAD x
     # runs to the left. Rotations count counter-clockwise as seen on the top of the board, wherever the y axis points.
-    way = 1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0
-    most = math.inf if framing.px_per_mm else float(MOST_PIXELS)
-    resolution = float(framing.px_per_mm or px_per_mm), float(mm)
-    crops = upright(values, way, turned, framing.margin_mm / mm, resolution, most)
-    for k in np.flatnonzero(crops.size[:, 0] * crops.size[:, 1] > MOST_PIXELS).tolist():
-        shown = crops.half[k] if turned else np.abs(crops.along[k]).sum(1)
-        raise _too_large(
-            components[k], (2 * shown * mm).tolist(), float(crops.px_per_mm[k]), framing, crops.size[k].tolist()
-        )
-    return crops
+    way = np.array([1.0 if board_type.side == "top" else -1.0, 1.0 if board_type.y_axis == "down" else -1.0])
+    angle = np.radians(rotation) * -way[1]
+    turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], -1).reshape(-1, 2, 2)
+    along = turn * half[:, None]
+    box = np.abs(along).sum(2)
+    if framing.px_per_mm:
+        resolution = np.full(len(rows), float(framing.px_per_mm))
+    else:
+        resolution = np.minimum(px_per_mm, _FITTING * np.sqrt(MOST_PIXELS / (4 * box.prod(1) * mm * mm)))
+    shown = half if turned else box
+    reach = shown + framing.margin_mm / mm
+    # The scale uses the rounded size, so that the box fills the picture exactly: sides change by less than a pixel.
+    size = np.maximum(np.rint(2 * reach * resolution[:, None] * mm), 1)
+    for k in np.flatnonzero(size.prod(1) > MOST_PIXELS).tolist():
+        sides_mm = (2 * shown[k] * mm).tolist()
+        raise _too_large(components[k], sides_mm, float(resolution[k]), framing, size[k].tolist())
+    scale = way * size / (2 * reach)
+    # The columns are the directions in CAD that run along the axes of the picture.
+    axes = turn if turned else np.broadcast_to(np.eye(2), turn.shape)
+    there, back = np.zeros((2, len(rows), 3, 3))
+    there[:, :2, :2] = scale[:, :, None] * axes.swapaxes(1, 2)
+    there[:, :2, 2] = (size - 1) / 2 - (there[:, :2, :2] @ center[:, :, None])[..., 0]
+    back[:, :2, :2] = axes / scale[:, None]
+    back[:, :2, 2] = center - (back[:, :2, :2] @ (size - 1)[:, :, None] / 2)[..., 0]
+    there[:, 2, 2] = back[:, 2, 2] = 1
+    # At whole quarter turns the bounding box is the footprint.
+    straight = np.abs(along).min((1, 2)) <= 1e-9 * half.max(1)
+    bare = (framing.margin_mm == 0) & (turned | straight)
+    return Crops(center, half, along, resolution, size, there, back, bare)
 
 
 def _too_large(
@@ -266,12 +305,6 @@ class ViewTable(Mapping[str, tuple[View, ...]]):
         count = np.bincount(self.component[inside], minlength=len(self.addresses))
         return {address: n for address, n in zip(self.addresses, count.tolist(), strict=True) if n}
 
-    def by_frame(self) -> tuple[NDArray[np.int_], list[int]]:
-        """Return the numbers (v,) of all views, those of one frame together, and where those of each frame begin."""
-        order = np.lexsort(self.key.T)
-        changes = np.flatnonzero(np.diff(self.key[order], axis=0).any(1)) + 1
-        return order, [0, *changes.tolist()] if len(order) else []
-
     @cached_property
     def _views(self) -> dict[str, tuple[View, ...]]:
         found: list[list[View]] = [[] for _ in self.addresses]
@@ -308,6 +341,27 @@ class ViewTable(Mapping[str, tuple[View, ...]]):
             )  # fmt: skip
 
 
+class _Pairs(NamedTuple):
+    """p pairs of a component and a frame that shows it, ordered by component, those of one component best first."""
+
+    component: NDArray[np.int_]
+    """(p,) number of the component of each pair."""
+    frame: NDArray[np.int_]
+    """(p,) number of the frame of each pair."""
+    image_from_cad: Floats
+    """(p, 3, 3) from CAD to undistorted pixels of the frame, in the plane of the picture."""
+    image_from_crop: Floats
+    """(p, 3, 3) from pixels of the picture to undistorted pixels of the frame."""
+    coverage: Floats
+    """(p,) share of the footprint inside the frame."""
+    off_center: Floats
+    """(p,) distance of the footprint's centre from that of the frame, in half diagonals."""
+    outline_px: Floats
+    """(p, 4, 2) corners of the footprint in raw pixels, going round."""
+    picture_px: Floats
+    """(p, 9, 2) raw pixels of 3×3 points over the picture, row by row."""
+
+
 class ViewCalculator:
     """Calculator of the views of one board's components. Values that all components share are computed once."""
 
@@ -317,9 +371,6 @@ class ViewCalculator:
         Raises:
             StateError: the run has no CAD mapping.
         """
-        # Imported on first use, because Numba takes a moment to load.
-        from vaoi_station.rendering.frame_pairs import Frames
-
         index = self._index = FrameIndex(stitch, cameras)
         self._board_type = board_type
         i, row = index.key.T
@@ -327,11 +378,14 @@ class ViewCalculator:
         eye = np.array([(*c.viewpoint[:2], 1.0) for c in index.cameras])
         inverse = np.array([c.viewpoint[2] for c in index.cameras])
         lean = (index.image_from_row @ eye[:, :, None])[:, :, 0] * inverse[:, None]
-        reach = np.array([(_bend(c), _NEAR * c.px_per_mm * board_type.mm_per_unit) for c in index.cameras])[i]
-        self._frames = Frames(
-            index.image_from_row[i] @ index.row_from_cad[row], lean[i], index.size_px, reach[:, 0].copy(),
-            reach[:, 1].copy(), index.key, *index.lenses,
-        )  # fmt: skip
+        self._image_from_cad = index.image_from_row[i] @ index.row_from_cad[row]
+        """(f, 3, 3) to undistorted pixels, in the calibrated plane."""
+        self._lean = lean[i]
+        """(f, 3) decrease of the third column of that matrix per mm of height."""
+        self._bend = np.array([_bend(c) for c in index.cameras])[i]
+        """(f,) largest shift that the lens causes, px."""
+        self._scale = np.array([_NEAR * c.px_per_mm * board_type.mm_per_unit for c in index.cameras])[i]
+        """(f,) px per CAD unit, at most."""
         self._own = stitch.displacements(c.address for c in board_type.components)
         """(3, 3) by address, for components with a C of their own: CAD coordinates → those of the same place by C."""
 
@@ -395,42 +449,72 @@ class ViewCalculator:
         pairs = self._pairs(components, crops, height_mm, min_coverage)
         matrices, bend_px = self._through_lenses(crops, pairs)
         return ViewTable(
-            components, crops, above_mm, on_top, pairs.component, self._frames.key[pairs.frame], pairs.coverage,
+            components, crops, above_mm, on_top, pairs.component, self._index.key[pairs.frame], pairs.coverage,
             pairs.off_center, matrices, pairs.outline_px, self._tiles(crops, pairs, bend_px),
             lambda: self._sights(crops, pairs, height_mm),
         )  # fmt: skip
 
-    def _pairs(self, components: Sequence[Component], crops: Crops, height_mm: Floats, min_coverage: float) -> Pairs:
-        """Find the frames that show components, and what they show of them."""
-        from vaoi_station.rendering.frame_pairs import Parts, find_pairs
-
+    def _pairs(self, components: Sequence[Component], crops: Crops, height_mm: Floats, least: float) -> _Pairs:
+        """Find the frames that show at least the share `least` of components, and what they show of them."""
+        own = [self._own.get(c.address, _STAYS) for c in components] if self._own else [_STAYS]
+        moves = np.broadcast_to(np.array(own, dtype=np.float64), (len(components), 3, 3))
+        centers = np.column_stack([crops.center, np.ones(len(components))])
+        # (f, n, 3). Most frames show only few components.
+        at = (moves @ centers[:, :, None])[..., 0] @ self._image_from_cad.swapaxes(1, 2)
+        at -= height_mm[:, None] * self._lean[:, None]
+        # A frame shows at most half of a footprint whose centre it does not show: both are symmetric or convex.
+        reach = np.hypot(*crops.half.T) if least < 0.5 else np.zeros(len(components))
+        margin = (self._bend[:, None] + 1 + self._scale[:, None] * reach)[..., None]
+        place, last = at[..., :2] / at[..., 2:], self._index.size_px - 1
+        f, k = np.nonzero(((place >= -margin) & (place <= last[:, None] + margin)).all(-1))
+        image_from_cad = self._image_from_cad[f]
+        image_from_cad[:, :, 2] -= height_mm[k, None] * self._lean[f]
+        image_from_cad = image_from_cad @ moves[k]
+        image_from_crop = image_from_cad @ crops.cad_from_crop[k]
+        picture = self._distorted(f, through(image_from_crop, _grid(crops.size[k], 3)))
         # A footprint is shown if the centres of its outermost pixels are: a pixel of the picture has one place.
         half_px = crops.half * (crops.px_per_mm * self._board_type.mm_per_unit)[:, None]
         inner = crops.along * np.maximum(1 - 0.5 / half_px, 0)[:, None]
-        own = [self._own.get(c.address, _STAYS) for c in components] if self._own else []
-        moves = np.array(own, dtype=np.float64).reshape(-1, 3, 3)
-        parts = Parts(crops.center, crops.half, inner, height_mm, moves, crops.size, crops.cad_from_crop, crops.bare)
-        return find_pairs(self._frames, parts, min_coverage)
 
-    def _through_lenses(self, crops: Crops, pairs: Pairs) -> tuple[Floats, Floats]:
+        def footprint(some: NDArray[np.int_], n: int) -> Floats:
+            """Return the raw pixels (q, n², 2) of a grid over the footprints of some of the pairs."""
+            points = crops.center[k[some], None] + _square(n) @ inner[k[some]].swapaxes(1, 2)
+            return self._distorted(f[some], through(image_from_cad[some], points))
+
+        points, beside = picture.copy(), np.flatnonzero(~crops.bare[k])
+        points[beside] = footprint(beside, 3)
+        coverage, partly = np.ones(len(k)), np.flatnonzero(~_inside(points, last[f]).all(1))
+        coverage[partly] = _inside(footprint(partly, _GRID), last[f[partly]]).mean(1)
+        middle = last[f] / 2
+        off_center = np.hypot(*(points[:, 4] - middle).T) / np.hypot(*middle.T)
+        camera, row = self._index.key[f].T
+        # Rounded, so that the order does not depend on the last digits of nearly equal values.
+        order = np.lexsort((camera, row, np.rint(off_center * 1e6), -coverage, k))
+        best = order[coverage[order] >= max(least, 1e-9)]
+        return _Pairs(
+            k[best], f[best], image_from_cad[best], image_from_crop[best], coverage[best], off_center[best],
+            points[best][:, _CORNERS], picture[best],
+        )  # fmt: skip
+
+    def _through_lenses(self, crops: Crops, pairs: _Pairs) -> tuple[Floats, Floats]:
         """Replace matrices to undistorted pixels by matrices to raw ones where a matrix can represent the lens.
 
         Return all matrices (p, 3, 3), and the deviation of the lens from a homography (p,), px: 0 for a picture that is
         not distorted.
         """
         matrices, bend_px = pairs.image_from_crop, np.zeros(len(pairs.component))
-        if not self._frames.lensed.any():
+        if not self._index.lenses.distorts.any():
             return matrices, bend_px
         points, picture = _grid(crops.size[pairs.component], 3), pairs.picture_px
         straight = rectangle_homographies(points[:, _CORNERS], picture[:, _CORNERS])
         apart_px = np.abs(through(straight, points) - picture).max((1, 2))
         # NaN, of a picture a pixel wide, counts as bent.
-        lensed = self._frames.lensed[self._frames.key[pairs.frame, 0]]
+        lensed = self._index.lenses.distorts[self._index.key[pairs.frame, 0]]
         bent = lensed & ~(apart_px <= _STRAIGHT_PX)
         bend_px[bent] = np.nan_to_num(apart_px[bent], nan=np.inf)
         return np.where((lensed & ~bent)[:, None, None], straight, matrices), bend_px
 
-    def _tiles(self, crops: Crops, pairs: Pairs, bend_px: Floats) -> dict[int, tuple[Tile, ...]]:
+    def _tiles(self, crops: Crops, pairs: _Pairs, bend_px: Floats) -> dict[int, tuple[Tile, ...]]:
         """Cut the distorted pictures among those of the pairs into tiles; the keys are the numbers of the pairs."""
         bent = np.flatnonzero(bend_px)
         if not len(bent):
@@ -440,10 +524,10 @@ class ViewCalculator:
         cut = cut_tiles(matrices, size, bend_px[bent], lambda k, points: self._distorted(frame[k], points))
         return dict(zip(bent.tolist(), cut, strict=True))
 
-    def _sights(self, crops: Crops, pairs: Pairs, height_mm: Floats) -> tuple[Floats, Floats]:
+    def _sights(self, crops: Crops, pairs: _Pairs, height_mm: Floats) -> tuple[Floats, Floats]:
         """Compute the vector from each component to the camera (p, 3), CAD axes, mm, and the shift per mm of height."""
         k, frame = pairs.component, pairs.frame
-        row_from_cad, eye = self._index.row_from_cad[self._frames.key[frame, 1]], self._index.eye_mm[frame]
+        row_from_cad, eye = self._index.row_from_cad[self._index.key[frame, 1]], self._index.eye_mm[frame]
         center = np.column_stack([crops.center, np.ones(len(crops.center))])[k, :, None]
         turn = row_from_cad[:, :2, :2]
         sight = eye[:, :2] - (row_from_cad[:, :2] @ center)[..., 0]
@@ -452,17 +536,17 @@ class ViewCalculator:
         flat = (turn.swapaxes(1, 2) @ sight[:, :, None])[..., 0] / scale[:, None]
         toward = np.column_stack([flat, eye[:, 2] - height_mm[k]])
         at = (pairs.image_from_cad @ center)[..., 0]
-        lean = self._frames.lean[frame]
+        lean = self._lean[frame]
         lift = (at[:, :2] / at[:, 2:] * lean[:, 2:] - lean[:, :2]) / at[:, 2:]
         return toward, lift
 
     def _distorted(self, frame: NDArray[np.int_], points: Floats) -> Floats:
         """Return the raw pixels (p, n, 2) of undistorted pixels of p frames. `points` is overwritten."""
-        of = self._frames.key[frame, 0]
+        of = self._index.key[frame, 0]
         # Few cameras see one component.
-        for i in set(of[self._frames.lensed[of]].tolist()):
+        for i in set(of[self._index.lenses.distorts[of]].tolist()):
             mine = np.flatnonzero(of == i)
-            points[mine] = self._index.cameras[i].lens.distort(points[mine])
+            points[mine] = self._index.cameras[i].lens.distort(np.ascontiguousarray(points[mine]))
         return points
 
 
@@ -513,6 +597,11 @@ def _cuts(length: int, parts: int, step: int) -> list[int]:
     """
     parts = max(min(parts, length // 2), 1)
     return [0, *(round(k * length / parts / step) * step for k in range(1, parts)), length]
+
+
+def _inside(points: Floats, last: Floats) -> NDArray[np.bool_]:
+    """Return which raw pixels (p, n, 2) lie in their frames, whose last pixels are (p, 2) (equation 22)."""
+    return np.asarray(((points >= 0) & (points <= last[:, None])).all(-1))
 
 
 def _bend(camera: Camera) -> float:

@@ -144,7 +144,6 @@ class StationCoordinator:
         """Start the coordinator's thread."""
         self._gc_policy.start()
         self._inbox.start()
-        self._frames.small.start()
         self.kept.start()
 
     @property

@@ -2,14 +2,12 @@
 
 A small picture takes one to ten milliseconds. By a worker it would take a lease, the queues and two pipes besides, and
 the wait for what all workers have under way: links of a row, or a piece of work in spare time. The caller's own thread
-makes it: OpenCV and compiled loops release the GIL, so that the coordinator's thread goes on.
+makes it: OpenCV releases the GIL, so that the coordinator's thread goes on.
 """
 
 from __future__ import annotations
 
 import threading
-
-import numpy as np
 
 from vaoi_station.acquisition.ring import Ring
 from vaoi_station.errors import GoneError
@@ -33,12 +31,6 @@ class SmallPictures:
         """Store the ring that holds the frames."""
         self._ring = ring
         self._seats = threading.BoundedSemaphore(SEATS)
-        self.loaded = threading.Event()
-        """Set when the compiled functions are loaded."""
-
-    def start(self) -> None:
-        """Load the compiled functions in a thread of their own; until they are loaded, workers render all pictures."""
-        threading.Thread(target=self._load, name="small-pictures", daemon=True).start()
 
     def render(self, job: RenderJob | TileJob) -> bytes | None:
         """Return the encoded picture of a job with its place in the ring; None if a worker has to render it.
@@ -47,9 +39,7 @@ class SmallPictures:
 
         No lease is needed: the generation of the bay is checked after the pixels were read, as in workers.
         """
-        if not _is_small(job) or not self.loaded.is_set():
-            return None
-        if not self._seats.acquire(blocking=False):
+        if not _is_small(job) or not self._seats.acquire(blocking=False):
             return None
         try:
             picture: bytes = perform_with_frames(job, self._ring)
@@ -58,16 +48,6 @@ class SmallPictures:
             return None  # the frame may be in a recording, which the caller looks up
         finally:
             self._seats.release()
-
-    def _load(self) -> None:
-        from vaoi_station.geometry.shifting import shift
-        from vaoi_station.rendering import frame_pairs
-
-        frame = np.zeros((4, 4), np.uint8)
-        frame.flags.writeable = False
-        shift(frame, np.eye(3)[None], 1, np.empty(4, np.uint8), np.array([[0, 2, 2, 2]]), True)
-        frame_pairs.load()
-        self.loaded.set()
 
 
 def _is_small(job: RenderJob | TileJob) -> bool:

@@ -19,7 +19,6 @@ from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
-from vaoi_station.rendering import frame_pairs
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.frames import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -66,7 +65,6 @@ def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.
     board_type = setup.board_type
     assert board_type is not None, "the synthetic board has a board type"
     return [
-        frame_pairs.load,
         partial(_plan, setup, board_type, stitch, picture),
         partial(measure_heights, board_type, stitch, setup.cameras, partial(_frame, picture)),
     ]
