@@ -12,8 +12,7 @@ import pytest
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.kept_runs import KeptRuns, RunHistory
-from vaoi_station.runs.states.tables import RunState
+from vaoi_station.runs.kept_runs import KeptRuns
 from vaoi_station.store import Store
 from vaoi_station.store.run_search import RunFilter
 
@@ -113,20 +112,6 @@ def test_a_run_is_found_counted_and_decided_about(filmed: tuple[Any, str]) -> No
         history.decide("unknown", "use", "Ada", "x")
 
 
-def test_runs_in_memory_only_are_found_and_counted(filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    rig, run = filmed
-    history = rig.coordinator.kept.history
-    waiting = rig.coordinator.run(run).model_copy(update={"id": run[:-1] + "~", "verdict": "failed"})
-    summary = type(rig.coordinator.runs()[0])(
-        **{k: getattr(waiting, k) for k in type(rig.coordinator.runs()[0]).model_fields}
-    )
-    monkeypatch.setattr(history._archive, "unstored", lambda: (summary,))
-    runs, _ = history.find(RunFilter(verdict="failed"), 9, None)
-    assert summary.id in [r.id for r in runs]
-    assert history.counts(LONG_AGO).failed >= 1
-    assert history.find(RunFilter(verdict="failed"), 9, run) == ([], None)
-
-
 def test_a_run_that_is_not_on_disk_yet_is_found_once_and_as_it_ended(
     filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,12 +150,3 @@ def test_pages_do_not_pass_over_stored_runs(filmed: tuple[Any, str], monkeypatch
     assert ([r.id for r in first], more) == ([run], run)
     second, _ = history.find(RunFilter(verdict=summary.verdict), 1, more)
     assert [r.id for r in second] == ["0"]
-
-
-def test_verdict_none_asks_for_runs_that_have_ended(filmed: tuple[Any, str]) -> None:
-    rig, _ = filmed
-    [summary] = rig.coordinator.runs()
-    ended = summary.model_copy(update={"verdict": None})
-    filming = ended.model_copy(update={"state": RunState.FILMING, "finished": None})
-    wanted = RunFilter(verdict="none")
-    assert [RunHistory.admits(wanted, r) for r in (ended, filming)] == [True, False]

@@ -11,12 +11,10 @@ from typing import Any
 import pytest
 
 from tests.store.conftest import unreachable
-from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, InternalError, NotFoundError, StateError
 from vaoi_station.store import Database
 from vaoi_station.store import database as module
-from vaoi_station.store.database import READER_CACHE_KIB, READERS
 from vaoi_station.store.database_file import open_database
-from vaoi_station.store.schema import VERSION
 from vaoi_station.store.storage_trouble import StorageTrouble
 
 
@@ -35,12 +33,6 @@ def make_room(database: Database) -> None:
     database._writer.execute("PRAGMA max_page_count = 1000000").fetchall()
 
 
-def test_writes_are_carried_out_in_order(database: Database) -> None:
-    futures = [database.write(partial(add_event, number=n)) for n in range(1, 50)]
-    assert [f.result(10) for f in futures] == list(range(1, 50))
-    assert database.read("SELECT count(*) AS n FROM events")[0]["n"] == 49
-
-
 def test_a_failed_write_is_rolled_back_and_the_next_succeeds(database: Database) -> None:
     def half(connection: sqlite3.Connection) -> None:
         add_event(connection, 1)
@@ -49,11 +41,6 @@ def test_a_failed_write_is_rolled_back_and_the_next_succeeds(database: Database)
     with pytest.raises(InternalError, match="UNIQUE"):
         database.write(half).result(10)
     assert database.write(lambda c: add_event(c, 1)).result(10) == 1
-
-
-def test_readers_hold_few_pages_in_memory(database: Database) -> None:
-    held = [database.read("PRAGMA cache_size")[0][0] for _ in range(READERS)]
-    assert held == [-READER_CACHE_KIB] * READERS, "KiB, as a negative number"
 
 
 def test_readers_do_not_wait_for_the_writer(database: Database) -> None:
@@ -88,11 +75,6 @@ def test_a_closed_database_refuses_reads_and_writes(database: Database) -> None:
         database.write(lambda c: add_event(c, 1))
     with pytest.raises(StateError, match="is closed"):
         database.read("SELECT 1")
-
-
-def test_the_write_ahead_log_is_on_and_the_version_is_stored(database: Database) -> None:
-    assert database.read("PRAGMA journal_mode")[0][0] == "wal"
-    assert database.read("PRAGMA user_version")[0][0] == VERSION
 
 
 @pytest.mark.parametrize(
@@ -290,21 +272,6 @@ def test_a_write_that_does_not_end_is_trouble(database: Database, monkeypatch: p
     pending.result(20)
 
 
-def test_a_database_of_a_newer_version_is_refused(path: Path) -> None:
-    Database(path).close()
-    connection = sqlite3.connect(path)
-    connection.execute(f"PRAGMA user_version = {VERSION + 3}")
-    connection.close()
-    with pytest.raises(InputError, match=rf"has version {VERSION + 3} .* versions up to {VERSION}\."):
-        Database(path)
-
-
-def test_a_path_that_cannot_be_opened_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "station.db").mkdir()
-    with pytest.raises(DeviceError, match="cannot be used"):
-        Database(tmp_path / "station.db")
-
-
 def test_closing_finishes_the_writes_that_were_submitted(path: Path) -> None:
     database = Database(path)
     futures = [database.write(partial(add_event, number=n)) for n in range(1, 200)]
@@ -313,30 +280,6 @@ def test_closing_finishes_the_writes_that_were_submitted(path: Path) -> None:
     again = Database(path)
     assert again.read("SELECT count(*) AS n FROM events")[0]["n"] == 199
     again.close()
-
-
-def test_an_error_of_the_callers_code_is_rolled_back_and_passed_on(database: Database) -> None:
-    def wrong(connection: sqlite3.Connection) -> None:
-        add_event(connection, 1)
-        raise ValueError("not an SQLite error")
-
-    with pytest.raises(ValueError, match="not an SQLite error"):
-        database.write(wrong).result(10)
-    assert database.read("SELECT number FROM events") == []
-
-
-def test_a_query_with_an_error_names_the_file(database: Database) -> None:
-    with pytest.raises(DeviceError, match=r"station\.db: cannot be used"):
-        database.read("SELECT nothing FROM nowhere")
-    assert database.read("SELECT 1 AS one")[0]["one"] == 1
-
-
-@pytest.mark.parametrize(("durable", "level"), [(True, 2), (False, 1)])
-def test_a_durable_write_waits_for_the_disk(database: Database, durable: bool, level: int) -> None:
-    """Level 2 is FULL: the log is on the disk when the transaction ends."""
-    database.write(lambda c: add_event(c, 1), durable=not durable).result(10)
-    done = database.write(lambda c: c.execute("PRAGMA synchronous").fetchone()[0], durable=durable)
-    assert done.result(10) == level
 
 
 def test_a_start_on_a_disk_that_takes_nothing_reads_and_writes_once_there_is_room(

@@ -14,8 +14,6 @@ from vaoi_station.store.database_file import (
     earlier_notices,
     is_empty,
     open_database,
-    rescue,
-    roll_back,
     set_aside,
     stand_in,
 )
@@ -27,10 +25,6 @@ def opened(path: Path) -> str | None:
     connection, notice = open_database(path)
     connection.close()
     return None if notice is None else notice.code
-
-
-def test_a_first_start_and_later_ones_find_nothing_to_report(path: Path) -> None:
-    assert [opened(path) for _ in range(3)] == [None] * 3
 
 
 def test_a_database_that_was_deleted_or_emptied_between_two_starts_is_reported(path: Path) -> None:
@@ -89,18 +83,6 @@ def test_what_is_no_regular_file_is_named_and_does_not_block_the_start(path: Pat
         open_database(path)
 
 
-def test_a_transaction_that_sqlite_has_rolled_back_does_not_hide_its_cause(path: Path) -> None:
-    connection, _ = open_database(path)
-    connection.execute("PRAGMA max_page_count = 1").fetchall()
-    connection.execute("BEGIN IMMEDIATE")
-    with pytest.raises(sqlite3.OperationalError, match="full"):
-        connection.execute("INSERT INTO events VALUES (1, ?)", ("x" * 90_000,))
-    roll_back(connection)
-    roll_back(connection)
-    assert not connection.in_transaction
-    connection.close()
-
-
 FULL, READ_ONLY = StorageTrouble("storage-full", "full"), StorageTrouble("storage-read-only", "read-only")
 
 
@@ -157,27 +139,3 @@ def test_a_damaged_or_older_database_is_waited_for(path: Path) -> None:
     path.write_bytes(b"SQLite format 3\0" * 300)
     assert stand_in(path, FULL, 1) is None
     assert stand_in(path, StorageTrouble("database-newer", "newer"), 1) is None
-
-
-def test_a_large_file_is_written_back_with_a_heartbeat(path: Path) -> None:
-    connection, _ = open_database(path)
-    connection.executemany("INSERT INTO events VALUES (?, '{}')", ((n,) for n in range(20_000)))
-    beats = list[int]()
-    path.unlink()
-    rescue(connection, path, lambda: beats.append(1))
-    connection.close()
-    assert len(beats) > 5
-
-
-def test_a_file_in_its_place_is_left_there(path: Path) -> None:
-    connection, _ = open_database(path)
-    connection.execute("INSERT INTO events VALUES (1, '{}')")
-    path.unlink()
-    path.write_text("what a person put there")
-    assert rescue(connection, path, lambda: None).code == "database-replaced"
-    connection.close()
-    assert path.read_text() == "what a person put there"
-    [kept] = path.parent.glob("*.replaced-*")
-    saved, _ = open_database(kept)
-    assert len(saved.execute("SELECT * FROM events").fetchall()) == 1
-    saved.close()

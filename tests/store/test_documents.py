@@ -11,27 +11,11 @@ from typing import Any
 
 import pytest
 
-from tests.store.conftest import MakeRun, noise
-from vaoi_station.errors import InternalError, NotFoundError
+from tests.store.conftest import MakeRun
+from vaoi_station.errors import InternalError
 from vaoi_station.store import Database, Store
 from vaoi_station.store import documents as module
 from vaoi_station.store.database import READERS
-from vaoi_station.store.documents import digest_of
-
-
-def test_a_run_is_saved_from_its_start_to_its_result(store: Store, make_run: MakeRun) -> None:
-    row = make_run("r1")
-    store.save_run(row).result(10)
-    assert store.run("r1") == row
-    assert store.unfinished() == [row]
-    assert store.result("r1") is None
-    done = replace(row, state="ready", finish_number=1, summary='{"s": 2}', head='{"h": 1}')
-    store.save_run(done, '{"t": 1}', '{"m": 1}').result(10)
-    assert store.run("r1") == done
-    assert (store.result("r1"), store.timeline("r1")) == ('{"m": 1}', '{"t": 1}')
-    assert store.unfinished() == []
-    assert store.run("r2") is None
-    assert store.timeline("r2") is None
 
 
 def test_long_documents_are_packed_and_those_of_earlier_versions_are_read(
@@ -84,14 +68,6 @@ def test_runs_are_listed_by_id_and_followed_by_finish_number(store: Store, make_
     assert store.newest_run() == "r3"
 
 
-def test_an_empty_store_has_no_runs_and_no_events(store: Store) -> None:
-    assert store.last_finished() is None
-    assert store.newest_run() is None
-    assert store.last_event() == 0
-    with pytest.raises(NotFoundError, match="no document 0000"):
-        store.document("0000")
-
-
 def test_written_data_survive_a_restart(store: Store, database: Database, path: Path, make_run: MakeRun) -> None:
     store.save_run(make_run("r1", "ready", 1), '{"t": 1}', '{"m": 1}')
     store.add_event(1, '{"e": 1}')
@@ -106,14 +82,6 @@ def test_written_data_survive_a_restart(store: Store, database: Database, path: 
     later.close()
 
 
-def test_equal_documents_are_stored_once(store: Store, database: Database) -> None:
-    first = store.keep_document("calibration", "{}", "then")
-    assert store.keep_document("calibration", "{}", "later") == first
-    assert store.document(first) == "{}"
-    database.write(lambda _: None).result(10)
-    assert [tuple(r) for r in database.read("SELECT kind, first_seen FROM documents")] == [("calibration", "then")]
-
-
 def test_the_oldest_events_are_deleted(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "EVENTS_KEPT", 100)
     for number in (1, 899, 900, 901, 1000):
@@ -123,29 +91,12 @@ def test_the_oldest_events_are_deleted(store: Store, monkeypatch: pytest.MonkeyP
     assert store.last_event() == 1000
 
 
-def test_the_digest_depends_on_the_content_only() -> None:
-    assert digest_of("{}") == digest_of("{}") == "44136fa355b3678a"
-    assert digest_of("{} ") != digest_of("{}")
-
-
-def test_only_finished_runs_are_marked_as_gone(store: Store, make_run: MakeRun) -> None:
-    store.save_run(make_run("r1", "ready", 1)).result(10)
-    store.save_run(make_run("r2", "filming")).result(10)
-    store.mark_frames_gone("gone").result(10)
-    assert [row.state for row in store.runs(9, None)] == ["filming", "gone"]
-
-
 def test_events_are_read_in_order_from_a_number_on(store: Store) -> None:
     for number in (1, 2, 3):
         store.add_event(number, f'"{number}"').result(10)
     assert store.events(1, 10) == ['"2"', '"3"']
     assert store.events(0, 2) == ['"1"', '"2"']
     assert store.events(3, 10) == []
-
-
-def test_a_run_of_an_unknown_board_type_is_refused(store: Store, make_run: MakeRun) -> None:
-    with pytest.raises(InternalError, match="FOREIGN KEY"):
-        store.save_run(replace(make_run("r1"), board_type_digest="0000")).result(10)
 
 
 def test_the_end_of_a_run_survives_a_power_failure_before_it_is_announced(store: Store, make_run: MakeRun) -> None:
@@ -160,15 +111,6 @@ def test_the_end_of_a_run_survives_a_power_failure_before_it_is_announced(store:
     store.save_run(row).result(10)
     store.save_run(make_run("r2")).result(10)
     assert levels == [2, 1], "FULL for a run that ended, NORMAL for one that began"
-
-
-@pytest.mark.parametrize("document", ["{}", noise(4000)])
-def test_heights_are_kept_as_they_are_first_written(store: Store, make_run: MakeRun, document: str) -> None:
-    store.save_run(make_run("r1", "ready", 1))
-    store.save_heights("r1", document).result(10)
-    store.save_heights("r1", "other").result(10)
-    assert store.heights("r1") == document
-    assert store.heights("r2") is None
 
 
 def test_heights_are_deleted_with_the_result_and_do_not_come_back(store: Store, make_run: MakeRun) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from vaoi_station.store import Store
 from vaoi_station.store import figures as board_figures
-from vaoi_station.store.figures import BoardFigures, BoardRow, HourRow, Span, merged
+from vaoi_station.store.figures import BoardFigures, BoardRow, HourRow, Span
 
 DAY = Span("2026-01-01T00:00:00.000Z", "2026-01-02T00:00:00.000Z")
 
@@ -76,23 +76,6 @@ def test_old_figures_are_deleted_and_the_last_marks_stay(store: Store, monkeypat
     assert store.figures.marks(DAY, 10)[-1].before == "ring"
 
 
-def test_an_hour_that_begins_where_the_span_ends_is_not_in_it(store: Store) -> None:
-    for minute in (59, 60, 120):
-        saved = store.figures.add(row(minute, minute, a=1.0), {})
-    saved.result(10)
-    span = Span("2026-01-01T00:30:00.000Z", "2026-01-01T01:00:00.000Z")
-    assert [hour.hour for hour in hours_in(store.figures, span)] == ["2026-01-01T00"]
-    later = replace(span, until="2026-01-01T01:00:00.001Z")
-    assert [hour.hour for hour in hours_in(store.figures, later)] == ["2026-01-01T00", "2026-01-01T01"]
-
-
-def test_old_figures_are_deleted_after_every_start(store: Store) -> None:
-    for n in range(8):
-        store.figures.add(row(n, n, a=1.0), {}, kept=5)
-    BoardFigures(store.database).add(row(8, 8, a=1.0), {}, kept=5).result(10)
-    assert [r.run for r in boards_in(store.figures, DAY)] == [f"r{n}" for n in range(4, 9)]
-
-
 def test_a_damaged_row_does_not_keep_figures_from_being_added(store: Store) -> None:
     store.figures.add(row(1, 1, a=1.0), {}).result(10)
     store.database.write(lambda c: c.execute("UPDATE board_figures SET document = '{'")).result(10)
@@ -100,8 +83,3 @@ def test_a_damaged_row_does_not_keep_figures_from_being_added(store: Store) -> N
     assert boards_in(store.figures, DAY)[0].figures == {}
     store.figures.add(row(2, 2, a=3.0), {}).result(10)
     assert hours_in(store.figures, DAY)[0].figures == {"a": (1, 3.0, 3.0, 3.0, "r2")}
-
-
-def test_groups_are_merged_by_their_numbers_of_boards() -> None:
-    assert merged((1, 4.0, 4.0, 4.0, "x"), (3, 0.0, -9.0, 1.0, "y")) == (4, 1.0, -9.0, 4.0, "y")
-    assert merged((1, 89.0, 89.0, 89.0, "dim"), (1, 101.0, 101.0, 101.0, "x"), only_lower_limit=True)[4] == "dim"

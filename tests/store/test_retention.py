@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from tests.store.conftest import NOW, MakeRun, noise
+from tests.store.conftest import NOW, MakeRun
 from vaoi_station.errors import StateError
 from vaoi_station.store import Store, retention
 from vaoi_station.store.retention import RunRetention
@@ -66,14 +65,6 @@ def test_of_a_forgotten_run_the_summary_stays_until_it_is_forgotten_too(
     assert [row.id for row in store.runs(9, None)] == ["r02", "r01"]
 
 
-def test_a_run_to_which_a_check_refers_keeps_its_summary(store: Store, kept: RunRetention, make_run: MakeRun) -> None:
-    fill(store, make_run, 3)
-    digest = store.keep_document("calibration", '{"n": 1}', NOW)
-    store.checks.save("r00", digest, "{}").result(10)
-    kept.forget_details(["r00", "r01"]).result(10)
-    assert kept.old_summaries(1000, "~", 10) == ["r01"]
-
-
 def test_pinned_runs_are_never_forgotten(
     store: Store, kept: RunRetention, make_run: MakeRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,15 +82,3 @@ def test_pinned_runs_are_never_forgotten(
     kept.unpin("r00")
     kept.unpin("r00")
     assert kept.pins() == frozenset()
-
-
-def test_space_of_forgotten_runs_is_used_again(store: Store, kept: RunRetention, make_run: MakeRun, path: Path) -> None:
-    big = '{"m": "' + noise(100_000) + '"}'
-    for n in range(20):
-        store.save_run(make_run(f"r{n:02d}", "ready", n + 1), None, big).result(10)
-    full = kept.used_bytes()
-    kept.forget_details([f"r{n:02d}" for n in range(10)]).result(10)
-    assert kept.used_bytes() < full - 900_000
-    for n in range(20, 30):
-        store.save_run(make_run(f"r{n:02d}", "ready", n + 1), None, big).result(10)
-    assert kept.used_bytes() < full + 50_000

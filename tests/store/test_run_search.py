@@ -74,12 +74,6 @@ def test_pages_have_no_gaps_and_a_request_reads_a_bounded_number(
     assert requests > 4
 
 
-def test_an_unreadable_summary_is_passed_over(filled: Store, make_run: MakeRun) -> None:
-    filled.save_run(replace(make_run("r99", "ready"), summary="{")).result(10)
-    assert len(filled.search.find(RunFilter(verdict="ok"), 99, None).runs) == 6
-    assert filled.search.find(RunFilter(reason="lamp-dim"), 1, None).runs == ("r23",)
-
-
 def test_runs_and_events_are_counted_from_a_time_on(filled: Store) -> None:
     since = "2026-01-01T00:00:16.000Z"
     assert filled.search.verdicts(since, "").runs == {"none": 2, "ok": 2, "degraded": 2, "failed": 2}
@@ -102,10 +96,3 @@ def test_counts_state_whether_they_are_complete(filled: Store, monkeypatch: pyte
     assert filled.search.verdicts("2026-01-01T00:00:16.000Z", "r15").complete
     few = filled.search.verdicts("2026-01-01T00:00:15.000Z", "r15")
     assert (sum(few.runs.values()), few.complete) == (8, False)
-
-
-def test_runs_that_have_not_ended_have_no_verdict_and_some_are_left_out(filled: Store, make_run: MakeRun) -> None:
-    filled.save_run(replace(make_run("r98", "filming"), summary=json.dumps(summary_of(0)))).result(10)
-    found = filled.search.find(RunFilter(verdict="none"), 99, None).runs
-    assert found == ("r20", "r16", "r12", "r08", "r04", "r00")
-    assert filled.search.find(RunFilter(verdict="none"), 2, None, without=["r20", "r12"]).runs == ("r16", "r08")

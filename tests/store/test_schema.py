@@ -41,24 +41,6 @@ def add_step(monkeypatch: pytest.MonkeyPatch, *statements: str) -> None:
     monkeypatch.setattr(schema, "VERSION", schema.VERSION + 1)
 
 
-def test_a_new_database_has_all_tables(connection: sqlite3.Connection, path: Path) -> None:
-    schema.migrate(connection, path)
-    names = {name for name, _ in objects_in(connection)}
-    assert names >= {"documents", "runs", "results", "events", "calibration_checks", "board_references"}
-    assert version_of(connection) == schema.VERSION
-
-
-def test_a_further_step_is_applied_once(
-    connection: sqlite3.Connection, path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    schema.migrate(connection, path)
-    add_step(monkeypatch, MORE)
-    schema.migrate(connection, path)
-    schema.migrate(connection, path)
-    assert version_of(connection) == schema.VERSION
-    assert connection.execute("SELECT count(*) FROM more").fetchone() == (0,)
-
-
 def test_a_failed_step_keeps_the_previous_version(
     connection: sqlite3.Connection, path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -79,23 +61,6 @@ def test_a_database_of_an_unknown_version_is_refused_and_left_unchanged(
         schema.migrate(connection, path)
     assert refusal.value.code == code
     assert objects_in(connection) == []
-
-
-def test_results_cannot_be_changed(connection: sqlite3.Connection, path: Path) -> None:
-    schema.migrate(connection, path)
-    connection.execute("INSERT INTO results VALUES ('r1', 'document', NULL)")
-    with pytest.raises(sqlite3.IntegrityError, match="a result never changes"):
-        connection.execute("UPDATE results SET document = 'other'")
-
-
-def test_a_value_of_the_wrong_type_is_refused(connection: sqlite3.Connection, path: Path) -> None:
-    schema.migrate(connection, path)
-    with pytest.raises(sqlite3.IntegrityError, match="cannot store TEXT"):
-        connection.execute(
-            "INSERT INTO runs VALUES ('r1', 'ready', 'first', 'b', 'c', '{}', '{}', NULL, NULL, NULL, NULL)"
-        )
-    with pytest.raises(sqlite3.IntegrityError, match="CHECK"):
-        connection.execute("INSERT INTO documents VALUES ('0000', 'recipe', 'now', '{}')")
 
 
 def test_a_packed_text_is_unpacked_exactly_and_a_short_one_stays_readable() -> None:

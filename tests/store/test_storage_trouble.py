@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from vaoi_station.errors import DeviceError, InputError, InternalError
-from vaoi_station.store.storage_trouble import StorageTrouble, translated, translated_errors, trouble_of
+from vaoi_station.store.storage_trouble import translated, trouble_of
 
 PATH = Path("station.db")
 
@@ -20,17 +20,6 @@ def error_of(statement: str, connection: sqlite3.Connection) -> sqlite3.Error:
     with pytest.raises(sqlite3.Error) as raised:
         connection.execute(statement)
     return raised.value
-
-
-def test_a_full_database_is_named(tmp_path: Path) -> None:
-    connection = sqlite3.connect(tmp_path / "a.db")
-    connection.execute("CREATE TABLE t (x)")
-    connection.execute("PRAGMA max_page_count = 2").fetchall()
-    trouble = trouble_of(error_of("INSERT INTO t VALUES (zeroblob(90000))", connection), PATH)
-    connection.close()
-    assert trouble is not None
-    assert (trouble.code, trouble.message) == ("storage-full", "station.db: cannot be used (database or disk is full).")
-    assert "Free space" in trouble.action
 
 
 def test_a_read_only_database_a_missing_folder_and_garbage_are_named(tmp_path: Path) -> None:
@@ -78,16 +67,6 @@ def test_other_errors_are_no_trouble_of_the_storage() -> None:
     assert isinstance(translated(twice, PATH), InternalError)
     assert isinstance(translated(wrong, PATH), DeviceError)
     assert trouble_of(InputError("x"), PATH) is None
-
-
-def test_errors_that_were_translated_already_are_recognised() -> None:
-    with pytest.raises(DeviceError, match="cannot be used") as raised, translated_errors(PATH):
-        raise OSError(errno.ENOSPC, "no space")
-    trouble = trouble_of(raised.value, PATH)
-    assert trouble is not None
-    assert trouble.code == "storage-full"
-    newer = trouble_of(InputError("newer", action="a", code="database-newer"), PATH)
-    assert newer == StorageTrouble("database-newer", "newer", "a")
 
 
 @pytest.mark.parametrize(

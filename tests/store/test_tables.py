@@ -73,16 +73,6 @@ def test_identities_are_replaced_and_runs_found_by_their_ids(store: Store, make_
     assert store.identities.runs_of("C", 9, None) == ["r2"]
 
 
-def test_identity_stays_with_the_summary_and_goes_with_the_run(store: Store, make_run: MakeRun) -> None:
-    store.save_run(make_run("r1", "ready", 1))
-    store.identities.save("r1", IdentityRow("{}", ["A"]), "{}", "ready")
-    store.retention.forget_details(["r1"]).result(10)
-    assert store.identities.runs_of("A", 9, None) == ["r1"]
-    store.retention.forget_runs(["r1"]).result(10)
-    assert store.identities.runs_of("A", 9, None) == []
-    assert store.identities.document("r1") is None
-
-
 def test_a_run_gets_the_verdict_that_its_identity_leaves_and_is_kept_as_doubtful(
     store: Store, make_run: MakeRun
 ) -> None:
@@ -118,19 +108,6 @@ def test_reference_and_method_of_a_board_type_are_kept_apart_and_over_a_restart(
     store.close()
     with pytest.raises(StateError, match="is closed"):
         store.references.set("a", "document")
-
-
-def test_a_standing_document_is_replaced_deleted_and_found_after_a_restart(path: Path) -> None:
-    store = Store(Database(path))
-    assert store.standing.get("armed") is None
-    for document in ("1", "2"):
-        store.standing.set("armed", document).result(10)
-    store.standing.set("other", "x").result(10)
-    store.standing.set("other", None).result(10)
-    store.close()
-    again = Store(Database(path))
-    assert (again.standing.get("armed"), again.standing.get("other")) == ("2", None)
-    again.close()
 
 
 def test_a_configuration_is_stored_once(store: Store, database: Database) -> None:

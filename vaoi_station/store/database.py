@@ -52,7 +52,7 @@ from vaoi_station.supervised_thread import SupervisedThread
 _log = logging.getLogger(__name__)
 T = TypeVar("T")
 READERS = 4
-"""Number of connections for reading. Further simultaneous readers wait until a connection is free."""
+"""Number of connections for reading; further simultaneous readers wait."""
 READER_CACHE_KIB = 256
 """Pages that each of these connections holds in memory. A query that reads many rows fills it in the heap of its own
 thread; the pages are in the kernel's cache anyway."""
@@ -67,12 +67,10 @@ SLOW_S = 5.0
 MOST_WAITING_BYTES = 64_000_000
 """Largest total size of the writes that wait for the disk, bytes. Further writes are refused."""
 
-Write = Callable[[sqlite3.Connection], Any]
-
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    work: Write
+    work: Callable[[sqlite3.Connection], Any]
     future: Future[Any]
     patient: bool
     durable: bool
@@ -86,10 +84,9 @@ class Database:
         self.path = path
         self._writer: sqlite3.Connection | None
         self._trouble: StorageTrouble | None = None
-        earlier = earlier_notices(path)
-        readers, notice = self._open()
-        self.notices: tuple[StorageTrouble, ...] = earlier if notice is None else (*earlier, notice)
+        self.notices = earlier_notices(path)
         """Notices that the database was damaged, deleted or replaced; each stays until its file is cleared away."""
+        readers = self._open()
         self.acknowledged = acknowledged_files(path)
         """Files that were set aside and of which a person knows; their notices stay, but are no warnings."""
         self.history_unread = is_empty(readers[0])
@@ -110,12 +107,13 @@ class Database:
         self.thread = SupervisedThread(self._run, "store", WRITE_LIMIT_S)
         self.thread.start()
 
-    def _open(self) -> tuple[list[sqlite3.Connection], StorageTrouble | None]:
-        """Open the file, or stand-ins that can only be read while the disk takes no writes. Return readers, notice."""
+    def _open(self) -> list[sqlite3.Connection]:
+        """Open the file, or stand-ins that can only be read while the disk takes no writes; return the readers."""
         try:
             self._writer, notice = open_database(self.path)
+            self.notices += () if notice is None else (notice,)
             with translated_errors(self.path):
-                return [connect(self.path, READER_CACHE_KIB) for _ in range(READERS)], notice
+                return [connect(self.path, READER_CACHE_KIB) for _ in range(READERS)]
         except DeviceError as error:
             trouble = trouble_of(error, self.path)
             readers = None if trouble is None else stand_in(self.path, trouble, READERS)
@@ -123,7 +121,7 @@ class Database:
                 raise
             _log.warning("%s: the station begins without writing (%s)", self.path, error.message)
             self._writer, self._trouble = None, trouble
-            return readers, None
+            return readers
 
     @property
     def trouble(self) -> StorageTrouble | None:
@@ -138,14 +136,12 @@ class Database:
     def write(
         self, work: Callable[[sqlite3.Connection], T], *, patient: bool = False, durable: bool = True, size: int = 0
     ) -> Future[T]:
-        """Run `work` in one transaction, after all writes that were submitted before.
+        """Run `work` in one transaction, after all writes that were submitted before; again after a storage trouble.
 
         Args:
-            work: the statements; they are executed again after a trouble of the storage.
-            patient: whether to wait until the storage accepts the write. Otherwise a trouble of the storage is an error
-                at once.
-            durable: whether the write ends only when the transaction survives a power failure. A later durable write
-                includes it.
+            work: the statements.
+            patient: wait until the storage accepts the write. Otherwise a trouble of the storage is an error at once.
+            durable: end only when the transaction, with all before it, survives a power failure.
             size: bytes that wait in memory with `work`.
 
         Raises:
@@ -155,12 +151,13 @@ class Database:
         refused: StorageTrouble | None = None
         # The lock separates writes from `close`: a write that is queued after the end would never be carried out.
         with self._changed:
-            if self._closed:
-                raise StateError(f"{self.path}: is closed; the station is stopping.")
+            self._refuse_closed()
             if not patient and self._trouble is not None:
                 refused = self._trouble
             elif patient and self._waiting_bytes + size > MOST_WAITING_BYTES:
-                refused = self._too_much()
+                why = self._trouble.message if self._trouble else "The disk is too slow."
+                message = f"{why} More than {MOST_WAITING_BYTES / 1e6:.0f} MB wait in memory."
+                refused = StorageTrouble(FULL, message, "Free space in the data directory.")
             else:
                 self._jobs.append(_Job(work, future, patient, durable, size))
                 self._waiting_bytes += size
@@ -177,7 +174,8 @@ class Database:
                 return connection.execute(query, values).fetchall()
         except sqlite3.Error as error:
             if (trouble := trouble_of(error, self.path)) is not None and trouble.code == DAMAGED:
-                self._submit_check()
+                with contextlib.suppress(StateError):
+                    self.write(self._check, durable=False)
             raise translated(error, self.path) from error
 
     def value(self, query: str, values: tuple[Any, ...] = ()) -> Any:
@@ -211,10 +209,7 @@ class Database:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Finish all writes and close the file; no effect if it is closed.
-
-        Writes that the disk refuses now are lost.
-        """
+        """Finish all writes and close the file, if it is open. Writes that the disk refuses now are lost."""
         with self._changed:
             if self._closed:
                 return
@@ -224,21 +219,21 @@ class Database:
         self.thread.join()
         self._close_connections()
 
-    @contextlib.contextmanager
-    def _reader(self) -> Iterator[sqlite3.Connection]:
+    def _refuse_closed(self) -> None:
         if self._closed:
             raise StateError(f"{self.path}: is closed; the station is stopping.")
+
+    @contextlib.contextmanager
+    def _reader(self) -> Iterator[sqlite3.Connection]:
+        self._refuse_closed()
         connection = self._readers.get()
         try:
             if connection is None:
-                if self._closed:
-                    raise StateError(f"{self.path}: is closed; the station is stopping.")
+                self._refuse_closed()
                 raise (self._trouble or StorageTrouble(UNAVAILABLE, f"{self.path}: is not open.")).error()
             yield connection
         finally:
             self._readers.put(connection)
-
-    # --- in the writer's thread
 
     def _run(self) -> None:
         while (job := self._next()) is not None:
@@ -260,12 +255,7 @@ class Database:
             self._check_file()
 
     def acknowledge(self, name: str) -> None:
-        """Record that a person knows of the file with this name that was set aside.
-
-        Raises:
-            NotFoundError: no such file was set aside.
-            DeviceError: the disk refuses the record.
-        """
+        """Record that a person knows of the file with this name that was set aside; NotFoundError: there is none."""
         kept = next((n.kept for n in self.notices if n.kept is not None and n.kept.name == name), None)
         if kept is None:
             raise NotFoundError(
@@ -288,11 +278,8 @@ class Database:
             self._perform(_Job(_touch, Future(), patient=False, durable=True, size=0))
 
     def _file_changed(self) -> bool:
-        """Return whether the file was deleted or replaced, so that the connection writes to a file without a name.
-
-        A directory that cannot be read proves neither: the next write shows whether the file can still be used.
-        """
-        try:
+        """Return whether the file was deleted or replaced, so that the connection writes to a file without a name."""
+        try:  # A directory that cannot be read proves neither: the next write shows whether the file can be used.
             return identity_of(self.path) != self._opened_file
         except OSError:
             return False
@@ -391,14 +378,10 @@ class Database:
         return True
 
     def _follow_file(self) -> None:
-        """Write back a deleted database from the connection that still has it.
-
-        Open a database that was put in its place.
-        """
-        writer = self._writer
-        if writer is None:
+        """Write back a deleted database from the connection that still has it; open one that was put in its place."""
+        if self._writer is None:
             return
-        notice = rescue(writer, self.path, self.thread.beat)
+        notice = rescue(self._writer, self.path, self.thread.beat)
         self._close_connections()
         self._remember_file()
         self._reopen()
@@ -430,23 +413,14 @@ class Database:
         for new in connections:
             self._readers.put(new)
 
-    def _submit_check(self) -> None:
-        """Let the writer check the whole file, because a read has found damage."""
-        with contextlib.suppress(StateError):
-            self.write(self._check, durable=False)
-
     def _check(self, _: sqlite3.Connection) -> None:
+        """Check the whole file, because a read has found damage."""
         # A new connection is used: the writer's own connection may have undamaged pages in its cache.
         with contextlib.closing(connect(self.path)) as fresh:
             fresh.set_progress_handler(self.thread.beat, BEAT_STEPS)
             fault = fresh.execute("PRAGMA quick_check(1)").fetchone()[0]
         if fault != "ok":
             raise sqlite3.DatabaseError(fault)
-
-    def _too_much(self) -> StorageTrouble:
-        limit = f"{MOST_WAITING_BYTES / 1e6:.0f} MB"
-        why = self._trouble.message if self._trouble else "The disk is too slow."
-        return StorageTrouble(FULL, f"{why} More than {limit} wait in memory.", "Free space in the data directory.")
 
 
 def _touch(connection: sqlite3.Connection) -> None:

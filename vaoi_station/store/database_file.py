@@ -43,10 +43,7 @@ MARK = ".begun"
 
 
 def identity_of(path: Path) -> tuple[int, int] | None:
-    """Return device and inode of a file, which differ once it was deleted or replaced; None if there is none.
-
-    OSError: the disk does not say.
-    """
+    """Return device and inode of a file, which differ once it was replaced; None: there is none. OSError: unknown."""
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -65,7 +62,7 @@ def is_absent(path: Path) -> bool:
 def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None]:
     """Open the writing connection. Create the file or migrate it; set a damaged one aside and begin an empty one.
 
-    Returns: The connection, and a trouble that states what was wrong and what was done; None if nothing was wrong.
+    Return it with a trouble that states what was wrong and what was done; None if nothing was wrong.
 
     Raises:
         InputError: the database was written by a newer version, or by another program.
@@ -89,7 +86,15 @@ def open_database(path: Path) -> tuple[sqlite3.Connection, StorageTrouble | None
                 known.with_name(known.name + ACKNOWLEDGED).unlink(missing_ok=True)
         path.with_name(path.name + MARK).touch()
         if gone and notice is None:
-            notice = _note_deleted(path)
+            mark = unused_name(path, "deleted")  # an empty file that later starts find
+            mark.touch()
+            notice = StorageTrouble(
+                DELETED,
+                f"{path}: the database of earlier starts is not there any more; the history begins anew.",
+                "Restore it from a backup while the station is stopped, if it was not deleted on purpose. "
+                f"The warning ends when {mark.name} is deleted.",
+                mark,
+            )
     return connection, notice
 
 
@@ -155,19 +160,16 @@ def connect(path: Path, cache_kib: int | None = None) -> sqlite3.Connection:
 
 def check_at_start(connection: sqlite3.Connection, path: Path) -> None:
     """Check a small database completely; a large one would take too long. DatabaseError: it is damaged."""
-    if path.stat().st_size > LARGEST_AT_START:
-        return
-    fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-    if fault != "ok":
+    small = path.stat().st_size <= LARGEST_AT_START
+    if small and (fault := connection.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
         raise sqlite3.DatabaseError(fault)
 
 
 def rescue(connection: sqlite3.Connection, path: Path, beat: Callable[[], None]) -> StorageTrouble:
     """Save everything that `connection`, whose file is no longer at the path, can still read.
 
-    A deleted database is put back. If another file is in its place, that file is left there, and the old content is
-    saved beside it. `beat` is called meanwhile, because a year of results takes minutes. OSError: the disk does not say
-    which of both it is.
+    A deleted database is put back; one that was replaced is saved beside the other file. `beat` is called meanwhile,
+    because a year of results takes minutes. OSError: the disk does not say which of both it is.
     """
     replaced = identity_of(path) is not None
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -199,24 +201,10 @@ def rescue(connection: sqlite3.Connection, path: Path, beat: Callable[[], None])
 
 def roll_back(connection: sqlite3.Connection) -> None:
     """End a transaction that has failed, if SQLite has not done so itself."""
-    # After "disk full" and most I/O errors, SQLite has rolled back already. A second ROLLBACK would fail with "cannot
-    # rollback - no transaction is active", which would hide the cause.
+    # A second ROLLBACK would fail, which would hide the cause.
     if connection.in_transaction:
         with contextlib.suppress(sqlite3.Error):
             connection.execute("ROLLBACK")
-
-
-def _note_deleted(path: Path) -> StorageTrouble:
-    """Leave an empty file that later starts find, and return the notice about the deleted database."""
-    mark = unused_name(path, "deleted")
-    mark.touch()
-    return StorageTrouble(
-        DELETED,
-        f"{path}: the database of earlier starts is not there any more; the history begins anew.",
-        "Restore it from a backup while the station is stopped, if it was not deleted on purpose. "
-        f"The warning ends when {mark.name} is deleted.",
-        mark,
-    )
 
 
 def _open(path: Path) -> sqlite3.Connection:
@@ -243,7 +231,6 @@ def _open(path: Path) -> sqlite3.Connection:
 
 
 def _refuse_foreign(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise InputError if another program has made the database. The file is not changed."""
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     if ("runs" in tables) != (version > 0) or (version == 0 and tables):
@@ -258,14 +245,12 @@ def stand_in(path: Path, trouble: StorageTrouble, count: int) -> list[sqlite3.Co
     """Return connections for reading while `trouble` keeps the database from being opened for writing.
 
     A sound database of this version is read as it is. If there is none because a full disk takes none, the connections
-    are to empty databases in memory. A disk that is read-only and has no database may be one that is not mounted yet.
-
-    Returns:
-        `count` connections; None if the start has to wait.
+    are to empty databases in memory. A disk that is read-only and has no database may be one that is not mounted yet:
+    None is returned where the start has to wait.
     """
+    made: list[sqlite3.Connection] = []
     if trouble.code not in PASSING:
         return None
-    made: list[sqlite3.Connection] = []
     try:
         if path.exists() and path.stat().st_size >= HEADER_BYTES:
             made += [_unwritten(path) for _ in range(count)]
@@ -275,7 +260,10 @@ def stand_in(path: Path, trouble: StorageTrouble, count: int) -> list[sqlite3.Co
             check_at_start(made[0], path)
             return made
         if trouble.code == FULL and path.parent.is_dir():
-            return [_empty(path) for _ in range(count)]
+            for _ in range(count):
+                made.append(_reading(":memory:"))
+                migrate(made[-1], path)
+            return made
     except (sqlite3.Error, OSError):
         # Whatever else is wrong is found when the database can be opened, and named then.
         for connection in made:
@@ -294,13 +282,10 @@ def _unwritten(path: Path) -> sqlite3.Connection:
     # `immutable` leaves out the write-ahead log, so it is right only where there is none. A log is read with the shared
     # memory that its last user left.
     option = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
-    connection = sqlite3.connect(f"{path.as_uri()}?{option}", uri=True, isolation_level=None, check_same_thread=False)
-    connection.row_factory = sqlite3.Row
-    return connection
+    return _reading(f"{path.as_uri()}?{option}")
 
 
-def _empty(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+def _reading(address: str) -> sqlite3.Connection:
+    connection = sqlite3.connect(address, uri=True, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row
-    migrate(connection, path)
     return connection

@@ -157,11 +157,7 @@ def unpacked(text: str, content: bytes | None) -> str:
 
 
 def migrate(connection: sqlite3.Connection, path: Path) -> None:
-    """Apply the missing migration steps, each in one transaction.
-
-    Raises:
-        InputError: the database was written by a newer version, or has tables of a version before the first one.
-    """
+    """Apply the missing migration steps, each in one transaction. InputError: the version is newer, or too old."""
     (found,) = connection.execute("PRAGMA user_version").fetchone()
     if found > VERSION:
         raise InputError(

@@ -58,11 +58,6 @@ def test_unseen_components_are_named_by_run_event_and_list(rig: Any, make_stitch
     assert "(U1)" in event.message
 
 
-def test_the_coverage_is_that_of_the_complete_frames(rig: Any) -> None:
-    [seen] = component_views.components_of(finished_run(rig))
-    assert (seen.coverage, seen.in_one_frame, seen.unseen) == (1.0, True, False)
-
-
 def test_frames_with_holes_are_no_views(rig: Any) -> None:
     finished = finished_run(rig, {0: Verdict.INCOMPLETE, 1: Verdict.MISSING})
     views = views_of(finished, min_coverage=0.0)
@@ -95,15 +90,6 @@ def test_views_and_components_that_do_not_exist_are_refused_with_their_numbers(r
     assert component_views.component_of(board_type, "U1").ref == "U1"
     with pytest.raises(NotFoundError, match="no component 'R99'"):
         component_views.component_of(board_type, "R99")
-
-
-@pytest.mark.parametrize("ref", ["U1", "u1", "3/U1"])
-def test_the_refusal_of_a_component_names_those_that_may_be_meant(board_type: BoardType, ref: str) -> None:
-    [part] = board_type.components
-    panel = board_type.model_copy(update={"components": tuple(part.model_copy(update={"panel": n}) for n in (1, 2))})
-    with pytest.raises(NotFoundError) as refused:
-        component_views.component_of(panel, ref)
-    assert refused.value.action.startswith("It has 1/U1, 2/U1; ")
 
 
 def test_callers_of_many_components_get_what_each_one_gets_alone(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:

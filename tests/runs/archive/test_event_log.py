@@ -43,13 +43,3 @@ def test_waiting_readers_are_woken(store: Store) -> None:
     log.add("station", "idle", state="idle")
     waiting.join(10)
     assert got == [1]
-
-
-def test_a_read_without_events_is_empty_and_close_wakes_all(store: Store) -> None:
-    log = EventLog(store)
-    assert log.read(0, 0.01, 10) == ()
-    waiting = threading.Thread(target=log.read, args=(0, 30.0, 10))
-    waiting.start()
-    log.close()
-    waiting.join(10)
-    assert not waiting.is_alive()

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.acquisition.process.messages import Grant
-from vaoi_station.errors import DeviceError, GoneError, NotFoundError
+from vaoi_station.errors import DeviceError, GoneError
 from vaoi_station.model import Status
 from vaoi_station.runs.archive import finished_runs as module
 from vaoi_station.runs.archive.event_log import EventLog
@@ -178,14 +178,6 @@ def test_a_start_accepts_what_a_full_disk_left(make_rig: Callable[..., Any], tmp
     found.close()
 
 
-def test_a_start_accepts_a_run_that_is_gone_without_an_end(store: Store, progress: Any) -> None:
-    """Versions before this one could leave such a row."""
-    Archive(store, EventLog(store)).begin(progress)
-    store.database.write(lambda c: c.execute("UPDATE runs SET state = 'gone'")).result(20)
-    archive = Archive(store, EventLog(store))
-    assert (archive.get("r1").detail.state, store.unfinished()) == ("gone", [])
-
-
 def test_a_start_on_a_full_disk_closes_runs_in_memory_and_writes_them_later(store: Store, progress: Any) -> None:
     Archive(store, EventLog(store)).begin(progress)
     store.database.write(lambda c: c.execute("PRAGMA query_only = 1")).result(20)
@@ -215,28 +207,6 @@ def test_a_run_that_will_never_be_written_is_named(rig: Any, monkeypatch: pytest
     assert any("disk is full" in e.message for e in rig.coordinator.events() if e.code == "store")
 
 
-def test_runs_that_are_not_cached_are_read_from_the_database(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "CACHED_RUNS", 1)
-    grant, runs = rig.arm(), []
-    for _ in range(3):
-        rig.board(grant)
-        rig.result_of(grant.run)
-        runs.append(grant.run)
-        grant = rig.peer.expect(Grant)
-    assert [rig.coordinator.run(run).id for run in runs] == runs
-    assert rig.coordinator.stitch(runs[0]).status is Status.OK
-    assert rig.coordinator.next_run(runs[0], 0.0).id == runs[1]
-    assert [run.id for run in rig.coordinator.runs(2)] == runs[:0:-1]
-    with pytest.raises(NotFoundError):
-        rig.coordinator.next_run("never", 0.0)
-
-
-def test_a_caller_who_takes_latest_for_an_id_learns_where_the_id_is(rig: Any) -> None:
-    with pytest.raises(NotFoundError) as refused:
-        rig.coordinator.stitch("latest")
-    assert (refused.value.code, "runs/latest" in refused.value.action) == ("unknown-run", True)
-
-
 def run(verdict: Status | None, waited_s: float | None) -> tuple[Any, Any]:
     detail = SimpleNamespace(verdict=verdict, counts=VerdictCounts(ok=10, incomplete=1, missing=0))
     return detail, SimpleNamespace(last_frame_s=2.0, ready_s=None if waited_s is None else 2.0 + waited_s)
@@ -252,9 +222,3 @@ def test_runs_are_counted_by_verdict_and_waiting_time() -> None:
     assert len(figures.latencies) == len(LATENCY_BOUNDS_S) + 1
     assert (figures.latencies[2], figures.latencies[-1], sum(figures.latencies)) == (1, 1, 3)
     assert figures.latency_sum_s > 1e9
-
-
-def test_a_result_before_the_last_frame_has_not_waited() -> None:
-    statistics = RunStatistics()
-    statistics.add(*run(Status.OK, -0.1))
-    assert statistics.figures().latency_sum_s == 0

@@ -11,7 +11,7 @@ import pytest
 
 from tests.store.conftest import noise
 from vaoi_station.config import KeepConfig
-from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError
 from vaoi_station.runs.archive import housekeeping as module
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
@@ -57,21 +57,6 @@ def test_a_failure_is_published_once_and_the_task_is_called_again(store: Store, 
     task.wait(30)
     housekeeping.stop()
     assert [event.code for event in events.read(0, 0.0, 10)] == ["chore", "chore"]
-
-
-def test_a_closed_database_is_no_failure(store: Store) -> None:
-    events, task = EventLog(store), Task()
-    task.failure = StateError("closed")
-    housekeeping = Housekeeping(events)
-    housekeeping.add(task, 0.001, code="chore")
-    housekeeping.start()
-    task.wait(5)
-    housekeeping.stop()
-    assert events.read(0, 0.0, 10) == ()
-
-
-def test_housekeeping_that_was_not_started_can_be_stopped(store: Store) -> None:
-    Housekeeping(EventLog(store)).stop()
 
 
 NOW_S = 1_700_000_000.0
@@ -159,16 +144,6 @@ def test_on_a_full_disk_the_oldest_runs_make_some_room_in_the_file(
     assert retention.sweep(NOW_S) == 0, "whatever fills the disk, the history is not given up for it"
 
 
-def test_a_clock_that_jumps_ahead_deletes_little_at_a_time(
-    store: Store, add: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runs = add(*range(30, 0, -1))
-    monkeypatch.setattr(module, "BATCH", 2)
-    monkeypatch.setattr(module, "MOST_BATCHES", 3)
-    assert Retention(keep(), store.retention).sweep(NOW_S + 1000 * DAY_S) == 6
-    assert whole(store, runs).count(False) == 6
-
-
 def test_a_forgotten_run_is_gone_not_unknown(make_rig: Callable[..., Any], store: Store) -> None:
     rig = make_rig()
     rig.ready()
@@ -188,16 +163,6 @@ def test_a_forgotten_run_is_gone_not_unknown(make_rig: Callable[..., Any], store
         later.get(first)
     with pytest.raises(NotFoundError):
         later.get(RunIds().next())
-
-
-def test_the_defaults_hold_a_year(store: Store) -> None:
-    config = KeepConfig()
-    boards = 365 * 86_400 / 20
-    assert config.runs >= boards
-    assert config.run_days >= 365
-    # 0.9 kB for a summary with its indexes and 90 kB for a run with 115 components: as measured.
-    needed = boards * 900 + (config.results + config.doubtful_results * 0.1) * 90_000
-    assert needed < config.database_gb * 1e9
 
 
 def test_documents_that_no_run_refers_to_are_forgotten_after_a_week(

@@ -155,10 +155,6 @@ def test_stored_heights_are_served_while_those_of_another_run_are_measured(stati
     assert heights.known("r2") == {"U1": (1.5, 0.02)}
 
 
-def test_without_heights_none_are_known(station: Station) -> None:
-    assert station.heights().known("r1") is None
-
-
 def test_after_a_run_its_heights_are_measured_at_the_lowest_priority_and_stored(station: Station) -> None:
     measured_after(station)
     assert station.stored == {"r1": CONTENT.decode()}

@@ -15,7 +15,6 @@ from vaoi_station.identity.code_reader import Progress
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, BoardType, Status
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId
-from vaoi_station.runs.archive import read_identities
 from vaoi_station.runs.archive.read_identities import ReadIdentities
 from vaoi_station.runs.archive.stored_documents import identity_row
 from vaoi_station.runs.run.verdict import RunVerdict, identified
@@ -159,14 +158,6 @@ def test_run_is_pending_until_its_codes_are_read() -> None:
     assert station.identities.document("r1").state == "agrees"
 
 
-def test_reading_ends_with_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(read_identities, "BUDGET_S", 0.05)
-    station = Station()
-    station.read()
-    assert len(station.jobs) == 1
-    assert not station.identities.document("r1").complete
-
-
 @pytest.mark.parametrize(
     ("fault", "codes"),
     [(GoneError("taken."), [""]), (InternalError("b"), [""]), (ValueError(), ["identity-not-read", ""])],
@@ -211,28 +202,3 @@ def test_run_whose_codes_were_being_read_when_the_station_ended_is_degraded() ->
     shown = again.shown()
     assert (shown.verdict, [r.code for r in shown.reasons]) == (Status.DEGRADED, ["identity-not-read"])
     assert (again.pending(), degraded, again.jobs) == ([], ["r1"], [])
-
-
-def test_reasons_are_shown_of_a_run_that_was_degraded_before() -> None:
-    station = Station()
-    station.finished.detail.board_id = "2"
-    station.read()
-    shown = station.shown(Status.DEGRADED)
-    assert (shown.verdict, [r.code for r in shown.reasons]) == (Status.DEGRADED, ["board-id-differs"])
-
-
-def test_reports_of_a_run_that_was_not_read_invent_no_reading() -> None:
-    station = Station()
-    station.fault = GoneError("taken.")
-    station.read()
-    for name, state, reasons in (("7", "differs", ["next-machine-differs"]), ("1", "not-read", [])):
-        found = station.identities.report("r1", ReportedId(board_id=name))
-        assert (found.state, [r.code for r in found.reasons], found.read) == (state, reasons, False)
-
-
-def test_runs_that_wait_too_long_are_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(read_identities, "_MOST_WAITING", 1)
-    station = Station()
-    for run in ("r1", "r2"):
-        station.identities.finished(SimpleNamespace(id=run, identity=station.finished.detail.identity))  # type: ignore[arg-type]
-    assert [(e["run"], e["state"]) for e in station.events] == [("r1", "not-read")]

@@ -89,17 +89,6 @@ def test_a_run_that_the_database_has_no_more_is_offered_with_the_verdict_of_a_bo
     assert (record.verdict, [reason.code for reason in record.reasons]) == (Status.DEGRADED, ["identity-not-read"])
 
 
-def test_a_start_leaves_out_a_recording_that_cannot_be_read(rig: Any, make_rig: Callable[..., Any]) -> None:
-    run = a_board(rig, Status.DEGRADED)
-    wait_event(rig, run.id, "recording")
-    directory = rig.coordinator.kept.recordings.directory
-    # Root may read every directory, so a loop of links stands for one of another user.
-    (directory / "loop").symlink_to("loop")
-    started = make_rig(name="started-again").coordinator.kept.recordings
-    started.tend()
-    assert started.all() == (run.id,)
-
-
 def pixels(rig: Any, run: RunDetail, camera: int, row: int) -> Any:
     return rig.coordinator.frame(run.id, camera, row)[0]
 
@@ -152,15 +141,6 @@ def test_pictures_of_a_run_that_left_the_memory_come_from_its_recording(rig: Any
         rig.coordinator.frame(run.id, 1, 2)
     with pytest.raises(GoneError, match="are no longer in memory"):
         rig.coordinator.image(run.id, "U1", 0)
-
-
-def test_frames_of_a_sound_run_are_kept_when_it_is_pinned(rig: Any) -> None:
-    run = a_board(rig)
-    assert rig.coordinator.kept.recordings.path_of(run.id) is None
-    rig.coordinator.kept.pin(run.id)
-    wait_event(rig, run.id, "recording")
-    rig.coordinator.kept.pin(run.id)
-    assert rig.coordinator.kept.recordings.counts.kept == 1
 
 
 def test_a_run_that_is_pinned_while_it_is_filmed_is_kept_in_the_end(rig: Any) -> None:
@@ -240,15 +220,6 @@ def test_a_recording_is_offered_once_its_record_is_known_and_never_of_another_st
     assert offered == [run.id]
 
 
-def test_more_runs_than_may_wait_are_counted_at_once(rig: Any, tmp_path: Path) -> None:
-    run = a_board(rig)
-    keeper = a_keeper(rig, tmp_path, Away(0))
-    for _ in range(module.MOST_WAITING + 3):
-        keeper.request(run.id)
-    assert keeper.counts.late == 3
-    keeper.stop()
-
-
 def test_the_oldest_recording_that_is_not_pinned_makes_room(rig: Any, tmp_path: Path) -> None:
     runs = [a_board(rig).id]
     frames = rig.coordinator._frames
@@ -266,33 +237,6 @@ def test_the_oldest_recording_that_is_not_pinned_makes_room(rig: Any, tmp_path: 
     wait_event(rig, runs[0], "recording")
     keeper.stop()
     assert {path.name for path in (tmp_path / "kept").iterdir()} == {"00-second", runs[0]}
-
-
-@pytest.mark.parametrize("cause", ["quota", "disk", "fault"])
-def test_a_recording_without_room_is_refused_and_counted(
-    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: str
-) -> None:
-    run = a_board(rig)
-    if cause == "disk":
-        monkeypatch.setattr(module, "DISK_RESERVE", shutil.disk_usage(tmp_path).total)
-    limits = {"recordings_gb": 1e-9} if cause == "quota" else {}
-    if cause == "fault":
-        (tmp_path / "kept").write_text("no directory")
-    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, **limits)
-    keeper.start()
-    keeper.request(run.id)
-    assert "not kept" in wait_event(rig, run.id, "trouble", "recording-refused")
-    keeper.stop()
-    assert keeper.counts.refused == 1
-
-
-def test_nothing_is_kept_with_a_quota_of_zero(rig: Any, tmp_path: Path) -> None:
-    run = a_board(rig)
-    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=0.0)
-    keeper.request(run.id)
-    keeper.start()
-    keeper.stop()
-    assert keeper.runs == 0
 
 
 def test_recordings_make_room_on_a_disk_that_is_nearly_full(
@@ -319,18 +263,6 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
     monkeypatch.setattr(module, "DISK_RESERVE", 10**18)
     keeper.tend()
     assert [path.name for path in (tmp_path / "kept").iterdir()] == [run.id], "a pinned one stays"
-
-
-def test_a_lower_quota_frees_space_before_the_next_recording(rig: Any, tmp_path: Path) -> None:
-    """An administrator lowers it because the disk is full."""
-    run = a_board(rig)
-    rig.coordinator.kept.pin(run.id)
-    for name in ("0-old", "1-newer", run.id):
-        with new_directory(tmp_path / "kept" / name) as draft:
-            (draft / module.HEAD_FILE).write_bytes(bytes(1000))
-    for quota_gb, left in ((3e-6, {"0-old", "1-newer", run.id}), (2e-6, {"1-newer", run.id}), (0.0, {run.id})):
-        a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=quota_gb).tend()
-        assert {path.name for path in (tmp_path / "kept").iterdir()} == left
 
 
 def test_recordings_that_no_archive_has_go_last_and_are_named(rig: Any, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import pytest
 
-from vaoi_station.errors import DeviceError
 from vaoi_station.runs.archive import storage_watch as module
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.storage_watch import StorageWatch
@@ -74,33 +73,6 @@ def test_a_trouble_is_published_once_and_is_a_warning_while_it_lasts(
     storage.database.trouble = None
     watch.tick()
     assert (watch.warnings(), events.codes) == ((), ["storage-full", "storage-back"])
-
-
-def test_figures_name_the_trouble_and_the_sizes(
-    watch: StorageWatch, storage: Storage, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    storage.database.free_bytes, storage.database.trouble = (
-        5,
-        StorageTrouble("storage-full", "The disk is full.", "Free space."),
-    )
-    watch.tick()
-    assert watch.figures() == (5, 4096, 3, "storage-full")
-
-    def unreadable() -> int:
-        raise DeviceError("It is not open.")
-
-    monkeypatch.setattr(storage.retention, "used_bytes", unreadable)
-    assert watch.figures().database_bytes is None
-
-
-def test_what_happened_to_the_database_stays_a_warning(watch: StorageWatch, storage: Storage, events: Events) -> None:
-    storage.database.notices = (StorageTrouble("database-damaged", "Set aside."),)
-    watch.tick()
-    watch.tick()
-    storage.database.notices = (*storage.database.notices, StorageTrouble("database-deleted", "Written back."))
-    watch.tick()
-    assert events.codes == ["database-damaged", "database-deleted"]
-    assert [warning.code for warning in watch.warnings()] == events.codes
 
 
 def test_little_space_is_a_warning(watch: StorageWatch, storage: Storage, events: Events) -> None:

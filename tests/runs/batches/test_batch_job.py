@@ -16,10 +16,9 @@ from vaoi_station.model import Component
 from vaoi_station.rendering import ImageRequest, render_chosen
 from vaoi_station.rendering.selection import describe
 from vaoi_station.runs.batches import batch_job
-from vaoi_station.runs.batches.batch_job import BatchJob, folder_of, picture_member
+from vaoi_station.runs.batches.batch_job import folder_of, picture_member
 from vaoi_station.runs.batches.batches import BatchRequest
 from vaoi_station.runs.batches.containers import ContainerWriter
-from vaoi_station.runs.workers.jobs import Priority
 
 RUN = "r000001"
 
@@ -61,13 +60,6 @@ def test_pictures_and_figures_are_those_of_single_requests(station: HeldStation,
             np.testing.assert_array_equal(pixels, render_chosen(choice, *frames).ravel())
 
 
-def test_bare_pixels_are_described_in_the_list(station: HeldStation) -> None:
-    files = files_of(station, BatchRequest(components=("R1",), format="raw", container="zip"))
-    for view in documents(files)["components/R1/views.json"]["views"]:
-        assert (view["dtype"], view["channels"]) == ("uint8", 1)
-        assert len(files[view["file"]]) == view["width_px"] * view["height_px"]
-
-
 def test_a_region_has_one_picture_per_frame(station: HeldStation) -> None:
     files = files_of(station, BatchRequest(region=(10, 10, 30, 20), format="raw", container="zip"))
     [(name, entry)] = documents(files).items()
@@ -83,17 +75,6 @@ def test_a_component_that_is_refused_does_not_prevent_the_others(station: HeldSt
     found = documents(files)
     assert found["components/U1/views.json"]["refused"]["code"] == InputError.code
     assert found["components/R1/views.json"]["views"]
-
-
-def test_a_part_ends_when_it_has_taken_long(station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch_job, "PART_S", -1.0)
-    access = held_batches(station)
-    batch = access.open(RUN, BatchRequest(format="raw"), "/components")
-    [part] = batch.parts()
-    found, rest = access.cut(batch, part)
-    assert found.images == 1
-    assert rest is not None
-    assert rest.image == 1
 
 
 def test_a_batch_ends_although_every_choice_takes_longer_than_a_part(
@@ -114,10 +95,6 @@ def test_frames_that_are_lost_are_no_refusal_of_components(
     monkeypatch.setattr(batch_job, "measure", lost)
     with pytest.raises(GoneError):
         files_of(station, BatchRequest(images=ImageRequest.of({"measure": True}), container="zip"))
-
-
-def test_batches_come_after_single_pictures() -> None:
-    assert Priority.RENDER < BatchJob.priority == Priority.BATCH
 
 
 @pytest.mark.parametrize(

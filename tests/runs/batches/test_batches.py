@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,7 @@ from tests.api.held.batches import held_batches
 from tests.api.held_station import HeldStation
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files.images import write_image
-from vaoi_station.model import Status
 from vaoi_station.rendering import ImageRequest
-from vaoi_station.runs.batches import batches as module
 from vaoi_station.runs.batches.batches import Batch, BatchAccess, BatchPart, BatchRequest
 
 ADDRESS = "/api/v1/runs/r000001/components"
@@ -37,13 +34,6 @@ def test_the_head_names_run_and_request(station: HeldStation) -> None:
     head = json.loads(opened(held_batches(station), request).head.content)
     assert {"run": "r000001", "board_id": "SN-1", "components": 3, "container": "zip"}.items() <= head.items()
     assert head["parameters"] == {"limit": 1}
-
-
-def test_first_parts_are_small(station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "FIRST_PARTS", (1,))
-    monkeypatch.setattr(module, "PART_COMPONENTS", 5)
-    batch = opened(held_batches(station), BatchRequest())
-    assert [[c.address for c in part.components] for part in batch.parts()] == [["U1"], ["R1", "2/R1"]]
 
 
 def test_the_rest_of_a_part_comes_next(station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,15 +96,6 @@ def test_frames_that_have_gone_are_read_from_a_recording(station: HeldStation, t
     assert {e.crc for e in from_files.packed.entries[1:]} <= expected
     with pytest.raises(GoneError):
         access.cut(batch, batch.parts()[0])
-
-
-def test_the_first_file_has_the_verdict_that_callers_see(station: HeldStation) -> None:
-    """An identity that differs degrades a run whose result is sound."""
-    access = held_batches(station)
-    head = json.loads(opened(access, BatchRequest()).head.content)
-    assert head["verdict"] == "ok"
-    lowered = replace(access, published=lambda detail: detail.model_copy(update={"verdict": Status.DEGRADED}))
-    assert json.loads(opened(lowered, BatchRequest()).head.content)["verdict"] == "degraded"
 
 
 def test_the_end_states_whether_all_was_sent(station: HeldStation) -> None:

@@ -9,12 +9,8 @@ import threading
 from multiprocessing import Pipe
 from pathlib import Path
 
-import pytest
-
-from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.plant.archive import Archive
-from vaoi_station.plant.storage import LocalStorage
-from vaoi_station.runs.handover.adder import Addition, Failed, PacedStorage, Turn, serve
+from vaoi_station.runs.handover.adder import Addition, Failed, Turn, serve
 
 ROOT = Path(__file__).parents[3]
 STATION = """
@@ -76,26 +72,3 @@ def test_the_processes_of_a_source_checkout_run_its_own_code(tmp_path: Path) -> 
     added, imported = done.stdout.splitlines()
     assert "absent: is no archive" in added
     assert "absent.csv: cannot be read: No such file or directory" in imported
-
-
-def test_every_access_waits_its_turn(tmp_path: Path) -> None:
-    sizes: list[int] = []
-    storage = PacedStorage(LocalStorage(tmp_path), sizes.append)
-    storage.write("a/b", b"four")
-    assert (storage.read("a/b"), storage.names("a"), storage.url) == (b"four", ["b"], str(tmp_path))
-    assert [entry.key for entry in storage.entries("a")] == ["a/b"]
-    assert list(storage.leftovers()) == []
-    storage.delete("a/b")
-    assert storage.entry("a/b") is None
-    with pytest.raises(NotFoundError):
-        storage.read("a/b")
-    assert sizes == [4, 0, 0, 0, 0, 0, 0, 0]
-
-
-def test_an_exception_ends_what_is_under_way(tmp_path: Path) -> None:
-    def refuse(_: int) -> None:
-        raise StateError("The station is stopping.")
-
-    with pytest.raises(StateError):
-        PacedStorage(LocalStorage(tmp_path), refuse).write("a", b"")
-    assert list(tmp_path.iterdir()) == []

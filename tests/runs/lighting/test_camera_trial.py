@@ -101,18 +101,6 @@ def test_the_settings_of_the_station_come_back_after_the_last_pulse_or_on_reques
     assert bench.commands[-1] == messages.EndTrial()
 
 
-def test_an_armed_line_has_ended_the_trial() -> None:
-    bench = Bench()
-    bench.fire()
-    bench.finish("trial-1")
-    bench.trial.release("trial-1")
-    bench.state = StationState.ARMED
-    bench.trial.tick()
-    bench.state, bench.now_s = StationState.IDLE, bench.now_s + TRIAL_S
-    bench.trial.tick()
-    assert len(bench.commands) == 1, "arming has set the exposures of its plan"
-
-
 def test_a_pulse_for_which_no_caller_waits_any_more_frees_its_memory_when_it_ends() -> None:
     bench = Bench()
     for run, ends_first in (("trial-1", False), ("trial-2", True)):
@@ -136,35 +124,6 @@ def test_a_pulse_for_which_no_caller_waits_any_more_frees_its_memory_when_it_end
     bench.fire()
     bench.trial.abandon(refused)
     assert bench.memory.has("trial-5"), "it belongs to another caller"
-
-
-def test_arming_that_is_refused_leaves_the_end_of_a_trial_in_force() -> None:
-    bench = Bench()
-    bench.fire()
-    bench.finish("trial-1")
-    bench.trial.release("trial-1")
-    bench.state = StationState.ARMING
-    bench.trial.tick()
-    bench.now_s += TRIAL_S
-    bench.trial.tick()
-    assert len(bench.commands) == 1
-    bench.state = StationState.IDLE
-    bench.trial.tick()
-    assert bench.commands[1:] == [messages.EndTrial()]
-
-
-@pytest.mark.parametrize("gives_up", ["before", "after"])
-def test_a_caller_that_gives_up_leaves_no_memory_taken(gives_up: str) -> None:
-    bench = Bench()
-    shot = bench.fire()
-    if gives_up == "before":
-        bench.trial.abandon(shot)
-        assert bench.memory.has("trial-1"), "the acquisition process may still write to it"
-    bench.finish("trial-1")
-    if gives_up == "after":
-        bench.trial.abandon(shot)
-    assert bench.memory.available() == 3
-    assert not bench.fire().done()
 
 
 def test_refusals_and_the_end_of_the_process_free_the_memory() -> None:

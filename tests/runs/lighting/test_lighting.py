@@ -13,7 +13,8 @@ from vaoi_station.acquisition.cameras.interface import CameraExposure, CameraHea
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.model import FrameRecord, Verdict
-from vaoi_station.runs.lighting.trials import Lighting, TrialSettings
+from vaoi_station.runs.lighting import trials
+from vaoi_station.runs.lighting.trials import TrialSettings
 
 
 def shot(rig: Any, verdict: Verdict = Verdict.OK, cause: str = "") -> messages.FireTrial:
@@ -51,10 +52,10 @@ def test_a_trial_gives_the_frame_of_its_camera_and_leaves_nothing_behind(make_ri
         lighting.end_trial()
         assert rig.peer.expect(messages.EndTrial)
         assert all(bay.use == "free" for bay in rig.coordinator.snapshot().ring.bays)
-        core = rig.coordinator._core
-        impatient = Lighting(rig.config, (), rig.ring, rig.coordinator._inbox, core.trial, core.devices, shot_s=0.01)
-        with pytest.raises(DeviceError, match=r"gave no frames within 0\.01 s"):
-            impatient.try_settings(1, TrialSettings())
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trials, "SHOT_S", 0.01)
+            with pytest.raises(DeviceError, match=r"gave no frames within 0\.01 s"):
+                lighting.try_settings(1, TrialSettings())
         shot(rig)
         rig.wait_for(lambda: all(bay.use == "free" for bay in rig.coordinator.snapshot().ring.bays), "its end")
         outcome = caller.submit(lighting.try_settings, 1, TrialSettings())
@@ -82,25 +83,3 @@ def test_a_trial_gives_the_frame_of_its_camera_and_leaves_nothing_behind(make_ri
         rig.arm()
         with pytest.raises(StateError, match="The line is armed"):
             lighting.try_settings(1, TrialSettings())
-
-
-def test_the_event_names_the_trial_for_which_a_finished_run_was_evicted(make_rig: Callable[..., Any]) -> None:
-    rig = make_rig(runs=2)
-    rig.ready()
-    filmed = []
-    for _ in range(2):
-        grant = rig.arm(runs=1)
-        rig.board(grant)
-        rig.peer.expect(messages.Disarm)
-        rig.peer.report(messages.Disarmed(()))
-        rig.result_of(grant.run)
-        rig.until("idle")
-        filmed.append(grant.run)
-    with ThreadPoolExecutor(1) as caller:
-        outcome = caller.submit(rig.coordinator.lighting.try_settings, 1, TrialSettings())
-        shot(rig)
-        outcome.result(10)
-    evicted = [event for event in rig.coordinator.events(0, 0.0) if "evicted" in event.message]
-    assert [(event.run, event.message) for event in evicted] == [
-        (filmed[0], "Frames evicted to make room for a trial of a camera.")
-    ]

@@ -173,17 +173,3 @@ def test_rows_that_follow_faster_than_a_camera_is_read_out_are_a_fault(program: 
     station, board = station_config(CAMERAS, cameras=slow), BoardType.model_validate({"name": "b", "line": dense})
     with pytest.raises(InputError, match=r"at least 0\.02025: camera 'cam0' exposes for 250 µs .* camera 'cam1'"):
         filming_plan(station, board, PX_PER_MM)
-
-
-@pytest.mark.parametrize(
-    ("line", "code"),
-    [
-        ({"speed_mm_s": 900.0}, "line-value-fixed"),
-        ({"rail_mm": 3.0}, "line-without-rail"),
-        ({"longest_board_mm": 5000.0}, "board-too-long"),
-        ({"tail_s": 500.0}, "tail-too-long"),
-    ],
-)
-def test_a_line_that_does_not_fit_the_station_has_a_code(line: dict[str, Any], code: str) -> None:
-    (fault,) = check([{"light": "even"}], healthy(CAMERAS), line=line).faults
-    assert fault.code == code

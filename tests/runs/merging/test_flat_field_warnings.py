@@ -38,12 +38,6 @@ def with_fields(
     return config.model_copy(update={"flat_fields": directory})
 
 
-def test_sound_flat_fields_and_none_give_no_warning(tmp_path: Path) -> None:
-    config = a_config(tmp_path)
-    assert flat_field_warnings(config) == ()
-    assert flat_field_warnings(with_fields(config, tmp_path, days=10)) == ()
-
-
 def test_expired_flat_fields_are_warned_of(tmp_path: Path) -> None:
     (reason,) = flat_field_warnings(with_fields(a_config(tmp_path), tmp_path, days=200))
     assert reason.code == "flat-fields-expired"

@@ -48,15 +48,6 @@ def test_frames_of_all_exposures_are_merged_to_radiance(merging: Merging) -> Non
     assert "merged of" in str(merging.jobs[0])
 
 
-def test_regions_and_single_lights(merging: Merging) -> None:
-    wanted = MergeRequest(region=(10, 10, 16, 15), light="left", px_per_mm=4)
-    last = merging.access.pictures("r1", wanted)[-1]
-    assert {f.taken.light for f in last.frames} == {"left"}
-    assert (last.view.width, last.view.height) == (24, 20)
-    assert last.plane_height_mm == 0
-    assert merging.access.image("r1", wanted, None, "png").startswith(b"\x89PNG")
-
-
 @pytest.mark.parametrize(("light", "shown", "brighter"), [(None, "even", 1.0), ("left", "left", 0.2)])
 def test_frames_of_one_light_are_merged(light: str | None, shown: str, brighter: float) -> None:
     """Metal is dark under the light from the left: a mean of both would be the radiance under neither."""
@@ -117,12 +108,6 @@ def test_heights_that_were_measured_give_the_planes(merging: Merging) -> None:
 def test_what_cannot_be_merged_is_refused(merging: Merging, wanted: MergeRequest, error: Any, message: str) -> None:
     with pytest.raises(error, match=message):
         merging.access.pictures("r1", wanted)
-
-
-def test_too_much_work_for_one_picture_is_refused(merging: Merging, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vaoi_station.runs.merging.merged_pictures.MOST_WORK", 10_000)
-    with pytest.raises(InputError, match=r"px of \d+ frames are .* million pixels, but the limit is 0 million"):
-        merging.access.pictures("r1", MergeRequest("U1"))
 
 
 def test_images_that_do_not_exist_are_refused(merging: Merging) -> None:

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import io
-import threading
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +16,6 @@ from vaoi_station.files.images import write_image
 from vaoi_station.model import BoardType
 from vaoi_station.runs.merging.merged_pictures import MergeRequest, RowBrightness
 from vaoi_station.runs.workers.jobs import PictureJob
-from vaoi_station.runs.workers.picture_jobs import RowLevelsJob
 
 WANTED = MergeRequest(region=(5, 5, 45, 35), px_per_mm=2)
 
@@ -114,26 +109,3 @@ def test_rows_of_a_failed_comparison_count_as_equal_and_are_not_compared_again(
     for _ in range(2):
         np.testing.assert_array_equal(brightness.levels(merging.finished), np.ones(len(merging.levels)))
     assert len(asked) == 1
-
-
-def test_a_run_that_is_kept_does_not_wait_for_another(merging: Merging, tmp_path: Path) -> None:
-    begun, finish = threading.Event(), threading.Event()
-
-    def render(job: PictureJob, name: str) -> Any:
-        if isinstance(job, RowLevelsJob) and job.run == "r2":
-            begun.set()
-            finish.wait(60)
-        return np.ones(len(merging.levels))
-
-    brightness = RowBrightness(merging._lease, merging._recorded, render, tmp_path / "fields")
-    brightness.levels(merging.finished)
-    detail = SimpleNamespace(id="r2", frames=merging.finished.detail.frames)
-    other: Any = replace(merging.finished, detail=detail)
-    with ThreadPoolExecutor(2) as threads:
-        slow = threads.submit(brightness.levels, other)
-        try:
-            assert begun.wait(60)
-            assert len(threads.submit(brightness.levels, merging.finished).result(60)) == len(merging.levels)
-            assert not slow.done()
-        finally:
-            finish.set()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -118,17 +117,6 @@ def test_the_oldest_makes_room_and_pinned_runs_stay(board: Filmed, tmp_path: Pat
     assert len(list(station.directory.glob("*.jpg"))) == 2
 
 
-def test_a_lower_quota_frees_space_without_a_further_picture(station: Station) -> None:
-    station.make("r1", "r2", "r3")
-    station.pinned.add("r1")
-    lowered = station.opened(2.5 * station.kept.size_bytes / 3 / 1e9)
-    lowered.tend()
-    assert [run for run in ("r1", "r2", "r3") if lowered.grid(run)] == ["r1", "r3"]
-    none = station.opened(0.0)
-    none.tend()
-    assert [path.name[:2] for path in station.directory.glob("*.jpg")] == ["r1"]
-
-
 def test_a_forgotten_run_takes_its_picture_with_it(station: Station) -> None:
     station.make("r1", "r2")
     station.forgotten.add("r1")
@@ -141,13 +129,3 @@ def test_a_full_disk_is_reported(station: Station) -> None:
     station.directory.write_text("no directory")
     station.make("r1")
     assert [event["code"] for event in station.events] == ["mosaic-not-kept"]
-
-
-def test_a_run_is_waited_for_in_the_thread_only_if_its_frames_are_there(station: Station) -> None:
-    served = threading.Event()
-    station.kept.queue._serve = lambda item: served.set()
-    station.kept.queue.start()
-    station.kept.finished(SimpleNamespace(id="r1", frames_available=False))  # type: ignore[arg-type]
-    station.kept.finished(SimpleNamespace(id="r2", frames_available=True))  # type: ignore[arg-type]
-    assert served.wait(20)
-    station.kept.queue.stop()

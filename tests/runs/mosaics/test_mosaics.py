@@ -27,7 +27,7 @@ from vaoi_station.mosaic import MosaicPlan, TileRenderer
 from vaoi_station.mosaic.tiles import render_tile
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.mosaics.mosaics import Download, Mosaics
-from vaoi_station.runs.mosaics.opened_mosaics import MOST_PLANS, PictureName, parse_name
+from vaoi_station.runs.mosaics.opened_mosaics import PictureName, parse_name
 from vaoi_station.runs.workers import picture_jobs
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.picture_jobs import PlanJob, PlannedPicture, TileJob
@@ -83,10 +83,6 @@ def planned(mosaics: Mosaics, *, hdr: bool = False) -> MosaicPlan:
     made = mosaics._open("r1", name, asked=True).planned
     assert made is not None
     return made.plan
-
-
-def test_run_with_one_light_and_one_exposure_has_one_mosaic(board: Filmed) -> None:
-    assert mosaics_of(board, []).names("r1") == (PictureName(),)
 
 
 def test_lights_and_exposures_have_mosaics(film: Film) -> None:
@@ -167,14 +163,6 @@ def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
     assert sum(isinstance(job, PlanJob) for job in jobs) == 1
 
 
-def test_names_that_do_not_exist_displace_no_plan(board: Filmed, tmp_path: Path) -> None:
-    mosaics = mosaics_of(board, [])
-    for n in range(MOST_PLANS):
-        with pytest.raises(InputError):
-            mosaics.write("r1", PictureName(f"light {n}"), Download(None, None), tmp_path / "m.tif")
-    assert not len(mosaics._opened)
-
-
 def test_file_has_the_region_in_the_colours_of_the_frames(film: Film, tmp_path: Path) -> None:
     mosaics = mosaics_of(film(channels=3), [])
     mosaics.write("r1", PictureName(), Download((5.0, 5.0, 25.0, 15.0), 10.0), tmp_path / "m.tif")
@@ -204,16 +192,6 @@ def write_fields(folder: Path, cameras: int) -> Path:
     return folder
 
 
-def test_flat_fields_of_the_station_are_used(board: Filmed, tmp_path: Path) -> None:
-    jobs: list[Any] = []
-    mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras)))
-    plan = planned(mosaics)
-    assert isinstance(jobs[0], PlanJob)
-    # The overlaps contradict these fields, and correct them in part.
-    assert float(plan.cameras[1].field.mean() / plan.cameras[0].field.mean()) > 1.08
-    assert plan.cameras[0].dark == pytest.approx(DARK, abs=0.1)
-
-
 def test_flat_fields_of_another_array_are_refused_before_a_job(board: Filmed, tmp_path: Path) -> None:
     jobs: list[Any] = []
     mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras) + 1))
@@ -226,12 +204,6 @@ def _plan(board: Filmed) -> Any:
     from tests.mosaic.test_plan import plan_of
 
     return plan_of(board)
-
-
-def test_too_large_a_file_is_refused_with_its_size(board: Filmed) -> None:
-    with pytest.raises(InputError, match="300 megapixels"):
-        mosaics_of(board, []).grid("r1", PictureName(), Download(None, 900.0))
-    assert np.prod([mosaics_of(board, []).grid("r1", PictureName()).width]) == 520
 
 
 def test_a_file_without_room_is_refused_with_numbers(
@@ -305,18 +277,6 @@ def test_reduced_tiles_are_cut_from_the_overview(
     differ, rendered_differ = (np.abs(picture[:-1, :-1] / unit - truth) for picture in (cut, rendered))
     assert np.median(differ) <= 1
     assert np.percentile(differ, 95) <= max(1.1 * np.percentile(rendered_differ, 95), 1)
-
-
-def test_finer_levels_and_hdr_are_rendered_from_frames(film: Film, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture_jobs, "OVERVIEW_PX", 20_000)
-    jobs: list[Any] = []
-    mosaics = mosaics_of(film(exposures=(250.0, 50.0)), jobs)
-    for name, reduction, tiles in (
-        (PictureName(), 2, 1), (PictureName(hdr=True), 8, 1), (PictureName(exposure_us=50.0), 8, 0),
-    ):  # fmt: skip
-        jobs.clear()
-        mosaics.tile("r1", name, reduction, (0, 0, 32, 32), "jpg")
-        assert sum(isinstance(job, TileJob) for job in jobs) == tiles, name
 
 
 def test_the_plan_in_spare_time_is_that_of_the_tiles(board: Filmed) -> None:

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.runs.mosaics.opened_mosaics import (
-    MOST_AHEAD,
     MOST_BYTES,
-    MOST_PLANS,
     OpenedMosaic,
     OpenedMosaics,
     Overview,
@@ -33,27 +31,6 @@ def planned(share: float) -> PlannedMosaic:
     """A plan with an overview that takes a share of the memory for all."""
     anything: Any = SimpleNamespace(nbytes=int(share * MOST_BYTES))
     return PlannedMosaic(anything, anything)
-
-
-def test_the_mosaics_that_were_used_last_are_kept() -> None:
-    mosaics = OpenedMosaics()
-    for n in range(MOST_PLANS):
-        mosaics.use(n, opened(), asked=True)
-    first = mosaics.get(0)
-    assert first is not None
-    assert mosaics.use(0, opened(), asked=True) is first
-    mosaics.use("new", opened(), asked=True)
-    assert [mosaics.get(n) is not None for n in (0, 1, "new")] == [True, False, True]
-    assert len(mosaics) == MOST_PLANS
-
-
-def test_boards_that_pass_displace_none_that_was_asked_for() -> None:
-    mosaics = OpenedMosaics()
-    mosaics.use("seen", opened(), asked=True)
-    for n in range(2 * MOST_PLANS):
-        mosaics.use(n, opened(), asked=False)
-    assert mosaics.get("seen") is not None
-    assert [n for n in range(2 * MOST_PLANS) if mosaics.get(n)] == [*range(2 * MOST_PLANS)][-MOST_AHEAD:]
 
 
 def test_overviews_share_a_limit_of_memory() -> None:
@@ -92,11 +69,6 @@ def test_a_pixel_is_the_mean_of_the_shown_ones(shape: tuple[int, ...], dtype: An
     assert half.shape == (-(-shape[0] // 2), -(-shape[1] // 2), *shape[2:])
     assert np.abs(half - means(pixels, 2)).max() <= 0.5
     np.testing.assert_array_equal(half == 0, means(pixels, 2) == 0)
-
-
-def test_a_picture_that_is_shown_everywhere_is_averaged_everywhere() -> None:
-    pixels = np.random.default_rng(2).integers(1, 256, (8, 10, 3)).astype(np.uint8)
-    assert np.abs(halved(pixels) - means(pixels, 2)).max() <= 0.5
 
 
 @pytest.mark.parametrize("shape", [(1200, 700), (801, 1026, 3), (200, 100)])

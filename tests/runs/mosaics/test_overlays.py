@@ -10,7 +10,6 @@ import pytest
 
 from tests.mosaic.conftest import Filmed, board, film
 from tests.runs.finished import held_run
-from vaoi_station.errors import StateError
 from vaoi_station.files.results import stitch_text
 from vaoi_station.model import FrameRecord, Verdict
 from vaoi_station.runs.mosaics.overlays import overlay_of
@@ -50,10 +49,3 @@ def test_places_of_links_go_through_the_inverse_of_c(board: Filmed) -> None:
     back = matrix[:2, :2] @ used.residual * found.px_per_mm
     assert back.tolist() == pytest.approx([0.3, 0.4], abs=1e-4)
     assert (used.residual_px, without.at, without.residual_px) == (0.5, None, None)
-
-
-def test_a_run_without_cad_mapping_is_refused(board: Filmed) -> None:
-    run = finished(board)
-    run.stitch = run.stitch.model_copy(update={"cad_matrix": None})
-    with pytest.raises(StateError, match="CAD mapping"):
-        overlay_of(run)

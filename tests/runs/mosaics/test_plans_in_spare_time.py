@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -43,26 +42,6 @@ def test_a_caller_joins_the_plan_in_spare_time_and_hastens_it(board: Filmed) -> 
     mosaics.tile("r1", PictureName(), 1, (0, 0, 16, 16), "jpg")
     small.join(60)
     assert [job.priority for job in jobs if isinstance(job, PlanJob)] == [Priority.OVERVIEW]
-
-
-def test_a_caller_does_not_wait_for_the_line_as_spare_time_does(board: Filmed) -> None:
-    jobs: list[Any] = []
-    waits, idle = threading.Event(), threading.Event()
-
-    @contextmanager
-    def later(run: str, purpose: str) -> Iterator[Any]:
-        waits.set()
-        assert idle.wait(30)
-        yield SimpleNamespace(number=0, generation=1)
-
-    mosaics = mosaics_of(board, jobs)
-    small = threading.Thread(target=mosaics.small, args=("r1", 20_000, later))
-    small.start()
-    assert waits.wait(30)
-    mosaics.tile("r1", PictureName(), 1, (0, 0, 16, 16), "jpg")
-    idle.set()
-    small.join(60)
-    assert [job.priority for job in jobs if isinstance(job, PlanJob)] == [Priority.RENDER]
 
 
 def test_a_caller_has_a_plan_made_if_that_in_spare_time_fails(board: Filmed) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
@@ -12,7 +11,7 @@ from vaoi_station.model import FrameRecord, Status, Stitch, Verdict
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.runs.states.schemas import BeltSpeed, RunDetail, Timings
-from vaoi_station.runs.trends.figures import FIGURES, figures_of, figures_of_check, made_with_of
+from vaoi_station.runs.trends.figures import FIGURES, figures_of, figures_of_check
 
 
 def frames(missing: bool = False) -> tuple[FrameRecord, ...]:
@@ -55,16 +54,6 @@ def test_every_figure_of_a_result_is_kept(detail: RunDetail) -> None:
     assert {key.partition(":")[0] for key in found} | {"brightness_percent", "drift_px"} == set(FIGURES)
 
 
-def test_a_run_without_a_result_has_its_lost_frames(detail: RunDetail) -> None:
-    bare = detail.model_copy(update={"belt": None, "timings": None})
-    assert figures_of(bare, None) == {"lost_frames": 0}
-    damaged = Stitch(
-        method="auto", image_matrices=(), cad_matrix=None, row_motion=(), status=Status.FAILED,
-        quality={"residual_px": {"median": math.nan}, "cad_sigma_px": None},
-    )  # fmt: skip
-    assert set(figures_of(bare, damaged)) == {"lost_frames", "unseen_parts"}
-
-
 def test_brightness_is_compared_with_the_first_boards() -> None:
     def camera(links: int) -> CameraCheck:
         return CameraCheck(
@@ -91,12 +80,3 @@ def test_brightness_is_compared_with_the_first_boards() -> None:
     assert figures_of_check(check, ("a", "b")) == {
         "drift_px:a": 5, "brightness_percent:a/left": 95, "brightness_percent:b": 100,
     }  # fmt: skip
-
-
-def test_lights_are_known_of_runs_without_lost_frames(detail: RunDetail) -> None:
-    made = made_with_of(detail)
-    assert made["light", detail.board_type] == "left 100 µs × 2, right 101 µs × 2"
-    assert made["calibration", ""] == detail.calibration
-    assert made["reference", detail.board_type] == ""
-    kinds = {kind for kind, _ in made_with_of(detail.model_copy(update={"frames": frames(missing=True)}))}
-    assert kinds == {"calibration", "software", "configuration", "board-type", "reference"}

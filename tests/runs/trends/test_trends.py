@@ -21,16 +21,12 @@ from vaoi_station.runs.trends import figures, trends
 from vaoi_station.runs.trends.trends import (
     MarkKind,
     TrendHistory,
-    TrendSeries,
-    bin_width_s,
     compare,
     groups_of_boards,
-    groups_of_hours,
     series_of_groups,
-    single_boards,
 )
 from vaoi_station.store import Store
-from vaoi_station.store.figures import BoardRow, HourRow, Span
+from vaoi_station.store.figures import BoardRow, Span
 
 EVER = Span("2000-01-01T00:00:00.000Z", "2100-01-01T00:00:00.000Z")
 YEAR = Span("2026-01-01T00:00:00.000Z", "2027-01-01T00:00:00.000Z")
@@ -85,11 +81,6 @@ def test_figures_that_cannot_be_kept_hold_up_no_result(
         grant = rig.peer.expect(Grant)
 
 
-def test_a_fault_of_a_check_is_only_logged(store: Store, caplog: pytest.LogCaptureFixture) -> None:
-    TrendHistory(store.figures, ("a",), 16).checked(Mock(run="r1", spec=["run"]))
-    assert "figures of run r1 were not kept" in caplog.text
-
-
 def test_long_spans_are_thinned(store: Store) -> None:
     history = fill(store, 100)
     one = history.trends(Span(YEAR.since, "2026-01-02T00:00:00.000Z"), (), 100)
@@ -101,16 +92,6 @@ def test_long_spans_are_thinned(store: Store) -> None:
     assert (binned.series[0].runs or [None])[0] == "r005"
     assert [m.after for m in binned.marks] == [str(n) for n in range(1, 12)]
     assert binned.complete
-
-
-def test_a_dim_board_is_found_in_a_bin_and_in_an_hour(store: Store) -> None:
-    history = TrendHistory(store.figures, ("a",), 16)
-    for n, percent in enumerate((100.0, 80.0, 103.0)):
-        row = BoardRow(f"r{n}", f"2026-01-01T00:0{n}:00.000Z", "b", {"brightness_percent:a": percent})
-        store.figures.add(row, {}).result(10)
-    (hour,) = store.figures.hours(store.figures.hour_numbers(YEAR))
-    assert hour.figures["brightness_percent:a"][4] == "r1"
-    assert history.trends(YEAR, (), 2).series[0].runs == ("r1",)
 
 
 def test_figures_per_hour_go_further_back(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,29 +152,9 @@ def test_memory_does_not_grow_with_the_boards_that_are_read(store: Store, what: 
     assert peak < 2.5e6
 
 
-def test_a_small_database_keeps_few_boards(store: Store) -> None:
-    assert TrendHistory(store.figures, (), 0.05)._kept == 2500
-    assert TrendHistory(store.figures, (), 16)._kept == 200_000
-
-
 def test_every_kind_of_mark_is_named() -> None:
     kinds = set(re.findall(r'\("?([a-z-]+)", (?:""|name)\)', getsource(figures.made_with_of)))
     assert kinds | {"light"} == set(get_args(MarkKind))
-
-
-def test_a_series_without_bins_has_neither_extremes_nor_runs() -> None:
-    series = TrendSeries(figure="ready_ms", at=(0,), values=(1.0,))
-    assert series.model_dump(exclude_none=True) == {"figure": "ready_ms", "part": "", "at": (0,), "values": (1.0,)}
-
-
-@pytest.mark.parametrize(
-    ("days", "points", "least_s", "width_s"),
-    [(1, 600, 0, 300), (1, 600, 3600, 3600), (28, 600, 0, 7200), (31, 10, 0, 7 * 86400), (3000, 10, 0, 7 * 86400)],
-)
-def test_a_width_is_chosen_by_the_number_of_points(days: int, points: int, least_s: float, width_s: float) -> None:
-    last = {1: "2026-01-02", 28: "2026-01-29", 31: "2026-02-01", 3000: "2034-03-20"}[days]
-    span = Span("2026-01-01T00:00:00.000Z", f"{last}T00:00:00.000Z")
-    assert bin_width_s(span, points, least_s) == width_s
 
 
 def test_a_bin_has_the_extremes_of_its_boards_and_names_one() -> None:
@@ -208,21 +169,6 @@ def test_a_bin_has_the_extremes_of_its_boards_and_names_one() -> None:
     assert (series.values, series.least, series.largest) == ((0.8, 1.0), (0.0, 0.0), (2.0, 2.0))
     assert series.runs == ("r2", "r5")
     assert series_of_groups(groups, ["ready_ms"]) == []
-
-
-def test_a_figure_that_a_board_lacks_is_left_out() -> None:
-    rows = [BoardRow("r1", "", "b", {"ready_ms": 1.0}), BoardRow("r2", "", "b", {"sigma_px": 0.1})]
-    times, runs, (sigma, ready) = single_boards(iter(rows), ())
-    assert (runs, times) == (("r1", "r2"), ("", ""))
-    assert (sigma.figure, sigma.at, sigma.values) == ("sigma_px", (1,), (0.1,))
-    assert (ready.at, ready.values) == ((0,), (1.0,))
-
-
-def test_hours_of_all_types_are_joined() -> None:
-    one = {"lost_frames": (2, 1.0, 0.0, 2.0, "r1")}
-    rows = [HourRow("2026-01-01T04", name, one) for name in ("a", "b")]
-    (group,) = groups_of_hours(rows, 86400)
-    assert (group.time, group.boards) == ("2026-01-01T00:00:00.000Z", 4)
 
 
 def boards(count: int, seed: int, **means: float) -> list[BoardRow]:
@@ -243,12 +189,6 @@ def test_the_largest_change_in_spreads_comes_first() -> None:
     assert found[0].before.spread == pytest.approx(0.1, rel=0.4)
 
 
-def test_few_boards_show_no_small_change() -> None:
-    (found,) = compare(boards(6, 1, sigma_px=1), boards(6, 2, sigma_px=1.05))
-    assert not found.changed
-    assert compare(boards(4, 1, sigma_px=1), boards(9, 2, sigma_px=9)) == ()
-
-
 def test_counts_are_compared_by_their_means() -> None:
     def lost(share: int) -> list[BoardRow]:
         return [BoardRow(f"r{n}", "", "b", {"lost_frames": float(n % share == 0)}) for n in range(400)]
@@ -257,9 +197,3 @@ def test_counts_are_compared_by_their_means() -> None:
     assert found.changed
     assert (found.before.middle, found.now.middle) == (0.01, 0.25)
     assert not compare(lost(100), lost(90))[0].changed
-
-
-def test_a_figure_without_spread_that_jumps_has_changed() -> None:
-    one, other = ([BoardRow(f"r{n}", "", "b", {"ready_ms": ms}) for n in range(5)] for ms in (80.0, 90.0))
-    assert compare(one, other)[0].changed
-    assert not compare(one, one)[0].changed

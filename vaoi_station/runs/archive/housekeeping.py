@@ -139,32 +139,24 @@ class Retention:
     def _step(self, now_s: float) -> int:
         """Delete one batch of runs, and return its number of runs; 0 if no limit is exceeded."""
         keep, kept = self._keep, self._kept
-        for doubtful, number, days in (
-            (False, keep.results, keep.days),
-            (True, keep.doubtful_results, keep.doubtful_days),
-        ):
-            if runs := kept.surplus(doubtful, number, earliest_id(now_s - days * DAY_S), BATCH):
-                kept.forget_details(runs).result()
-                return len(runs)
-        if runs := kept.old_summaries(keep.runs, earliest_id(now_s - keep.run_days * DAY_S), BATCH):
-            kept.forget_runs(runs).result()
-            return len(runs)
-        return self._shrink() if kept.used_bytes() > keep.database_gb * 1e9 or self._disk_is_short() else 0
-
-    def _disk_is_short(self) -> bool:
-        """Return whether the disk is nearly full and the database has too few free pages for the next results."""
+        ok, doubtful, summaries = (
+            earliest_id(now_s - days * DAY_S) for days in (keep.days, keep.doubtful_days, keep.run_days)
+        )
+        if done := self._forget((keep.results, ok), (keep.doubtful_results, doubtful), (keep.runs, summaries)):
+            return done
         # Whatever has filled the disk, at most SPARE_BYTES of the history are deleted for that reason.
-        free = self._kept.disk_free_bytes
-        return free is not None and free < SHORT_BYTES and self._kept.spare_bytes() < SPARE_BYTES
+        free = kept.disk_free_bytes
+        short = free is not None and free < SHORT_BYTES and kept.spare_bytes() < SPARE_BYTES
+        return self._forget(_ALL, _ALL, _ALL) if short or kept.used_bytes() > keep.database_gb * 1e9 else 0
 
-    def _shrink(self) -> int:
-        """Delete data of the oldest runs to shrink the database: details of ok runs, of others, then summaries."""
+    def _forget(self, ok: tuple[int, str], doubtful: tuple[int, str], summaries: tuple[int, str]) -> int:
+        """Delete the oldest data beyond a number or before an id: details of ok runs, of others, then summaries."""
         kept = self._kept
-        for doubtful in (False, True):
-            if runs := kept.surplus(doubtful, 2**40, _ALL, BATCH):
+        for is_doubtful, limits in ((False, ok), (True, doubtful)):
+            if runs := kept.surplus(is_doubtful, *limits, BATCH):
                 kept.forget_details(runs).result()
                 return len(runs)
-        if runs := kept.old_summaries(2**40, _ALL, BATCH):
+        if runs := kept.old_summaries(*summaries, BATCH):
             kept.forget_runs(runs).result()
         return len(runs)
 
@@ -173,5 +165,5 @@ def _utc(time_s: float) -> str:
     return utc(datetime.fromtimestamp(max(time_s, 0.0), UTC))
 
 
-_ALL = "~"
-"""A text that sorts after every run id."""
+_ALL = 2**40, "~"
+"""Limits that the oldest runs exceed: the text sorts after every run id."""

@@ -95,15 +95,11 @@ class ReadIdentities:
 
     def _keep(self, run: str, document: IdentityDocument) -> IdentityDocument:
         """Store an identity, then publish it."""
-        saved = self._archive.identify(run, document)
-        saved.add_done_callback(lambda future: _log_failure(run, future))
+        self._archive.identify(run, document).add_done_callback(lambda saved: _log_failure(run, saved))
         self.on_changed(run)
-        first = document.reasons[0] if document.reasons else None
         message = "; ".join(reason.message for reason in document.reasons) or _sentence(document)
-        self._events.add(
-            "identity", message, state=document.state, run=run, code=first.code if first else "",
-            action=first.action if first else "",
-        )  # fmt: skip
+        code, action = (document.reasons[0].code, document.reasons[0].action) if document.reasons else ("", "")
+        self._events.add("identity", message, state=document.state, run=run, code=code, action=action)
         return document
 
     def _read_next(self, run: str) -> None:

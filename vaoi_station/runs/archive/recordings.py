@@ -10,14 +10,10 @@ import logging
 import shutil
 import threading
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
-
-from numpy.typing import NDArray
 
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError, VaoiError
@@ -29,7 +25,7 @@ from vaoi_station.files.recordings import frame_file
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import Program, RecordingHead, Status
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import TASK_LIMIT_S
 from vaoi_station.runs.run.memory import FrameSource
 from vaoi_station.runs.run.verdict import RunVerdict, identified
@@ -97,10 +93,8 @@ class Recordings:
         self._take_in()
 
     def start(self) -> None:
-        """Start the thread that writes recordings; first it brings the records of those of earlier runs up to date.
-
-        The station may have ended after the identity of a run was decided, and before its recording had it.
-        """
+        """Start the thread that writes recordings; first it brings the records of those of earlier runs up to date."""
+        # The station may have ended after the identity of a run was decided, and before its recording had it.
         self._update_later(*self.all(), offer=False)
         self.thread.start()
 
@@ -122,13 +116,10 @@ class Recordings:
         if wanted or self._archive.retention.pinned(detail.id):
             self.request(detail.id)
         elif self.wanted_for_archive(detail):
-            self._request(detail.id, for_archive=True)
+            self.request(detail.id, for_archive=True)
 
-    def request(self, run: str) -> None:
-        """Keep the frames of a finished run, even if they are kept for an archive only. Returns at once."""
-        self._request(run, for_archive=False)
-
-    def _request(self, run: str, *, for_archive: bool) -> None:
+    def request(self, run: str, *, for_archive: bool = False) -> None:
+        """Keep the frames of a finished run, for good or until an archive has them. Returns at once."""
         known = run in self._sizes and (for_archive or run not in self._for_archive)
         if not self._quota or known or self._stopping.is_set():
             return
@@ -204,7 +195,10 @@ class Recordings:
         with self._lock:
             self._take_in()
         self._update_later(*self._outdated.copy(), offer=True)
-        self._trim()
+        # The quota may be lower now.
+        while self._sizes and (self.size_bytes > self._quota or self._free() < DISK_RESERVE // 2):
+            if not self._drop_oldest():
+                return
 
     def _take_in(self) -> None:
         """Enter the recordings on the disk that are not known yet, without those that cannot be read."""
@@ -216,15 +210,21 @@ class Recordings:
                 if (path / FOR_ARCHIVE_FILE).exists():
                     self._for_archive.add(path.name)
 
-    def _trim(self) -> None:
-        """Delete the oldest unpinned recordings beyond the quota, which may be lower now, and while space is short."""
-        while self._sizes and (self.size_bytes > self._quota or self._free() < DISK_RESERVE // 2):
-            if not self._drop_oldest():
-                return
-
     def _run(self) -> None:
-        while (task := self._next()) is not None:
-            task()
+        """Write runs and bring records up to date, until the thread is to end."""
+        while True:
+            with self.thread.waiting(), self._wake:
+                while not (self._stopping.is_set() or self._waiting or self._updates):
+                    self._wake.wait()
+                if self._stopping.is_set():
+                    return
+                wanted = self._waiting.popleft() if self._waiting else None
+                run = next(iter(self._updates)) if wanted is None else wanted[0]
+                offer = wanted is None and self._updates.pop(run)
+            if wanted is None:
+                self._update(run, offer=offer)
+            else:
+                self._keep_run(run, for_archive=wanted[1])
 
     def _keep_run(self, run: str, *, for_archive: bool) -> None:
         try:
@@ -233,26 +233,25 @@ class Recordings:
             self._late(run)
         except StateError:
             return  # The station is stopping.
-        except VaoiError as error:
-            self._refused(run, error.message)
-        except OSError as error:
-            self._refused(run, f"{self.directory}: cannot be written ({error.strerror}).")
         except Exception as error:  # noqa: BLE001  the thread must go on: it keeps the frames of later runs
-            _log.warning("recording of run %s failed", run, exc_info=True)
-            self._refused(run, f"{type(error).__name__}: {error}.")
+            if isinstance(error, VaoiError):
+                why: str = error.message
+            elif isinstance(error, OSError):
+                why = f"{self.directory}: cannot be written ({error.strerror})."
+            else:
+                _log.warning("recording of run %s failed", run, exc_info=True)
+                why = f"{type(error).__name__}: {error}."
+            self.counts.refused += 1
+            action = "Unpin runs, raise [keep] recordings_gb, or free disk space."
+            message = f"The frames were not kept: {why}"
+            self._events.add("trouble", message, run=run, code="recording-refused", action=action)
 
-    def _next(self) -> Callable[[], None] | None:
-        """Wait for the next task; None is the request to end."""
-        with self.thread.waiting(), self._wake:
-            while not (self._stopping.is_set() or self._waiting or self._updates):
-                self._wake.wait()
-            if self._stopping.is_set():
-                return None
-            if self._waiting:
-                run, for_archive = self._waiting.popleft()
-                return partial(self._keep_run, run, for_archive=for_archive)
-            run = next(iter(self._updates))
-            return partial(self._update, run, offer=self._updates.pop(run))
+    def _late(self, run: str) -> None:
+        with self._lock:
+            self.counts.late += 1
+        message = "The frames were not kept: their memory was needed for a later board before they were on disk."
+        action = "Increase [ring] runs, or use a faster disk."
+        self._events.add("trouble", message, run=run, code="recording-late", action=action)
 
     def _write(self, run: str, *, for_archive: bool) -> None:
         if run in self._sizes:
@@ -264,14 +263,23 @@ class Recordings:
         if finished.head is None:
             return
         head = head_of(finished.detail, finished.head)
-        absent, copy = set(head.missing), self._frames.copier(self._frames.bay_of(run))
+        slots = {key: slot for key, slot in finished.slots.items() if key not in set(head.missing)}
+        copy = self._frames.copier(self._frames.bay_of(run))
         # One frame of every camera states its size on disk: its pixel format is nowhere else.
-        of_camera = {camera: slot for (camera, row), slot in finished.slots.items() if (camera, row) not in absent}
-        self._make_room(sum(copy(slot).nbytes for slot in of_camera.values()) * head.rows)
+        of_cameras = {camera: slot for (camera, _), slot in slots.items()}
+        self._make_room(sum(copy(slot).nbytes for slot in of_cameras.values()) * head.rows)
+
+        def copies() -> Iterator[tuple[int, int, Image]]:
+            for (camera, row), slot in slots.items():
+                if self._stopping.is_set():
+                    raise StateError("The station is stopping.")
+                self.thread.beat()
+                yield camera, row, copy(slot)
+
         target = self.directory / run
         with new_directory(target) as draft:
             # Uncompressed, because the frames must be out of the ring before their memory is needed.
-            write_recording(draft, head, self._copies(finished, absent, copy), suffix=".tiff")
+            write_recording(draft, head, copies(), suffix=".tiff")
             write_calibration(draft / "calibration.json", self._archive.calibration_of(finished))
             write_board_type(draft / "board.json", finished.board_type)
             write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
@@ -333,16 +341,6 @@ class Recordings:
             write_bytes(path, record.model_dump_json().encode())
         return record, True
 
-    def _copies(
-        self, finished: FinishedRun, absent: Collection[tuple[int, int]], copy: Callable[[int], NDArray[Any]]
-    ) -> Iterator[tuple[int, int, Image]]:
-        for (camera, row), slot in finished.slots.items():
-            if self._stopping.is_set():
-                raise StateError("The station is stopping.")
-            self.thread.beat()
-            if (camera, row) not in absent:
-                yield camera, row, copy(slot)
-
     def _make_room(self, needed: int) -> None:
         """Delete the oldest unpinned recordings until `needed` bytes fit; DeviceError if that is not possible."""
         self.directory.mkdir(parents=True, exist_ok=True)
@@ -369,10 +367,9 @@ class Recordings:
             if oldest is not None:
                 self._delete(oldest)
         if oldest in no_copy - awaited:
-            self._events.add(
-                "trouble", "The run was not archived: its recording was deleted for lack of space.",
-                run=oldest, code="archive-dropped", action="Set up [archive], or raise [keep] recordings_gb.",
-            )  # fmt: skip
+            message = "The run was not archived: its recording was deleted for lack of space."
+            action = "Set up [archive], or raise [keep] recordings_gb."
+            self._events.add("trouble", message, run=oldest, code="archive-dropped", action=action)
         return oldest is not None
 
     def _delete(self, run: str) -> None:
@@ -384,22 +381,6 @@ class Recordings:
         """Keep a recording as if no archive had wanted it."""
         (self.directory / run / FOR_ARCHIVE_FILE).unlink(missing_ok=True)
         self._for_archive.discard(run)
-
-    def _late(self, run: str) -> None:
-        with self._lock:
-            self.counts.late += 1
-        self._events.add(
-            "trouble",
-            "The frames were not kept: their memory was needed for a later board before they were on disk.",
-            run=run, code="recording-late", action="Increase [ring] runs, or use a faster disk.",
-        )  # fmt: skip
-
-    def _refused(self, run: str, why: str) -> None:
-        self.counts.refused += 1
-        self._events.add(
-            "trouble", f"The frames were not kept: {why}",
-            run=run, code="recording-refused", action="Unpin runs, raise [keep] recordings_gb, or free disk space.",
-        )  # fmt: skip
 
 
 def head_of(run: RunDetail, head: RecordingHead) -> RecordingHead:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Literal
+from contextlib import suppress
+from typing import Literal, NamedTuple
 
 from pydantic import Field
 
+from vaoi_station.acquisition.cameras.interface import CameraLimits
 from vaoi_station.acquisition.controller.filming_plan import (
     OF_PROGRAM,
     ProgramFault,
@@ -20,7 +22,7 @@ from vaoi_station.acquisition.controller.filming_plan import (
 from vaoi_station.acquisition.controller.interface import FirmwareLimits, TriggerPlan
 from vaoi_station.acquisition.controller.serial.device_program import on_limits_us, program_faults
 from vaoi_station.acquisition.process.messages import Health
-from vaoi_station.config import CameraConfig, StationConfig
+from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, ProgramRow, Strict
@@ -133,7 +135,7 @@ class LightPrograms:
             board_type: gives speed and lengths of the line, and its program if no other one is given.
             program: the steps; empty: those of the station.
         """
-        config, health = self._config, self._health()
+        config, stated = self._config, _Stated.of(self._health(), len(self._config.cameras))
         origin: Origin = "station" if config.program else "cameras"
         if program is not None:
             board_type = board_type.model_copy(update={"program": program or None})
@@ -147,8 +149,7 @@ class LightPrograms:
             line = config.line
         plan, found = checked_plan(config, line, board_type, self._px_per_mm)
         faults += found
-        firmware = health.limits.firmware if health is not None and health.limits is not None else None
-        faults += self._device_faults(plan, health, faults)
+        faults += self._device_faults(plan, stated, faults)
         # Controller and computer may name the same.
         unlike = {(fault.step, fault.key, fault.camera, fault.error.message): fault for fault in faults}
         return ProgramCheck(
@@ -158,53 +159,53 @@ class LightPrograms:
             faults=tuple(map(_entry, unlike.values())),
             unchecked=tuple(
                 ProgramNote(code=note.code, message=note, values=dict(note.values))
-                for note in self._unchecked(plan, health)
+                for note in self._unchecked(plan, stated)
             ),
-            steps=tuple(_step(row) for row in plan.program or self._without_program()),
-            most_steps=MOST_STEPS if firmware is None else firmware.steps,
+            steps=tuple(
+                ProgramStepValues(**{name: getattr(row, name) for name in ProgramStepValues.model_fields})
+                for row in plan.program or self._without_program()
+            ),
+            most_steps=MOST_STEPS if stated.firmware is None else stated.firmware.steps,
             period_s=plan.shortest_period_s,
             speed_mm_s=line.fastest_mm_s,
             max_blur_px=line.max_blur_px,
-            cameras=tuple(self._camera(n, line, health) for n in range(len(config.cameras))),
-            lights=self._lights(plan, health, firmware),
+            cameras=tuple(self._camera(n, line, limits) for n, limits in enumerate(stated.cameras)),
+            lights=self._lights(plan, stated),
         )
 
     def _device_faults(
-        self, plan: TriggerPlan, health: Health | None, found: Sequence[ProgramFault]
-    ) -> list[ProgramFault]:
-        """Return what controller and cameras refuse. A light that is named as unknown already is not named again."""
-        faults: list[ProgramFault] = []
-        if health is None:
-            return faults
-        if health.limits is not None and health.limits.lights is not None:
-            faults += unknown_lights(plan.program, health.limits.lights)
-        if health.limits is not None and health.limits.firmware is not None:
+        self, plan: TriggerPlan, stated: _Stated, found: Sequence[ProgramFault]
+    ) -> Iterator[ProgramFault]:
+        """Yield what controller and cameras refuse. A light that is named as unknown already is not named again."""
+        if stated.lights is not None:
+            yield from unknown_lights(plan.program, stated.lights)
+        if stated.firmware is not None:
             known = {fault.step for fault in found if fault.key == "light"}
-            made = program_faults(plan, self._config.controller, health.limits.firmware)
-            faults += [fault for fault in made if fault.key != "light" or fault.step not in known]
-        for n, (wanted, camera) in enumerate(zip(exposures_of(plan, self._config), health.cameras, strict=False)):
-            if camera.limits is not None:
+            for fault in program_faults(plan, self._config.controller, stated.firmware):
+                if fault.key != "light" or fault.step not in known:
+                    yield fault
+        for n, (wanted, limits) in enumerate(zip(exposures_of(plan, self._config), stated.cameras, strict=True)):
+            if limits is not None:
                 gains_db, label = [row.gains_db[n] for row in plan.program], self._config.cameras[n].label
                 names = OF_PROGRAM if plan.program else ("station.toml", f"cameras.{n}.")
-                faults += beyond_camera(wanted, gains_db or [wanted.gain_db], camera.limits, n, label, names)
-        return faults
+                yield from beyond_camera(wanted, gains_db or [wanted.gain_db], limits, n, label, names)
 
-    def _unchecked(self, plan: TriggerPlan, health: Health | None) -> Iterator[Note]:
+    def _unchecked(self, plan: TriggerPlan, stated: _Stated) -> Iterator[Note]:
         """Yield in sentences what no device has stated. Simulated and replayed devices have no limits of their own."""
-        silent = health is None or health.limits is None or health.limits.firmware is None
-        if silent and (self._config.controller.backend == "serial" or health is None):
+        if stated.firmware is None and (self._config.controller.backend == "serial" or not stated.reported):
             sentence = "The limits of the controller are not known: it has not reported yet."
             yield Note("controller-limits-unknown", sentence)
-        for n, camera in enumerate(self._config.cameras):
-            state = health.cameras[n] if health is not None and n < len(health.cameras) else None
-            if camera.backend == "aravis" and (state is None or state.limits is None):
+        for camera, limits in zip(self._config.cameras, stated.cameras, strict=True):
+            if camera.backend != "aravis":
+                continue
+            if limits is None:
                 sentence = f"The limits of {camera.label} are not known: it is not connected."
                 yield Note("camera-limits-unknown", sentence, camera=camera.label)
-            elif camera.backend == "aravis" and state is not None and state.limits is not None:
-                for name, limits in (("exposure", state.limits.exposure_us), ("gain", state.limits.gain_db)):
-                    if not limits:
-                        sentence = f"{camera.label} states no limits of its {name}."
-                        yield Note("camera-limits-not-stated", sentence, camera=camera.label, field=name)
+                continue
+            for name, known in (("exposure", limits.exposure_us), ("gain", limits.gain_db)):
+                if not known:
+                    sentence = f"{camera.label} states no limits of its {name}."
+                    yield Note("camera-limits-not-stated", sentence, camera=camera.label, field=name)
         # No camera states these before the line is armed. That frames state their exposure is known: a camera with
         # exposure_by = "sequencer" is connected only if they can.
         wanted = list(zip(self._config.cameras, exposures_of(plan, self._config), strict=True))
@@ -226,10 +227,9 @@ class LightPrograms:
             for name in config.controller.light_sequence
         ]
 
-    def _camera(self, number: int, line: Line, health: Health | None) -> ProgramCamera:
+    def _camera(self, number: int, line: Line, limits: CameraLimits | None) -> ProgramCamera:
         camera = self._config.cameras[number]
-        state = health.cameras[number] if health is not None and number < len(health.cameras) else None
-        limits = state.limits if state is not None else None
+        way: Way = "trigger-width" if camera.exposure_by == "auto" else camera.exposure_by
         return ProgramCamera(
             camera=number,
             name=camera.name,
@@ -238,40 +238,45 @@ class LightPrograms:
             readout_us=camera.readout_us,
             px_per_mm=self._px_per_mm[number] if self._px_per_mm else camera.nominal_px_per_mm,
             longest_lit_us=longest_lit_us(self._config, line, number, self._px_per_mm),
-            way=_way(camera),
+            way=way if camera.backend == "aravis" else "rows",
             exposure_limits_us=limits.exposure_us if limits is not None else None,
             gain_limits_db=limits.gain_db if limits is not None else None,
         )
 
-    def _lights(
-        self, plan: TriggerPlan, health: Health | None, firmware: FirmwareLimits | None
-    ) -> tuple[ProgramLight, ...]:
-        config = self._config.controller
+    def _lights(self, plan: TriggerPlan, stated: _Stated) -> tuple[ProgramLight, ...]:
+        config, firmware = self._config.controller, stated.firmware
         if config.backend != "serial":
             # The lights of a simulation are those of its scenario; a replay has those that its recordings name.
-            names = (health.limits.lights if health is not None and health.limits is not None else None) or ()
-            return tuple(ProgramLight(name=name) for name in names)
-        return tuple(
-            ProgramLight(
-                name=name,
-                channels=light.channels,
-                on_us=light.on_us,
-                on_limits_us=None if firmware is None else self._on_limits(name, plan, firmware),
-            )
-            for name, light in config.lights.items()
-        )
-
-    def _on_limits(self, name: str, plan: TriggerPlan, firmware: FirmwareLimits) -> tuple[float, float] | None:
-        try:
-            return on_limits_us(name, self._config.controller, firmware, plan.shortest_period_s)[:2]
-        except InputError:
-            return None  # a channel that does not exist: the faults name it
+            return tuple(ProgramLight(name=name) for name in stated.lights or ())
+        found = []
+        for name, light in config.lights.items():
+            limits_us = None
+            if firmware is not None:
+                with suppress(InputError):  # a channel that does not exist: the faults name it
+                    limits_us = on_limits_us(name, config, firmware, plan.shortest_period_s)[:2]
+            found.append(
+                ProgramLight(name=name, channels=light.channels, on_us=light.on_us, on_limits_us=limits_us)
+            )  # fmt: skip
+        return tuple(found)
 
 
-def _way(camera: CameraConfig) -> Way:
-    if camera.backend != "aravis":
-        return "rows"
-    return "trigger-width" if camera.exposure_by == "auto" else camera.exposure_by
+class _Stated(NamedTuple):
+    """What the devices have stated of themselves; None: nothing."""
+
+    reported: bool
+    firmware: FirmwareLimits | None
+    lights: tuple[str, ...] | None
+    cameras: tuple[CameraLimits | None, ...]
+
+    @classmethod
+    def of(cls, health: Health | None, cameras: int) -> _Stated:
+        """Return what the latest report of the devices states."""
+        if health is None:
+            return cls(False, None, None, (None,) * cameras)
+        known = [camera.limits for camera in health.cameras[:cameras]]
+        limits, absent = health.limits, [None] * (cameras - len(known))
+        firmware, lights = (None, None) if limits is None else (limits.firmware, limits.lights)
+        return cls(True, firmware, lights, (*known, *absent))
 
 
 def _entry(fault: ProgramFault) -> ProgramFaultEntry:
@@ -285,15 +290,4 @@ def _entry(fault: ProgramFault) -> ProgramFaultEntry:
         action=fault.error.action or None,
         code=note.code,
         values=dict(note.values),
-    )
-
-
-def _step(row: ProgramRow) -> ProgramStepValues:
-    return ProgramStepValues(
-        light=row.light,
-        on_us=row.on_us,
-        exposures_us=row.exposures_us,
-        gains_db=row.gains_db,
-        lit_us=row.lit_us,
-        trigger_us=row.trigger_us,
     )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.controller.filming_plan import beyond_camera
 from vaoi_station.acquisition.process import messages
+from vaoi_station.acquisition.ring import Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, DeviceError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.runs.lighting.programs import LightPrograms
@@ -174,13 +175,6 @@ class TrialPicture(NamedTuple):
     gain_db: float
 
 
-class Frames(Protocol):
-    """The ring."""
-
-    def snapshot(self, slot: int, generation: int) -> NDArray[Any]:
-        """Return a copy of the frame in a slot."""
-
-
 class Lighting:
     """Light programs and settings on trial, for callers in any thread but the coordinator's."""
 
@@ -188,25 +182,16 @@ class Lighting:
         self,
         config: StationConfig,
         px_per_mm: Sequence[float],
-        ring: Frames,
+        ring: Ring,
         inbox: Inbox,
         trial: CameraTrial,
         devices: Callable[[], messages.Health | None],
-        shot_s: float = SHOT_S,
     ) -> None:
-        """Connect the parts.
+        """Connect the parts. The thread of the inbox uses the trial, and calls `devices` for their latest report.
 
-        Args:
-            config: the station.
-            px_per_mm: resolution of every camera by its calibration; empty: nominal ones count.
-            ring: holds the frames.
-            inbox: its thread uses the trial.
-            trial: the trial under way.
-            devices: returns the latest report of the devices, in the thread of the inbox.
-            shot_s: longest wait for a pulse.
+        `px_per_mm` is the resolution of every camera by its calibration; empty: nominal ones count.
         """
-        self._config, self._ring, self._inbox, self._trial = config, ring, inbox, trial
-        self._devices, self._shot_s = devices, shot_s
+        self._config, self._ring, self._inbox, self._trial, self._devices = config, ring, inbox, trial, devices
         self.programs = LightPrograms(config, px_per_mm, lambda: inbox.ask(devices))
 
     def try_settings(self, camera: int, wanted: TrialSettings) -> TrialPicture:
@@ -260,10 +245,10 @@ class Lighting:
         answer: Future[TrialShot] = Future()
         self._inbox.ask(self._trial.fire, wanted, answer)
         try:
-            return self._inbox.wait(answer, lambda: None, self._shot_s)
+            return self._inbox.wait(answer, lambda: None, SHOT_S)
         except TimeoutError:
             self._inbox.post(self._trial.abandon, answer)
-            raise DeviceError(f"The pulse gave no frames within {self._shot_s:g} s.", action="Try again.") from None
+            raise DeviceError(f"The pulse gave no frames within {SHOT_S:g} s.", action="Try again.") from None
         except StateError:
             # The refusal of a pulse has freed its memory; a station that stops has not.
             self._inbox.post(self._trial.abandon, answer)
