@@ -18,18 +18,6 @@ def never() -> bool:
     return False
 
 
-def test_waiting_for_frames_ends_when_the_expected_ones_are_done() -> None:
-    feedback = Feedback()
-    feedback.expect_frames(2)
-    waiter = threading.Thread(target=feedback.wait_for_frames, args=(never,))
-    waiter.start()
-    feedback.frame_done()
-    assert waiter.is_alive()
-    feedback.frame_done()
-    waiter.join(TIMEOUT_S)
-    assert not waiter.is_alive()
-
-
 def test_waiting_for_frames_ends_after_the_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "ROW_TIMEOUT_S", 0.01)
     feedback = Feedback()
@@ -37,16 +25,6 @@ def test_waiting_for_frames_ends_after_the_timeout(monkeypatch: pytest.MonkeyPat
     started_s = time.monotonic()
     feedback.wait_for_frames(never)
     assert 0.01 <= time.monotonic() - started_s < TIMEOUT_S
-
-
-def test_waiting_for_memory_ends_when_there_is_memory() -> None:
-    feedback = Feedback()
-    waiter = threading.Thread(target=feedback.wait_for_memory, args=(never,))
-    waiter.start()
-    feedback.set_memory(True)
-    waiter.join(TIMEOUT_S)
-    assert not waiter.is_alive()
-    feedback.wait_for_memory(never)
 
 
 def test_a_stop_ends_all_waiting_after_wake() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -24,7 +23,7 @@ from vaoi_station.acquisition.controller.interface import (
     TriggerPlan,
 )
 from vaoi_station.acquisition.devices import Feedback
-from vaoi_station.acquisition.process.messages import BoardMissed, FireOne, PulseReported, RunFinished, Trouble
+from vaoi_station.acquisition.process.messages import BoardMissed, FireOne, RunFinished, Trouble
 from vaoi_station.acquisition.replay import (
     GAP_S,
     LEAD_S,
@@ -34,7 +33,7 @@ from vaoi_station.acquisition.replay import (
     open_replay,
 )
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError, StateError
+from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, write_recording
 from vaoi_station.model import CameraHead, RecordingHead, Verdict
 
@@ -59,13 +58,6 @@ def test_frames_have_the_recorded_times_and_missing_ones_use_an_id() -> None:
         camera.close()
     assert [(a.camera, a.slot, a.frame_id, a.time_s) for a in found] == [(1, 0, 1, 10.0), (1, 1, 3, 10.2)]
     assert [slot.memory[0] for slot in slots] == [1, 3, 0]
-
-
-def test_its_clock_is_read_without_error() -> None:
-    clock = DeviceClock(5.0)
-    reading = ReplayCamera(0, clock).read_clock()
-    assert reading.bound_s == 0.0
-    assert clock.device_s(reading.host_s) == reading.device_s
 
 
 PLAN = TriggerPlan(start_delay_s=0.1, period_s=0.02, tail_s=0.1, max_rows=5, debounce_s=0.005)
@@ -174,14 +166,6 @@ def test_nothing_is_played_before_it_is_armed(make: Callable[..., Bench]) -> Non
     assert len(bench.run()) == 5
 
 
-def test_a_plan_with_too_few_rows_is_reported(make: Callable[..., Bench]) -> None:
-    bench = make(times_s=tuple(0.01 * k for k in range(6)))
-    bench.controller.arm(PLAN)
-    fault = bench.events.get(timeout=10)
-    assert isinstance(fault, DeviceFault)
-    assert "max_rows is 5, but must be at least the 6 rows" in fault.error.message
-
-
 def test_a_recording_that_cannot_be_read_is_reported() -> None:
     def runs() -> Iterator[list[RecordedRow]]:
         yield from map(damaged, [1])
@@ -196,17 +180,6 @@ def test_a_recording_that_cannot_be_read_is_reported() -> None:
     controller.close()
     assert isinstance(fault, DeviceFault)
     assert fault.error.message == "run.json: is damaged."
-
-
-def test_it_fires_no_pulse_of_its_own(make: Callable[..., Bench]) -> None:
-    with pytest.raises(StateError, match="replay"):
-        make().controller.fire_one()
-
-
-def test_its_clock_is_the_hosts(make: Callable[..., Bench]) -> None:
-    bench = make()
-    assert bench.controller.read_clock().bound_s == 0.0
-    assert bench.controller.health() == "replay: 0 runs played"
 
 
 PERIOD_S = 0.04
@@ -303,24 +276,6 @@ def test_a_fast_replay_waits_for_memory_and_can_be_disarmed_meanwhile(
     bench.arm()
     bench.grant("late", 0)
     assert bench.until(RunFinished).run == "late"
-
-
-def test_disarming_in_the_middle_cuts_the_recording_short(
-    start: Start, make_replay: Callable[..., StationConfig], recordings: list[Recording]
-) -> None:
-    path = recordings[0].directory / "recording.json"
-    head = json.loads(path.read_text())
-    head["trigger_times_s"] = [0.0, 0.04, 0.08, 20.0, 20.04]
-    path.write_text(json.dumps(head))
-    bench = start(make_replay("original"))
-    bench.grant("cut", 0)
-    bench.arm()
-    bench.until(PulseReported)
-    bench.disarm()
-    (finished,) = bench.of(RunFinished)
-    assert finished.reason == "disarmed"
-    assert 1 <= finished.head.rows <= 3
-    assert finished.head.trigger_times_s == (0.0, 0.04, 0.08)[: finished.head.rows]
 
 
 def test_a_station_whose_plan_has_too_few_rows_reports_it(

@@ -5,10 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 import re
-import resource
 import subprocess
 import sys
-from collections.abc import Callable
 from itertools import pairwise
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -20,15 +18,12 @@ from hypothesis import strategies as st
 
 from tests.needs import need
 from vaoi_station.acquisition.ring import (
-    BAY_RECORD,
-    CAMERA_RECORD,
     EMPTY,
     HEADER,
     INCOMPLETE,
     NO_ROW,
     OK,
     PAGE_BYTES,
-    SLOT_RECORD,
     FrameShape,
     Ring,
     RingLayout,
@@ -36,10 +31,8 @@ from vaoi_station.acquisition.ring import (
     open_existing,
     read_owner,
     remove_leftovers,
-    ring_path,
     start_ticks,
 )
-from vaoi_station.config import StationConfig
 from vaoi_station.errors import BusyError, GoneError, InputError, NotFoundError, StateError
 
 shapes = st.builds(FrameShape, st.integers(16, 5000), st.integers(16, 5000), st.sampled_from(["Mono8", "Mono16"]))
@@ -70,19 +63,6 @@ def test_slots_lie_on_pages_of_their_own_inside_the_file(layout: RingLayout) -> 
     assert offsets[-1] + layout.slot_bytes == layout.file_bytes
 
 
-@given(layouts)
-def test_tables_do_not_overlap(layout: RingLayout) -> None:
-    starts = [0, layout.camera_table, layout.bay_table, layout.slot_table]
-    sizes = [
-        HEADER.itemsize,
-        layout.cameras * CAMERA_RECORD.itemsize,
-        layout.bays * BAY_RECORD.itemsize,
-        layout.slots * SLOT_RECORD.itemsize,
-    ]
-    ends = [start + size for start, size in zip(starts, sizes, strict=True)]
-    assert all(end <= start for end, start in zip(ends, [*starts[1:], layout.first_slot], strict=True))
-
-
 @given(layouts, st.integers(1, 2**31), st.integers(0, 2**60))
 def test_a_layout_is_read_back_from_its_header(layout: RingLayout, pid: int, ticks: int) -> None:
     header = layout.header(pid, ticks)
@@ -90,22 +70,6 @@ def test_a_layout_is_read_back_from_its_header(layout: RingLayout, pid: int, tic
     assert int(header["file_bytes"][0]) == layout.file_bytes
     assert header.tobytes()[:8] == b"VAOIRING"
     assert len(header.tobytes()) == PAGE_BYTES
-
-
-def test_impossible_numbers_are_refused() -> None:
-    shape = FrameShape(32, 32, "Mono8")
-    with pytest.raises(InputError, match="bays"):
-        RingLayout(0, 1, (shape,))
-    with pytest.raises(InputError, match="no camera"):
-        RingLayout(1, 1, ())
-    with pytest.raises(InputError, match="pixel_format"):
-        FrameShape(32, 32, "RGB8")
-    layout = RingLayout(2, 3, (shape,))
-    for place in ((2, 0, 0), (0, 1, 0), (0, 0, 3), (-1, 0, 0)):
-        with pytest.raises(InputError, match="must be"):
-            layout.slot(*place)
-    with pytest.raises(InputError):
-        layout.place(layout.slots)
 
 
 LAYOUT = RingLayout(3, 2, (FrameShape(40, 30, "Mono8"), FrameShape(64, 20, "Mono16")))
@@ -240,23 +204,6 @@ def test_a_header_that_contradicts_its_file_is_refused(path: Path, field: str, v
             Ring.attach(copy)
 
 
-def test_a_memory_limit_is_noted_and_not_fatal(path: Path) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, hard))
-    try:
-        with Ring.create(path, LAYOUT) as ring:
-            assert ring.lock_note == "" or "LimitMEMLOCK" in ring.lock_note
-    finally:
-        resource.setrlimit(resource.RLIMIT_MEMLOCK, (soft, hard))
-
-
-def test_the_start_time_identifies_a_running_process() -> None:
-    own = start_ticks(os.getpid())
-    assert own is not None
-    assert own == start_ticks(os.getpid())
-    assert start_ticks(1) != own or os.getpid() == 1
-
-
 def test_a_process_that_has_ended_has_no_start_time() -> None:
     """A process that has not been waited for is a zombie, which counts as ended."""
     child = os.posix_spawn("/bin/true", ["true"], {})
@@ -264,19 +211,6 @@ def test_a_process_that_has_ended_has_no_start_time() -> None:
     assert start_ticks(child) is None
     os.waitpid(child, 0)
     assert start_ticks(child) is None
-
-
-def test_the_owner_is_read_from_the_file(path: Path) -> None:
-    assert read_owner(path) is None
-    with Ring.create(path, LAYOUT):
-        assert read_owner(path) == (os.getpid(), True)
-
-
-def test_the_owner_of_a_leftover_does_not_live(leftover: Path) -> None:
-    owner = read_owner(leftover)
-    assert owner is not None
-    assert not owner[1]
-    assert owner[0] != os.getpid()
 
 
 def test_what_other_users_put_beside_the_ring_neither_blocks_nor_breaks_the_start(
@@ -301,52 +235,44 @@ def test_what_other_users_put_beside_the_ring_neither_blocks_nor_breaks_the_star
                 open_existing(path, writable=False)
 
 
-TWO_CAMERAS = RingLayout(3, 2, (FrameShape(40, 30, "Mono8"), FrameShape(64, 20, "Mono16")))
-
-
-@pytest.fixture
-def ring_file(tmp_path: Path) -> Path:
-    return tmp_path / "vaoi-test.ring"
-
-
-def read_frame(ring_file: Path, slot: int, answer: Connection) -> None:
+def read_frame(path: Path, slot: int, answer: Connection) -> None:
     """Send what another process reads from the ring."""
-    with Ring.attach(ring_file) as ring:
+    with Ring.attach(path) as ring:
         answer.send((ring.frame(slot).copy(), ring.frame(slot).flags.writeable, ring.generation(0)))
 
 
-def test_another_process_reads_the_frames_of_the_owner(ring_file: Path) -> None:
-    with Ring.create(ring_file, TWO_CAMERAS) as ring:
+def test_another_process_reads_the_frames_of_the_owner(path: Path) -> None:
+    with Ring.create(path, LAYOUT) as ring:
         generation = ring.claim(0)
         slot = ring.slot(0, 1, 1)
         ring.frame(slot)[:] = np.arange(64 * 20).reshape(20, 64)
         ours, theirs = multiprocessing.get_context("spawn").Pipe()
-        reader = multiprocessing.get_context("spawn").Process(target=read_frame, args=(ring_file, slot, theirs))
+        reader = multiprocessing.get_context("spawn").Process(target=read_frame, args=(path, slot, theirs))
         reader.start()
         seen, writeable, seen_generation = ours.recv()
         reader.join()
-        assert ring_file.exists(), "a reader that exits does not unlink the file"
+        assert path.exists(), "a reader that exits does not unlink the file"
         assert seen.dtype == np.uint16
         assert (seen == ring.frame(slot)).all()
         assert (writeable, seen_generation) == (False, generation)
-    assert not ring_file.exists()
+    assert not path.exists()
 
 
-def test_a_claim_raises_the_generation_and_clears_only_its_bay(ring_file: Path) -> None:
-    with Ring.create(ring_file, TWO_CAMERAS) as ring:
-        for slot in range(TWO_CAMERAS.slots):
+def test_a_claim_raises_the_generation_and_clears_only_its_bay(path: Path) -> None:
+    with Ring.create(path, LAYOUT) as ring:
+        for slot in range(LAYOUT.slots):
             ring.memory(slot)[:] = 7
         before = [ring.generation(b) for b in range(3)]
         generation = ring.claim(1)
         assert generation > max(before)
         assert [ring.generation(b) for b in (0, 2)] == [before[0], before[2]]
-        black = {s for s in range(TWO_CAMERAS.slots) if not ring.memory(s).any()}
+        black = {s for s in range(LAYOUT.slots) if not ring.memory(s).any()}
         assert black == {ring.slot(1, c, k) for c in range(2) for k in range(2)}
         assert ring.claim(2) > generation
 
 
-def test_a_stale_generation_is_refused(ring_file: Path) -> None:
-    with Ring.create(ring_file, TWO_CAMERAS) as ring, Ring.attach(ring_file) as reader:
+def test_a_stale_generation_is_refused(path: Path) -> None:
+    with Ring.create(path, LAYOUT) as ring, Ring.attach(path) as reader:
         old = ring.claim(0)
         assert reader.snapshot(0, old).shape == (30, 40)
         ring.claim(0)
@@ -357,32 +283,32 @@ def test_a_stale_generation_is_refused(ring_file: Path) -> None:
             reader.snapshot(0, old)
 
 
-def test_readers_cannot_write(ring_file: Path) -> None:
-    with Ring.create(ring_file, TWO_CAMERAS), Ring.attach(ring_file) as reader:
+def test_readers_cannot_write(path: Path) -> None:
+    with Ring.create(path, LAYOUT), Ring.attach(path) as reader:
         with pytest.raises(ValueError, match="read-only"):
             reader.frame(0)[0, 0] = 1
         with pytest.raises(StateError, match="read-only"):
             reader.claim(0)
 
 
-def test_a_borrower_leaves_the_file_and_sees_that_the_owner_closed_it(ring_file: Path) -> None:
-    ring = Ring.create(ring_file, TWO_CAMERAS)
-    with Ring.attach(ring_file, writable=True) as borrower:
+def test_a_borrower_leaves_the_file_and_sees_that_the_owner_closed_it(path: Path) -> None:
+    ring = Ring.create(path, LAYOUT)
+    with Ring.attach(path, writable=True) as borrower:
         borrower.frame(0)[:] = 9
-    assert ring_file.exists()
+    assert path.exists()
     assert (ring.frame(0) == 9).all()
-    reader = Ring.attach(ring_file)
+    reader = Ring.attach(path)
     view = ring.frame(0)
     ring.close()
     ring.close()
-    assert not ring_file.exists()
+    assert not path.exists()
     assert reader.closed_by_owner
     assert (view == 9).all(), "views outlive the ring they came from"
     reader.close()
 
 
-def test_the_slot_table_describes_each_slot(ring_file: Path) -> None:
-    with Ring.create(ring_file, TWO_CAMERAS) as ring:
+def test_the_slot_table_describes_each_slot(path: Path) -> None:
+    with Ring.create(path, LAYOUT) as ring:
         generation = ring.claim(0)
         assert ring.slot_record(1) == (generation, EMPTY, NO_ROW, 0)
         ring.write_slot_record(1, OK, 5, 65400)
@@ -393,20 +319,12 @@ def test_the_slot_table_describes_each_slot(ring_file: Path) -> None:
         assert ring.slot_record(1) == (generation, EMPTY, NO_ROW, 0)
 
 
-def test_two_stations_cannot_share_a_path(ring_file: Path) -> None:
-    with Ring.create(ring_file, TWO_CAMERAS) as ring:
+def test_two_stations_cannot_share_a_path(path: Path) -> None:
+    with Ring.create(path, LAYOUT) as ring:
         with pytest.raises(StateError, match=f"process {os.getpid()}"):
-            Ring.create(ring_file, TWO_CAMERAS)
-        assert ring_file.exists()
+            Ring.create(path, LAYOUT)
+        assert path.exists()
         assert not ring.closed_by_owner
-
-
-def test_a_station_gets_the_ring_its_configuration_asks_for(make_config: Callable[..., StationConfig]) -> None:
-    config = make_config()
-    layout = RingLayout.of(config)
-    assert (layout.bays, layout.cameras, layout.slots_per_camera) == (config.ring.runs, 2, config.rows_per_run)
-    assert layout.frames[0] == FrameShape(96, 72, "Mono8")
-    assert ring_path(config).name == "vaoi-test.ring"
 
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "internals" / "ring.md").read_text()

@@ -22,7 +22,6 @@ from vaoi_station.acquisition.controller.interface import (
 )
 from vaoi_station.acquisition.pairing.evidence import MAX_FRAME_ID
 from vaoi_station.acquisition.process.messages import (
-    Arm,
     BoardMissed,
     FireOne,
     FrameSettled,
@@ -455,46 +454,6 @@ def test_disarming_returns_unused_grants(start: Start, make_config: Config) -> N
     unused = bench.disarm().unused
     assert [(g.run, g.bay) for g in unused] == [("two", 1)]
     assert bench.disarm().unused == ()
-
-
-def test_disarming_while_a_board_passes_films_it_to_its_end(start: Start, make_config: Config, slow: str) -> None:
-    bench = start(make_config(slow))
-    bench.grant("one", 0)
-    bench.arm()
-    bench.until(PulseReported)
-    bench.disarm()
-    (finished,) = bench.of(RunFinished)
-    assert finished.reason == "clear"
-    assert finished.head.rows == passage(bench.config).rows
-    bench.grant("two", 1)
-    bench.arm()
-    assert bench.until(RunFinished).head.missing == ()
-
-
-def test_a_plan_that_differs_from_the_scenario_is_refused(start: Start, make_config: Config) -> None:
-    bench = start(make_config())
-    plan = TriggerPlan.of(bench.config.line)
-    for change, key in (
-        ({"period_s": 0.2}, "period_s"),
-        ({"max_rows": 500}, "max_rows"),
-        ({"lights": ("x",)}, "lights"),
-    ):
-        bench.send(Arm(replace(plan, **change)))
-        assert key in bench.until(Trouble).message
-    bench.grant("one", 0)
-    bench.arm()
-    bench.until(RunFinished)
-
-
-def test_another_plan_is_refused_while_a_board_passes(start: Start, make_config: Config, slow: str) -> None:
-    bench = start(make_config(slow))
-    plan = TriggerPlan.of(bench.config.line)
-    bench.grant("one", 0)
-    bench.arm()
-    bench.until(PulseReported)
-    bench.send(Arm(replace(plan, max_rows=plan.max_rows - 1)))
-    assert "passing" in bench.until(Trouble).message
-    bench.until(RunFinished)
 
 
 def test_a_pipe_that_ends_ends_the_process(start: Start, make_config: Config) -> None:

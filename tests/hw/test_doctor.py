@@ -5,13 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
 import tty
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from select import select
 from typing import Any
 
 import pytest
@@ -19,16 +17,12 @@ import pytest
 from tests.doctor.conftest import assert_problem, only, without_privileges
 from tests.hw.emulated.paced import PacedChip
 from tests.hw.emulated.vectors import IDENT
-from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.controller.protocol import (
-    REPLY,
     FrameReader,
     Link,
-    Message,
     Request,
     Status,
     Type,
-    encode,
 )
 from vaoi_station.acquisition.controller.serial.exchange import Exchange, Port, Waker
 from vaoi_station.config import StationConfig
@@ -36,7 +30,6 @@ from vaoi_station.doctor.controller_checks import (
     LATENCY,
     ControllerReply,
     controller,
-    judge_clock,
     judge_encoder,
     judge_latency,
 )
@@ -93,13 +86,6 @@ def test_a_controller_that_is_fit_and_stays_as_it_is(paced: PacedChip) -> None:
         assert getattr(after, name) == getattr(before, name), name
 
 
-def test_the_barrier_is_told_as_it_is(paced: PacedChip) -> None:
-    assert asked(paced.link, Type.STATUS).blocked == 0
-    paced.do("pin PB0 1")
-    paced.rest(20)
-    assert by_subject(controller(context_of(paced.link)))["state"].figures["barrier"] == "interrupted"
-
-
 def test_only_what_is_judged_is_asked(paced: PacedChip, monkeypatch: pytest.MonkeyPatch) -> None:
     """The events of earlier boards are left to the station: their number would make the check slow."""
     sent: list[int] = []
@@ -111,9 +97,13 @@ def test_only_what_is_judged_is_asked(paced: PacedChip, monkeypatch: pytest.Monk
             return data
 
     asked(paced.link, Type.SAFE)
+    paced.do("pin PB0 1")
+    paced.rest(20)
     assert asked(paced.link, Type.STATUS).events_next > 0
     monkeypatch.setattr("vaoi_station.doctor.controller_checks.Link", NotedLink)
-    list(controller(context_of(paced.link)))
+    state = by_subject(controller(context_of(paced.link)))["state"]
+    assert_problem(state, Level.WARNING, "safe state (commanded)")
+    assert state.figures["barrier"] == "interrupted"
     assert set(sent) == {Type.IDENT, Type.STATUS, Type.CLOCK}
 
 
@@ -142,11 +132,6 @@ def test_an_encoder_is_judged_by_what_it_counts() -> None:
     assert "at rest, or it does not count" in judged(0).message
     assert "counts backwards" in judged(-500).message
     assert "75.0 mm/s by encoder.counts_per_mm, but conveyor_mm_s is 100 mm/s" in judged(1500).message
-
-
-def test_a_controller_that_made_itself_safe(paced: PacedChip) -> None:
-    asked(paced.link, Type.SAFE)
-    assert_problem(by_subject(controller(context_of(paced.link)))["state"], Level.WARNING, "safe state (commanded)")
 
 
 def test_no_port(tmp_path: Path) -> None:
@@ -189,51 +174,6 @@ def test_a_port_that_another_program_uses(terminal: tuple[int, Path]) -> None:
     assert_problem(finding, Level.FAULT, "is in use by", f"process {holder.pid}")
 
 
-@contextmanager
-def foreign_device(terminal: int, payload: bytes | None) -> Iterator[None]:
-    """Answer every message at the other end of a terminal by this payload, or by a line of text without one.
-
-    The thread has ended before the terminal is closed: its number is soon that of the next test's terminal.
-    """
-    stopped, stop = os.pipe()
-
-    def talk() -> None:
-        reader = FrameReader()
-        while stopped not in (ready := select([terminal, stopped], [], [])[0]):
-            assert ready == [terminal]
-            data = os.read(terminal, 256)
-            if payload is None:
-                os.write(terminal, b"ready>\r\n")
-                continue
-            for message in reader.feed(data):
-                os.write(terminal, encode(Message(message.type | REPLY, message.sequence, payload)))
-
-    thread = threading.Thread(target=talk)
-    thread.start()
-    try:
-        yield
-    finally:
-        os.close(stop)
-        thread.join()
-        os.close(stopped)
-
-
-@pytest.mark.parametrize(
-    ("payload", "said"),
-    [
-        (None, "no message of the trigger controller's protocol"),
-        (bytes([9, 3]) + bytes(46), "speaks protocol 9.3, this station 1.3"),
-        (bytes([1, 0, 1, 0, 0, 4, 16, 1]) + bytes(16) + b"coffee\0\0" + bytes(16), "calls itself b'coffee'"),
-    ],
-)
-def test_a_device_that_is_not_ours(terminal: tuple[int, Path], payload: bytes | None, said: str) -> None:
-    with foreign_device(terminal[0], payload):
-        found = by_subject(controller(context_of(terminal[1])))
-    assert found["port"].level is Level.OK
-    assert_problem(found["firmware"], Level.FAULT, said)
-    assert set(found) == {"port", "firmware"}
-
-
 def test_a_bridge_that_keeps_bytes_back(tmp_path: Path) -> None:
     latency = tmp_path / LATENCY.format(name="ttyUSB0")
     latency.parent.mkdir(parents=True)
@@ -241,14 +181,3 @@ def test_a_bridge_that_keeps_bytes_back(tmp_path: Path) -> None:
     assert_problem(only(judge_latency(Path("/nowhere/ttyUSB0"), Machine(tmp_path))), Level.WARNING, "16 ms")
     latency.write_text("1\n")
     assert list(judge_latency(Path("/nowhere/ttyUSB0"), Machine(tmp_path))) == []
-
-
-def test_a_clock_that_is_known_badly() -> None:
-    """At most 2 ms, and a tenth of the period, as when a station is armed."""
-
-    def judged(bound_s: float, period_s: float) -> Finding:
-        return judge_clock([ClockReading(float(k), 100.0 + k, bound_s) for k in range(10)], period_s)
-
-    assert judged(1e-3, 0.125).level is Level.OK
-    assert_problem(judged(3e-3, 0.125), Level.FAULT, "at most 3.00 ms", "trigger period is 2 ms")
-    assert_problem(judged(1e-3, 0.006), Level.FAULT, "trigger period is 0.6 ms")

@@ -191,13 +191,6 @@ def test_a_test_sets_the_output_only_while_idle(logic: ctypes.CDLL) -> None:
     assert Nak.unpack(reply.payload) == Nak(Type.READY, Reason.STATE, 0, 1)
 
 
-def test_no_statement_lasts_longer_than_a_second(logic: ctypes.CDLL) -> None:
-    armed_logic(logic)
-    (reply,) = talk(logic, [ready(1, LONGEST_MS + 1)])
-    assert Nak.unpack(reply.payload) == Nak(Type.READY, Reason.RANGE, 0, LONGEST_MS)
-    assert not logic.chip_ready() & 0xFF
-
-
 # --- the firmware's binary on the emulated chip
 
 
@@ -245,28 +238,12 @@ def test_a_board_lowers_it_within_microseconds_and_it_rises_for_the_next_permit(
     assert is_high(chip)
 
 
-def test_the_host_withdraws_it(chip: Chip) -> None:
-    line = permitted(chip)
-    line.link.permit = None
-    withdrawn = chip.cycle
-    line.run(5)
-    assert fall(chip) - withdrawn < 0.005 * HZ
-
-
 def test_a_host_that_is_gone_lowers_it_within_a_second(chip: Chip) -> None:
     line = permitted(chip)
     line.run(300)
     gone = chip.cycle
     chip.run_ms(1100)
     assert 0.7 * HZ < fall(chip) - gone < 1.0 * HZ
-
-
-def test_a_statement_that_is_not_renewed_runs_out_at_its_time(chip: Chip) -> None:
-    """The link renews the permit, but never beyond the time until which the station gave it."""
-    line = permitted(chip, lasting_s=0.6)
-    given = chip.cycle - round(0.005 * HZ)
-    line.run(700)
-    assert abs(fall(chip) - given - 0.6 * HZ) < 0.01 * HZ
 
 
 @pytest.mark.parametrize("command", ["reset external", "reset power", "hang", "deaf"])

@@ -14,7 +14,6 @@ from vaoi_station.acquisition.controller.protocol import (
     Event,
     EventReceived,
     EventsLost,
-    FrameReader,
     Kind,
     Link,
     Message,
@@ -23,13 +22,11 @@ from vaoi_station.acquisition.controller.protocol import (
     Replied,
     Request,
     Restarted,
-    State,
     Step,
     Type,
     Unanswered,
     encode,
     fire_one,
-    number_request,
 )
 
 TURN_S = 0.005
@@ -160,45 +157,3 @@ def test_a_reset_is_noticed_and_no_event_is_taken_for_one_of_another_boot(
     assert new[0].value == 2
     old = [item.event.number for item in wire.news[:cut] if isinstance(item, EventReceived)]
     assert old == list(range(len(old)))
-
-
-def test_an_absent_controller(logic: ctypes.CDLL) -> None:
-    wire = Wire(logic, 1, 1.0)
-    wire.link.request(Request(Type.IDENT))
-    wire.link.request(number_request(Type.CLOCK, 5))
-    wire.run(500)
-    assert wire.news == [Unanswered(Request(Type.IDENT)), Unanswered(number_request(Type.CLOCK, 5))]
-    assert wire.link.retries == 18
-
-
-def test_unexpected_replies_are_counted_and_a_reply_is_dated_from_its_first_transmission(logic: ctypes.CDLL) -> None:
-    wire = Wire(logic, 1, 0.0)
-    wire.link.receive(encode(Message(Type.CLOCK | 0x80, 3, bytes(8))) + encode(Message(Type.NAK, 9, bytes(8))), 0.0)
-    assert wire.link.unmatched == 2
-    request = number_request(Type.CLOCK, 0x1234)
-    wire.link.request(request)
-    wire.loss = 1.0
-    wire.turn()
-    sent_s_first = wire.now_s
-    wire.run(10)
-    wire.loss = 0.0
-    wire.run(30)
-    (reply,) = [item for item in wire.news if isinstance(item, Replied)]
-    assert reply.payload[:4] == (0x1234).to_bytes(4, "little")
-    assert reply.sent_s == sent_s_first
-    assert reply.received_s - sent_s_first >= 0.1
-
-
-def test_beats_keep_coming_and_show_the_state(logic: ctypes.CDLL) -> None:
-    wire = Wire(logic, 1, 0.0)
-    wire.link.heartbeat = True
-    seen = 0
-    for _ in range(400):
-        data = wire.link.outgoing(wire.now_s)
-        seen += sum(m.type == Type.BEAT for m in FrameReader().feed(data))
-        size = logic.bridge_talk(data, len(data), wire._replies, wire.tick)
-        wire.link.receive(wire._replies.raw[:size], wire.now_s)
-        wire.turns += 1
-    assert seen == 8  # in 2 s
-    assert wire.link.status is not None
-    assert wire.link.status.state == State.IDLE

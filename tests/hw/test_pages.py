@@ -89,24 +89,6 @@ def test_the_guides_targets_are_those_of_the_makefile() -> None:
         assert all("=" in t or re.search(rf"^{t}:", makefile, re.MULTILINE) for t in targets), targets
 
 
-def test_the_guides_files_are_there() -> None:
-    named = set(re.findall(r"deploy/[\w./-]+\w", BRING_UP))
-    assert len(named) >= 6
-    assert all((ROOT / name).is_file() for name in named), named
-
-
-def test_the_guides_places_are_those_of_the_service() -> None:
-    service = (ROOT / "deploy" / "vaoi-station.service").read_text(encoding="utf-8")
-    (start,) = re.findall(r"^ExecStart=(\S+) serve --config (\S+)$", service, re.MULTILINE)
-    program, configuration = start
-    assert any(words[:2] == ["vaoi", "check-config"] and configuration in words for words in COMMANDS)
-    # the package makes the program, and a link by which the guide calls it
-    build = (ROOT / "deploy" / "build").read_text(encoding="utf-8")
-    assert f"ln -s {program} " in build
-    assert "\nStateDirectory=vaoi-station\n" in service
-    assert 'data = "/var/lib/vaoi-station/data"' in BRING_UP
-
-
 def test_the_guides_figures_are_those_of_the_circuit() -> None:
     circuit = read_circuit()
     volts = [ampere * circuit.value("R37") for ampere in currents(circuit)]

@@ -141,16 +141,6 @@ def test_a_main_loop_that_hangs_is_reset(chip: Chip) -> None:
     assert [e.value for e in line.events(Kind.BOOT)] == [1, 2]
 
 
-def test_each_reset_is_counted_with_its_cause(chip: Chip) -> None:
-    line = Line(chip)
-    assert (line.status().boots, line.status().reset_cause) == (1, POWER_ON)
-    for boots, (name, cause) in enumerate([("external", EXTERNAL), ("power", POWER_ON), ("external", EXTERNAL)], 2):
-        chip.do(f"reset {name}")
-        line.run(400)
-        assert (line.status().boots, line.status().reset_cause) == (boots, cause)
-    assert line.restarts() == [2, 3, 4]
-
-
 def test_a_reset_in_the_middle_of_a_run_leaves_all_outputs_low(chip: Chip) -> None:
     line = Line(chip)
     line.arm()

@@ -16,7 +16,6 @@ import pytest
 
 from tests.hw.emulated.host import PLAN, Host
 from tests.hw.emulated.paced import HZ, PacedChip
-from tests.needs import LONG
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -28,11 +27,7 @@ from vaoi_station.acquisition.controller.interface import (
     PulseFired,
     RunEnded,
 )
-from vaoi_station.acquisition.controller.serial import SerialController
-from vaoi_station.acquisition.process.backends import open_devices
-from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError, StateError
-from vaoi_station.line_config import Line
 from vaoi_station.model import ProgramRow
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -264,40 +259,6 @@ def test_a_host_that_was_stopped(paced: PacedChip) -> None:
                 paced.board(100)
 
 
-def test_another_process_with_the_same_port_is_refused(host: Host) -> None:
-    with pytest.raises(DeviceError, match="is in use by another program") as refused:
-        SerialController(ControllerConfig(backend="serial", port=str(host.chip.link)))
-    assert refused.value.code == "port-in-use"
-    host.controller.arm(PLAN)
-    assert len(host.run()) == 6
-
-
-def test_cameras_that_are_absent_leave_the_port_free(paced: PacedChip) -> None:
-    """Whether or not Aravis is installed."""
-    config = StationConfig.model_validate(
-        {
-            "calibration": "calibration.json",
-            "board_types": "types",
-            "data": "data",
-            "line": Line(
-                conveyor_mm_s=(0.0, 100.0), barrier_mm=0.0, start_delay_s=0.1, trigger_period_s=0.1, tail_s=0.1,
-                longest_board_mm=100.0,
-            ),
-            "cameras": [
-                {
-                    "name": "left", "backend": "aravis", "address": "127.0.0.99", "width": 64, "height": 64,
-                    "exposure_us": 100.0,
-                }
-            ],
-            "controller": {"backend": "serial", "port": str(paced.link)},
-        }
-    )  # fmt: skip
-    with pytest.raises(DeviceError) as refused:
-        open_devices(config)
-    assert refused.value.action
-    SerialController(ControllerConfig(backend="serial", port=str(paced.link))).close()
-
-
 def test_events_of_an_earlier_process_are_not_reported(paced: PacedChip) -> None:
     """It was killed while armed: its events are not reported again, and no board is filmed for it."""
     with armed_process(paced) as (_, lines):
@@ -313,15 +274,6 @@ def test_events_of_an_earlier_process_are_not_reported(paced: PacedChip) -> None
         assert not second.fault_codes()
     finally:
         second.controller.close()
-
-
-def test_arming_and_disarming_again_and_again(host: Host) -> None:
-    for _ in range(1000 if LONG else 150):
-        host.controller.arm(PLAN)
-        host.controller.disarm()
-    host.controller.arm(PLAN)
-    assert len(host.run()) == 6
-    assert not host.fault_codes()
 
 
 def test_a_host_that_is_killed_lowers_line_ready_within_a_second(paced: PacedChip) -> None:

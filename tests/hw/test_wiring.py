@@ -9,13 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from hw.wiring import transient
 from hw.wiring.circuit import SOURCE, Circuit, Sheet, read_circuit
 from hw.wiring.drawing import lay_out, segments
 from hw.wiring.figure import LIMITS, Figure, Firmware
 from hw.wiring.figures import all_figures
 from hw.wiring.pages import PORTS, made, materials
-from hw.wiring.transient import corners, edges
 from vaoi_station.errors import InputError
 
 HW = SOURCE.parents[1]
@@ -50,13 +48,6 @@ def firmware_pins() -> dict[str, str]:
 def test_the_pins_are_those_of_the_firmware() -> None:
     drawn = {net: PORTS[pin] for pin, net in CIRCUIT.part("A1").pins if pin in PORTS}
     assert drawn == firmware_pins()
-
-
-def test_the_names_beside_the_chips_are_those_of_board_h() -> None:
-    text = (HW / "firmware" / "chip" / "board.h").read_text(encoding="utf-8")
-    named = re.findall(r"\* (P[BCD]\d) ([AD]\d+)\b", text)
-    assert len(named) == 5
-    assert all(PORTS[arduino] == port for port, arduino in named)
 
 
 # ── from the chip to cameras and light ──
@@ -154,25 +145,6 @@ def test_the_current_is_where_the_amplifier_balances() -> None:
     assert figure("current", "pulse, nominal").value == pytest.approx(low, rel=1e-9)
 
 
-def test_the_bank_droops_as_charge_says() -> None:
-    current, time = figure("current", "pulse, most").value, 1e-3
-    assert figure("bank", "droop in").value == pytest.approx(current * time / (2200e-6 * 0.8))
-
-
-def test_the_loop_settles_where_the_resistors_say() -> None:
-    for corner in corners(CIRCUIT):
-        assert edges(CIRCUIT, corner).settled_a == pytest.approx(figure("current", "pulse, nominal").value, rel=2e-3)
-
-
-def test_a_smaller_step_tells_the_same_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    worst = max(corners(CIRCUIT), key=lambda corner: corner.gate_f * corner.slope_a_v2)
-    coarse = edges(CIRCUIT, worst)
-    monkeypatch.setattr(transient, "STEP_S", transient.STEP_S / 4)
-    fine = edges(CIRCUIT, worst)
-    assert coarse.peak_a == pytest.approx(fine.peak_a, rel=2e-3)
-    assert coarse.rise_s == pytest.approx(fine.rise_s, rel=0.02)
-
-
 def test_too_small_a_capacitor_overshoots(tmp_path: Path) -> None:
     source = tmp_path / "circuit.toml"
     source.write_text(SOURCE.read_text(encoding="utf-8").replace("value = 470e-12", "value = 100e-12"))
@@ -184,10 +156,6 @@ def test_longer_pulses_in_the_firmware_break_the_one_shots_figures(tmp_path: Pat
     changed.write_text(LIMITS.read_text(encoding="utf-8").replace("US(1000), US(1000)", "US(1400), US(1000)"))
     assert not figure("one-shots", "channel 0, shortest", Firmware.read(changed)).ok
     assert figure("one-shots", "channel 1, shortest", Firmware.read(changed)).ok
-
-
-def test_more_duty_in_the_firmware_breaks_over_driving() -> None:
-    assert not figure("current", "duty", Firmware((1e-3, 1e-3, 5e-4, 5e-4), 0.125)).ok
 
 
 def test_another_value_in_the_source_changes_drawing_bill_and_figures(tmp_path: Path, drawn: dict[Path, str]) -> None:

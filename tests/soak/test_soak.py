@@ -12,7 +12,6 @@ import pytest
 
 from tests.needs import LONG
 from tests.soak.accounts import account
-from tests.soak.alone.station import soak as soak_alone
 from tests.soak.faults import FAULTS
 from tests.soak.report import fault_table, plot, slope_table, summary
 from tests.soak.series import all_series
@@ -69,11 +68,6 @@ def test_a_soak_is_reported(soaked: Record) -> None:
     assert "| runs that are not accounted for | 0 |" in summary(raw)
 
 
-def test_the_station_process_is_soaked_alone(tmp_path: Path) -> None:
-    points = list(soak_alone(tmp_path, boards=6, every=3))
-    assert [point.boards for point in points] == [3, 6]
-    assert 0 < points[-1].database_mb < points[-1].heaps_mb < points[-1].private_mb
-    assert points[-1].objects > points[-1].boards
 
 
 @pytest.mark.parametrize(("growth", "flat"), [(0.0, True), (0.02, False), (-0.02, False)])
@@ -108,11 +102,6 @@ def test_a_leak_is_found_although_every_life_begins_anew() -> None:
     assert slope.per_board == pytest.approx(0.1, rel=0.2)
 
 
-def test_constant_and_short_series() -> None:
-    slope = slope_of([(np.arange(200.0), np.full(200, 12.0))])
-    assert slope is not None
-    assert (slope.per_board, slope.flat) == (0.0, True)
-    assert slope_of([(np.arange(20.0), np.arange(20.0))]) is None
 
 
 def shown(**changed: Any) -> dict[str, Any]:

@@ -42,19 +42,6 @@ def test_an_outage_is_the_cause_from_its_begin_to_its_end() -> None:
     ]
 
 
-def test_only_the_newest_outages_are_kept() -> None:
-    outages = Outages(keep=2)
-    for second in range(5):
-        outages.begin(0, second, str(second))
-        outages.end(0, second + 0.5)
-    assert [outages.cause_at(0, second + 0.2) for second in range(5)] == [
-        "",
-        "",
-        "",
-        *(f"the camera was lost: {k}" for k in "34"),
-    ]
-
-
 def test_times_between_the_readings_of_a_clock_that_jumped_are_unknown() -> None:
     outages = Outages()
     jump = ClockJump(37.0, 10.0, 10.5)
@@ -163,15 +150,6 @@ def causes(run: RunRecord, outages: Outages | None = None, previous: RunRecord |
     return {frame.row: frame.cause for frame in missing}
 
 
-def test_every_row_has_a_record_afterwards() -> None:
-    run = run_with_frames({0: 1, 2: 3, 5: 6})
-    missing, proof = concluded(run, [[]], Outages(), 1e-4)
-    assert {key for key, frame in run.frames.items() if frame.verdict is Verdict.MISSING} == {(0, 1), (0, 3), (0, 4)}
-    assert [frame.row for frame in missing] == [1, 3, 4]
-    assert all(run.frames[0, frame.row] is frame for frame in missing)
-    assert proof.proven
-
-
 def test_frames_whose_stamps_fit_no_pulse_were_sent() -> None:
     """A camera with another latency needs no new cable."""
     run = run_with_frames({}, rows=3)
@@ -190,12 +168,6 @@ def test_a_skipped_row_has_the_reason_of_the_controller() -> None:
     del run.pulses[1]
     run.skipped[1] = PulseSkipped(0, START_S + PERIOD_S, 1, "the LEDs must cool down")
     assert causes(run) == {1: "the LEDs must cool down"}
-
-
-def test_a_row_without_a_report_and_without_a_reason_is_a_lost_report() -> None:
-    run = run_with_frames({0: 1, 2: 3}, rows=3)
-    del run.pulses[1]
-    assert causes(run) == {1: "the controller's report of this pulse was lost"}
 
 
 def test_a_refused_frame_precedes_an_outage_and_an_outage_precedes_the_ids() -> None:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from tests.acquisition.recorder_script import PERIOD_S, RecorderScript
 from vaoi_station.acquisition.pairing.proof import (
-    ACTIONS,
     QUESTIONING_KINDS,
     Kind,
     TriggerFinding,
     TriggerProof,
-    doubtful,
     doubts_of,
 )
 from vaoi_station.model import Verdict
@@ -112,15 +108,6 @@ def test_a_double_trigger(script: RecorderScript) -> None:
     assert proof.proven
     assert kinds_found(proof) == [(0, 3, "extra-frame")]
     assert "41.0 ms after the pulse of row 3" in proof.findings[0].text
-
-
-def test_a_double_trigger_whose_frame_was_lost_as_well(script: RecorderScript) -> None:
-    film_rows(script, 0, range(4))
-    script.skip_id(0)
-    film_rows(script, 0, range(4, ROWS))
-    proof = proof_of(script)
-    assert proof.proven
-    assert kinds_found(proof) == [(0, 4, "extra-frame")]
 
 
 def test_an_ignored_trigger_and_a_spurious_one_soon_after(script: RecorderScript) -> None:
@@ -249,25 +236,9 @@ def _schedule(script: RecorderScript, row: int, rows: int, fate: str, data: st.D
     return 1
 
 
-def test_findings_survive_json(script: RecorderScript) -> None:
-    film_rows(script, 0, [0, 1, 2, 4, 5, 6, 7])
-    proof = proof_of(script)
-    again = TriggerProof.model_validate_json(proof.model_dump_json())
-    assert again == proof
-    assert isinstance(again.findings[0], TriggerFinding)
-
-
 def doubted_proof(*findings: tuple[int, int | None, Kind]) -> TriggerProof:
     found = tuple(TriggerFinding(camera=c, row=r, kind=k, text=f"text of {k}") for c, r, k in findings)
     return TriggerProof(proven=False, cameras=(), findings=found)
-
-
-def test_every_kind_but_an_ignored_trigger_is_a_doubt_with_an_action() -> None:
-    """An ignored trigger only explains a missing frame."""
-    assert set(get_args(Kind)) - set(ACTIONS) == {"ignored-trigger"}
-    assert set(ACTIONS) >= QUESTIONING_KINDS
-    assert doubtful(doubted_proof((0, 1, "ignored-trigger"))) == ()
-    assert doubtful(None) == ()
 
 
 def test_rows_of_one_camera_and_kind_are_one_sentence() -> None:
@@ -279,8 +250,3 @@ def test_rows_of_one_camera_and_kind_are_one_sentence() -> None:
         "trigger of camera 0, row 3: text of extra-frame",
         "trigger of camera 2: text of runs-freely; these frames are not used",
     )
-
-
-@pytest.mark.parametrize("proof", [None, TriggerProof(proven=True, cameras=(), findings=())])
-def test_a_proven_run_has_no_doubts(proof: TriggerProof | None) -> None:
-    assert doubts_of(proof) == ()

@@ -8,22 +8,12 @@ from hypothesis import strategies as st
 
 from tests.acquisition.recorder_script import PERIOD_S, RecorderScript
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
-from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, assign_forced
 from vaoi_station.model import Verdict
 
 
-def test_a_single_candidate_is_assigned() -> None:
-    assert assign_forced([{3}]) == {0: 3}
-
-
 def test_one_assignment_may_force_the_next() -> None:
     assert assign_forced([{1, 2}, {1}, {2, 3, 1}]) == {1: 1, 0: 2, 2: 3}
-
-
-def test_several_candidates_are_not_assigned() -> None:
-    assert assign_forced([{1, 2}, {1, 2}]) == {}
-    assert assign_forced([set()]) == {}
 
 
 def test_two_sets_with_the_same_candidate_get_nothing() -> None:
@@ -116,39 +106,6 @@ def test_frames_state_the_time_for_which_the_leds_lit_them() -> None:
     assert [f.exposure_us for f in script.finished["a"]] == [100.0, 60.0, 250.0, 250.0, 80.0, 60.0, 80.0, 80.0]
 
 
-def test_a_frame_reported_before_its_pulse_waits_for_it() -> None:
-    script = RecorderScript(1)
-    script.run("a", 1000.0, 2, 0.08)
-    for row in range(2):
-        script.frame(("a", 0, row), 1000.0 + row * PERIOD_S, 0.01)
-    script.play()
-    script.check()
-    assert set(script.verdicts("a").values()) == {Verdict.OK}
-
-
-def test_frames_that_arrive_in_the_wrong_order_are_sorted_by_time() -> None:
-    script = RecorderScript(1)
-    script.run("a", 1000.0, 3, 0.0)
-    for row, latency_s in enumerate((0.45, 0.02, 0.3)):
-        script.frame(("a", 0, row), 1000.0 + row * PERIOD_S, latency_s)
-    script.play()
-    script.check()
-    assert set(script.verdicts("a").values()) == {Verdict.OK}
-
-
-def test_a_late_frame_is_assigned_to_its_own_run_while_the_next_is_filmed() -> None:
-    script = RecorderScript(1)
-    script.run("a", 1000.0, 2, 0.0)
-    script.run("b", 1000.3, 3, 0.0)
-    script.frame(("a", 0, 0), 1000.0, 0.01)
-    script.frame(("a", 0, 1), 1000.1, 0.45)
-    for row in range(3):
-        script.frame(("b", 0, row), 1000.3 + row * PERIOD_S, 0.01)
-    script.play()
-    script.check()
-    assert set(script.verdicts("a").values()) == set(script.verdicts("b").values()) == {Verdict.OK}
-
-
 def test_a_frame_after_the_deadline_is_unassigned_and_its_row_missing() -> None:
     script = RecorderScript(1)
     script.run("a", 1000.0, 2, 0.0)
@@ -184,73 +141,6 @@ def test_causality_may_leave_one_pulse_for_an_incomplete_frame() -> None:
     script.play()
     script.check()
     assert script.verdicts("a") == {(0, 0): Verdict.INCOMPLETE, (0, 1): Verdict.MISSING, (0, 2): Verdict.OK}
-
-
-def test_a_free_running_camera_fills_no_row() -> None:
-    script = RecorderScript(1)
-    script.run("a", 1000.0, 3, 0.0)
-    for n in range(12):
-        script.frame(("a", 0, -1), 1000.015 + n * 0.033, 0.01)
-    script.play()
-    script.check()
-    assert set(script.verdicts("a").values()) == {Verdict.MISSING}
-    assert any("ms away" in s.reason for s in script.unassigned)
-
-
-def test_a_gap_in_the_frame_ids_is_the_cause_of_a_missing_frame() -> None:
-    script = RecorderScript(1)
-    script.run("a", 1000.0, 3, 0.0)
-    script.frame(("a", 0, 0), 1000.0, 0.01)
-    script.skip_id(0)
-    script.frame(("a", 0, 2), 1000.2, 0.01)
-    script.play()
-    assert "lost in transfer" in script.finished["a"][1].cause
-
-
-def test_rows_that_a_camera_missed_while_it_was_away_have_that_cause() -> None:
-    script = RecorderScript(2)
-    script.run("a", 1000.0, 4, 0.0)
-    for row in range(4):
-        script.frame(("a", 0, row), 1000.0 + row * PERIOD_S, 0.01)
-    script.frame(("a", 1, 0), 1000.0, 0.01)
-    script.recorder.outages.begin(1, 1000.05, "it does not answer any more")
-    script.recorder.outages.end(1, 1000.25)
-    script.play()
-    script.check()
-    causes = {(f.camera, f.row): f.cause for f in script.finished["a"] if f.verdict is Verdict.MISSING}
-    assert causes == {
-        (1, 1): "the camera was lost: it does not answer any more",
-        (1, 2): "the camera was lost: it does not answer any more",
-        (1, 3): "no frame arrived after the last one",
-    }
-
-
-def test_a_pulse_whose_report_was_lost_is_dated_one_period_after_the_one_before() -> None:
-    script = RecorderScript(1)
-    recorder = script.recorder
-    record = recorder.begin_run("a", 0, PERIOD_S)
-    start_s = script.controller.device_s(1000.0)
-    for row in (0, 2):
-        script.outcomes += recorder.add_pulse(
-            PulseFired(0, start_s + row * PERIOD_S, row, ""), 1000.0 + row * PERIOD_S
-        )[1]
-        script.frame(("a", 0, row), 1000.0 + row * PERIOD_S, 0.01)
-    script.outcomes += recorder.end_pulses(record, 3, "clear", 1000.2)
-    script.play()
-    assert "report of this pulse was lost" in script.finished["a"][1].cause
-    assert record.times_s() == (0.0, 0.1, 0.2)
-    assert record.lights() is None
-
-
-def test_slots_of_a_missed_board_are_returned() -> None:
-    script = RecorderScript(1)
-    script.run(None, 1000.0, 2, 0.0)
-    for row in range(2):
-        script.frame((None, 0, row), 1000.0 + row * PERIOD_S, 0.01)
-    script.play()
-    script.check()
-    assert script.finished == {}
-    assert all("missed" in s.reason for s in script.unassigned)
 
 
 def jumped_at_the_end(reading_s: float) -> RecorderScript:

@@ -238,12 +238,6 @@ def test_one_slow_rewind_is_reported_and_tried_again_after_some_boards(
     assert len(boards.sent) == 2, "it was in time between"
 
 
-def test_a_camera_that_is_always_too_slow_is_seldom_tried(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    boards = Boards(line, monkeypatch)
-    assert sum(boards.rewound(3.0) for _ in range(20)) == 4
-    assert len(boards.sent) == 1
-
-
 def test_a_camera_that_was_opened_anew_is_tried_at_once(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
     boards = Boards(line, monkeypatch)
     boards.rewound(3.0)
