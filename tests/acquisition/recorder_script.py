@@ -13,11 +13,10 @@ from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.pairing.evidence import MAX_FRAME_ID
 from vaoi_station.acquisition.pairing.latency import LatencySettings
 from vaoi_station.acquisition.pairing.proof import TriggerProof
-from vaoi_station.acquisition.pairing.recorder import Finished, Limits, Outcome, Recorder, Settled, Unassigned
+from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, Recorder, Settled, Unassigned
 from vaoi_station.model import FrameRecord, Verdict
 
 PERIOD_S = 0.1
-LIMITS = Limits()
 
 Event = Callable[[float], Iterable[Outcome]]
 """Called with the host time at which it happens."""
@@ -46,7 +45,7 @@ class RecorderScript:
         self.camera_clocks = [DeviceClock(-50.0 * n, 30.0 - 25.0 * n, origin_s=1000.0) for n in range(self.cameras)]
         models = [clock_model(c) for c in self.camera_clocks]
         self.recorder = Recorder(
-            clock_model(self.controller), models, LIMITS, exposures_us=self.shutters_us, latencies=self.latencies
+            clock_model(self.controller), models, exposures_us=self.shutters_us, latencies=self.latencies
         )
         # The first ids are near the wrap of 16 bit ids, so that some scripts cross it.
         self._order, self._slots, self._ids = count(), count(), [count(65400) for _ in range(self.cameras)]
@@ -71,7 +70,7 @@ class RecorderScript:
                     self.recorder.begin_run(name, None if name is None else 0, PERIOD_S)
                 time_s = self.controller.device_s(first_s + row * PERIOD_S)
                 lit_us = on_us[row % len(on_us)] if on_us else None
-                return self.recorder.add_pulse(PulseFired(0, time_s, row, "ring", on_us=lit_us), now_s)[1]
+                return self.recorder.add_pulse(PulseFired(0, time_s, row, "ring", on_us=lit_us), now_s)
 
             return event
 

@@ -10,7 +10,7 @@ import pytest
 
 from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.acquisition.clocks import ClockJump
-from vaoi_station.acquisition.controller.interface import PulseSkipped
+from vaoi_station.acquisition.controller.interface import PulseFired, PulseSkipped
 from vaoi_station.acquisition.pairing.conclusion import (
     Outages,
     conclude_run,
@@ -22,7 +22,7 @@ from vaoi_station.acquisition.pairing.conclusion import (
 from vaoi_station.acquisition.pairing.evidence import NO_PACKET
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
-from vaoi_station.model import FrameRecord, ProgramRow, Pulse, Verdict
+from vaoi_station.model import FrameRecord, ProgramRow, Verdict
 
 
 def test_an_outage_is_the_cause_from_its_begin_to_its_end() -> None:
@@ -62,8 +62,8 @@ def pulse(
     on_us: float | None = None,
     exposures_us: tuple[float, ...] = (),
     gains: tuple[float, ...] = (),
-) -> ObservedPulse:
-    return ObservedPulse(Pulse(index=row, time_s=float(row), light=light), float(row), exposures_us, 0.0, gains, on_us)
+) -> PulseFired:
+    return PulseFired(0, float(row), row, light, exposures_us, gains, on_us)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def pulse(
         (pulse("left", gains=(1.0, 1.0)), "camera 1 had gain 1, but the light program has 1.99526"),
     ],
 )
-def test_a_pulse_agrees_with_its_step_or_the_difference_is_stated(reported: ObservedPulse, words: str) -> None:
+def test_a_pulse_agrees_with_its_step_or_the_difference_is_stated(reported: PulseFired, words: str) -> None:
     assert contradiction(reported, LEFT) == words
 
 
@@ -91,7 +91,8 @@ def test_the_width_of_the_trigger_is_the_exposure() -> None:
 
 
 def test_rows_are_compared_with_the_step_of_their_turn() -> None:
-    pulses = {0: pulse("left", 0), 1: pulse("left", 1), 3: pulse("right", 3)}
+    lights = {0: "left", 1: "left", 3: "right"}
+    pulses = {row: ObservedPulse(pulse(light, row), float(row)) for row, light in lights.items()}
     assert list(contradicted_rows(pulses, (LEFT, RIGHT))) == [1]
     assert contradicted_rows(pulses, ()) == {}
 
@@ -123,7 +124,7 @@ def run_with_frames(ids: dict[int, int], rows: int = 6, name: str = "a", start_s
     """Return a run of one camera: row → frame id of the frames that arrived."""
     run = RunRecord(name, 0, PERIOD_S, pulse_count=rows)
     for row in range(rows):
-        pulse = Pulse(index=row, time_s=start_s + row * PERIOD_S)
+        pulse = PulseFired(0, start_s + row * PERIOD_S, row)
         run.pulses[row] = ObservedPulse(pulse, start_s + row * PERIOD_S, reported_s=start_s + row * PERIOD_S)
     for row, frame_id in ids.items():
         fired_s = run.pulses[row].host_s

@@ -9,17 +9,17 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from tests.acquisition.recorder_script import PERIOD_S, RecorderScript
+from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.pairing.evidence import GATE_S
 from vaoi_station.acquisition.pairing.latency import (
     Beginning,
     Latencies,
     LatencySettings,
-    WaitingFrame,
     learn,
 )
 from vaoi_station.acquisition.pairing.proof import doubts_of
 from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
-from vaoi_station.model import Pulse, Verdict
+from vaoi_station.model import Verdict
 
 T = 0.03
 PULSES_S = [10.0 + k * T for k in range(5)]
@@ -34,7 +34,7 @@ def beginning(latency_s: float, rows: list[int], *, pulses: int = 5, silent: boo
 def learnt(begun: Beginning, expected_s: float = 0.0) -> tuple[object, bool]:
     found = learn(begun, expected_s, GATE_S)
     assert found is not None
-    return found.latency_s, found.confirmed
+    return found
 
 
 @pytest.mark.parametrize("latency_ms", [12, 28])
@@ -126,8 +126,8 @@ def test_a_belt_faster_than_planned_confirms_no_latency_that_is_one_pulse_off() 
     latencies, run = Latencies([LatencySettings()], lambda _camera, _s: 1e-4), RunRecord("a", 0, PERIOD_S)
     for row in range(4):
         fired_s = START_S + row * 0.8 * PERIOD_S
-        run.pulses[row] = ObservedPulse(Pulse(index=row, time_s=fired_s), fired_s)
-    waiting = [WaitingFrame(run.pulses[row].host_s + 0.002, False) for row in (1, 2, 3)]
+        run.pulses[row] = ObservedPulse(PulseFired(0, fired_s, row), fired_s)
+    waiting = [(run.pulses[row].host_s + 0.002, False) for row in (1, 2, 3)]
     latencies.learn(0, [run], waiting, [], START_S + 1)
     assert not latencies[0].confirmed
     assert run.latency_known == {}
@@ -136,9 +136,9 @@ def test_a_belt_faster_than_planned_confirms_no_latency_that_is_one_pulse_off() 
 def test_before_the_second_pulse_the_plan_states_how_soon_it_may_come() -> None:
     """The plan allows 4 times the planned speed: a first frame after 8 ms may be that of the second pulse."""
     latencies, run = Latencies([LatencySettings()], lambda _camera, _s: 1e-4), RunRecord("a", 0, 0.03)
-    run.pulses[0] = ObservedPulse(Pulse(index=0, time_s=START_S), START_S)
+    run.pulses[0] = ObservedPulse(PulseFired(0, START_S, 0), START_S)
     run.fastest_s = 0.03 / 4
-    latencies.learn(0, [run], [WaitingFrame(START_S + 0.0077, False)], [], START_S + 1)
+    latencies.learn(0, [run], [(START_S + 0.0077, False)], [], START_S + 1)
     assert not latencies[0].confirmed
 
 
@@ -147,11 +147,11 @@ def test_the_silence_before_a_run_is_as_short_as_its_intervals(gap: float, known
     """On a belt of 1.25 times the planned speed, two intervals are 1.6 trigger periods."""
     latencies = Latencies([LatencySettings()], lambda _camera, _s: 1e-4)
     before, run = RunRecord("a", 0, PERIOD_S, finished=True), RunRecord("b", 0, PERIOD_S)
-    before.pulses[0] = ObservedPulse(Pulse(index=0, time_s=START_S), START_S)
+    before.pulses[0] = ObservedPulse(PulseFired(0, START_S, 0), START_S)
     for row in range(2):
         fired_s = START_S + (gap + 0.8 * row) * PERIOD_S
-        run.pulses[row] = ObservedPulse(Pulse(index=row, time_s=fired_s), fired_s)
-    latencies.learn(0, [before, run], [WaitingFrame(run.first_s + 0.002, False)], [], START_S + 1)
+        run.pulses[row] = ObservedPulse(PulseFired(0, fired_s, row), fired_s)
+    latencies.learn(0, [before, run], [(run.first_s + 0.002, False)], [], START_S + 1)
     assert run.latency_known == known
 
 

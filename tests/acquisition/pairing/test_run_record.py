@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.controller.interface import PulseSkipped
+from vaoi_station.acquisition.controller.interface import PulseFired, PulseSkipped
 from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
-from vaoi_station.model import Pulse
 
 PERIOD_S = 0.1
 
@@ -18,8 +18,8 @@ def record(*rows: int, light: str = "", exposures_us: tuple[float, ...] = ()) ->
     """Return a run with pulses of some rows; its device clock is 50 s ahead of the host's."""
     run = RunRecord("a", 0, PERIOD_S)
     for row in rows:
-        pulse = Pulse(index=row, time_s=50.0 + row * PERIOD_S, light=light)
-        run.pulses[row] = ObservedPulse(pulse, row * PERIOD_S, exposures_us)
+        pulse = PulseFired(0, 50.0 + row * PERIOD_S, row, light)
+        run.pulses[row] = ObservedPulse(replace(pulse, exposures_us=exposures_us), row * PERIOD_S)
     return run
 
 
@@ -34,7 +34,7 @@ def test_rows_without_a_report_follow_the_row_before_by_one_period() -> None:
 def on_belt(times_s: dict[int, float]) -> RunRecord:
     """Return a run whose pulses have these times by the controller's clock."""
     run = RunRecord("a", 0, PERIOD_S)
-    run.pulses = {row: ObservedPulse(Pulse(index=row, time_s=s), s) for row, s in times_s.items()}
+    run.pulses = {row: ObservedPulse(PulseFired(0, s, row), s) for row, s in times_s.items()}
     return run
 
 
@@ -70,8 +70,8 @@ def lit(on_us: dict[int, float | None], shutters_us: tuple[float, ...] = (250.0,
     """Return a run without a program, whose controller reports the on-times of the LEDs."""
     run = RunRecord("a", 0, PERIOD_S, shutters_us=shutters_us)
     for row, lit_us in on_us.items():
-        pulse = Pulse(index=row, time_s=50.0 + row * PERIOD_S, light="ring")
-        run.pulses[row] = ObservedPulse(pulse, row * PERIOD_S, on_us=lit_us)
+        pulse = PulseFired(0, 50.0 + row * PERIOD_S, row, "ring")
+        run.pulses[row] = ObservedPulse(replace(pulse, on_us=lit_us), row * PERIOD_S)
     return run
 
 

@@ -7,13 +7,14 @@ from collections.abc import Callable
 import pytest
 
 from vaoi_station.acquisition.clocks import ClockJump
+from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.recorder import Finished
 from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
 from vaoi_station.acquisition.process.run_reports import clock_jump_error, finished_report, trouble_report
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
-from vaoi_station.model import FrameRecord, Pulse, Verdict
+from vaoi_station.model import FrameRecord, Verdict
 
 PROOF = TriggerProof(proven=True, cameras=(), findings=())
 
@@ -21,7 +22,7 @@ PROOF = TriggerProof(proven=True, cameras=(), findings=())
 def finished(last_frame_s: float | None) -> Finished:
     record = RunRecord("r1", 1, 0.05, pulse_count=2, reason="clear", unassigned=3, last_frame_host_s=last_frame_s)
     for row in range(2):
-        record.pulses[row] = ObservedPulse(Pulse(index=row, time_s=7.0 + row * 0.05), 100.0 + row * 0.05)
+        record.pulses[row] = ObservedPulse(PulseFired(0, 7.0 + row * 0.05, row), 100.0 + row * 0.05)
     frames = tuple(
         FrameRecord(camera=camera, row=row, verdict=verdict, cause="" if verdict is Verdict.OK else "lost", slot=slot)
         for camera, row, verdict, slot in (
@@ -49,7 +50,7 @@ def test_reports_that_contradict_each_other_cost_the_run_its_certainty_not_the_p
 ) -> None:
     """A controller that was reset meanwhile may report a row earlier than the row before."""
     run = finished(100.2)
-    run.record.pulses[1] = ObservedPulse(Pulse(index=1, time_s=0.5), 100.05)
+    run.record.pulses[1] = ObservedPulse(PulseFired(0, 0.5, 1), 100.05)
     head = finished_report(make_config(), run, 101.0).head
     assert (head.rows, head.missing, head.trigger_times_s) == (2, ((0, 1), (1, 1)), None)
     assert [("contradict" in doubt, "must increase" in doubt) for doubt in head.doubts] == [(True, True)]
@@ -86,7 +87,7 @@ def test_a_run_whose_reports_contradict_keeps_what_the_line_states(make_config: 
     expected = config.line.expected_board.model_copy(update={"rotation_deg": 90})
     turned = config.model_copy(update={"line": config.line.model_copy(update={"expected_board": expected})})
     run = finished(None)
-    run.record.pulses[1] = ObservedPulse(Pulse(index=1, time_s=0.5), 100.05)  # earlier than the pulse before it
+    run.record.pulses[1] = ObservedPulse(PulseFired(0, 0.5, 1), 100.05)  # earlier than the pulse before it
     head = finished_report(turned, run, 101.0).head
     assert (head.rotation_deg, head.trigger_times_s) == (90, None)
     assert "contradict each other" in head.doubts[0]

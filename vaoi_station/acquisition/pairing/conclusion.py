@@ -11,10 +11,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
-from vaoi_station.acquisition.cameras.interface import STATED_TOLERANCE_DB, StatedExposure, stated_tolerance_us
+from vaoi_station.acquisition.cameras.interface import STATED_TOLERANCE_DB, stated_tolerance_us
 from vaoi_station.acquisition.clocks import ClockJump
+from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.pairing.evidence import NO_PACKET, Gap, explain_missing, find_gaps, median
-from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, prove, questioned_rows
+from vaoi_station.acquisition.pairing.proof import Kind, TriggerFinding, TriggerProof, prove, questioned_rows
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
 from vaoi_station.model import FrameRecord, ProgramRow, Verdict
 from vaoi_station.model.recording import row_of
@@ -30,9 +31,9 @@ class _Outage:
 class Outages:
     """The latest outages and clock jumps of every camera. During an outage the camera is called *away*."""
 
-    def __init__(self, keep: int = 20) -> None:
-        self._jumps: defaultdict[int, deque[ClockJump]] = defaultdict(lambda: deque(maxlen=keep))
-        self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=keep))
+    def __init__(self) -> None:
+        self._jumps: defaultdict[int, deque[ClockJump]] = defaultdict(lambda: deque(maxlen=20))
+        self._outages: defaultdict[int, deque[_Outage]] = defaultdict(lambda: deque(maxlen=20))
 
     def begin(self, camera: int, since_s: float, why: str) -> None:
         """Record that a camera has been away since `since_s`, because of `why`, which is a phrase for messages."""
@@ -77,26 +78,26 @@ def contradicted_rows(pulses: Mapping[int, ObservedPulse], program: Sequence[Pro
     found: dict[int, str] = {}
     for row, pulse in sorted(pulses.items()):
         expected = row_of(program, row)
-        if expected is not None and (text := contradiction(pulse, expected)):
+        if expected is not None and (text := contradiction(pulse.event, expected)):
             found[row] = text
     return found
 
 
-def contradiction(pulse: ObservedPulse, expected: ProgramRow) -> str:
+def contradiction(fired: PulseFired, expected: ProgramRow) -> str:
     """Return what a pulse was reported with if the program states something else; an empty text otherwise."""
-    if pulse.pulse.light != expected.light:
-        lit = f"light {pulse.pulse.light!r}" if pulse.pulse.light else "no light"
+    if fired.light != expected.light:
+        lit = f"light {fired.light!r}" if fired.light else "no light"
         return f"its pulse was fired with {lit}, but the light program has {expected.light!r}"
-    if pulse.on_us is not None and expected.on_us is not None and abs(pulse.on_us - expected.on_us) > ON_TOLERANCE_US:
+    if fired.on_us is not None and expected.on_us is not None and abs(fired.on_us - expected.on_us) > ON_TOLERANCE_US:
         return (
-            f"light {expected.light!r} was on for {pulse.on_us:g} µs, but the light program has {expected.on_us:g} µs"
+            f"light {expected.light!r} was on for {fired.on_us:g} µs, but the light program has {expected.on_us:g} µs"
         )
-    is_us, must_us = pulse.trigger_us, expected.trigger_us
+    is_us, must_us = fired.trigger_us, expected.trigger_us
     if is_us is not None and must_us is not None and abs(is_us - must_us) > ON_TOLERANCE_US:
         return f"its trigger was high for {is_us:g} µs, but the light program has an exposure of {must_us:g} µs"
     for name, unit, reported, stated in (
-        ("exposure", " µs", pulse.exposures_us, expected.lit_us),
-        ("gain", "", pulse.gains, expected.gains),
+        ("exposure", " µs", fired.exposures_us, expected.lit_us),
+        ("gain", "", fired.gains, expected.gains),
     ):
         for camera, (is_, must) in enumerate(zip(reported, stated, strict=False)):
             if abs(is_ - must) > SHARE_TOLERANCE * must:
@@ -108,31 +109,22 @@ def contradicted_frames(camera: int, frames: Iterable[ObservedFrame], program: S
     """Return {row: text} for the frames of a camera that state another exposure or gain than the program."""
     if not program:
         return {}
-    return {
-        frame.row: text
-        for frame in frames
-        if frame.row is not None
-        and frame.stated is not None
-        and (text := _stated_contradiction(frame.stated, camera, frame.row, program))
-    }
-
-
-def _stated_contradiction(stated: StatedExposure, camera: int, row: int, program: Sequence[ProgramRow]) -> str:
-    expected = program[row % len(program)]
-    must_us, must_db = expected.exposures_us[camera], expected.gains_db[camera]
-    # Steps are at least two tolerances apart in one of the two (`filming_plan`): a frame fits one step at most. What a
-    # frame states may be no number (NaN), which is not below any limit.
-    if not abs(stated.exposure_us - must_us) < stated_tolerance_us(must_us):
-        return (
-            f"its frame states an exposure of {stated.exposure_us:g} µs, but the light program has {must_us:g} µs: the "
-            "camera's sequencer is at another row"
-        )
-    if stated.gain_db is not None and not abs(stated.gain_db - must_db) < STATED_TOLERANCE_DB:
-        return (
-            f"its frame states a gain of {stated.gain_db:g} dB, but the light program has {must_db:g} dB: the camera's "
-            "sequencer is at another row"
-        )
-    return ""
+    found: dict[int, str] = {}
+    for frame in frames:
+        if frame.row is None or (stated := frame.stated) is None:
+            continue
+        expected = program[frame.row % len(program)]
+        must_us, must_db = expected.exposures_us[camera], expected.gains_db[camera]
+        # Steps are at least two tolerances apart in one of the two (`filming_plan`): a frame fits one step at most.
+        # What a frame states may be no number (NaN), which is not below any limit.
+        if not abs(stated.exposure_us - must_us) < stated_tolerance_us(must_us):
+            what = f"an exposure of {stated.exposure_us:g} µs, but the light program has {must_us:g} µs"
+        elif stated.gain_db is not None and not abs(stated.gain_db - must_db) < STATED_TOLERANCE_DB:
+            what = f"a gain of {stated.gain_db:g} dB, but the light program has {must_db:g} dB"
+        else:
+            continue
+        found[frame.row] = f"its frame states {what}: the camera's sequencer is at another row"
+    return found
 
 
 MARGIN_PERIODS = 1.5
@@ -151,7 +143,7 @@ def judge_run(
     """Return the records of the missing frames of a run, and the proof of the run; `run` does not change."""
     missing: list[FrameRecord] = []
     frames, gaps = [], []
-    jumped: list[dict[int, str]] = []
+    jumped: list[dict[int, str]] = []  # camera → {row: why the frame that was assigned to it cannot be dated}
     taken: list[set[int]] = [set() for _ in unassigned]
     for camera, row in run.taken:
         taken[camera].add(row)
@@ -160,19 +152,19 @@ def judge_run(
         dated = [f for f in run.complete_frames[camera] if f.row not in jumped[-1]]
         certain = [f for f in _near_run(run, extra) if _jump_of(f, camera, outages) is None]
         observed = [*dated, *_without_displaced(run, certain, dated, jumped[-1])]
-        frames.append([_with_epoch(f, outages.count_ended(camera, f.host_s)) for f in observed])
+        frames.append([replace(f, epoch=outages.count_ended(camera, f.host_s)) for f in observed])
         opening = _opening_gap(run, previous, camera, extra, outages, taken[camera])
         gaps.append([*opening, *_gaps(run, frames[-1], taken[camera])])
         missing += _missing(run, camera, gaps[-1], outages, sum(f.row is None for f in observed))
     unconfirmed = {camera for camera, confirmed in run.latency_known.items() if not confirmed}
-    proof = _with_jumps(prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed), jumped)
+    proof = _with_findings(prove(run.pulses, pulse_bound_s, frames, gaps, unconfirmed), "clock-jumped", jumped)
     rows = contradicted_rows(run.pulses, run.program)
     # What the pulse was fired with is stated first; a frame that contradicts as well adds nothing to it.
     contradicted = [
         contradicted_frames(camera, run.complete_frames[camera], run.program) | rows
         for camera in range(len(unassigned))
     ]
-    return missing, _with_lights(proof, contradicted)
+    return missing, _with_findings(proof, "other-light", contradicted)
 
 
 def cameras_in_doubt(proof: TriggerProof) -> frozenset[int]:
@@ -208,10 +200,8 @@ def _without_displaced(
     dated: Sequence[ObservedFrame],
     jumped: Mapping[int, str],
 ) -> list[ObservedFrame]:
-    """Return the unassigned frames except those whose row was taken by a frame with an unknown time.
-
-    Such a frame answered its pulse. As evidence against the trigger it would make the camera appear to run freely.
-    """
+    # A frame whose row was taken by one with an unknown time answered its pulse. As evidence against the trigger it
+    # would make the camera appear to run freely.
     if not jumped or not run.pulses:
         return list(unassigned)
     latency_s = median([f.host_s - run.pulses[f.row].host_s for f in dated if f.row is not None] or [0.0])
@@ -222,32 +212,17 @@ def _without_displaced(
     return [frame for frame in unassigned if row_of(frame) not in jumped]
 
 
-def _with_jumps(proof: TriggerProof, jumped: Sequence[Mapping[int, str]]) -> TriggerProof:
+def _with_findings(proof: TriggerProof, kind: Kind, texts: Sequence[Mapping[int, str]]) -> TriggerProof:
+    """Return the proof with one more finding for every camera and row that has a text."""
     found = tuple(
-        TriggerFinding(camera=camera, row=row, kind="clock-jumped", text=text)
-        for camera, rows in enumerate(jumped)
+        TriggerFinding(camera=camera, row=row, kind=kind, text=text)
+        for camera, rows in enumerate(texts)
         for row, text in sorted(rows.items())
     )
     if not found:
         return proof
-    cameras = tuple(c.model_copy(update={"proven": c.proven and not jumped[c.camera]}) for c in proof.cameras)
+    cameras = tuple(c.model_copy(update={"proven": c.proven and not texts[c.camera]}) for c in proof.cameras)
     return TriggerProof(proven=False, cameras=cameras, findings=(*proof.findings, *found))
-
-
-def _with_lights(proof: TriggerProof, contradicted: Sequence[Mapping[int, str]]) -> TriggerProof:
-    found = tuple(
-        TriggerFinding(camera=camera, row=row, kind="other-light", text=text)
-        for camera, rows in enumerate(contradicted)
-        for row, text in sorted(rows.items())
-    )
-    if not found:
-        return proof
-    cameras = tuple(c.model_copy(update={"proven": c.proven and not contradicted[c.camera]}) for c in proof.cameras)
-    return TriggerProof(proven=False, cameras=cameras, findings=(*proof.findings, *found))
-
-
-def _with_epoch(frame: ObservedFrame, epoch: int) -> ObservedFrame:
-    return replace(frame, epoch=epoch) if epoch else frame
 
 
 def _near_run(run: RunRecord, unassigned: Sequence[ObservedFrame]) -> list[ObservedFrame]:

@@ -11,7 +11,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
 
 from vaoi_station.acquisition.pairing.evidence import ENOUGH, GATE_S, median
 from vaoi_station.acquisition.pairing.proof import TriggerProof
@@ -54,40 +53,18 @@ class Beginning:
     overdue: bool = False
 
 
-@dataclass(frozen=True)
-class Learnt:
-    """A latency, and whether the beginning of a run confirms it. If not, it may be wrong by whole periods."""
-
-    latency_s: float
-    confirmed: bool
+Learnt = tuple[float, bool]
+"""A latency, s, and whether the beginning of a run confirms it. If not, it may be wrong by whole periods."""
 
 
+@dataclass
 class CameraLatency:
     """The latency of one camera, as far as it is known."""
 
-    def __init__(self, settings: LatencySettings) -> None:
-        self.gate_s, self.given = settings.gate_s, settings.given_s is not None
-        self.value_s = settings.given_s or 0.0
-        self.confirmed = self.given
-
-    def learn(self, begun: Beginning) -> Learnt | None:
-        """Set the latency from the beginning of a run, and return it; None if more frames or pulses are needed."""
-        found = learn(begun, self.value_s, self.gate_s)
-        if found is not None:
-            self.value_s, self.confirmed = found.latency_s, found.confirmed
-        return found
-
-    def revise(self, measured_s: float | None, in_order_s: float | None, assigned: int, extra: int) -> None:
-        """Update the latency from the frames of a finished run. A configured latency is never changed."""
-        if self.given:
-            return
-        if in_order_s is not None:
-            # The beginning of the next run shows whether a setting was changed or a fault occurred.
-            self.value_s, self.confirmed = in_order_s, False
-        elif extra > assigned:
-            self.confirmed = False
-        elif measured_s is not None and assigned > 1:
-            self.value_s = max(measured_s, 0.0)
+    gate_s: float
+    given: bool
+    value_s: float
+    confirmed: bool
 
 
 def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
@@ -97,7 +74,7 @@ def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
     if begun.from_silence and frames_s:
         first_s = frames_s[0] - pulses_s[0]
         if first_s >= -bound_s and abs(first_s - expected_s) <= spread_s:
-            return Learnt(max(first_s, 0.0), True)
+            return (max(first_s, 0.0), True)
         begin_s = [f - p for f, p in zip(frames_s[:ENOUGH], pulses_s, strict=False)]
         # If the first frame is later than a period, it may be that of the second pulse, because that of the first was
         # lost.
@@ -106,21 +83,21 @@ def learn(begun: Beginning, expected_s: float, gate_s: float) -> Learnt | None:
             and _is_latency(begin_s, bound_s, spread_s)
             and max(begin_s) < begun.period_s - bound_s
         ):
-            return Learnt(median(begin_s), True)
+            return (median(begin_s), True)
         # The only frame of a short run may not belong to the pulse, while the frame of the pulse is still under way.
         enough = begun.all_fired and len(frames_s) >= ENOUGH
         if enough and (all_s := in_order_s(pulses_s, frames_s, bound_s, spread_s)) is not None:
-            return Learnt(all_s, True)
+            return (all_s, True)
     shortest_s = [_since_pulse_s(pulses_s, f + bound_s) - bound_s for f in frames_s]
     if not (begun.overdue or _several_per_pulse(begun)):
         return None
     if not shortest_s or not _is_latency(shortest_s, bound_s, spread_s) or _several_per_pulse(begun):
-        return Learnt(expected_s, False)
+        return (expected_s, False)
     found_s = max(median(shortest_s), 0.0)
     periods = round((expected_s - found_s) / begun.period_s)
     # The expected latency may be longer than a period. The frames then fit it as well.
     fits = periods > 0 and abs(expected_s - found_s - periods * begun.period_s) <= bound_s
-    return Learnt(expected_s if fits else found_s, False)
+    return (expected_s if fits else found_s, False)
 
 
 def in_order_s(pulses_s: Sequence[float], frames_s: Sequence[float], bound_s: float, spread_s: float) -> float | None:
@@ -152,18 +129,13 @@ def _several_per_pulse(begun: Beginning) -> bool:
     return False
 
 
-class WaitingFrame(NamedTuple):
-    """A complete frame that is not assigned yet."""
-
-    host_s: float
-    aged: bool
-
-
 class Latencies:
     """The latencies (pulse to time stamp) of all cameras of a station, learnt from one run to the next."""
 
     def __init__(self, settings: Sequence[LatencySettings], bound_s: Callable[[int, float], float]) -> None:
-        self._cameras = [CameraLatency(s) for s in settings]
+        self._cameras = [
+            CameraLatency(s.gate_s, s.given_s is not None, s.given_s or 0.0, s.given_s is not None) for s in settings
+        ]
         self._bound_s = bound_s
 
     def __getitem__(self, camera: int) -> CameraLatency:
@@ -180,48 +152,52 @@ class Latencies:
         self,
         camera: int,
         runs: Sequence[RunRecord],
-        waiting: Sequence[WaitingFrame],
+        waiting: Sequence[tuple[float, bool]],
         unassigned_s: Sequence[float],
         now_s: float,
     ) -> None:
-        """Learn the latency of a camera from its waiting frames, unless it is known."""
+        """Learn the latency of a camera from its waiting complete frames, unless it is known.
+
+        Each is (time stamp by the host's clock, whether it has waited so long that it must be decided now).
+        """
         latency = self._cameras[camera]
         for run in runs:
-            own = [f for f in waiting if self._owner(runs, camera, f.host_s) is run]
+            own = [(s, aged) for s, aged in waiting if self._owner(runs, camera, s) is run]
             if latency.confirmed or run.finished or not own or camera in run.latency_known:
                 continue
-            bound_s = max(self._bound_s(camera, f.host_s) for f in own)
-            exposed_s = [*(f.host_s for f in waiting), *unassigned_s]
+            bound_s = max(self._bound_s(camera, s) for s, _ in own)
+            exposed_s = [*(s for s, _ in waiting), *unassigned_s]
             # Frames were taken before an earlier run, which finished meanwhile, showed that the latency is not sure.
             taken = run.complete_frames[camera]
-            found = latency.learn(
-                Beginning(
-                    pulses_s=sorted(p.host_s for p in run.pulses.values()),
-                    frames_s=sorted([*(f.host_s for f in own), *(f.host_s for f in taken)]),
-                    period_s=run.least_period_s,
-                    bound_s=bound_s,
-                    from_silence=run.has_first_pulse and _was_silent(run, runs, exposed_s, bound_s),
-                    all_fired=run.all_fired,
-                    overdue=now_s >= run.deadline_s or any(f.aged for f in own),
-                )
+            begun = Beginning(
+                pulses_s=sorted(p.host_s for p in run.pulses.values()),
+                frames_s=sorted([*(s for s, _ in own), *(f.host_s for f in taken)]),
+                period_s=run.least_period_s,
+                bound_s=bound_s,
+                from_silence=run.has_first_pulse and _was_silent(run, runs, exposed_s, bound_s),
+                all_fired=run.all_fired,
+                overdue=now_s >= run.deadline_s or any(aged for _, aged in own),
             )
+            found = learn(begun, latency.value_s, latency.gate_s)
             if found is not None:
+                latency.value_s, latency.confirmed = found
                 # A frame that was taken by another latency may be in a wrong row.
-                fits = all(abs(run.latency_s(f) - found.latency_s) <= latency.gate_s for f in taken)
-                run.latency_known[camera] = found.confirmed and fits
+                fits = all(abs(run.latency_s(f) - latency.value_s) <= latency.gate_s for f in taken)
+                run.latency_known[camera] = latency.confirmed and fits
 
     def revise(self, proof: TriggerProof) -> None:
         """Update the latencies of all cameras from the proof of a finished run."""
         for camera in proof.cameras:
-            # Frames in doubt show nothing about the latency, except the latency at which they would follow their pulses
-            # one by one.
-            measured_us = camera.latency_us if camera.proven else None
-            self._cameras[camera.camera].revise(
-                None if measured_us is None else measured_us * 1e-6,
-                None if camera.in_order_us is None else camera.in_order_us * 1e-6,
-                camera.frames,
-                camera.extra,
-            )
+            latency = self._cameras[camera.camera]
+            if latency.given:
+                continue
+            if camera.in_order_us is not None:
+                # The beginning of the next run shows whether a setting was changed or a fault occurred.
+                latency.value_s, latency.confirmed = camera.in_order_us * 1e-6, False
+            elif camera.extra > camera.frames:
+                latency.confirmed = False
+            elif camera.latency_us is not None and camera.proven and camera.frames > 1:
+                latency.value_s = max(camera.latency_us * 1e-6, 0.0)
 
     def _owner(self, runs: Sequence[RunRecord], camera: int, host_s: float) -> RunRecord | None:
         latest_s = host_s + self._bound_s(camera, host_s)

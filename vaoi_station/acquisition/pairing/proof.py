@@ -310,7 +310,7 @@ def _in_order_s(
     # So few frames may follow some pulses in order by chance.
     if len(frames) != len(rows) or len(rows) < ENOUGH or [f.row for f in frames] == rows or not extra:
         return None
-    left = residuals_s([pulses[row].pulse.time_s for row in rows], [f.time_s for f in frames])
+    left = residuals_s([pulses[row].event.time_s for row in rows], [f.time_s for f in frames])
     if max(abs(left)) > RESIDUAL_LIMIT_S or len({f.epoch for f in frames}) != 1:
         return None
     found_s = median([f.host_s - pulses[row].host_s for f, row in zip(frames, rows, strict=True)])
@@ -323,7 +323,7 @@ def _residuals(pulses: Mapping[int, ObservedPulse], assigned: Sequence[ObservedF
     for epoch in {f.epoch for f in assigned}:
         frames = [f for f in assigned if f.epoch == epoch and f.row is not None]
         rows = [f.row for f in frames if f.row is not None]
-        left = residuals_s([pulses[row].pulse.time_s for row in rows], [f.time_s for f in frames])
+        left = residuals_s([pulses[row].event.time_s for row in rows], [f.time_s for f in frames])
         found |= dict(zip(rows, left.tolist(), strict=True))
     return dict(sorted(found.items()))
 

@@ -7,6 +7,7 @@ by elimination.
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
@@ -17,10 +18,10 @@ from vaoi_station.acquisition.cameras.interface import Arrival
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.pairing.conclusion import Outages, cameras_in_doubt, conclude_run, judge_run
-from vaoi_station.acquisition.pairing.latency import Latencies, LatencySettings, WaitingFrame
+from vaoi_station.acquisition.pairing.latency import Latencies, LatencySettings
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
-from vaoi_station.model import FrameRecord, Pulse, Verdict
+from vaoi_station.model import FrameRecord, Verdict
 
 T = TypeVar("T", bound=Hashable)
 
@@ -51,22 +52,15 @@ STAMP_JITTER_S = 5e-5
 MAX_FINISHED = 4
 
 
-@dataclass(frozen=True)
-class Limits:
-    """The tolerances and the waiting times of the recorder."""
-
-    early_s: float = 0.010
-    """Because of the errors of the clocks, an incomplete frame may seem to arrive before its pulse by up to this
-    time."""
-    late_s: float = 0.5
-    """Frames are awaited for one period plus this time after the end of the pulses."""
-    report_delay_s: float = 0.1
-    """Longest time from a pulse to the controller's report of it."""
-    unexplained_s: float = 5.0
-    """Time after its arrival, s, at which a frame without a pulse is given up.
-
-    The controller fires for 3 s without a connection to the host; the reports of these pulses are read when the
-    connection is back. So this time is longer than 3 s."""
+EARLY_S = 0.010
+"""An incomplete frame may seem to arrive before its pulse by up to this time, because of the errors of the clocks."""
+LATE_S = 0.5
+"""Frames are awaited for one period plus this time after the end of the pulses."""
+REPORT_DELAY_S = 0.1
+"""Longest time from a pulse to the controller's report of it."""
+UNEXPLAINED_S = 5.0
+"""Time after its arrival at which a frame without a pulse is given up. The controller fires for 3 s without a
+connection to the host, and reports these pulses when the connection is back."""
 
 
 @dataclass(frozen=True)
@@ -107,13 +101,11 @@ class Recorder:
         self,
         controller_clock: ClockModel,
         camera_clocks: Sequence[ClockModel],
-        limits: Limits | None = None,
         move_to_bay: MoveToBay = lambda slot, _bay, _camera: slot,
         exposures_us: Sequence[float] = (),
         latencies: Sequence[LatencySettings] = (),
         gains: Sequence[float] = (),
     ) -> None:
-        self.limits = limits or Limits()
         self.outages = Outages()
         self._controller_clock = controller_clock
         self._camera_clocks = camera_clocks
@@ -126,7 +118,7 @@ class Recorder:
         self._unassigned: list[deque[ObservedFrame]] = [deque(maxlen=MAX_UNASSIGNED) for _ in camera_clocks]
         self._undated: list[Arrival] = []
         """Incomplete frames without a row; their time stamps cannot be trusted."""
-        self._known_until_s = float("-inf")
+        self._known_until_s = -math.inf
 
     @property
     def open_runs(self) -> list[RunRecord]:
@@ -148,20 +140,17 @@ class Recorder:
         """Record that an event of controller time `time_s` was reported. All pulses before this time are then known."""
         self._known_until_s = max(self._known_until_s, self._controller_clock.host_s(time_s))
 
-    def add_pulse(self, event: PulseFired, now_s: float) -> tuple[Pulse, Iterator[Outcome]]:
+    def add_pulse(self, event: PulseFired, now_s: float) -> Iterator[Outcome]:
         """Add a pulse to the newest run. Frames that arrived before the report of the pulse may then be assigned."""
         self.note_controller_time(event.time_s)
-        pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
-        host_s = self._controller_clock.host_s(event.time_s)
-        reported = (event.exposures_us, now_s, event.gains, event.on_us, event.trigger_us)
-        self._runs[-1].pulses[event.index] = ObservedPulse(pulse, host_s, *reported)
-        return pulse, self.settle(now_s)
+        self._runs[-1].pulses[event.index] = ObservedPulse(event, self._controller_clock.host_s(event.time_s), now_s)
+        return self.settle(now_s)
 
     def end_pulses(self, record: RunRecord, pulses: int, reason: str, now_s: float) -> Iterator[Outcome]:
         """Record that the last pulse of a run was fired. `pulses` is the number of its rows."""
         if record.pulse_count is None:
             record.pulse_count, record.reason = pulses, reason
-            record.deadline_s = now_s + record.period_s + self.limits.late_s
+            record.deadline_s = now_s + record.period_s + LATE_S
         return self.settle(now_s)
 
     def add_arrival(self, arrival: Arrival, now_s: float) -> Iterator[Outcome]:
@@ -174,12 +163,10 @@ class Recorder:
         return self.settle(now_s)
 
     def settle(self, now_s: float) -> Iterator[Outcome]:
-        """Decide everything that can be decided at the time `now_s`.
+        """Decide everything that can be decided at `now_s`; call this again at `next_deadline_s` or earlier.
 
-        Call this method again at `next_deadline_s` or earlier.
-
-        The iterator must be exhausted. It is lazy so that the caller reports the last frame of a run before the
-        proof of the run is computed.
+        The iterator must be exhausted. It is lazy so that the caller reports the last frame of a run before its proof
+        is computed.
         """
         yield from self._assign_waiting(now_s)
         for record in self.open_runs:
@@ -192,15 +179,14 @@ class Recorder:
 
     def next_deadline_s(self, after_s: float) -> float | None:
         """Return the next host time after `after_s` at which `settle` may decide something even without a new event."""
-        limits = self.limits
-        times = [a.host_time_s + limits.unexplained_s for a, _ in self._waiting]
-        times += [a.host_time_s + s for a in self._undated for s in (limits.report_delay_s, limits.unexplained_s)]
+        times = [a.host_time_s + UNEXPLAINED_S for a, _ in self._waiting]
+        times += [a.host_time_s + s for a in self._undated for s in (REPORT_DELAY_S, UNEXPLAINED_S)]
         times += [r.deadline_s for r in self.open_runs]
         return min((t for t in times if t > after_s), default=None)
 
     def _assign_waiting(self, now_s: float) -> list[Outcome]:
         for camera in {a.camera for a, _ in self._waiting if not self._latencies[a.camera].confirmed}:
-            frames = [WaitingFrame(s, self._is_aged(a, now_s)) for a, s in self._waiting if a.camera == camera]
+            frames = [(s, self._is_aged(a, now_s)) for a, s in self._waiting if a.camera == camera]
             self._latencies.learn(camera, self._runs, frames, [f.host_s for f in self._unassigned[camera]], now_s)
         out: list[Outcome] = []
         waiting, self._waiting = self._waiting, []
@@ -226,7 +212,7 @@ class Recorder:
             if possible and distance_s <= self._gate_s(self._runs[n], camera):
                 return self._take(self._runs[n], row, arrival, Verdict.OK, after_s)
         if pulse_s + latency.gate_s < self._known_until_s or self._is_aged(arrival, now_s):
-            self._keep_unassigned(arrival, host_s)
+            self._unassigned[camera].append(_observed(arrival, None, host_s))
             nearest = f"; the nearest one is {min(near)[0] * 1e3:.1f} ms away" if near else ""
             late = f", {latency.value_s * 1e3:.1f} ms (its camera's latency) before its time stamp"
             when = late if latency.value_s > latency.gate_s else ""
@@ -244,7 +230,7 @@ class Recorder:
         return STAMP_JITTER_S + sum(clock.bound_s(clock.device_s(host_s)) for clock in clocks)
 
     def _is_aged(self, arrival: Arrival, now_s: float) -> bool:
-        return now_s >= arrival.host_time_s + self.limits.unexplained_s
+        return now_s >= arrival.host_time_s + UNEXPLAINED_S
 
     def _take(
         self, record: RunRecord, row: int, arrival: Arrival, verdict: Verdict, error_s: float | None = None
@@ -252,7 +238,8 @@ class Recorder:
         key = (arrival.camera, row)
         if key in record.taken:
             if error_s is not None:
-                self._keep_unassigned(arrival, record.pulses[row].host_s + error_s)
+                unassigned = _observed(arrival, None, record.pulses[row].host_s + error_s)
+                self._unassigned[arrival.camera].append(unassigned)
             return self._refuse(arrival, f"camera {key[0]} has a frame of row {row} already", record)
         record.taken.add(key)
         if record.run is None or record.bay is None:
@@ -267,6 +254,8 @@ class Recorder:
             frame = _observed(arrival, row, record.pulses[row].host_s + error_s)
             record.complete_frames[arrival.camera].append(frame)
         record.last_frame_host_s = max(record.last_frame_host_s or 0.0, arrival.host_time_s)
+        reported_us, reported_gains = record.taken_with(row)
+        exposures_us, gains = reported_us or self._exposures_us, reported_gains or self._gains
         record.frames[key] = FrameRecord(
             camera=arrival.camera,
             row=row,
@@ -276,14 +265,11 @@ class Recorder:
             frame_id=arrival.frame_id,
             camera_time_s=arrival.time_s,
             pulse_error_us=None if error_s is None else error_s * 1e6,
-            exposure_us=_of_camera(record.taken_with(row)[0] or self._exposures_us, arrival.camera),
-            gain=_of_camera(record.taken_with(row)[1] or self._gains, arrival.camera),
-            light=record.pulses[row].pulse.light if row in record.pulses else "",
+            exposure_us=exposures_us[arrival.camera] if exposures_us else None,
+            gain=gains[arrival.camera] if gains else None,
+            light=record.pulses[row].event.light if row in record.pulses else "",
         )
         return Settled(record.run, record.frames[key])
-
-    def _keep_unassigned(self, arrival: Arrival, host_s: float) -> None:
-        self._unassigned[arrival.camera].append(_observed(arrival, None, host_s))
 
     def _refuse(self, arrival: Arrival, reason: str, record: RunRecord | None = None) -> Unassigned:
         """Return the outcome of a refused frame. Count the frame in `record`, or else in the newest open run."""
@@ -321,7 +307,8 @@ class Recorder:
         return {decidable[n]: (runs[index], row) for n, (index, row) in chosen.items()}
 
     def _is_decidable(self, arrival: Arrival, now_s: float) -> bool:
-        return self._is_reported(arrival) or now_s >= arrival.host_time_s + self.limits.report_delay_s
+        """Return whether all pulses to which a frame may belong have been reported."""
+        return self._is_reported(arrival) or now_s >= arrival.host_time_s + REPORT_DELAY_S
 
     def _is_reported(self, arrival: Arrival) -> bool:
         return self._known_until_s >= arrival.host_time_s
@@ -329,11 +316,11 @@ class Recorder:
     def _candidates(self, arrival: Arrival) -> set[tuple[int, int]]:
         found = set()
         for n, record in enumerate(self._runs):
-            latest_s = record.period_s + self.limits.late_s
+            latest_s = record.period_s + LATE_S
             for row in record.open_rows(arrival.camera):
                 fired = record.pulses.get(row)
                 # If the report of a pulse was lost, its time is unknown: its row is a candidate for every such frame.
-                if fired is None or -self.limits.early_s <= arrival.host_time_s - fired.host_s <= latest_s:
+                if fired is None or -EARLY_S <= arrival.host_time_s - fired.host_s <= latest_s:
                     found.add((n, row))
         return found
 
@@ -362,7 +349,7 @@ class Recorder:
         unassigned = [[*kept] for kept in self._unassigned]
         for arrival, host_s in self._waiting:
             # A frame after the last pulse waits for a later event of the controller, which may come with another board.
-            if host_s + self._latencies[arrival.camera].gate_s + self.limits.report_delay_s < now_s:
+            if host_s + self._latencies[arrival.camera].gate_s + REPORT_DELAY_S < now_s:
                 unassigned[arrival.camera].append(_observed(arrival, None, host_s))
         missing, proof = judge_run(record, unassigned, self.outages, bound_s, previous)
         record.doubted = cameras_in_doubt(proof)
@@ -378,7 +365,3 @@ class Recorder:
 def _observed(arrival: Arrival, row: int | None, host_s: float) -> ObservedFrame:
     assert arrival.time_s is not None
     return ObservedFrame(row, arrival.frame_id, arrival.time_s, host_s, arrival.host_time_s, 0, arrival.stated)
-
-
-def _of_camera(values: Sequence[float], camera: int) -> float | None:
-    return values[camera] if values else None

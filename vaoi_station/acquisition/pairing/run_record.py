@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -9,25 +10,19 @@ from itertools import pairwise
 import numpy as np
 
 from vaoi_station.acquisition.cameras.interface import StatedExposure
-from vaoi_station.acquisition.controller.interface import PulseSkipped
+from vaoi_station.acquisition.controller.interface import PulseFired, PulseSkipped
 from vaoi_station.line_config import row_ways_mm
-from vaoi_station.model import FrameRecord, ProgramRow, Pulse
+from vaoi_station.model import FrameRecord, ProgramRow
 from vaoi_station.model.recording import row_of
 
 
 @dataclass(frozen=True)
 class ObservedPulse:
-    """A pulse that the controller reported, with its time on both clocks."""
+    """A pulse as the controller reported it, with its time on the host's clock and when the report came."""
 
-    pulse: Pulse
+    event: PulseFired
     host_s: float
-    exposures_us: tuple[float, ...] = ()
-    """Exposure time of every camera, µs; empty if the controller does not report it."""
-    reported_s: float = float("inf")
-    """Host time at which the controller's report of the pulse was received."""
-    gains: tuple[float, ...] = ()
-    on_us: float | None = None
-    trigger_us: float | None = None
+    reported_s: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -72,7 +67,7 @@ class RunRecord:
     pulse_count: int | None = None
     """Count of rows of the whole run, including skipped ones; None until the end of the pulses is reported."""
     reason: str = ""
-    deadline_s: float = float("inf")
+    deadline_s: float = math.inf
     """Host time until which late frames are awaited."""
     finished: bool = False
     doubted: frozenset[int] = frozenset()
@@ -88,7 +83,7 @@ class RunRecord:
     conveyor_mm_s: tuple[float, float] | None = None
     row_mm: float | None = None
     shutters_us: tuple[float, ...] = ()
-    fastest_s: float = float("inf")
+    fastest_s: float = math.inf
     """Shortest time between two pulses that the plan of the run allows; infinite without a plan."""
 
     @property
@@ -141,7 +136,7 @@ class RunRecord:
 
     def last_arrival_s(self, camera: int) -> float:
         """Return the host time at which the last complete frame of a camera arrived; minus infinity without one."""
-        return max((frame.arrived_s for frame in self.complete_frames[camera]), default=float("-inf"))
+        return max((frame.arrived_s for frame in self.complete_frames[camera]), default=-math.inf)
 
     def open_rows(self, camera: int) -> list[int]:
         """Return the rows of which no frame of this camera has arrived. Rows without a pulse are left out."""
@@ -153,18 +148,15 @@ class RunRecord:
 
     def lights(self) -> tuple[str, ...] | None:
         """Return the name of each row's light pattern; None if no pattern has a name."""
-        names = tuple(self.pulses[r].pulse.light if r in self.pulses else self._planned(r) for r in range(self.rows))
-        return names if any(names) else None
-
-    def _planned(self, row: int) -> str:
-        expected = row_of(self.program, row)
-        return "" if expected is None else expected.light
+        names = []
+        for row in range(self.rows):
+            expected, pulse = row_of(self.program, row), self.pulses.get(row)
+            names.append(pulse.event.light if pulse is not None else expected.light if expected is not None else "")
+        return tuple(names) if any(names) else None
 
     def exposures_us(self) -> tuple[tuple[float, ...], ...] | None:
-        """Return the exposure times in µs of every row, one per camera; None if no row, or not every row, has them.
-
-        Where a row has no report, the shutters limit its exposure, if they are known.
-        """
+        """Return the exposures (µs) of every row, one per camera; None if no row, or not every row, has them."""
+        # Where a row has no report, the shutters limit its exposure, if they are known.
         reported = [self.taken_with(r)[0] for r in range(self.rows)]
         rows = tuple(row or self.shutters_us for row in reported)
         return rows if any(reported) and all(rows) else None
@@ -180,24 +172,21 @@ class RunRecord:
         Without a program, LEDs that are on for a shorter time than a shutter is open determine the exposures. Both are
         empty if they are those of station.toml, or unknown.
         """
-        expected, pulse = row_of(self.program, row), self.pulses.get(row)
-        exposures_us = pulse.exposures_us if pulse is not None else ()
-        gains = pulse.gains if pulse is not None else ()
+        expected, event = row_of(self.program, row), self.pulses[row].event if row in self.pulses else None
+        exposures_us, gains, on_us = (
+            (event.exposures_us, event.gains, event.on_us) if event is not None else ((), (), 0)
+        )
         if expected is not None:
             return exposures_us or expected.lit_us, gains or expected.gains
-        return exposures_us or self._lit_us(pulse), gains
-
-    def _lit_us(self, pulse: ObservedPulse | None) -> tuple[float, ...]:
         # An on-time of 0 is that of a row under a light without LEDs of the controller.
-        if pulse is None or not pulse.on_us or pulse.on_us >= max(self.shutters_us, default=0.0):
-            return ()
-        return tuple(min(shutter_us, pulse.on_us) for shutter_us in self.shutters_us)
+        if not exposures_us and on_us and on_us < max(self.shutters_us, default=0.0):
+            return tuple(min(shutter_us, on_us) for shutter_us in self.shutters_us), gains
+        return exposures_us, gains
 
     def times_s(self) -> tuple[float, ...]:
         """Return every row's pulse time by the controller's clock, relative to row 0 and rounded to ns.
 
-        A pulse whose report was lost is placed between its neighbours, at equal intervals. Before the first and after
-        the last row with a known time, rows follow at the interval that was measured there.
+        A pulse whose report was lost is placed between its neighbours; beyond them rows follow at the interval there.
         """
         times = self._row_times_s()
         return tuple(round(times[r] - times[0], 9) for r in range(self.rows))
@@ -215,10 +204,7 @@ class RunRecord:
         )
 
     def _row_times_s(self) -> list[float]:
-        """Return the time of every row's pulse by the controller's clock, s; they increase if those of the pulses do.
-
-        The belt may space the rows, so that the trigger period is no measure of their intervals.
-        """
+        # The belt may space the rows, so that the trigger period is no measure of their intervals.
         known_s = self._known_times_s()
         rows, times_s = list(known_s), list(known_s.values())
         first_s = last_s = self.period_s
@@ -232,10 +218,10 @@ class RunRecord:
         ]
 
     def _known_times_s(self) -> dict[int, float]:
-        times_s = {row: pulse.pulse.time_s for row, pulse in self.pulses.items()}
+        times_s = {row: pulse.event.time_s for row, pulse in self.pulses.items()}
         for row, event in sorted(self.skipped.items()):
-            before_s = max((s for r, s in times_s.items() if r < row), default=float("-inf"))
-            after_s = min((s for r, s in times_s.items() if r > row), default=float("inf"))
+            before_s = max((s for r, s in times_s.items() if r < row), default=-math.inf)
+            after_s = min((s for r, s in times_s.items() if r > row), default=math.inf)
             if row < self.rows and row not in times_s and before_s < event.time_s < after_s:
                 times_s[row] = event.time_s
         return dict(sorted(times_s.items()))

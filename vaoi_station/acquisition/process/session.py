@@ -45,7 +45,7 @@ from vaoi_station.acquisition.process.slot_queue import SlotQueue
 from vaoi_station.acquisition.ring import INCOMPLETE, OK, Ring
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, InputError, StateError, VaoiError
-from vaoi_station.model import Verdict
+from vaoi_station.model import Pulse, Verdict
 from vaoi_station.model.recording import linear_gain
 
 CLOCK_LIMIT_S = 2e-3
@@ -216,8 +216,9 @@ class Session:
             # An index that does not grow belongs to the next board: the report of the previous run's end was lost.
             if self._run is None or event.index <= max(self._run.pulses, default=-1):
                 self._begin_run(now_s)
-            pulse, outcomes = self._recorder.add_pulse(event, now_s)
+            outcomes = self._recorder.add_pulse(event, now_s)
             if self._run is not None and self._run.run is not None:
+                pulse = Pulse(index=event.index, time_s=event.time_s, light=event.light)
                 self._send(PulseReported(self._run.run, pulse))
             self._apply(outcomes, now_s)
         elif isinstance(event, PulseSkipped):
