@@ -67,8 +67,6 @@ def test_a_soak_is_reported(soaked: Record) -> None:
     assert "| runs that are not accounted for | 0 |" in summary(raw)
 
 
-
-
 @pytest.mark.parametrize(("growth", "flat"), [(0.0, True), (0.02, False), (-0.02, False)])
 def test_a_slope_is_found_and_noise_is_none(growth: float, flat: bool) -> None:
     g = np.random.default_rng(3)
@@ -99,8 +97,6 @@ def test_a_leak_is_found_although_every_life_begins_anew() -> None:
     assert slope is not None
     assert slope.low > 0
     assert slope.per_board == pytest.approx(0.1, rel=0.2)
-
-
 
 
 def shown(**changed: Any) -> dict[str, Any]:

@@ -55,9 +55,9 @@ class ClockJump:
 class ClockModel:
     """The mapping from one device's clock to the host's, updated with every reading."""
 
-    def __init__(self, name: str, keep: int = 60) -> None:
+    def __init__(self, name: str) -> None:
         self.name = name
-        self._readings: deque[ClockReading] = deque(maxlen=keep)
+        self._readings: deque[ClockReading] = deque(maxlen=60)
         self._device0_s = self._host0_s = 0.0
         self._slope = 0.0
         self._slope_sigma = PRIOR_DRIFT
@@ -65,10 +65,7 @@ class ClockModel:
         self.restarts = 0
 
     def add(self, reading: ClockReading) -> ClockJump | None:
-        """Add a reading and fit the line again. If it shows a jump of the clock, discard older ones; return the jump.
-
-        A jump of less than `JUMP_S` is not returned.
-        """
+        """Add a reading and fit again. At a jump, discard older readings; return it if it is at least `JUMP_S`."""
         jump = None
         if self._readings:
             off_s = abs(self.host_s(reading.device_s) - reading.host_s)

@@ -140,7 +140,10 @@ class ReplayController(Controller):
             except VaoiError as error:
                 self._events.put(DeviceFault("replay", error))
                 run = None
-            if run is None or not self._wait_armed():
+            with self._change, self._thread.waiting():
+                if run is not None:
+                    self._change.wait_for(lambda: self._closing or self._plan is not None)
+            if run is None or self._closing:
                 self._thread.expect_end()  # there is nothing more to play
                 return
             self._play(run)
@@ -169,37 +172,32 @@ class ReplayController(Controller):
         barrier_s = max(self._clock.now_s() + LEAD_S, self._last_end_s + GAP_S if self._pace else 0.0)
         # Whole nanoseconds are used, so that sums with the rounded recorded times are the same in every run.
         first_s = round(barrier_s + LEAD_S, 9)
-        if not self._wait_until(barrier_s, stop) or not self._begin_run(barrier_s, stop):
+        if not self._wait_until(barrier_s, stop):
             return
+        with self._change:
+            if stop():
+                return
+            self._in_run, self._pulses = True, 0
+            self._events.put(BarrierBlocked(next(self._numbers), barrier_s))
         for index, row in enumerate(run):
             device_s = first_s + row.time_s
-            if not self._wait_until(device_s, stop) or not self._fire(index, row, device_s, stop):
+            if not self._wait_until(device_s, stop):
                 return
+            with self._change:
+                if stop():
+                    return
+                self._pulses += 1
+                self._last_end_s = device_s
+                # The pulse is reported before its frames, so that the recorder can assign them at once.
+                pulse = PulseFired(next(self._numbers), device_s, index, row.light, row.exposures_us, row.gains)
+                self._events.put(pulse)
+                frames = row.deliver(device_s)
+                if self._pace is not None:
+                    self._pace.expect_frames(frames)
         with self._change:
             if not stop():
                 # There is no BarrierClear: a recording does not state when its board left the barrier.
                 self._end_run(first_s + run[-1].time_s, "clear")
-
-    def _begin_run(self, barrier_s: float, stop: Callable[[], bool]) -> bool:
-        with self._change:
-            if stop():
-                return False
-            self._in_run, self._pulses = True, 0
-            self._events.put(BarrierBlocked(next(self._numbers), barrier_s))
-            return True
-
-    def _fire(self, index: int, row: RecordedRow, device_s: float, stop: Callable[[], bool]) -> bool:
-        with self._change:
-            if stop():
-                return False
-            self._pulses += 1
-            self._last_end_s = device_s
-            # The pulse is reported before its frames, so that the recorder can assign them at once.
-            self._events.put(PulseFired(next(self._numbers), device_s, index, row.light, row.exposures_us, row.gains))
-            frames = row.deliver(device_s)
-            if self._pace is not None:
-                self._pace.expect_frames(frames)
-            return True
 
     def _end_run(self, time_s: float, reason: str) -> None:
         self._in_run = False
@@ -225,15 +223,8 @@ class ReplayController(Controller):
         if self._pace is not None:
             self._pace.wake()
 
-    def _wait_armed(self) -> bool:
-        with self._change, self._thread.waiting():
-            self._change.wait_for(lambda: self._closing or self._plan is not None)
-            return not self._closing
-
 
 CACHED_RECORDINGS = 4
-"""Count of recordings whose decoded frames are kept in memory."""
-
 Pixels = dict[tuple[int, int], NDArray[np.uint8]]
 
 

@@ -207,10 +207,7 @@ SUFFIX = ".ring"
 
 
 def start_ticks(pid: int) -> int | None:
-    """Return the start time of a process, in kernel ticks since boot; None if there is no such process.
-
-    Pid and start time together identify a process: pids are reused, start times are not.
-    """
+    """Return the start time of a process, kernel ticks since boot; None without it. A reused pid has another one."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except (FileNotFoundError, ProcessLookupError):
@@ -478,10 +475,7 @@ class Ring:
         return generation
 
     def renew(self, bay: int) -> int:
-        """Raise the generation of a bay, so that readers of its run notice that the bay is given away; return it.
-
-        The pixels are still those of the run before: `blacken` the bay before it is filled again.
-        """
+        """Raise the generation of a bay, and return it: its readers notice that. `blacken` it next."""
         self._require_writable("claim")
         first = self.layout.slot(bay, 0, 0)
         last = first + self.layout.slots_per_bay
@@ -493,11 +487,7 @@ class Ring:
         return generation
 
     def blacken(self, bay: int) -> None:
-        """Set all pixels of a bay to zero, so that holes of an incomplete frame never show an earlier board.
-
-        Takes as long as writing the bay once. Call it after `renew`, and before the bay is
-        granted to the acquisition process.
-        """
+        """Set all pixels of a bay to zero, so that holes of an incomplete frame never show an earlier board."""
         self._require_writable("claim")
         start = self.layout.offset(self.layout.slot(bay, 0, 0))
         end = start + self.layout.slots_per_bay * self.layout.slot_bytes

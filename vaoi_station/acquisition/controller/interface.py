@@ -1,8 +1,4 @@
-"""The interface of the trigger controller: arm, disarm, fire one pulse, report events with their times.
-
-The controller alone works in real time. Once armed it watches the barrier and fires cameras and LEDs by itself. The
-host receives events afterwards and may be late.
-"""
+"""The interface of the trigger controller, which alone works in real time: the host may receive its events late."""
 
 from __future__ import annotations
 
@@ -95,10 +91,7 @@ class TriggerPlan:
 
     @classmethod
     def of(cls, line: Line, lights: Sequence[str] = (), program: tuple[ProgramRow, ...] = ()) -> TriggerPlan:
-        """Return the plan that follows from the mechanics of a line: speed, lengths and distances.
-
-        A program gives the lights.
-        """
+        """Return the plan that follows from the mechanics of a line; a program gives the lights."""
         return cls(
             start_delay_s=line.start_delay_s,
             period_s=line.trigger_period_s,
@@ -186,11 +179,8 @@ class BarrierBlockedAgain(BarrierEdge):
 
 @dataclass(frozen=True)
 class BarrierClearAfterRun(BarrierEdge):
-    """The end of an interruption outside a run.
-
-    It is the end of a board that was refused, that stood in the barrier when the controller was armed, or whose run had
-    already ended.
-    """
+    """The end of an interruption outside a run: of a board that was refused, that stood in the barrier when the line
+    was armed, or whose run had ended."""
 
 
 @dataclass(frozen=True)
@@ -245,43 +235,27 @@ class Controller(Protocol):
     """A trigger controller. Once armed, it films one board after another until it is disarmed."""
 
     def start(self, events: EventQueue) -> None:
-        """Begin to put events into the queue `events`.
-
-        After a jump of its clock, the controller puts clock readings into the queue before the first event with the
-        new time.
-        """
+        """Begin to put events into the queue; after a jump of the clock, readings come before the first new event."""
 
     def arm(self, plan: TriggerPlan) -> None:
         """Film every board that passes the barrier from now on with this plan."""
 
     def disarm(self) -> None:
-        """Ignore the barrier from now on; end a run under way without another pulse.
-
-        When this returns, all events up to then have been reported, including RunEnded.
-        """
+        """Ignore the barrier from now on; end a run under way. All events, also RunEnded, are reported on return."""
 
     def fire_one(self, light: str = "", on_us: float | None = None) -> None:
-        """Trigger all cameras and LEDs once, now, whether or not a board is at the barrier: a run of one pulse.
+        """Trigger all cameras and LEDs once, now: a run of one pulse, which ends with the reason "single".
 
         The light is the one of this name, lit for `on_us`; without them the first one of station.toml, as it states.
-
-        Its PulseFired (index 0) and its RunEnded ("single") are reported like those of a board. The firmware reports
-        `FIRE_ONE` as one pulse without a row; the serial backend turns it into these two events.
-
-        Raises:
-            StateError: the controller is armed, or this backend fires only when a board passes.
-            InputError: the light is unknown, or its on-time is beyond the limits of the firmware.
+        StateError: the controller is armed, or cannot fire by itself. InputError: the light is unknown, or beyond the
+        limits of the firmware.
         """
 
     def read_clock(self) -> ClockReading:
         """Compare the controller's clock with the host's; called from a separate thread because it may take time."""
 
     def permit_board(self, permit: Permit | None) -> None:  # noqa: ARG002
-        """Let the output "line ready" permit one board; None holds boards back. Returns at once.
-
-        The controller sets the output by itself: high only while the permit is valid, no board has used it up, and a
-        board that came would be filmed.
-        """
+        """Let the output "line ready" permit one board, if it would be filmed; None holds boards back. At once."""
         return
 
     def line_output(self) -> LineOutput | None:

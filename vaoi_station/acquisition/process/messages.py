@@ -1,7 +1,6 @@
-"""The messages between station and acquisition process, sent over one pipe.
+"""The messages between station and acquisition process: the station sends commands, the process sends reports.
 
-The station sends commands, the process sends reports; both are frozen and picklable. The station grants memory ahead
-of time, so that the cameras already hold slots when a board follows directly behind another.
+The station grants memory ahead, so that the cameras hold slots when a board follows directly behind another.
 """
 
 from __future__ import annotations
@@ -17,10 +16,7 @@ from vaoi_station.model import FrameRecord, Pulse, RecordingHead
 
 @dataclass(frozen=True)
 class Grant:
-    """A bay of the ring for a coming run; grants are used in the order in which they are sent.
-
-    The station claims the bay before it grants it: `Ring.claim` starts a new generation and sets all pixels to zero.
-    """
+    """A bay of the ring, claimed by the station, for a coming run; grants are used in the order of sending."""
 
     run: str
     bay: int
@@ -35,10 +31,7 @@ class Arm:
 
 @dataclass(frozen=True)
 class Disarm:
-    """Ignore the barrier once the board that is passing has left, at the latest after `TriggerPlan.grace_s`.
-
-    If the board has not left by then, its run has the frames that arrived until then.
-    """
+    """Ignore the barrier once the board that is passing has left, at the latest after `TriggerPlan.grace_s`."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +48,7 @@ class FireOne:
 
 @dataclass(frozen=True)
 class FireTrial:
-    """Fire one pulse now with settings on trial, independent of the barrier: a run of one row. Refused if armed.
-
-    The command brings its memory, so that no board can get it. What is refused is reported by `TrialFailed`.
-    """
+    """Fire one pulse now with settings on trial, into this memory: a run of one row. A refusal is `TrialFailed`."""
 
     grant: Grant
     exposures: tuple[CameraExposure, ...]
@@ -100,17 +90,13 @@ class Disarmed:
 
 @dataclass(frozen=True)
 class RunStarted:
-    """The report that the first pulse of a board was fired.
-
-    The previous run may be unfinished at this time, because it may still wait for late frames.
-    """
+    """The report that the first pulse of a board was fired; the previous run may still wait for late frames."""
 
     run: str
     bay: int
     host_time_s: float
     edge_known: bool = True
-    """Whether that time is known. If not, the controller's report of the edge was lost: it is that of the first pulse,
-    and nothing shows which board it is, or whether another one follows it."""
+    """Whether that time is known. If not, the report of the edge was lost, and nothing shows which board it is."""
 
 
 @dataclass(frozen=True)
@@ -132,10 +118,7 @@ class FrameSettled:
 
 @dataclass(frozen=True)
 class RunFinished:
-    """The report that every (camera, row) of a run has its verdict. The run does not change any more.
-
-    Runs finish in the order of their boards, unless a run waits for late frames (at most one period + 0.5 s).
-    """
+    """The report that every (camera, row) of a run has its verdict; runs that wait for late frames come later."""
 
     run: str
     bay: int
@@ -162,10 +145,7 @@ class BoardMissed:
 
 @dataclass(frozen=True)
 class MissedPassage:
-    """The end of the passage of a missed board; other boards may have passed before it ended.
-
-    `host_time_s` is the time of the first interruption, to which `interruptions` are relative.
-    """
+    """The end of the passage of a missed board, which began at `host_time_s`; `interruptions` are relative to it."""
 
     host_time_s: float
     interruptions: tuple[Interruption, ...]

@@ -121,10 +121,8 @@ class Session:
         self._apply(self._recorder.settle(now_s), now_s)
 
     def rewind_sequences(self, now_s: float) -> None:
-        """Let the sequencers of the cameras begin anew for the next board. Call it when all events are handled.
-
-        Frames that are awaited are not put at risk, unless the next board is in the barrier already.
-        """
+        """Let the sequencers of the cameras begin anew for the next board. Call it when all events are handled."""
+        # Frames that are awaited are not put at risk, unless the next board is in the barrier already.
         awaited = (run.awaits_frames(len(self._devices.cameras)) for run in self._recorder.open_runs)
         if self.sequences.is_due(now_s) and (self.sequences.board_comes or not any(awaited)):
             self.sequences.rewind(now_s)
@@ -137,8 +135,7 @@ class Session:
     def arm(self, plan: TriggerPlan) -> None:
         """Queue slots in the cameras, then let the controller watch the barrier.
 
-        A plan that is refused before the controller is changed leaves the present plan in force. If the change of the
-        controller fails, no plan is in force: the station counts as not armed.
+        A plan that is refused leaves the present one in force, unless the controller failed: then none is.
         """
         if plan.max_rows > self._ring.layout.slots_per_camera:
             limit = f"at most the {self._ring.layout.slots_per_camera} slots per camera and run of the ring"
@@ -192,10 +189,7 @@ class Session:
         self._expect_pulse(now_s)
 
     def finish_disarming(self, now_s: float) -> None:
-        """End the run under way, then give back the memory that was not used.
-
-        Call it when the controller is disarmed and all its events are handled.
-        """
+        """End the run under way, when the controller is disarmed and all its events are handled; return the grants."""
         if self._run is not None:
             self._end_run(self._run.rows, "disarmed", now_s)
         self.plan = None

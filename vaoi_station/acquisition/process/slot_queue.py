@@ -1,8 +1,4 @@
-"""Track which slots of the ring the cameras hold: queue them before a board comes, take them back after it.
-
-A camera holds a slot from the moment it is queued until the camera returns it, filled or not. A slot that a camera
-still writes to when its run is over stays held, and is not queued again before it has been returned.
-"""
+"""Track which slots of the ring the cameras hold: from being queued until they are returned, filled or not."""
 
 from __future__ import annotations
 
@@ -21,16 +17,12 @@ class SlotQueue:
         self._held: set[int] = set()
         self._spare: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
         """(bay, camera) → slots taken back unused while the bay's run is open."""
-        self._loaded: int | None = None
-
-    @property
-    def loaded(self) -> int | None:
+        self.loaded: int | None = None
         """The bay whose slots the cameras hold at present."""
-        return self._loaded
 
     def load(self, bay: int) -> None:
         """Queue every slot of a bay in the cameras, except those to which a camera still writes."""
-        self._loaded = bay
+        self.loaded = bay
         for camera in range(len(self._cameras)):
             for k in range(self._ring.layout.slots_per_camera):
                 slot = self._ring.slot(bay, camera, k)
@@ -39,7 +31,7 @@ class SlotQueue:
 
     def unload(self) -> None:
         """Take back the slots that the cameras have not used. They are kept for late frames of the same run."""
-        self._loaded = None
+        self.loaded = None
         for camera in range(len(self._cameras)):
             for slot in self._take_back(camera):
                 self._spare[self._ring.layout.place(slot)[0], camera].append(slot)
@@ -53,7 +45,7 @@ class SlotQueue:
         bay, camera, _ = self._ring.layout.place(slot)
         # The slot is cleared, because missing parts of a later incomplete frame must be black. A bay of a finished run
         # is not touched: it may already belong to the next board.
-        if bay == self._loaded:
+        if bay == self.loaded:
             self._ring.clear(slot)
             self._queue(slot)
         elif (bay, camera) in self._spare:
@@ -61,12 +53,7 @@ class SlotQueue:
             self._spare[bay, camera].append(slot)
 
     def move_to_bay(self, slot: int, bay: int, camera: int) -> int | None:
-        """Return the slot of a frame in its run's bay; copy the frame there if necessary.
-
-        Return None if the bay is full.
-
-        Only late frames arrive in another bay: they fill the slots of the next run, which the camera already holds.
-        """
+        """Return the slot of a frame in its run's bay, to which a late frame is copied; None if the bay is full."""
         if self._ring.layout.place(slot)[0] == bay:
             return slot
         free = self._free_slot(bay, camera)
@@ -83,7 +70,7 @@ class SlotQueue:
     def _free_slot(self, bay: int, camera: int) -> int | None:
         if spare := self._spare.get((bay, camera)):
             return spare.pop()
-        if bay != self._loaded:
+        if bay != self.loaded:
             return None
         # A camera fills its slots in order. So the last slot is taken, and the others are queued again in their order.
         queued = self._take_back(camera)
