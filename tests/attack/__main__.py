@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 from tests.api.proxy.nginx import free_port, running, shipped_site
 from tests.attack.attacker import attacked_by_process, processor_s
@@ -20,7 +22,6 @@ from vaoi_station.config import read_config
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.station_files import write_station_files
-from vaoi_station.demo.temporary_folder import temporary_folder
 from vaoi_station.demo.waiting import poll, wait_until_idle
 from vaoi_station.errors import DeviceError
 from vaoi_station.files.access_keys import KEY_FILE, KeyFile
@@ -46,7 +47,8 @@ def main() -> int:
     arguments.add_argument("--scenario", default="demo", help="scenario of the twin")
     arguments.add_argument("--nginx", action="store_true", help="with nginx in front of the station")
     given = arguments.parse_args()
-    with temporary_folder("attack") as folder:
+    with tempfile.TemporaryDirectory(prefix="vaoi-attack-") as made:
+        folder = Path(made)
         config, twin = write_station_files(find_scenario(given.scenario), folder)
         with Service(config, 0) as service, ExitStack() as parts:
             wait_for_workers(Client(service.address))

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.cli.conftest import Result
-from vaoi_station.demo import continuous, demo_report, single_board
+from vaoi_station.demo import boards, report
 from vaoi_station.simulation import scenario_path
 
 
@@ -39,14 +39,14 @@ def test_exit_code_of_one_board_and_its_document(
     vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch, ok: bool, code: int
 ) -> None:
     calls: list[tuple[object, ...]] = []
-    report = SimpleNamespace(ok=ok, model_dump_json=lambda indent: json.dumps({"ok": ok}, indent=indent))
+    filmed = SimpleNamespace(ok=ok, model_dump_json=lambda indent: json.dumps({"ok": ok}, indent=indent))
 
     def film(*arguments: object) -> object:
         calls.append(arguments)
-        return report
+        return filmed
 
-    monkeypatch.setattr(single_board, "film_single_board", film)
-    monkeypatch.setattr(demo_report, "as_text", lambda _: "the report as text")
+    monkeypatch.setattr(boards, "film_single_board", film)
+    monkeypatch.setattr(report, "as_text", lambda _: "the report as text")
     assert vaoi("demo", "--once", "--scenario", "small").out == "the report as text\n"
     done = vaoi("demo", "--once", "--scenario", "small", "--json", "--out", "x", "--port", "7")
     assert (done.code, json.loads(done.out)) == (code, {"ok": ok})
@@ -60,6 +60,6 @@ def test_interrupted_demo(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(continuous, "run_continuously", interrupt)
-    monkeypatch.setattr(single_board, "film_single_board", interrupt)
+    monkeypatch.setattr(boards, "run_continuously", interrupt)
+    monkeypatch.setattr(boards, "film_single_board", interrupt)
     assert vaoi("demo", "--scenario", "small", *options).code == code

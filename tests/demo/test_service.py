@@ -73,10 +73,17 @@ def test_service_that_does_not_listen_in_time_is_killed(script: Path, monkeypatc
     assert not Path(f"/proc/{started.pid}").exists()
 
 
+def test_a_configuration_that_the_service_refuses_is_the_last_log_line(tmp_path: Path) -> None:
+    service = Service(tmp_path / "station.toml")
+    with pytest.raises(DeviceError, match=r"did not start; .*station.toml: there is no such file"), service:
+        pass
+    assert not Path(f"/proc/{service.pid}").exists()
+
+
 def test_the_demo_imports_nothing_that_only_its_service_needs() -> None:
     program = """
 import sys
-import vaoi_station.demo.continuous, vaoi_station.demo.single_board
+import vaoi_station.demo.boards
 print(*{"fastapi", "numba", "vaoi_station.station"} & sys.modules.keys())
 """
     done = subprocess.run([PYTHON, "-c", program], stdout=subprocess.PIPE, text=True, check=True)

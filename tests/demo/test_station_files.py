@@ -9,7 +9,7 @@ import pytest
 from vaoi_station.config import ReplayConfig, RingConfig, StationConfig, read_config
 from vaoi_station.demo import station_files
 from vaoi_station.files import read_board_type, read_calibration
-from vaoi_station.simulation import Twin, scenario_path
+from vaoi_station.simulation import Twin, read_scenario, scenario_path
 
 
 def test_written_files_describe_a_complete_station(tmp_path: Path) -> None:
@@ -21,6 +21,11 @@ def test_written_files_describe_a_complete_station(tmp_path: Path) -> None:
     assert [c.head for c in config.cameras] == list(twin.heads), "the page calibrates with the nominal values"
     assert read_calibration(config.calibration, len(config.cameras)).working_distance_mm == 300
     assert read_board_type(config.board_types / "small.json") == twin.board_type
+
+
+@pytest.fixture(scope="module")
+def twin() -> Twin:
+    return Twin(read_scenario(scenario_path("small")))
 
 
 def test_every_table_survives_a_round_trip_through_toml(twin: Twin, tmp_path: Path) -> None:

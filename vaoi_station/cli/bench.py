@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -130,12 +131,12 @@ def _station(
         process_table,
         station_table,
     )
-    from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import find_scenario, read_scenario
 
     # Boards that were rendered into --films are kept, because rendering a large board takes longer than all
     # measurements.
-    with temporary_folder("bench") as temporary:
+    with tempfile.TemporaryDirectory(prefix="vaoi-bench-") as made:
+        temporary = Path(made)
         scene = read_scenario(find_scenario(scenario))
         board = prerender(scene, (films or temporary) / Path(scenario).stem, typer.echo)
         figures = []
@@ -151,10 +152,10 @@ def _station(
 
 def _growth(scenario: str, rows: tuple[int, ...], films: Path | None) -> dict[str, Any]:
     from vaoi_station.benchmarks.growth import measure_scaling, scaling_table
-    from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.simulation import find_scenario, read_scenario
 
-    with temporary_folder("bench") as temporary:
+    with tempfile.TemporaryDirectory(prefix="vaoi-bench-") as made:
+        temporary = Path(made)
         figures = measure_scaling(read_scenario(find_scenario(scenario)), films or temporary, rows, typer.echo)
     typer.echo("\n" + scaling_table(figures))
     return {"scenario": scenario, "boards": [asdict(f) for f in figures]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +30,6 @@ def demo(
     """Run the whole station with simulated cameras, board after board, until Ctrl-C."""
     from vaoi_station.demo.given_board import write_given_scenario
     from vaoi_station.demo.signal_handling import INTERRUPTED, interruptible
-    from vaoi_station.demo.temporary_folder import temporary_folder
     from vaoi_station.errors import InputError
     from vaoi_station.simulation import find_scenario
 
@@ -38,13 +38,13 @@ def demo(
         raise InputError("--out and --json need --once.", action="Add --once, or omit them.")
     code = 0
     try:
-        with interruptible(), temporary_folder("board") as folder:
+        with interruptible(), tempfile.TemporaryDirectory(prefix="vaoi-board-") as folder:
             if board is not None:
-                path = write_given_scenario(board, path, folder)
+                path = write_given_scenario(board, path, Path(folder))
             if once:
                 code = _once(path, out or Path("vaoi-demo"), port, as_json)
             else:
-                from vaoi_station.demo.continuous import run_continuously
+                from vaoi_station.demo.boards import run_continuously
 
                 run_continuously(path, port, lambda line: print(line, flush=True))
     except KeyboardInterrupt:
@@ -55,8 +55,8 @@ def demo(
 
 def _once(scenario: Path, out: Path, port: int | None, as_json: bool) -> int:
     """Film one board and print the report. Return 0 if the run is ok, else 1."""
-    from vaoi_station.demo.demo_report import as_text
-    from vaoi_station.demo.single_board import film_single_board
+    from vaoi_station.demo.boards import film_single_board
+    from vaoi_station.demo.report import as_text
 
     report = film_single_board(scenario, out, port or 0)
     print(report.model_dump_json(indent=1) if as_json else as_text(report))

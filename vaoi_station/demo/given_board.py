@@ -6,7 +6,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.demo.station_files import toml_text
+import tomlkit
+
 from vaoi_station.errors import InputError
 from vaoi_station.files.documents import read_toml, write_bytes
 from vaoi_station.simulation.scenario import BoardSection
@@ -38,7 +39,7 @@ def write_given_scenario(board: Path, scenario: str | Path, folder: Path) -> Pat
     content["array"] = content.get("array", {}) | {"cameras": cameras, "px_per_mm": px_per_mm}
     content["line"] = content.get("line", {}) | {"longest_board_mm": math.ceil(section.length_mm + _BEHIND_MM)}
     path = folder / "given-board.toml"
-    write_bytes(path, toml_text(content).encode())
+    write_bytes(path, tomlkit.dumps(content).encode())
     return path
 
 

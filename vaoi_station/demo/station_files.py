@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
-from typing import Any
+
+import tomlkit
 
 from vaoi_station.acquisition.ring import RingLayout
 from vaoi_station.config import CameraConfig, RingConfig, SimulationConfig, StationConfig
@@ -15,7 +15,6 @@ from vaoi_station.files.documents import write_bytes
 from vaoi_station.simulation import Twin, read_scenario
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  (the ring is made exclusively, mode 0640)
-_WITHOUT_TABLES = (str, int, float, bool, list, tuple)
 
 
 def write_station_files(scenario: Path, folder: Path, *, boards: int = 0) -> tuple[Path, Twin]:
@@ -76,29 +75,4 @@ def ring_directory(size_bytes: int, folder: Path) -> Path:
 
 def to_toml(config: StationConfig) -> str:
     """Format a configuration as the text of `station.toml`. Values equal to their default are left out."""
-    return toml_text(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
-
-
-def toml_text(content: dict[str, Any]) -> str:
-    """Format tables, lists, texts, numbers and booleans as TOML."""
-    return "\n".join(_table((), content)) + "\n"
-
-
-def _table(path: tuple[str, ...], content: dict[str, Any]) -> list[str]:
-    """Return the TOML lines of a table and of all tables inside it. `path` lists the keys that lead to the table."""
-    # Plain keys come first: in TOML every key after a table header belongs to that table.
-    inner = {k: v for k, v in content.items() if isinstance(v, dict)}
-    many = {k: v for k, v in content.items() if isinstance(v, list) and v and isinstance(v[0], dict)}
-    lines = [f"{k} = {_value(v)}" for k, v in content.items() if k not in inner and k not in many]
-    for key, table in inner.items():
-        lines += ["", f"[{'.'.join((*path, key))}]", *_table((*path, key), table)]
-    for key, tables in many.items():
-        for table in tables:
-            lines += ["", f"[[{'.'.join((*path, key))}]]", *_table((*path, key), table)]
-    return lines
-
-
-def _value(value: Any) -> str:
-    """Format a value; JSON's strings, numbers, booleans and lists are valid TOML too."""
-    assert isinstance(value, _WITHOUT_TABLES)
-    return json.dumps(value, ensure_ascii=False)
+    return tomlkit.dumps(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))

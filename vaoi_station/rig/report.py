@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from vaoi_station.demo.truth_comparison import Deviation
+from vaoi_station.demo.report import Deviation
 from vaoi_station.model import Strict
 from vaoi_station.rig.faults import Fault, followers
 

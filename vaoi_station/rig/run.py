@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -15,7 +16,6 @@ from typing import Any, NoReturn
 
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
-from vaoi_station.demo.temporary_folder import temporary_folder
 from vaoi_station.demo.waiting import wait_until_idle
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, VaoiError
 from vaoi_station.rig.devices import Devices, FaultInjector, build_site, frame_faults_of, prepare_boards
@@ -169,7 +169,8 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
     """Perform a rig run, and return the report: how each board was recorded and stitched, and what failed."""
     scenario = with_belt_faults(plan.scenario, plan.faults)
     began_s = time.monotonic()
-    with temporary_folder("rig") as folder:
+    with tempfile.TemporaryDirectory(prefix="vaoi-rig-") as made:
+        folder = Path(made)
         rendered = prepare_boards(
             scenario, plan.faults, plan.boards, plan.different, plan.cache or folder / "rendered", progress
         )

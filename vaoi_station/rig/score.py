@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring import EMPTY, NO_ROW, Ring
 from vaoi_station.acquisition.ring import OK as WHOLE
-from vaoi_station.demo.truth_comparison import compare_with_truth
+from vaoi_station.demo.report import compare_with_truth
 from vaoi_station.rig.devices import Outage
 from vaoi_station.rig.line import BoardPassage, FrameOutcome, Lighting
 from vaoi_station.rig.report import LATE_MS, AffectedFrame, BoardScore

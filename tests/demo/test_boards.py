@@ -1,0 +1,108 @@
+"""One board with its output directory and pictures, and board after board."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from vaoi_station.config import ApiConfig
+from vaoi_station.demo import boards
+from vaoi_station.demo.boards import PICTURES, REPORT, SHEET, describe_run, fetch_component_images, prepare_output
+from vaoi_station.demo.client import Client
+from vaoi_station.errors import DeviceError, InputError, NotFoundError
+from vaoi_station.files.images import encode_png, read_image
+from vaoi_station.model import Status
+from vaoi_station.rendering.contact_sheet import contact_sheet
+from vaoi_station.simulation import scenario_path
+
+VIEWS = [{"k": k, "camera": 1, "row": 3 + k, "url": f"/api/v1/image/{k}"} for k in range(2)]
+RUN = {"id": "r1", "verdict": "ok"}
+
+
+class Station(Client):
+    """Client with two scripted components; the first has two views, the second none."""
+
+    def __init__(self) -> None:
+        super().__init__("http://station")
+
+    def get(self, path: str, **_: Any) -> Any:
+        if path == "/runs/r1/components":
+            return {"components": [{"address": a, "url": f"/views/{a}"} for a in ("2/U1", "R1")]}
+        return {"views": VIEWS if path.endswith("U1") else []}
+
+    def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
+        pixels = np.full((4, 6), int(path[-1]) + 1, np.uint8)
+        return encode_png(pixels), pixels
+
+
+def test_images_and_matrices_are_written_per_component_and_the_best_is_shown(tmp_path: Path) -> None:
+    (first, second), pictures = fetch_component_images(Station(), RUN, tmp_path)
+    assert pictures == 2
+    assert first.picture is not None
+    assert int(first.picture[0, 0]) == 1
+    assert second.picture is None
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["2_U1", "R1"]
+    assert sorted(p.name for p in (tmp_path / "2_U1").glob("*.png")) == ["00_c01_r003.png", "01_c01_r004.png"]
+    assert json.loads((tmp_path / "2_U1" / "views.json").read_text()) == VIEWS
+    assert json.loads((tmp_path / "R1" / "views.json").read_text()) == []
+
+
+def test_components_of_a_failed_run_are_listed_without_images(tmp_path: Path) -> None:
+    tiles, pictures = fetch_component_images(Station(), RUN | {"verdict": "failed"}, tmp_path)
+    assert ([tile.picture for tile in tiles], pictures) == ([None, None], 0)
+
+
+def test_an_error_of_the_station_ends_the_fetch(tmp_path: Path) -> None:
+    class Released(Station):
+        def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
+            raise NotFoundError(f"{path}: the frames are released.")
+
+    with pytest.raises(NotFoundError, match="released"):
+        fetch_component_images(Released(), RUN, tmp_path)
+
+
+def test_only_the_output_of_an_earlier_demo_is_deleted(tmp_path: Path) -> None:
+    prepare_output(tmp_path / "new")
+    (tmp_path / PICTURES / "U1").mkdir(parents=True)
+    with pytest.raises(InputError, match="holds files that no demo has written") as refusal:
+        prepare_output(tmp_path)
+    assert "another --out" in refusal.value.action
+    for name in (REPORT, SHEET, "mine.txt"):
+        (tmp_path / name).write_text("x")
+    prepare_output(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_the_picture_of_the_readme_is_a_small_contact_sheet() -> None:
+    path = Path(__file__).resolve().parents[2] / "docs" / "pictures" / SHEET
+    assert path.stat().st_size <= 400_000
+    assert read_image(path).shape[1] == contact_sheet([], "demo", Status.OK, []).shape[1]
+    assert f"docs/pictures/{SHEET}" in (path.parents[2] / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_run_is_described_in_one_line() -> None:
+    run = {
+        "verdict": "ok", "rows": 6, "cameras": 2, "counts": {"ok": 12}, "reasons": [],
+        "belt": {"ratio": 1.00704}, "timings": {"ready_after_last_frame_ms": 61.05},
+    }  # fmt: skip
+    assert describe_run(3, run) == "board 3: ok, 12 of 12 frames, belt +0.70 %, matrices 61 ms after the last frame"
+    failed = run | {"verdict": "failed", "belt": None, "timings": {}, "reasons": [{"message": "It lies turned round."}]}
+    assert describe_run(4, failed) == "board 4: failed, 12 of 12 frames, It lies turned round."
+
+
+def test_a_port_in_use_is_refused_before_the_board_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A random port in its place would leave callers of the documented port with another station."""
+    said: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        taken = other.getsockname()[1]
+        monkeypatch.setattr(boards, "ApiConfig", lambda: ApiConfig(port=taken))
+        for port in (None, taken):
+            with pytest.raises(DeviceError, match=f"port {taken} .*--port 0"):
+                boards.run_continuously(scenario_path("small"), port, said.append)
+    assert said == []
