@@ -8,15 +8,12 @@ sum over all extents (as `stitching.quality.body_heights` does it with links).
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.body_extents import EXTENTS
-from vaoi_station.geometry.small_sorts import ascending
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.heights.sweep import Sweep
 
@@ -33,8 +30,6 @@ _ALIKE = 1.5
 """Heights at which a tile fits up to this factor as well as at its best one show its noise."""
 _TEXTURE = 3.5
 """Most that texture which fits at a height counts for it, as a logarithm."""
-_NEGLIGIBLE = 40.0
-"""Explanations less probable than the best one by this, as a logarithm, are left out."""
 
 
 class Levels(NamedTuple):
@@ -46,7 +41,6 @@ class Levels(NamedTuple):
     """(t,) probability of each tile to see the body at the most probable height."""
 
 
-@compiled
 def compare_heights(
     found: Sweep, at_board: NDArray[np.bool_], noise_area: float, unlike: float
 ) -> tuple[Floats, Floats]:
@@ -63,42 +57,22 @@ def compare_heights(
         noise_area: number of pixels that share one independent value of noise.
         unlike: share of the texture's variance that two pictures of one place do not have in common.
     """
-    sums, freedom = found.sums, found.freedom
-    t, n = sums.shape
-    noise = np.empty(t)
-    for i in range(t):
-        least = sums[i, 0]
-        for m in range(n):
-            least = min(least, sums[i, m])
-        total, count = 0.0, 0
-        for m in range(n):
-            if sums[i, m] <= _ALIKE * least:
-                total += sums[i, m]
-                count += 1
-        noise[i] = total / count / freedom[i]
+    sums, freedom = found.sums, found.freedom[:, None]
+    alike = sums <= _ALIKE * sums.min(1, keepdims=True)
+    noise = (sums * alike).sum(1) / alike.sum(1) / found.freedom
     # Tiles at edges have more than noise: on a body between leads, they are most of all tiles.
-    typical = max(noise[ascending(noise)[t // 4]], 1e-3)
-    likelihood, board = np.empty((t, n)), np.zeros(t)
-    for i in range(t):
-        variance, most = max(noise[i], typical), -np.inf
-        for m in range(n):
-            # The texture is a difference of logarithms: about that of the variance of one picture.
-            own = variance + unlike * math.exp(found.texture[i, m] / freedom[i]) if unlike > 0 else variance
-            ratio = sums[i, m] / (own * freedom[i])
-            misfit = ratio - 1 - math.log(ratio) if ratio > 1 else 0.0
-            # Logarithm of the likelihood of a common picture, relative to that of pictures with nothing in common.
-            texture = found.texture[i, m] + freedom[i] * (1 - math.log(own) - ratio)
-            gain = min(max(texture / (2 * noise_area), 0.0), _TEXTURE)
-            likelihood[i, m] = gain - freedom[i] * misfit / (2 * noise_area)
-            most = max(most, likelihood[i, m])
-        for m in range(n):
-            likelihood[i, m] = math.exp(likelihood[i, m] - most)
-            if at_board[m]:
-                board[i] = max(board[i], likelihood[i, m])
-    return likelihood, board
+    noise = np.maximum(noise, max(float(np.sort(noise)[len(noise) // 4]), 1e-3))
+    # The texture is a difference of logarithms: about that of the variance of one picture.
+    own = noise[:, None] + unlike * np.exp(found.texture / freedom)
+    ratio = sums / (own * freedom)
+    misfit = np.maximum(ratio, 1) - 1 - np.log(np.maximum(ratio, 1))
+    # Logarithm of the likelihood of a common picture, relative to that of pictures with nothing in common.
+    texture = found.texture + freedom * (1 - np.log(own) - ratio)
+    log = np.clip(texture / (2 * noise_area), 0, _TEXTURE) - freedom * misfit / (2 * noise_area)
+    likelihood = np.exp(log - log.max(1, keepdims=True))
+    return likelihood, likelihood[:, at_board].max(1)
 
 
-@compiled
 def find_levels(
     likelihood: Floats, board: Floats, heights_mm: Floats, tiles: Ints, size: Ints, log_prior: Floats
 ) -> Levels:
@@ -112,132 +86,36 @@ def find_levels(
         size: (2,) width and height of the footprint, px.
         log_prior: (n,) logarithm of the prior probability of each height.
     """
-    t, n, k = likelihood.shape[0], likelihood.shape[1], len(EXTENTS)
-    side, log, inside = np.empty((2, k, t), np.int64), np.empty((n, 3, t)), np.empty((n, t))
-    prior, count = np.zeros((2, k)), np.zeros(2, np.int64)
-    for axis in range(2):
-        count[axis] = _sort_tiles(tiles, size[axis], axis, side[axis], prior[axis])
-    _tile_likelihoods(likelihood, board, heights_mm, log, inside)
-    evidence = np.empty((n, count[0], count[1]))
-    extent = np.empty((count[0], count[1]))
-    for a in range(count[0]):
-        for b in range(count[1]):
-            extent[a, b] = math.log(prior[0, a] * prior[1, b])
-    highest = _evidence(log, side, tiles, extent, evidence, log_prior)
-    probability, everything, best = np.zeros(n), 0.0, 0
-    for m in range(n):
-        for a in range(count[0]):
-            for b in range(count[1]):
-                if evidence[m, a, b] > highest - _NEGLIGIBLE:
-                    probability[m] += math.exp(evidence[m, a, b] - highest)
-        everything += probability[m]
-        best = m if probability[m] > probability[best] else best
-    on_body = np.zeros(t)
-    for a in range(count[0]):
-        for b in range(count[1]):
-            if evidence[best, a, b] <= highest - _NEGLIGIBLE:
-                continue
-            share = math.exp(evidence[best, a, b] - highest) / probability[best]
-            for i in range(t):
-                on_body[i] += share * inside[best, i] * (min(side[0, a, i], side[1, b, i]) == 2)
-    for m in range(n):
-        probability[m] /= everything
-    return Levels(probability, on_body)
+    (across, prior_x), (down, prior_y) = (_sides(tiles, int(size[axis]), axis) for axis in range(2))
+    # A tile is outside if it is outside along one axis, and inside if it is inside along both.
+    where = np.minimum(across[:, None], down).reshape(-1, len(tiles))
+    everywhere = likelihood.mean(1, keepdims=True)
+    raised = np.where(heights_mm > 0, likelihood, 0).cumsum(1)
+    between = (board[:, None] + raised) / (1 + (heights_mm > 0).cumsum())
+    match = _INSIDE * likelihood
+    inside = match + _BELOW * between + _STRAY * everywhere
+    edge = _ACROSS * between + _STRAY * everywhere
+    outside = _OUTSIDE * board[:, None] + _LEAD * between + _ASTRAY * everywhere
+    evidence = np.log(np.outer(prior_x, prior_y)).reshape(-1, 1) + log_prior
+    for side, each in enumerate((outside, edge, inside)):
+        evidence += (where == side) @ np.log(each + 1e-12)
+    weight = np.exp(evidence - evidence.max())
+    probability = weight.sum(0)
+    best = int(probability.argmax())
+    share = (weight[:, best] / probability[best]) @ (where == 2)
+    on_body = share * match[:, best] / (inside[:, best] + 1e-300)
+    return Levels(probability / probability.sum(), on_body)
 
 
-@inlined
-def _evidence(log: Floats, side: Ints, tiles: Ints, extent: Floats, evidence: Floats, log_prior: Floats) -> float:
-    """Write the logarithm of the probability of each height and extent to `evidence` (n, a, b); return the largest.
+def _sides(tiles: Ints, size: int, axis: int) -> tuple[Ints, Floats]:
+    """Return whether tiles lie outside (0), across (1) or inside (2) each extent along an axis, (k, t).
 
-    `extent` (a, b) is the logarithm of the prior probability of each extent.
-
-    A tile is outside if it is outside along one axis, and inside if it is inside along both. The tiles of one strip are
-    on one side along the second axis, so that their sums serve all extents along it.
+    Extents with the same tiles on each side are one, since a component has few tiles; also return the probability (k,)
+    of each.
     """
-    n, highest = log.shape[0], -np.inf
-    first, strips = _strips(tiles)
-    part = np.empty((strips, 3))
-    for m in range(n):
-        for a in range(evidence.shape[1]):
-            for s in range(strips):
-                for where in range(3):
-                    part[s, where] = 0.0
-                    for i in range(first[s], first[s + 1]):
-                        part[s, where] += log[m, min(side[0, a, i], where), i]
-            for b in range(evidence.shape[2]):
-                total = extent[a, b] + log_prior[m]
-                for s in range(strips):
-                    total += part[s, side[1, b, first[s]]]
-                evidence[m, a, b] = total
-                highest = max(highest, total)
-    return float(highest)
-
-
-@inlined
-def _strips(tiles: Ints) -> tuple[Ints, int]:
-    """Return the number of the first tile of each strip, followed by the number of tiles, and the number of strips.
-
-    A strip is a sequence of tiles with the same rows.
-    """
-    first, strips = np.empty(len(tiles) + 1, np.int64), 0
-    for i in range(len(tiles)):
-        if i == 0 or tiles[i, 1] != tiles[i - 1, 1] or tiles[i, 3] != tiles[i - 1, 3]:
-            first[strips] = i
-            strips += 1
-    first[strips] = len(tiles)
-    return first, strips
-
-
-@inlined
-def _sort_tiles(tiles: Ints, size: int, axis: int, side: Ints, prior: Floats) -> int:
-    """Write to `side` (k, t) whether tiles lie outside (0), across (1) or inside (2) each extent along an axis.
-
-    Extents with the same tiles on each side are one, since a component has few tiles: `prior` (k,) gets the
-    probability of each. Return how many there are.
-    """
-    half, count = size / 2, 0
-    for e in range(len(EXTENTS)):
-        low, high = half - 0.5 - EXTENTS[e, 0] * half, half - 0.5 + EXTENTS[e, 1] * half
-        for i in range(len(tiles)):
-            first, length = tiles[i, axis], tiles[i, 2 + axis]
-            a, b = first - 0.5 + _EDGE_PX, first + length - 0.5 - _EDGE_PX
-            side[count, i] = 2 if a >= low and b <= high else 0 if b <= low or a >= high else 1
-        same, equal = 0, 0
-        while equal < len(tiles):
-            equal = 0
-            while equal < len(tiles) and side[same, equal] == side[count, equal]:
-                equal += 1
-            same += equal < len(tiles)
-        prior[same] += EXTENTS[e, 2]
-        count += same == count
-    return count
-
-
-@inlined
-def _tile_likelihoods(likelihood: Floats, board: Floats, heights_mm: Floats, log: Floats, inside: Floats) -> None:
-    """Compute the likelihood of each tile at each height of the body.
-
-    Args:
-        likelihood: (t, n) likelihood of the heights.
-        board: (t,) likelihood of the board's level.
-        heights_mm: (n,) the heights.
-        log: (n, 3, t) output: logarithm of the likelihood of a tile outside, across an edge, or inside.
-        inside: (n, t) output: probability that a tile inside sees the body's height.
-    """
-    t, n = likelihood.shape
-    for i in range(t):
-        everywhere = 0.0
-        for m in range(n):
-            everywhere += likelihood[i, m] / n
-        between, count = board[i], 1
-        for m in range(n):
-            if heights_mm[m] > 0:
-                between += likelihood[i, m]
-                count += 1
-            mean = between / count
-            match = _INSIDE * likelihood[i, m]
-            total = match + _BELOW * mean + _STRAY * everywhere
-            inside[m, i] = match / (total + 1e-300)
-            log[m, 2, i] = math.log(total + 1e-12)
-            log[m, 1, i] = math.log(_ACROSS * mean + _STRAY * everywhere + 1e-12)
-            log[m, 0, i] = math.log(_OUTSIDE * board[i] + _LEAD * mean + _ASTRAY * everywhere + 1e-12)
+    half = size / 2
+    low, high = (half - 0.5 + sign * EXTENTS[:, n, None] * half for n, sign in ((0, -1), (1, 1)))
+    first, end = tiles[:, axis] - 0.5 + _EDGE_PX, tiles[:, axis] + tiles[:, 2 + axis] - 0.5 - _EDGE_PX
+    sides = np.where((first >= low) & (end <= high), 2, np.where((end <= low) | (first >= high), 0, 1))
+    found, same = np.unique(sides, axis=0, return_inverse=True)
+    return found, np.bincount(same.ravel(), EXTENTS[:, 2]).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Compiled normal equations of a height: how the pictures of a body differ after they were laid over one another.
+"""Normal equations of a height: how the pictures of a body differ after they were laid over one another.
 
 All pictures of one group show one common picture T, each with its own gain, displaced by a·δ + d: a is the parallax
 per mm, δ the error of the height, d the error of the frame's matrix at this place. Linearised, the difference of a
@@ -15,12 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled, inlined
-from vaoi_station.geometry.small_sorts import ascending
 from vaoi_station.geometry.transforms import Floats
 
 Ints = NDArray[np.int_]
-_ROUNDS = 10
 
 
 class Normals(NamedTuple):
@@ -36,28 +33,6 @@ class Normals(NamedTuple):
     """(t,) variance of one pixel."""
 
 
-class _Work(NamedTuple):
-    """Arrays that the loop over tiles uses again and again; c of the k pictures belong to one group."""
-
-    value: Floats
-    """(k, n) pixels of a tile, and their gradients."""
-    gx: Floats
-    gy: Floats
-    gram: Floats
-    gain: Floats
-    """(k,)."""
-    ax: Floats
-    """(k, m) displacement of each picture along x per unit of each unknown, and along y."""
-    ay: Floats
-    slope: Floats
-    """(k, 2) products of a picture's difference with the gradients."""
-    common: Floats
-    """(3, n) the common picture and its gradients, times the sum of the squares of the gains."""
-    ramp: Floats
-    """(2, n) slopes along x and y of the pixels of a tile."""
-
-
-@compiled
 def normal_equations(
     stack: NDArray[np.float32], lean: Floats, tiles: Ints, used: NDArray[np.bool_], group: Ints
 ) -> Normals:
@@ -66,188 +41,63 @@ def normal_equations(
     Args:
         stack: (k, h, w) pictures on the plane at the present height.
         lean: (t, k, 2) displacement of each picture at each tile, px per mm.
-        tiles: (t, 4) first column, first row, width and height.
+        tiles: (t, 4) first column, first row, width and height, which are the same for all.
         used: (t, k) which pictures show which tile.
         group: (k,) number of the group of each picture.
     """
-    k, t = len(stack), len(tiles)
-    m, most = 1 + 2 * k, 0
-    for n in range(t):
-        most = max(most, tiles[n, 2] * tiles[n, 3])
-    work = _Work(
-        np.empty((k, most)),
-        np.empty((k, most)),
-        np.empty((k, most)),
-        np.empty((k, k)),
-        np.empty(k),
-        np.empty((k, m)),
-        np.empty((k, m)),
-        np.empty((k, 2)),
-        np.empty((3, most)),
-        np.empty((2, most)),
-    )
-    member = np.empty(k, np.int64)
-    matrix, noisy, vector, variance = np.zeros((t, m, m)), np.zeros(t), np.zeros((t, m)), np.zeros(t)
-    for n in range(t):
-        size = tiles[n, 2] * tiles[n, 3]
-        squares, freedom = 0.0, 0
-        if n == 0 or tiles[n, 2] != tiles[n - 1, 2] or tiles[n, 3] != tiles[n - 1, 3]:
-            for p in range(size):
-                work.ramp[0, p] = p % tiles[n, 2] - (tiles[n, 2] - 1) / 2
-                work.ramp[1, p] = p // tiles[n, 2] - (tiles[n, 3] - 1) / 2
-        for first in range(k):
-            c = 0
-            for i in range(_members(used[n], group, first, member)):
-                if _read(stack[member[i]], tiles[n], work.ramp, work.value[c], work.gx[c], work.gy[c]):
-                    member[c] = member[i]
-                    c += 1
-            if c < 2:
-                continue
-            _gains(work.value, size, c, work.gram, work.gain)
-            all2, all4 = 0.0, 0.0
-            for i in range(c):
-                all2 += work.gain[i] ** 2
-                all4 += work.gain[i] ** 4
-            cross = all2 * all2 - all4
-            # One picture that is far brighter than the others leaves no product of two different ones.
-            if cross < 1e-3 * all2 * all2:
-                continue
-            _displacements(lean[n], member, c, all2, work)
-            squares += _add_group(size, c, all2, cross, work, matrix[n], vector[n], noisy[n : n + 1])
-            freedom += (size - 3) * (c - 1)
-        variance[n] = squares / max(freedom, 1)
-    return Normals(matrix, noisy, vector, variance)
+    (t, k), (w, h) = used.shape, tiles[0, 2:].tolist()
+    values = _tiles_of(stack, tiles)
+    shown = np.isfinite(values).all((0, 3)) & used
+    values[:, ~shown] = 0
+    # Mean and slope are removed from the gradients as well: a displacement shows only in what remains of the values.
+    y, x = np.mgrid[:h, :w].reshape(2, -1)
+    level = np.linalg.qr(np.stack([np.ones(w * h), x, y], -1))[0]
+    values -= values @ level @ level.T
+    # How each unknown displaces each picture along x and y.
+    moves = np.zeros((t, k, 1 + 2 * k, 2))
+    moves[:, :, 0] = lean
+    for i in range(k):
+        moves[:, i, 1 + 2 * i, 0] = moves[:, i, 2 + 2 * i, 1] = 1
+    matrix, noisy, vector = np.zeros((t, 1 + 2 * k, 1 + 2 * k)), np.zeros(t), np.zeros((t, 1 + 2 * k))
+    squares, freedom = np.zeros(t), np.zeros(t)
+    for number in np.unique(group):
+        mine = shown & (group == number)
+        own, gradient = values[0] * mine[..., None], values[1:].transpose(1, 2, 0, 3) * mine[..., None, None]
+        count = mine.sum(1)
+        # The gains are the first eigenvector of the Gram matrix, with a mean square of 1.
+        gain = np.linalg.eigh(own @ own.swapaxes(1, 2))[1][..., -1] * np.sqrt(count)[:, None] * mine
+        all2, all4 = (gain**2).sum(1), (gain**4).sum(1)
+        cross = all2**2 - all4
+        # One picture that is far brighter than the others leaves no product of two different ones.
+        fit = (count >= 2) & (cross >= 1e-3 * all2**2)
+        all2, cross = np.where(fit, all2, 1), np.where(fit, cross, 1)
+        gain = gain * fit[:, None]
+        weight, share = gain**2, gain / all2[:, None]
+        away = moves - np.einsum("ti,tiua->tua", weight / all2[:, None], moves)[:, None]
+        total, scaled = (gain[..., None] * own).sum(1), gain[..., None, None] * gradient
+        common = scaled.sum(1)
+        outer = common @ common.swapaxes(1, 2)
+        difference = own - share[..., None] * total[:, None]
+        squares += fit * np.square(difference).sum((1, 2))
+        freedom += fit * (w * h - 3) * (count - 1)
+        slope = -share[..., None] * (difference @ common.swapaxes(1, 2))
+        vector += np.einsum("tiua,tia->tu", away, slope)
+        # Products of the gradients of two different pictures: their noise is independent.
+        product = (outer - (scaled @ scaled.swapaxes(2, 3)).sum(1)) / cross[:, None, None]
+        left = (weight[..., None, None] * away @ product[:, None]).transpose(0, 2, 1, 3).reshape(t, 1 + 2 * k, -1)
+        matrix += left @ away.transpose(0, 1, 3, 2).reshape(t, -1, 1 + 2 * k)
+        along = away[:, :, 0]
+        noisy += (weight * ((along @ outer) * along).sum(2)).sum(1) / all2**2
+    return Normals(matrix, noisy, vector, squares / np.maximum(freedom, 1))
 
 
-@inlined
-def _members(used: NDArray[np.bool_], group: Ints, first: int, member: Ints) -> int:
-    """Write the used pictures of the group of picture `first` to `member`; return 0 if it is not the group's first."""
-    c = 0
-    for i in range(len(used)):
-        if used[i] and group[i] == group[first]:
-            member[c] = i
-            c += 1
-    return c if c and member[0] == first else 0
-
-
-@inlined
-def _displacements(lean: Floats, member: Ints, c: int, all2: float, work: _Work) -> None:
-    """Compute how each unknown displaces each picture, minus the weighted mean of the group."""
-    ax, ay, gain = work.ax, work.ay, work.gain
-    for i in range(c):
-        for u in range(ax.shape[1]):
-            ax[i, u] = ay[i, u] = 0.0
-        ax[i, 0], ay[i, 0] = lean[member[i], 0], lean[member[i], 1]
-        ax[i, 1 + 2 * member[i]], ay[i, 2 + 2 * member[i]] = 1.0, 1.0
-    for u in range(ax.shape[1]):
-        mean_x = mean_y = 0.0
-        for i in range(c):
-            mean_x += gain[i] ** 2 * ax[i, u] / all2
-            mean_y += gain[i] ** 2 * ay[i, u] / all2
-        for i in range(c):
-            ax[i, u] -= mean_x
-            ay[i, u] -= mean_y
-
-
-@inlined
-def _add_group(
-    size: int, c: int, all2: float, cross: float, work: _Work, matrix: Floats, vector: Floats, noisy: Floats
-) -> float:
-    """Add the equations of one group in one tile; return the sum of squares of the differences."""
-    value, gain, slope, ax, ay = work.value, work.gain, work.slope, work.ax, work.ay
-    xx = xy = yy = sxx = sxy = syy = squares = 0.0
-    total, tx, ty = work.common[0], work.common[1], work.common[2]
-    for p in range(size):
-        total[p] = tx[p] = ty[p] = 0.0
-    for i in range(c):
-        own, gx, gy, g = value[i], work.gx[i], work.gy[i], gain[i]
-        for p in range(size):
-            a, b = g * gx[p], g * gy[p]
-            total[p] += g * own[p]
-            tx[p] += a
-            ty[p] += b
-            sxx, sxy, syy = sxx + a * a, sxy + a * b, syy + b * b
-    for p in range(size):
-        xx, xy, yy = xx + tx[p] * tx[p], xy + tx[p] * ty[p], yy + ty[p] * ty[p]
-    for i in range(c):
-        own, share, along, across = value[i], gain[i] / all2, 0.0, 0.0
-        for p in range(size):
-            e = own[p] - share * total[p]
-            squares += e * e
-            along += e * tx[p]
-            across += e * ty[p]
-        slope[i, 0], slope[i, 1] = -share * along, -share * across
-    wxx, wxy, wyy = xx / all2**2, xy / all2**2, yy / all2**2
-    # Products of the gradients of two different pictures: their noise is independent.
-    pxx, pxy, pyy = (xx - sxx) / cross, (xy - sxy) / cross, (yy - syy) / cross
-    for i in range(c):
-        w = gain[i] ** 2
-        for u in range(ax.shape[1]):
-            vector[u] += ax[i, u] * slope[i, 0] + ay[i, u] * slope[i, 1]
-            for v in range(ax.shape[1]):
-                mixed = ax[i, u] * ay[i, v] + ay[i, u] * ax[i, v]
-                matrix[u, v] += w * (pxx * ax[i, u] * ax[i, v] + pxy * mixed + pyy * ay[i, u] * ay[i, v])
-        noisy[0] += w * (wxx * ax[i, 0] ** 2 + 2 * wxy * ax[i, 0] * ay[i, 0] + wyy * ay[i, 0] ** 2)
-    return squares
-
-
-@inlined
-def _read(picture: NDArray[np.float32], tile: Ints, ramp: Floats, value: Floats, gx: Floats, gy: Floats) -> bool:
-    """Read a tile minus its mean and slope, and its gradients; return False where the picture has no value."""
-    w, total = tile[2], 0.0
-    for r in range(tile[3]):
-        above, row, below = picture[tile[1] + r - 1], picture[tile[1] + r], picture[tile[1] + r + 1]
-        for c in range(w):
-            n, x = r * w + c, tile[0] + c
-            value[n] = row[x]
-            gx[n] = (row[x + 1] - row[x - 1]) / 2
-            gy[n] = (below[x] - above[x]) / 2
-            total += value[n] + 0 * (gx[n] + gy[n])
-    if np.isnan(total):
-        return False
-    # The same is removed from the gradients: a displacement shows only in what remains of the values.
-    for part in (value, gx, gy):
-        _detrend(part, w, tile[3], ramp)
-    return True
-
-
-@inlined
-def _detrend(values: Floats, w: int, h: int, ramp: Floats) -> None:
-    """Subtract mean and slope from the w × h values of a tile."""
-    mean = slope_x = slope_y = 0.0
-    along, across = ramp[0], ramp[1]
-    for i in range(w * h):
-        mean += values[i]
-        slope_x += values[i] * along[i]
-        slope_y += values[i] * across[i]
-    mean /= w * h
-    slope_x /= h * w * (w * w - 1) / 12 + 1e-9
-    slope_y /= w * h * (h * h - 1) / 12 + 1e-9
-    for i in range(w * h):
-        values[i] -= mean + slope_x * along[i] + slope_y * across[i]
-
-
-@inlined
-def _gains(value: Floats, size: int, c: int, gram: Floats, gain: Floats) -> None:
-    """Write the gains of c pictures, the first eigenvector of their Gram matrix, with a mean square of 1."""
-    for i in range(c):
-        for j in range(i + 1):
-            dot = 0.0
-            for p in range(size):
-                dot += value[i, p] * value[j, p]
-            gram[i, j] = gram[j, i] = dot
-    for i in range(c):
-        gain[i] = 1.0
-    for _ in range(_ROUNDS):
-        norm = 0.0
-        turned = np.zeros(c)
-        for i in range(c):
-            for j in range(c):
-                turned[i] += gram[i, j] * gain[j]
-            norm += turned[i] ** 2
-        norm = np.sqrt(norm / c) + 1e-30
-        for i in range(c):
-            gain[i] = turned[i] / norm
+def _tiles_of(stack: NDArray[np.float32], tiles: Ints) -> Floats:
+    """Return the pixels of each tile in each picture, and their gradients along x and y: (3, t, k, pixels)."""
+    w, h = tiles[0, 2:].tolist()
+    fields = np.stack([stack, np.gradient(stack, axis=2), np.gradient(stack, axis=1)])
+    rows, columns = tiles[:, 1, None] + np.arange(h), tiles[:, 0, None] + np.arange(w)
+    found = fields[:, :, rows[:, :, None], columns[:, None]]
+    return found.reshape(3, len(stack), len(tiles), -1).swapaxes(1, 2).astype(np.float64)
 
 
 NOISE_AREA = 12.0
@@ -286,7 +136,6 @@ class Sum(NamedTuple):
     """(m,)."""
 
 
-@compiled
 def weigh_tiles(found: Normals, tiles: Ints, lowest: float, edge_mm: float) -> TileEquations:
     """Divide the equations of every tile by its variance, which accounts for noise, misfit and edges.
 
@@ -296,39 +145,23 @@ def weigh_tiles(found: Normals, tiles: Ints, lowest: float, edge_mm: float) -> T
         lowest: least variance of a pixel.
         edge_mm: standard deviation of the error that tiles at edges have in common; see `edge_weights`.
     """
-    t = len(tiles)
-    some, count = np.empty(t), 0
-    for i in range(t):
-        if found.variance[i] > 0:
-            some[count] = found.variance[i]
-            count += 1
-    order = ascending(some[:count])
     # The value above which nine tenths lie.
-    at = 0.1 * (count - 1)
-    low, high = some[order[int(at)]], some[order[math.ceil(at)]]
-    floor = max(low + (at - int(at)) * (high - low), lowest)
-    variance, information = np.empty(t), np.empty(t)
-    for i in range(t):
-        misfit = max(found.variance[i] - 3 * floor, 0.0)
-        variance[i] = max(found.variance[i], floor) * NOISE_AREA + misfit * _MISFIT_AREA
-        information[i] = max(found.matrix[i, 0, 0], 0.0) / variance[i]
+    floor = max(float(np.quantile(found.variance[found.variance > 0], 0.1)), lowest)
+    misfit, texture = np.maximum(found.variance - 3 * floor, 0), found.matrix[:, 0, 0]
+    variance = np.maximum(found.variance, floor) * NOISE_AREA + misfit * _MISFIT_AREA
+    information = np.maximum(texture, 0) / variance
     factor = edge_weights(tiles, information, edge_mm)
-    matrix, vector, noisy = np.empty_like(found.matrix), np.empty_like(found.vector), np.empty(t)
-    unlike = total = 0.0
-    for i in range(t):
-        share = factor[i] / variance[i]
-        for u in range(matrix.shape[1]):
-            vector[i, u] = found.vector[i, u] * share
-            for v in range(matrix.shape[1]):
-                matrix[i, u, v] = found.matrix[i, u, v] * share
-        noisy[i] = found.noisy[i] * share
-        excess = max(found.variance[i] - 3 * floor, 0.0) * (tiles[i, 2] * tiles[i, 3])
-        unlike += factor[i] * information[i] * math.sqrt(excess / max(found.matrix[i, 0, 0], 1e-3))
-        total += factor[i] * information[i]
-    return TileEquations(matrix, vector, noisy, _COMMON * unlike / max(total, 1e-9))
+    share = factor / variance
+    worth = factor * information
+    unlike = (worth * np.sqrt(misfit * tiles[:, 2] * tiles[:, 3] / np.maximum(texture, 1e-3))).sum()
+    return TileEquations(
+        found.matrix * share[:, None, None],
+        found.vector * share[:, None],
+        found.noisy * share,
+        _COMMON * float(unlike / max(worth.sum(), 1e-9)),
+    )
 
 
-@inlined
 def edge_weights(tiles: Ints, information: Floats, sigma_mm: float) -> Floats:
     """Return factors (t,) of the information of tiles, which account for the error that tiles at edges have in common.
 
@@ -341,80 +174,28 @@ def edge_weights(tiles: Ints, information: Floats, sigma_mm: float) -> Floats:
         information: (t,) inverse variance of the height of each tile, 1/mm².
         sigma_mm: standard deviation of the error at edges.
     """
-    left, top, right, bottom = tiles[0, 0], tiles[0, 1], tiles[0, 0], tiles[0, 1]
-    for i in range(len(tiles)):
-        left, top = min(left, tiles[i, 0]), min(top, tiles[i, 1])
-        right, bottom = max(right, tiles[i, 0]), max(bottom, tiles[i, 1])
-    outer, factor = np.empty(len(tiles), np.bool_), np.ones(len(tiles))
-    at_edges, inner, count = 0.0, 0.0, 0
-    for i in range(len(tiles)):
-        outer[i] = not (left < tiles[i, 0] < right and top < tiles[i, 1] < bottom)
-        if outer[i]:
-            at_edges += information[i]
-            count += 1
-        else:
-            inner += information[i]
-    texture = inner / max(len(tiles) - count, 1) * count
-    share = min(max(1 - texture / max(at_edges, 1e-12), 0.0), 1.0)
-    for i in range(len(tiles)):
-        if outer[i]:
-            factor[i] = 1 / (1 + at_edges * (share * sigma_mm) ** 2)
-    return factor
+    at = tiles[:, :2]
+    outer = ~((at > at.min(0)) & (at < at.max(0))).all(1)
+    at_edges, inner = information[outer].sum(), information[~outer].sum()
+    texture = inner / max((~outer).sum(), 1) * outer.sum()
+    share = np.clip(1 - texture / max(at_edges, 1e-12), 0, 1)
+    return np.where(outer, 1 / (1 + at_edges * (share * sigma_mm) ** 2), 1.0)
 
 
-@compiled
 def add_up(tiles: TileEquations, weight: Floats) -> Sum:
     """Add up the equations of tiles with these weights (t,), some of which are not 0."""
-    t, m = tiles.vector.shape
-    n, b = np.zeros((m, m)), np.zeros(m)
-    total = squares = noise = 0.0
-    for i in range(t):
-        total, squares, noise = total + weight[i], squares + weight[i] ** 2, noise + weight[i] * tiles.noisy[i]
-        for u in range(m):
-            b[u] += weight[i] * tiles.vector[i, u]
-            for v in range(m):
-                n[u, v] += weight[i] * tiles.matrix[i, u, v]
-    full, theta = n.copy(), b.copy()
-    for u in range(m):
-        full[u, u] += 1 / _DISPLACED_PX**2 if u else 1e-9
-    _solve(full, theta)
-    scatter = own = 0.0
-    for i in range(t):
-        off = tiles.vector[i, 0]
-        for u in range(m):
-            off -= tiles.matrix[i, 0, u] * theta[u]
-        scatter += weight[i] * off**2 / (tiles.noisy[i] + 1e-12)
-        own += (weight[i] * off) ** 2
-    inflation = noise / n[0, 0] * max(1.0, scatter / max(total - 1, 1.0))
+    n, b = np.tensordot(weight, tiles.matrix, 1), weight @ tiles.vector
+    theta = np.linalg.solve(n + np.diag([1e-9] + [1 / _DISPLACED_PX**2] * (len(b) - 1)), b)
+    off = tiles.vector[:, 0] - tiles.matrix[:, 0] @ theta
+    total = weight.sum()
+    scatter = (weight * off**2 / (tiles.noisy + 1e-12)).sum()
+    inflation = weight @ tiles.noisy / n[0, 0] * max(1.0, scatter / max(total - 1, 1.0))
     # The sum of the tiles' own deviations is the variance of the sum, however unlike the tiles are (sandwich).
-    count = total**2 / squares
-    inflation = max(inflation, own / n[0, 0] * count / max(count - 1, 1.0))
-    return Sum(theta[0], n / inflation, b / inflation)
+    count = total**2 / (weight**2).sum()
+    inflation = max(inflation, np.square(weight * off).sum() / n[0, 0] * count / max(count - 1, 1.0))
+    return Sum(float(theta[0]), n / inflation, b / inflation)
 
 
-@inlined
-def _solve(a: Floats, x: Floats) -> None:
-    """Replace the right side x by the solution of a · x; `a` is overwritten (elimination with pivots in columns)."""
-    m = len(x)
-    for u in range(m):
-        best = u
-        for v in range(u + 1, m):
-            best = v if abs(a[v, u]) > abs(a[best, u]) else best
-        for v in range(u, m):
-            a[u, v], a[best, v] = a[best, v], a[u, v]
-        x[u], x[best] = x[best], x[u]
-        for v in range(u + 1, m):
-            factor = a[v, u] / a[u, u]
-            for w in range(u, m):
-                a[v, w] -= factor * a[u, w]
-            x[v] -= factor * x[u]
-    for u in range(m - 1, -1, -1):
-        for v in range(u + 1, m):
-            x[u] -= a[u, v] * x[v]
-        x[u] /= a[u, u]
-
-
-@compiled
 def tile_weights(matrix: Floats, vector: Floats, noisy: Floats) -> Floats:
     """Compute the weights (t,) of t tiles, from 0 to 1, around the height that most of them have (Tukey's biweight).
 
@@ -425,41 +206,20 @@ def tile_weights(matrix: Floats, vector: Floats, noisy: Floats) -> Floats:
         vector: (t, p) right sides of their normal equations.
         noisy: (t,) information on the height that noise alone would add.
     """
-    t = len(noisy)
-    mm, sigma, weight = np.empty(t), np.empty(t), np.empty(t)
-    for i in range(t):
-        own = max(matrix[i, 0, 0], 1e-3 * noisy[i] + 1e-12)
-        mm[i] = vector[i, 0] / own
-        sigma[i] = math.sqrt(noisy[i] / own**2 + _UNEVEN_MM**2)
+    own = np.maximum(matrix[:, 0, 0], 1e-3 * noisy + 1e-12)
+    mm, sigma = vector[:, 0] / own, np.sqrt(noisy / own**2 + _UNEVEN_MM**2)
     # A few tiles may show a lead, a fillet of solder or a neighbour, most often lower than the body.
-    centre = _weighted_median(mm, sigma)
+    order = np.argsort(mm, kind="stable")
+    below = np.cumsum(sigma[order] ** -2)
+    centre = mm[order[np.searchsorted(below, below[-1] / 2)]]
+    weight = np.zeros(len(mm))
     for _ in range(_WEIGHT_ROUNDS):
-        texture = noise = pull = 0.0
-        for i in range(t):
-            weight[i] = max(1 - ((mm[i] - centre) / (_TIGHT * sigma[i])) ** 2, 0.0) ** 2
-            texture += weight[i] * matrix[i, 0, 0]
-            noise += weight[i] * noisy[i]
-            pull += weight[i] * vector[i, 0]
-        if texture <= _INFORMED * noise or texture <= 0:
-            for i in range(t):
-                weight[i] = 0.0
-            break
-        centre = pull / texture
+        weight = np.maximum(1 - np.square((mm - centre) / (_TIGHT * sigma)), 0) ** 2
+        texture = weight @ matrix[:, 0, 0]
+        if texture <= _INFORMED * (weight @ noisy) or texture <= 0:
+            return np.zeros(len(mm))
+        centre = weight @ vector[:, 0] / texture
     return weight
-
-
-@inlined
-def _weighted_median(values: Floats, sigma: Floats) -> float:
-    """Return the value below and above which lies half of the weight 1/σ²."""
-    order, total, below = ascending(values), 0.0, 0.0
-    for i in range(len(values)):
-        total += 1 / sigma[i] ** 2
-    half = 0.5 * total
-    for i in order:
-        below += 1 / sigma[i] ** 2
-        if below >= half:
-            return float(values[i])
-    return float(values[order[-1]])
 
 
 _INFORMED = 0.1
@@ -525,36 +285,18 @@ def combine(bodies: Mapping[str, BodyEquations], row_sigma_px: float) -> dict[st
     return out
 
 
-@compiled
 def solve_at_sizes(matrix: Floats, vector: Floats, scale: float, sizes_px: Floats) -> Floats:
     """Solve the equations of a body for n sizes of the displacements: their standard deviation is the prior.
 
     Returns (n, 3): the logarithm of the likelihood of the size, up to a constant, the height and its variance. The
     likelihood of a size for which the matrix is not positive definite is negligible.
     """
-    m, n = len(vector), len(sizes_px)
-    factor, right, out = np.empty((m, m)), np.empty(m), np.empty((n, 3))
-    for s in range(n):
-        added, log, fit, sound = (scale / sizes_px[s]) ** 2, 0.0, 0.0, True
-        # Cholesky's elimination from the last unknown to the first, so that the last pivot is that of the height.
-        for i in range(m - 1, -1, -1):
-            for j in range(i, -1, -1):
-                entry = matrix[i, j]
-                if i == j:
-                    entry += added if i else 1e-9
-                for k in range(i + 1, m):
-                    entry -= factor[k, i] * factor[k, j]
-                if i == j:
-                    sound = sound and entry > 0
-                    factor[i, i] = math.sqrt(entry) if entry > 0 else 1.0
-                else:
-                    factor[i, j] = entry / factor[i, i]
-            right[i] = vector[i]
-            for k in range(i + 1, m):
-                right[i] -= factor[k, i] * right[k]
-            right[i] /= factor[i, i]
-            log += 2 * math.log(factor[i, i])
-            fit += right[i] ** 2
-        out[s, 0] = (fit - log) / 2 - (m - 1) * math.log(sizes_px[s] / scale) if sound else -1e9
-        out[s, 1], out[s, 2] = right[0] / factor[0, 0], 1 / factor[0, 0] ** 2
-    return out
+    prior = np.ones((len(sizes_px), len(vector))) * ((scale / sizes_px) ** 2)[:, None]
+    prior[:, 0] = 1e-9
+    values, vectors = np.linalg.eigh(matrix + prior[:, None] * np.eye(len(vector)))
+    sound = values[:, 0] > 0
+    values = np.where(sound[:, None], values, 1)
+    along, height = vector @ vectors, vectors[:, 0]
+    likelihood = ((along**2 / values).sum(1) - np.log(values).sum(1)) / 2 - (len(vector) - 1) * np.log(sizes_px / scale)
+    mm, variance = (along * height / values).sum(1), (height**2 / values).sum(1)
+    return np.stack([np.where(sound, likelihood, -1e9), mm, variance], -1)
