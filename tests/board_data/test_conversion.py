@@ -7,7 +7,7 @@ import pytest
 
 from vaoi_station.board_data import conversion
 from vaoi_station.board_data.conversion import to_board_type
-from vaoi_station.board_data.design import Box, Design, Mark, Part, TableReading
+from vaoi_station.board_data.design import Box, Design, ImportedTable, Mark, Part
 from vaoi_station.errors import InputError
 
 BODY = Box((-1.0, -0.5), (1.0, 0.5))
@@ -39,17 +39,11 @@ def test_only_the_chosen_side_is_taken_and_an_empty_one_is_refused() -> None:
 def test_lines_of_repeated_designators_and_the_side_of_a_table_are_said() -> None:
     twice = design(part("R1"), part("C1", line=3), part("C1", line=7, origin=(30.0, 20.0)))
     assert any("were left out: C1 (lines 3, 7)." in note for note in to_board_type(twice, "top")[1])
-    table = TableReading("comma", "mm", "as given", (("ref", 1),))
+    table = ImportedTable(delimiter="comma", unit="mm", unit_from="as given", columns=[])
     for change, advice in (({"table": table}, "state it by --columns side=bottom"), ({}, "Choose the side by --side")):
         with pytest.raises(InputError) as refused:
             to_board_type(design(part("R1"), **change), "bottom")
         assert advice in refused.value.action
-
-
-def test_repeated_designators_are_left_out_and_named() -> None:
-    board, notes = to_board_type(design(part("R1"), part("G***"), part("G***", origin=(30.0, 10.0))), "top")
-    assert [c.ref for c in board.components] == ["R1"]
-    assert any("occur more than once were left out: G***" in note for note in notes)
 
 
 def test_copies_of_a_board_that_no_position_tells_apart_are_named_or_refused() -> None:

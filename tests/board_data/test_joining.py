@@ -122,27 +122,6 @@ def test_of_two_parts_of_the_second_file_with_one_designator_the_fitted_one_give
     assert "parts-without-body" not in codes
 
 
-def test_of_two_parts_of_the_first_file_with_one_designator_the_fitted_one_gives_the_place() -> None:
-    other = Part("U1", "top", (9.0, 9.0), 0.0, fitted=False)
-    found = join_designs(replace(places(), parts=(other, *places().parts)), bodies(), "top")
-    assert [p.origin for p in found.parts if p.ref == "U1"] == [PLACES["U1"]]
-    assert {"parts-alternative"} == {n.code for n in found.notes} & {"parts-alternative", "designators-repeated"}
-
-
-def test_a_designator_of_two_fitted_parts_of_the_second_file_is_not_said_to_be_in_the_first_only() -> None:
-    other = Part("U1", "top", (9.0, 9.0), 0.0, box=BODY)
-    found = join_designs(places(), bodies(parts=(other, *bodies().parts)), "top")
-    named = {note.code for note in found.notes if "U1" in note}
-    assert named == {"bodies-repeated"}
-    assert next(p for p in found.parts if p.ref == "U1").box is None
-
-
-def test_a_designator_of_two_parts_of_the_first_file_is_not_said_to_be_in_the_second_only() -> None:
-    other = Part("U1", "top", (9.0, 9.0), 0.0)
-    found = join_designs(replace(places(), parts=(other, *places().parts)), bodies(), "top")
-    assert {note.code for note in found.notes if "U1" in note} == {"designators-repeated"}
-
-
 def test_a_guess_of_the_second_file_does_not_replace_a_size_of_the_table() -> None:
     known = Box((-1.0, -1.0), (1.0, 1.0))
     first = tuple(replace(p, box=known, size_from="table") for p in places().parts)
@@ -204,15 +183,6 @@ def test_a_part_with_a_wrong_angle_gets_that_of_its_pads_and_is_named(name: str,
         assert part.center == pytest.approx(cad.center)
     (note,) = [n for n in found.notes if n.code == "rotations-differ"]
     assert note.values["names"].startswith("U5 (")
-
-
-def test_a_file_without_pads_proves_no_angle() -> None:
-    first = placer(ANGLE_RULES["counter-clockwise"])
-    parts = tuple(replace(p, rotation=33.0) if p.ref == "U5" else p for p in first.parts)
-    second = tuple(replace(p, size_from="table") for p in many().parts)
-    found = join_designs(replace(first, parts=parts), replace(many(), parts=second), "bottom")
-    assert found.parts[5].rotation == 33
-    assert [n.values["names"][:2] for n in found.notes if n.code == "rotations-unproven"] == ["U5"]
 
 
 def test_a_file_that_states_no_angles_proves_none() -> None:

@@ -17,7 +17,7 @@ def part(ref: str, at: tuple[float, float], **change: object) -> Part:
 
 def found(*parts: Part, marks: tuple[Mark, ...] = ()) -> dict[str, tuple[str, str, tuple[str, ...]]]:
     design = Design("d", "kicad", parts, OUTLINE, marks=marks)
-    return {mark.name: (mark.kind, mark.found_by, mark.components) for mark in find_marks(design, parts, "top")}
+    return {mark.name: (mark.kind, mark.found_by, mark.components) for mark in find_marks(design, "top")}
 
 
 @pytest.mark.parametrize(

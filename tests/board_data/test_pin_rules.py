@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -103,20 +102,6 @@ def test_symmetrical_pins_leave_the_usual_rule(side: Side, degrees: float) -> No
     assert note.endswith("rules fit as well.")
 
 
-@pytest.mark.parametrize("side", ["top", "bottom"])
-def test_without_pins_the_usual_rule_holds_and_nothing_confirms_it(side: Side) -> None:
-    parts = [DrawnPart(Part(f"R{n}", side, (0, 0), 30.0 * n, box=BODY)) for n in range(3)]
-    found, (note,) = placed_parts(parts, usual)
-    assert [p.rotation for p in found] == [SPEC[side].rotation(30.0 * n) for n in range(3)]
-    assert note.code == "rotation-unconfirmed"
-    assert "nothing in the file confirms it" in note
-
-
-def test_pins_at_the_origin_confirm_nothing() -> None:
-    _, (note,) = placed_parts([drawn("M1", SPEC["bottom"], 90.0, ((0.0, 0.0), (0.1, 0.0)))], usual)
-    assert note.code == "rotation-unconfirmed"
-
-
 @pytest.mark.parametrize("stated", [0.0, 45.0, 180.0, 271.5])
 def test_a_part_with_a_wrong_angle_gets_that_of_its_pins_and_is_named(stated: float) -> None:
     right = [drawn(f"Q{n}", SPEC["bottom"], 90.0 * n) for n in range(4)]
@@ -153,15 +138,6 @@ def test_a_part_whose_pins_fit_no_angle_is_named_and_follows_its_side(places: tu
     assert found[-1].rotation == 90
     assert notes[1].code == "pins-unfit"
     assert notes[1].values["names"] == "U9"
-
-
-@pytest.mark.parametrize("unknown", [1, 2, 3])
-def test_pins_that_the_package_does_not_have_fit_nothing(unknown: int) -> None:
-    part = drawn("Q1", SPEC["bottom"], 90.0)
-    pins = tuple(pin._replace(drawn=None) if n < unknown else pin for n, pin in enumerate(part.readings[0]))
-    _, notes = placed_parts([replace(part, readings=(pins,))], usual)
-    assert (notes[0].values["fit"], notes[0].values["pins"]) == (str(3 - unknown), "3")
-    assert codes(notes[1:]) == (["pins-unfit"] if unknown > 1 else [])
 
 
 def test_pins_beside_their_place_still_confirm_the_angle() -> None:
@@ -219,15 +195,6 @@ def test_pins_that_are_all_shifted_alike_have_another_datum_and_move_no_body(rul
     assert (notes[1].values["fit"], notes[1].values["rule"]) == ("10", str(rule))
 
 
-def test_a_side_whose_pins_fit_keeps_its_datum_if_the_other_side_has_another() -> None:
-    top = [drawn(f"T{n}", SPEC["top"], 30.0 * n, side="top") for n in range(3)]
-    bottom = [drawn(f"B{n}", SPEC["bottom"], 30.0 * n) for n in range(3)] + [drawn("J1", SPEC["bottom"], 45.0, HEADER)]
-    expected, _ = placed_parts([*top, *bottom], usual)
-    found, notes = placed_parts([*top, *(shifted(part, (100.0, 0.0)) for part in bottom)], usual)
-    assert found == expected
-    assert codes(notes) == ["pins-of-other-datum", "rotation-by-pins", "rotation-by-pins"]
-
-
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_one_package_beside_its_origin_is_no_other_datum(count: int) -> None:
     """All its parts have one angle, so their bodies lie to the same side."""
@@ -246,15 +213,6 @@ def test_parts_whose_pins_show_no_rule_follow_that_of_other_parts_of_their_side(
     assert found.center == pytest.approx(on_board((4.0, 0.0), rule, 20.0, (10, 20)))
     assert set(codes(notes)) == {"rotation-by-pins", "rotation-by-pins" if pins else "rotation-by-others"}
     assert {note.values["rule"] for note in notes} == {str(rule)}
-
-
-def test_rules_that_pins_prove_on_the_other_side_or_two_of_one_side_decide_on_no_other_parts() -> None:
-    proven = [drawn(f"A{n}", Rule(False, 1), 30.0 * n, side="top") for n in range(3)]
-    for word, rule in (("B", Rule(False, 1)), ("C", Rule(False, -1))):
-        proven += [replace(drawn(f"{word}{n}", rule, 30.0 * n), word=word) for n in range(3)]
-    (*_, found), notes = placed_parts([*proven, drawn("J1", SPEC["bottom"], 20.0, ())], usual)
-    assert found.rotation == SPEC["bottom"].rotation(20.0)
-    assert codes(notes).count("rotation-unconfirmed") == 1
 
 
 def test_of_rules_that_fit_equally_well_that_of_the_top_is_taken_if_the_usual_one_does_not_fit() -> None:
@@ -292,11 +250,3 @@ def test_places_that_may_be_of_other_things_judge_no_single_part() -> None:
     right = [drawn(f"Q{n}", SPEC["bottom"], 90.0 * n) for n in range(4)]
     _, notes = placed_parts([*right, drawn("U9", SPEC["bottom"], 90.0, stated=0.0)], usual, exact=False)
     assert codes(notes) == ["rotation-by-pins"]
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_the_words_of_a_rule_say_what_it_does(rule: Rule) -> None:
-    words = str(rule)
-    assert ("mirrored" in words, "counter-clockwise" in words) == (rule.mirrored, rule.sign > 0)
-    assert len({str(r) for r in RULES}) == len(RULES)
-    assert math.isclose(rule.rotation(0.0), rule.offset)

@@ -18,12 +18,6 @@ def test_encodings_of_old_and_new_programs(encoding: str) -> None:
     assert decode("Größe 5 µm".encode(encoding), "f") == "Größe 5 µm"
 
 
-def test_utf_16_without_a_mark_is_recognised() -> None:
-    assert decode("<a>µ</a>".encode("utf-16-le"), "f") == decode("<a>µ</a>".encode("utf-16-be"), "f") == "<a>µ</a>"
-    with pytest.raises(InputError, match="f: is no valid utf-16-le text at byte 10"):
-        decode("(abcd".encode("utf-16-le") + b"\x00\xd8\x00\x00", "f")
-
-
 def test_binary_files_and_absent_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="f: is a binary file"):
         decode(b"ab\x00\x01", "f")
@@ -41,7 +35,7 @@ def test_a_file_above_the_limit_is_refused(tmp_path: Path, monkeypatch: pytest.M
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as bomb:
         bomb.writestr("matrix/matrix", bytes(5000))
     with open_archive(tmp_path / "bomb.zip") as archive, pytest.raises(InputError, match="at most 100 bytes"):
-        archive.read("matrix/matrix")
+        archive.members["matrix/matrix"]()
 
 
 def test_xml_has_names_without_namespace_and_no_document_type() -> None:
@@ -78,8 +72,8 @@ def test_folder_zip_and_tar_read_alike(tmp_path: Path) -> None:
         tar.add(folder / "Steps" / "x", "Steps/x")
     for path in (folder, tmp_path / "a.zip", tmp_path / "a.tgz"):
         with open_archive(path) as archive:
-            assert list(archive.names()) == ["steps/x"]
-            assert archive.text("STEPS/x") == "content"
+            assert list(archive.members) == ["steps/x"]
+            assert archive.members["steps/x"]() == b"content"
 
 
 @pytest.mark.parametrize("kind", ["zip deflated", "zip lzma", "tar gz", "tar xz", "tar bz2"])
@@ -97,15 +91,8 @@ def test_a_damaged_byte_of_an_archive_is_a_refusal(kind: str, tmp_path: Path) ->
     for at in range(0, len(whole), 37):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
         with suppress(InputError), open_archive(path) as archive:
-            for name in archive.names():
-                archive.read(name)
-
-
-def test_a_member_without_a_name_is_read(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "a.zip", "w") as zipped:
-        zipped.writestr(zipfile.ZipInfo(""), "x")
-    with open_archive(tmp_path / "a.zip") as archive:
-        assert list(archive.names()) == [""]
+            for read in archive.members.values():
+                read()
 
 
 def test_a_damaged_archive_is_named(tmp_path: Path) -> None:

@@ -44,7 +44,9 @@ def _values(node: ast.AST) -> Iterator[ast.expr | None]:
     match node:
         case ast.keyword(arg="code", value=value) | ast.Assign(targets=[ast.Name(id="code" | "CODE")], value=value):
             yield value
-        case ast.Call(func=ast.Attribute(attr="add_reason") | ast.Name(id="Note" | "add_conflict"), args=[value, *_]):
+        case ast.Call(
+            func=ast.Attribute(attr="add_reason") | ast.Name(id="Note" | "noted" | "add_conflict"), args=[value, *_]
+        ):
             yield value
 
 

@@ -7,14 +7,19 @@ counter-clockwise as seen from the top, also for parts on the bottom.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
+from pydantic import Field
+
+from vaoi_station.model import Strict
 from vaoi_station.model.reason import Note
 
 Side = Literal["top", "bottom"]
 XY = tuple[float, float]
+Contour = tuple[XY, ...]
 LEAST_DRAWING = 0.5
 """A drawing of a body is at least this share of its pins, along both axes."""
 KICAD_COURTYARD_MM = 0.25
@@ -31,6 +36,11 @@ class Box:
     low: XY
     high: XY
 
+    @staticmethod
+    def of_size(width: float, height: float) -> Box:
+        """Return a box about the origin."""
+        return Box((-width / 2, -height / 2), (width / 2, height / 2))
+
     @property
     def center(self) -> XY:
         """Centre of the box."""
@@ -45,24 +55,23 @@ class Box:
         """Return the box with x reversed, as it is seen from the other side."""
         return Box((-self.high[0], self.low[1]), (-self.low[0], self.high[1]))
 
-    def contains(self, other: Box, margin: float) -> bool:
-        """Return whether another box lies within this one, with a margin on every side."""
-        below = all(a + margin <= b for a, b in zip(self.low, other.low, strict=True))
-        return below and all(b + margin <= a for a, b in zip(self.high, other.high, strict=True))
-
     def shrunk(self, margin: float) -> Box:
         """Return the box without a margin on every side; at least a tenth of each side remains."""
         (x, y), (w, h) = self.center, self.size
         half = (max(w / 2 - margin, w / 20), max(h / 2 - margin, h / 20))
         return Box((x - half[0], y - half[1]), (x + half[0], y + half[1]))
 
+    def corners(self, at: Placement) -> list[XY]:
+        """Return the four corners of the box at a place."""
+        return [at.apply((x, y)) for x in (self.low[0], self.high[0]) for y in (self.low[1], self.high[1])]
+
 
 def box_around(points: Iterable[XY]) -> Box | None:
     """Return the smallest box around points; None if they enclose no area."""
-    xs, ys = zip(*points, strict=True) if (points := list(points)) else ((), ())
-    if not xs or max(xs) - min(xs) < 1e-6 or max(ys) - min(ys) < 1e-6:
+    if not (points := list(points)):
         return None
-    return Box((min(xs), min(ys)), (max(xs), max(ys)))
+    low, high = extent(points)
+    return Box(low, high) if min(high[0] - low[0], high[1] - low[1]) >= 1e-6 else None
 
 
 def body_of(drawing: Box | None, pins: Box | None) -> Box | None:
@@ -96,7 +105,7 @@ class Part:
     in_bom: bool = True
     """False if the file excludes the part from the bill of materials; it may be placed, as a fiducial is."""
     mark_diameter: float | None = None
-    """Extent of the first pad, which is the diameter of the mark if the part is a fiducial; None if it is not known."""
+    """Extent of the first pad, which is the diameter of the mark if the part is a fiducial."""
     is_mark: bool = False
     """Whether the file itself says that the part is a fiducial."""
     mark_kind: MarkKind | None = None
@@ -142,18 +151,24 @@ class Mark:
 class Placement:
     """The way from one frame to another: mirror x, rotate, shift."""
 
-    mirrored: bool
-    degrees: float
-    shift: XY
+    mirrored: bool = False
+    degrees: float = 0.0
+    shift: XY = (0.0, 0.0)
+
+    @cached_property
+    def _turn(self) -> tuple[float, float]:
+        a = math.radians(self.degrees)
+        return math.cos(a), math.sin(a)
 
     def apply(self, point: XY) -> XY:
         """Return a point of the first frame in the second."""
-        x, y = rotated((-point[0] if self.mirrored else point[0], point[1]), self.degrees)
-        return x + self.shift[0], y + self.shift[1]
+        (c, s), x, y = self._turn, -point[0] if self.mirrored else point[0], point[1]
+        return c * x - s * y + self.shift[0], s * x + c * y + self.shift[1]
 
     def undo(self, point: XY) -> XY:
         """Return a point of the second frame in the first."""
-        x, y = rotated((point[0] - self.shift[0], point[1] - self.shift[1]), -self.degrees)
+        (c, s), x, y = self._turn, point[0] - self.shift[0], point[1] - self.shift[1]
+        x, y = c * x + s * y, c * y - s * x
         return (-x if self.mirrored else x), y
 
     def within(self, outer: Placement) -> Placement:
@@ -162,20 +177,27 @@ class Placement:
         return Placement(self.mirrored != outer.mirrored, turn + outer.degrees, outer.apply(self.shift))
 
 
-@dataclass(frozen=True)
-class TableReading:
+class ImportedColumn(Strict):
+    """A column of a centroid file whose content was recognised."""
+
+    name: str
+    number: int = Field(description="From 1.")
+    header: str | None = None
+
+
+class ImportedTable(Strict):
     """What was recognised of a centroid file."""
 
     delimiter: str
     unit: str
-    unit_from: str
-    """What states the unit."""
-    columns: tuple[tuple[str, int], ...]
-    """Pairs of what a column holds and its number, from 1."""
-    headers: tuple[str, ...] = ()
-    """The header of every column; empty if the file has none."""
-    all_on: Side | None = None
-    """The side of all parts, as the user states it."""
+    unit_from: str = Field(description="What states the unit.")
+    columns: list[ImportedColumn]
+    headers: list[str] = Field(default=[], description="Header of every column.")
+    all_on: Side | None = Field(default=None, description="The side of all parts, as it was given.")
+
+    def has(self, name: str) -> bool:
+        """Return whether a column was recognised."""
+        return any(column.name == name for column in self.columns)
 
 
 @dataclass(frozen=True)
@@ -197,15 +219,14 @@ class Design:
     name: str
     format: str
     parts: tuple[Part, ...]
-    outline: tuple[XY, ...] = ()
+    outline: Contour = ()
     """The outer contour; empty if the file has none."""
-    cut_outs: tuple[tuple[XY, ...], ...] = ()
-    islands: tuple[tuple[XY, ...], ...] = ()
+    cut_outs: tuple[Contour, ...] = ()
+    islands: tuple[Contour, ...] = ()
     """Contours within cut-outs: the cut-outs of a board that lies in a frame."""
     marks: tuple[Mark, ...] = ()
     """Fiducials that are no parts."""
-    table: TableReading | None = None
-    """Of a centroid file."""
+    table: ImportedTable | None = None
     boards: tuple[PlacedBoard, ...] = ()
     """Of a panel: its boards. Parts, outline and marks are then the panel's."""
     step: str | None = None
@@ -219,6 +240,10 @@ class Design:
         """Return the design with further notes."""
         return replace(self, notes=(*self.notes, *notes))
 
+    def parts_on(self, side: Side) -> list[Part]:
+        """Return the parts of one side."""
+        return [part for part in self.parts if part.side == side]
+
 
 def extent(points: Iterable[XY]) -> tuple[XY, XY]:
     """Return the lowest and the highest corner of the rectangle around points."""
@@ -228,12 +253,31 @@ def extent(points: Iterable[XY]) -> tuple[XY, XY]:
 
 def rotated(point: XY, degrees: float) -> XY:
     """Return a point rotated counter-clockwise about the origin."""
-    a = math.radians(degrees)
-    c, s = math.cos(a), math.sin(a)
-    return c * point[0] - s * point[1], s * point[0] + c * point[1]
+    return Placement(False, degrees).apply(point)
 
 
 def normalised(degrees: float) -> float:
     """Return an angle in [0, 360), with rounding errors of 10⁻⁶° removed."""
     found = round(degrees % 360, 6)
     return 0.0 if found == 360 else found
+
+
+def angle_between(a: float, b: float) -> float:
+    """Return the smaller angle between two directions, degrees."""
+    return abs((a - b + 180) % 360 - 180)
+
+
+def noted(code: str, text: str, **values: object) -> Note:
+    """Return a note whose text has its values in braces; of a list of names the first eight are shown."""
+    shown = {key: some(value) if isinstance(value, list) else value for key, value in values.items()}
+    return Note(code, text.format(**shown), **shown)
+
+
+def some(names: Sequence[str], most: int = 8) -> str:
+    """Return the first names of a list: `R1, R2 and 3 more`."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def places(points: Iterable[Sequence[float]]) -> str:
+    """Return the first places of a list, in mm: `(10, 20), (30, 5) and 3 more`."""
+    return some([f"({x:.6g}, {y:.6g})" for x, y in points], 4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from vaoi_station.board_data.design import some
 from vaoi_station.board_data.source_text import Archive
 from vaoi_station.errors import InputError
 
@@ -35,36 +36,30 @@ _KINDS: tuple[tuple[re.Pattern[bytes], str, str], ...] = tuple(
         (rb"\x10[\x00\x80]", "a binary file of EAGLE 5 or older", "Open and save the board with EAGLE 6 or later."),
     )
 )
-
 _BY_NAME = {".kicad_pcb": "board of KiCad", ".brd": "board of EAGLE", ".gencad": "GenCAD file", ".cvg": "IPC-2581 file"}
 """What files are by their names, which no centroid file has."""
-_BEGINNING = 40
 
 
 def refuse_foreign(path: Path, head: bytes) -> None:
-    """Raise InputError if a file, of which `head` is the beginning, is of a known kind that is no board data.
-
-    A file whose name promises another format than a centroid file is refused, too.
-    """
+    """Raise InputError if a file is of a known kind that is no board data, or its name promises another format."""
     head = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
     found = next(((what, action) for pattern, what, action in _KINDS if pattern.match(head)), None)
     if found is not None:
         raise InputError(f"{path}: is {found[0]}, not board data.", action=found[1])
     if (promised := _BY_NAME.get(path.suffix.lower())) is not None:
-        beginning = head[:_BEGINNING].decode("utf-8", "replace").partition("\n")[0].rstrip()
+        beginning = head[:40].decode("utf-8", "replace").partition("\n")[0].rstrip()
         raise InputError(
             f"{path}: is no {promised}, as its name says; it begins with {beginning!r}.",
             action="Export it again. If it is a centroid file, state --format centroid.",
         )
 
 
-def refuse_archive(path: Path, archive: Archive) -> None:
+def refuse_archive(archive: Archive) -> None:
     """Raise InputError for an archive that holds no ODB++ design, with what it holds."""
-    names = list(archive.names())
+    path, names = archive.where, list(archive.members)
     if any(name.startswith("xl/") for name in names):
         raise InputError(f"{path}: is a workbook of Excel, not board data.", action="Save the table as CSV.")
-    some = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     raise InputError(
-        f"{path}: is an archive without matrix/matrix, so no ODB++ design; it holds {some or 'no file'}.",
+        f"{path}: is an archive without matrix/matrix, so no ODB++ design; it holds {some(names, 3) or 'no file'}.",
         action="Unpack it, and give the file with board data.",
     )

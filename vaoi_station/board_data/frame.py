@@ -7,15 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 
-from vaoi_station.board_data.contours import places
-from vaoi_station.board_data.design import XY, Design, Part, Side
-from vaoi_station.board_data.marks import find_marks
+from vaoi_station.board_data.design import XY, Design, Part, noted, places
+from vaoi_station.board_data.marks import all_marks
 from vaoi_station.geometry.polygon import encloses
-from vaoi_station.model.reason import Note
 
 
 def without_frame(design: Design) -> Design:
@@ -27,19 +24,14 @@ def without_frame(design: Design) -> Design:
         return design
     held = parts_within(design.cut_outs, design.parts)
     board, count = max(zip(design.cut_outs, map(len, held), strict=True), key=lambda found: found[1])
-    if 2 * count <= len(design.parts):
+    on_frame = (encloses(design.outline, m.at) and not encloses(board, m.at) for m in all_marks(design))
+    if 2 * count <= len(design.parts) or any(on_frame):
         return design
-    marks = [
-        m for side in get_args(Side) for m in find_marks(design, [p for p in design.parts if p.side == side], side)
-    ]
-    if any(encloses(design.outline, m.at) and not encloses(board, m.at) for m in marks):
-        return design
-    at = places([min(board)])
-    sentence = (
-        f"{count} of {len(design.parts)} parts lie within a contour inside the outermost one: it is taken as the "
-        f"outline, from {at} on, and the outermost one as a frame. Check the outline in the picture."
+    text = (
+        "{count} of {all} parts lie within a contour inside the outermost one: it is taken as the outline, from {at} "
+        "on, and the outermost one as a frame. Check the outline in the picture."
     )
-    note = Note("frame-left-out", sentence, count=count, all=len(design.parts), at=at)
+    note = noted("frame-left-out", text, count=count, all=len(design.parts), at=places([min(board)]))
     # The contours inside the others belong to this board if they lie within it.
     cut_outs = tuple(c for c in design.islands if encloses(board, c[0]))
     notes = [n for n in design.notes if n.code != "islands-left-out" or not design.islands]

@@ -1,7 +1,7 @@
 """Import board data in a process of its own: `python -m vaoi_station.board_data.import_process`.
 
-Files of unknown origin may be made to exhaust memory or time. The process reads its task from standard input, writes
-its reply to standard output, and can do no harm beyond its limits.
+Files of unknown origin may be made to exhaust memory or time. The process reads limits and task from standard input,
+writes its reply to standard output, and can do no harm beyond its limits.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import logging
 import os
 import re
 import resource
+import subprocess
 import sys
 from pathlib import Path
 
@@ -18,11 +19,12 @@ from pydantic import Field
 from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import Side
 from vaoi_station.board_data.overview import ImportOverview, overview
-from vaoi_station.board_data.package_sizes import Table, parse_table, read_table
+from vaoi_station.board_data.package_sizes import parse_table, read_table
 from vaoi_station.board_data.panels import Grid
 from vaoi_station.board_data.picture import board_picture
 from vaoi_station.board_data.readers.placement_table import TableOptions
 from vaoi_station.board_data.reading import Options, read_design
+from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.model import Strict
 from vaoi_station.model.board_type import STORED_NAME, STORED_NAME_RULE
@@ -91,18 +93,44 @@ OF_PERSONS = ImportLimits(
 """Limits of an import on the command line or in a program: a person waits, and may end it."""
 
 
-def import_file(task: ImportTask) -> ImportReply:
-    """Import a file.
+def import_limited(task: ImportTask, limits: ImportLimits | None = None) -> ImportReply:
+    """Import a file in a process of its own; raise InputError if it is refused, or exceeds a limit."""
+    limits = limits or ImportLimits()
+    # One thread of BLAS: each reserves address space, of which the process has little.
+    environment = child_environment(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
+    command = [sys.executable, "-P", "-m", "vaoi_station.board_data.import_process"]
+    text = f"{limits.model_dump_json()}\n{task.model_dump_json()}\n"
+    try:
+        done = subprocess.run(
+            command, input=text, capture_output=True, text=True, env=environment, timeout=limits.wall_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        refusal = f"{task.file}: cannot be read within {limits.wall_s:g} s; the file is refused."
+        raise InputError(refusal, action=limits.advice) from None
+    if done.returncode != 0 or done.stderr:
+        _log.info("import of %s ended with code %d: %s", task.file, done.returncode, done.stderr[-2000:])
+    if done.returncode != 0:
+        raise InputError(
+            f"{task.file}: cannot be read within {limits.cpu_s} s of computing time and {limits.memory_bytes >> 20} MB "
+            "of memory; the file is refused.",
+            action=limits.advice,
+        )
+    reply = ImportReply.model_validate_json(done.stdout)
+    if reply.refusal:
+        raise InputError(reply.refusal, action=reply.action)
+    return reply
 
-    Raises:
-        VaoiError: the file or an option is refused.
-    """
+
+def import_file(task: ImportTask) -> ImportReply:
+    """Import a file; raise VaoiError if the file or an option is refused."""
     if task.name is not None and not re.fullmatch(STORED_NAME, task.name):
         raise InputError.field("--name", "the name", task.name, STORED_NAME_RULE)
     table = TableOptions.parse(task.units, task.columns, task.delimiter)
     grid = Grid.parse(task.repeat, task.pitch, task.rotate, task.border)
-    options = Options(task.format, table, task.step, _sizes(task), grid)
-    design = read_design(task.file, options, task.join, task.side)
+    sizes = read_table(task.sizes) if task.sizes is not None else ()
+    if task.size_table is not None:
+        sizes = parse_table(task.size_table, "sizes")
+    design = read_design(task.file, Options(task.format, table, task.step, sizes, grid), task.join, task.side)
     board, notes = to_board_type(design, task.side, task.name)
     document = board.model_dump_json(exclude_none=True)
     return ImportReply(overview=overview(design, board, notes), board_type=document, picture=board_picture(board))
@@ -125,22 +153,20 @@ def run_import(task: ImportTask) -> ImportReply:
         )
 
 
-def _sizes(task: ImportTask) -> Table:
-    if task.size_table is not None:
-        return parse_table(task.size_table, "sizes")
-    return read_table(task.sizes) if task.sizes is not None else ()
-
-
 def reply_text(task: ImportTask, limits: ImportLimits) -> str:
-    """Import a file, and return the reply as JSON; a reply that is too long becomes a refusal."""
-    text = run_import(task).model_dump_json(exclude_none=True)
-    if len(text) <= limits.most_reply:
-        return text
-    long = (
-        f"{task.file}: makes a board type with picture and overview of {len(text) / 1e6:.1f} million characters, the "
-        f"limit is {limits.most_reply / 1e6:.1f} million; the file is refused."
-    )
-    return ImportReply(refusal=long, action=limits.advice).model_dump_json(exclude_none=True)
+    """Import a file, and return the reply as JSON; one that is too long, or needs too much memory, is a refusal."""
+    try:
+        text = run_import(task).model_dump_json(exclude_none=True)
+    except MemoryError:
+        refusal = f"{task.file}: needs more than {limits.memory_bytes >> 20} MB of memory; the file is refused."
+    else:
+        if len(text) <= limits.most_reply:
+            return text
+        refusal = (
+            f"{task.file}: makes a board type with picture and overview of {len(text) / 1e6:.1f} million characters, "
+            f"the limit is {limits.most_reply / 1e6:.1f} million; the file is refused."
+        )
+    return ImportReply(refusal=refusal, action=limits.advice).model_dump_json(exclude_none=True)
 
 
 def main() -> None:
@@ -152,13 +178,7 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     os.nice(NICE)
-    try:
-        text = reply_text(task, limits)
-    except MemoryError:
-        mb = limits.memory_bytes >> 20
-        refusal = f"{task.file}: needs more than {mb} MB of memory; the file is refused."
-        text = ImportReply(refusal=refusal, action=limits.advice).model_dump_json(exclude_none=True)
-    sys.stdout.write(text)
+    sys.stdout.write(reply_text(task, limits))
 
 
 if __name__ == "__main__":

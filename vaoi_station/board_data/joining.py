@@ -15,7 +15,18 @@ from itertools import product
 from statistics import median
 
 from vaoi_station.board_data.conversion import one_of_each
-from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
+from vaoi_station.board_data.design import (
+    Box,
+    Design,
+    Part,
+    Placement,
+    Side,
+    angle_between,
+    extent,
+    normalised,
+    noted,
+    rotated,
+)
 from vaoi_station.board_data.marks import find_marks
 from vaoi_station.errors import InputError
 from vaoi_station.model.reason import Note
@@ -36,6 +47,22 @@ _ANGLE_RULES: dict[str, Callable[[float], float]] = {
 """What the angles of a side may mean, as seen from the top of the board; the first is that of board types."""
 LEAST_SAME_PACKAGE = 2
 """As many parts of a package show that both libraries disagree about its 0°."""
+_Pairs = Sequence[tuple[Part, Part]]
+"""Parts of one designator in the first and in the second file."""
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How the places of the first file follow from the second: of origins, or centres of bodies, by a placement."""
+
+    by_center: bool
+    placement: Placement
+
+    def error_mm(self, placed: Part, drawn: Part) -> float:
+        return math.dist(placed.origin, self.placement.apply(drawn.center if self.by_center else drawn.origin))
+
+    def agreeing(self, pairs: _Pairs) -> int:
+        return sum(self.error_mm(a, b) <= AGREES_MM for a, b in pairs)
 
 
 def join_designs(places: Design, bodies: Design, side: Side) -> Design:
@@ -51,8 +78,8 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
                 action="Choose the step of the board by --step, and repeat the joined board by --repeat.",
             )
     notes: list[Note] = []
-    placed, placed_twice = _by_ref(places, side, notes)
-    drawn, drawn_twice = _by_ref(bodies, side, notes)
+    placed, placed_twice = _by_ref(one_of_each(places.parts_on(side), notes))
+    drawn, drawn_twice = _by_ref(one_of_each(bodies.parts_on(side), notes))
     common = sorted(placed.keys() & drawn.keys())
     if len(common) < LEAST_COMMON:
         raise InputError(
@@ -61,50 +88,52 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
             action="Check that both are of the same board and side.",
         )
     pairs = [(placed[ref], drawn[ref]) for ref in common]
-    by_center, found = _best(pairs)
+    fit = _best(pairs)
     if placed_twice:
-        names = _some(placed_twice)
-        sentence = f"designators that occur more than once in the first file were left out: {names}."
-        notes.append(Note("designators-repeated", sentence, names=names))
-    if found.mirrored:
-        # The board type describes both sides as seen from the top, so the places are mirrored back.
-        placed, found = _unmirrored(placed, found)
+        text = "designators that occur more than once in the first file were left out: {names}."
+        notes.append(noted("designators-repeated", text, names=placed_twice))
+    if fit.placement.mirrored:
+        # The board type describes both sides as seen from the top, so the places are mirrored back:
+        # (x, y) → R·(−x, y) + s, mirrored in x again, is a rotation by the negative angle and a shift with −sx.
+        degrees, (x, y) = fit.placement.degrees, fit.placement.shift
+        fit = replace(fit, placement=Placement(False, normalised(-degrees), (-x, y)))
+        placed = {ref: replace(part, origin=(-part.origin[0], part.origin[1])) for ref, part in placed.items()}
         pairs = [(placed[ref], drawn[ref]) for ref in common]
-        sentence = "the first file describes this side mirrored in x; its places were mirrored back."
-        notes.append(Note("places-mirrored", sentence))
-    errors = {b.ref: math.dist(a.origin, found.apply(_place(b, by_center))) for a, b in pairs}
+        text = "the first file describes this side mirrored in x; its places were mirrored back."
+        notes.append(noted("places-mirrored", text))
+    errors = {b.ref: fit.error_mm(a, b) for a, b in pairs}
     off = {ref: error for ref, error in errors.items() if error > AGREES_MM}
     good = [error for error in errors.values() if error <= AGREES_MM]
-    what = "centres of bodies" if by_center else "origins"
-    degrees, shift = f"{found.degrees:g}", f"{found.shift[0]:.3f}, {found.shift[1]:.3f}"
-    within = f"{max(good, default=0) * 1000:.0f}"
-    sentence = (
-        f"joined by {len(common)} designators: the first file's places are the second's {what}, rotated by "
-        f"{degrees}° and shifted by ({shift}) mm; {len(good)} agree within {within} µm."
-    )
-    values = {"count": len(common), "turned_deg": degrees, "shift_mm": shift, "agree": len(good), "within_um": within}
-    notes.insert(0, Note("files-joined", sentence, **values))
     if 2 * len(good) < len(common):
-        raise _misfit(places, bodies, pairs, len(good), found.degrees)
-    angles = _angles(pairs, found.degrees, turned=all(note.code != "angles-not-stated" for note in bodies.notes))
-    notes.insert(1, _note_on_angles(angles))
-    joined = [_joined(a, drawn.get(a.ref), found, by_center, angles) for a in placed.values()]
+        raise _misfit(places, bodies, pairs, len(good), fit.placement.degrees)
+    placement, what = fit.placement, "centres of bodies" if fit.by_center else "origins"
+    text = (
+        f"joined by {{count}} designators: the first file's places are the second's {what}, rotated by {{turned_deg}}° "
+        "and shifted by ({shift_mm}) mm; {agree} agree within {within_um} µm."
+    )
+    values = {"count": len(common), "agree": len(good), "within_um": f"{max(good, default=0) * 1000:.0f}"}
+    shift = "{:.3f}, {:.3f}".format(*placement.shift)
+    joined = noted("files-joined", text, turned_deg=f"{placement.degrees:g}", shift_mm=shift, **values)
+    proven = all(note.code != "angles-not-stated" for note in bodies.notes)
+    angles = _angles(pairs, placement.degrees, turned=proven)
+    text = "the first file's angles are {rule}, as seen from the top: {fit} of {count} parts agree with the second."
+    notes[:0] = [joined, noted("angles-joined", text, rule=angles.rule, fit=angles.fitting, count=len(common))]
     if unclear := [ref for ref in drawn_twice if ref in placed]:
-        names = _some(unclear)
-        sentence = f"designators that occur more than once in the second file get no body from it: {names}."
-        notes.append(Note("bodies-repeated", sentence, names=names))
+        text = "designators that occur more than once in the second file get no body from it: {names}."
+        notes.append(noted("bodies-repeated", text, names=unclear))
     notes += _conflicts(placed, drawn, off, angles, _sides(places, bodies), {*placed_twice, *drawn_twice})
+    marks = (
+        replace(m, at=placed[m.name].origin if m.name in placed and m.name not in off else placement.apply(m.at))
+        for m in find_marks(bodies, side)
+    )
     return Design(
         name=places.name,
         format=f"{places.format} + {bodies.format}",
-        parts=tuple(joined),
-        outline=tuple(map(found.apply, bodies.outline)),
-        cut_outs=tuple(tuple(map(found.apply, contour)) for contour in bodies.cut_outs),
+        parts=tuple(_joined(a, drawn.get(a.ref), fit, angles) for a in placed.values()),
+        outline=tuple(map(placement.apply, bodies.outline)),
+        cut_outs=tuple(tuple(map(placement.apply, contour)) for contour in bodies.cut_outs),
         # Fiducials often stand in the CAD file alone; where both files have one, the places decide.
-        marks=tuple(
-            replace(m, at=placed[m.name].origin if m.name in placed and m.name not in off else found.apply(m.at))
-            for m in find_marks(bodies, [p for p in bodies.parts if p.side == side], side)
-        ),
+        marks=tuple(marks),
         table=places.table,
         step=bodies.step,
         steps=bodies.steps,
@@ -112,49 +141,32 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
     )
 
 
-def _by_ref(design: Design, side: Side, notes: list[Note]) -> tuple[dict[str, Part], list[str]]:
-    """Return the parts of a side by designator, and the designators of several parts, which match nothing."""
-    parts = one_of_each([part for part in design.parts if part.side == side], notes)
+def _by_ref(parts: Sequence[Part]) -> tuple[dict[str, Part], list[str]]:
+    """Return the parts by designator, and the designators of several parts, which match nothing."""
     counts = Counter(part.ref for part in parts)
-    twice = sorted(ref for ref, count in counts.items() if count > 1)
-    return {part.ref: part for part in parts if counts[part.ref] == 1}, twice
+    once = {part.ref: part for part in parts if counts[part.ref] == 1}
+    return once, sorted(ref for ref, count in counts.items() if count > 1)
 
 
-def _sides(places: Design, bodies: Design) -> dict[str, tuple[Side, Side]]:
-    """Return the designators that lie on different sides in both files."""
-    once = []
-    for design in (places, bodies):
-        counts = Counter(part.ref for part in design.parts)
-        once.append({part.ref: part for part in design.parts if counts[part.ref] == 1})
-    return {
-        ref: (part.side, once[1][ref].side)
-        for ref, part in once[0].items()
-        if ref in once[1] and once[1][ref].side != part.side
-    }
+def _sides(places: Design, bodies: Design) -> list[str]:
+    """Return the designators that lie on different sides in both files, with these sides."""
+    first, second = (_by_ref(design.parts)[0] for design in (places, bodies))
+    both = [(part, second[ref]) for ref, part in first.items() if ref in second]
+    return [f"{a.ref} ({a.side}, {b.side})" for a, b in both if a.side != b.side]
 
 
-def _place(part: Part, by_center: bool) -> XY:
-    return part.center if by_center else part.origin
-
-
-def _misfit(
-    places: Design, bodies: Design, pairs: Sequence[tuple[Part, Part]], good: int, degrees: float
-) -> InputError:
+def _misfit(places: Design, bodies: Design, pairs: _Pairs, good: int, degrees: float) -> InputError:
     """Return the refusal of files that do not fit; of another scale if they fit at it."""
     for by_center in (False, True):
         spreads = []
-        for points in ([a.origin for a, _ in pairs], [_place(b, by_center) for _, b in pairs]):
+        for points in ([a.origin for a, _ in pairs], [b.center if by_center else b.origin for _, b in pairs]):
             middle = (median(x for x, _ in points), median(y for _, y in points))
             spreads.append(median(math.dist(p, middle) for p in points))
         factor = spreads[0] / spreads[1] if min(spreads) > 1e-6 else 1.0
         scaled = [(replace(a, origin=(a.origin[0] / factor, a.origin[1] / factor)), b) for a, b in pairs]
-        if abs(factor - 1) > SAME_SCALE and 2 * _agreeing(scaled, *_best(scaled)) >= len(pairs):
-            return InputError.field(
-                "--join",
-                "the distance of parts in the first file",
-                f"{factor:.4g} times that in the second",
-                "equal in both; check --units",
-            )
+        if abs(factor - 1) > SAME_SCALE and 2 * _best(scaled).agreeing(scaled) >= len(pairs):
+            value, limit = f"{factor:.4g} times that in the second", "equal in both; check --units"
+            return InputError.field("--join", "the distance of parts in the first file", value, limit)
     return InputError(
         f"{places.name!r} and {bodies.name!r} do not fit: only {good} of {len(pairs)} common parts are at the same "
         f"place (within {AGREES_MM:g} mm), at the best rotation, {degrees:g}°.",
@@ -162,32 +174,22 @@ def _misfit(
     )
 
 
-def _agreeing(pairs: Sequence[tuple[Part, Part]], by_center: bool, found: Placement) -> int:
-    return sum(math.dist(a.origin, found.apply(_place(b, by_center))) <= AGREES_MM for a, b in pairs)
-
-
-def _best(pairs: Sequence[tuple[Part, Part]]) -> tuple[bool, Placement]:
+def _best(pairs: _Pairs) -> _Fit:
     """Return whether places are centres of bodies, and the placement with which most parts agree."""
     turns = Counter(round((sign * a.rotation - b.rotation) % 360, 2) % 360 for a, b in pairs for sign in (1, -1))
     angles = (*_QUARTER_DEG, *(angle for angle, _ in turns.most_common(5)))
-    candidates: list[tuple[int, float, int, bool, Placement]] = []
+    candidates: list[tuple[int, float, int, _Fit]] = []
     for by_center, mirrored, degrees in product((False, True), (False, True), dict.fromkeys(angles)):
-        turned = [(a.origin, Placement(mirrored, degrees, (0.0, 0.0)).apply(_place(b, by_center))) for a, b in pairs]
+        turn = Placement(mirrored, degrees)
+        turned = [(a.origin, turn.apply(b.center if by_center else b.origin)) for a, b in pairs]
         shift = (median(p[0] - q[0] for p, q in turned), median(p[1] - q[1] for p, q in turned))
         errors = [math.dist(p, (q[0] + shift[0], q[1] + shift[1])) for p, q in turned]
         agreeing = sum(error <= AGREES_MM for error in errors)
         # At equal counts the simpler explanation comes first: origins, not mirrored, a quarter turn.
         total = round(sum(min(error, AGREES_MM) for error in errors), 4)
-        candidates.append((-agreeing, total, len(candidates), by_center, Placement(mirrored, degrees, shift)))
-    *_, by_center, found = min(candidates)
-    return by_center, found
-
-
-def _unmirrored(placed: dict[str, Part], found: Placement) -> tuple[dict[str, Part], Placement]:
-    """Return the parts with their places mirrored in x, and the placement that then holds."""
-    # (x, y) → R·(−x, y) + s, mirrored in x again, is a rotation by the negative angle and a shift with −sx.
-    placement = Placement(False, normalised(-found.degrees), (-found.shift[0], found.shift[1]))
-    return {ref: replace(part, origin=(-part.origin[0], part.origin[1])) for ref, part in placed.items()}, placement
+        fit = _Fit(by_center, Placement(mirrored, degrees, shift))
+        candidates.append((-agreeing, total, len(candidates), fit))
+    return min(candidates)[-1]
 
 
 @dataclass(frozen=True)
@@ -197,39 +199,27 @@ class _Angles:
     rule: str
     offsets: dict[str, float]
     """Package → angle from its 0° in the first file to that in the second, where they differ."""
-    fitting: frozenset[str]
-    """Designators of the parts whose angle agrees with the second file."""
+    fitting: int
+    """Number of parts whose angle agrees with the second file."""
     own: dict[str, float]
     """Designator → angle by the second file, of the parts that do not fit and have pads."""
     turns: dict[str, float]
     """Designator → angle by the second file less that by the first, of the parts that do not fit."""
-    count: int
-
-    def rotation(self, part: Part) -> float:
-        """Return the rotation of a part of the first file, counter-clockwise as seen from the top."""
-        return normalised(self.own.get(part.ref, _ANGLE_RULES[self.rule](part.rotation)))
 
 
-def _package(placed: Part, drawn: Part) -> str:
-    return drawn.package or placed.package
-
-
-def _angles(pairs: Sequence[tuple[Part, Part]], degrees: float, turned: bool) -> _Angles:
+def _angles(pairs: _Pairs, degrees: float, turned: bool) -> _Angles:
     """Return the rule and the offsets of packages by which most angles of the first file agree with the second.
 
     An offset must explain more than one part, since libraries that disagree about a package do so for all its parts.
     If the second file states no angles (`turned` is false), it proves none, and those of the first stay as they are.
     """
-    best: tuple[int, _Angles] | None = None
+    of_package: defaultdict[str, list[str]] = defaultdict(list)
+    for a, b in pairs:
+        of_package[b.package or a.package].append(b.ref)
+    found: list[tuple[int, _Angles]] = []
     for name, rule in list(_ANGLE_RULES.items())[: None if turned else 1]:
         turns = {b.ref: (b.rotation + degrees - rule(a.rotation)) % 360 for a, b in pairs}
-        quarters = {
-            ref: next((quarter for quarter in _QUARTER_DEG if _is_near(turn, quarter)), None)
-            for ref, turn in turns.items()
-        }
-        of_package: defaultdict[str, list[str]] = defaultdict(list)
-        for a, b in pairs:
-            of_package[_package(a, b)].append(b.ref)
+        quarters = {ref: _quarter(turn) for ref, turn in turns.items()}
         offsets, fitting = {}, set()
         for package, refs in of_package.items():
             counts = Counter(quarters[ref] for ref in refs)
@@ -237,49 +227,29 @@ def _angles(pairs: Sequence[tuple[Part, Part]], degrees: float, turned: bool) ->
             if quarter and package and LEAST_SAME_PACKAGE <= counts[quarter] > len(refs) / 2:
                 offsets[package] = quarter
             fitting |= {ref for ref in refs if quarters[ref] == offsets.get(package, 0.0)}
-        own = {b.ref: b.rotation + degrees for _, b in pairs if turned and b.ref not in fitting and _has_pads(b)}
         others = {ref: turn for ref, turn in turns.items() if ref not in fitting}
-        found = _Angles(name, offsets, frozenset(fitting), own, others, len(pairs))
+        has_pads = {b.ref: b.rotation + degrees for _, b in pairs if b.box is not None and b.size_from == "file"}
+        own = {ref: angle for ref, angle in has_pads.items() if turned and ref in others}
         # An offset costs as much as the first part that it explains, so that it is no free choice.
-        score = len(fitting) - len(offsets)
-        if best is None or score > best[0]:
-            best = score, found
-    assert best is not None
-    return best[1]
+        found.append((len(fitting) - len(offsets), _Angles(name, offsets, len(fitting), own, others)))
+    return max(found, key=lambda scored: scored[0])[1]
 
 
-def _has_pads(part: Part) -> bool:
-    """Return whether a part is of a file that states its body, and with it how it is turned."""
-    return part.box is not None and part.size_from == "file"
+def _quarter(turn: float) -> float | None:
+    """Return the quarter turn that an angle is, if it is one."""
+    return next((quarter for quarter in _QUARTER_DEG if angle_between(turn, quarter) <= SAME_ANGLE_DEG), None)
 
 
-def _note_on_angles(angles: _Angles) -> Note:
-    fit, count = len(angles.fitting), angles.count
-    agree = f"{fit} of {count} parts agree with the second"
-    sentence = f"the first file's angles are {angles.rule}, as seen from the top: {agree}."
-    return Note("angles-joined", sentence, rule=angles.rule, fit=fit, count=count)
-
-
-def _is_near(degrees: float, expected: float) -> bool:
-    return abs((degrees - expected + 180) % 360 - 180) <= SAME_ANGLE_DEG
-
-
-def _joined(placed: Part, drawn: Part | None, found: Placement, by_center: bool, angles: _Angles) -> Part:
+def _joined(placed: Part, drawn: Part | None, fit: _Fit, angles: _Angles) -> Part:
     """Return a part with the body of the other file."""
-    placed = replace(placed, rotation=angles.rotation(placed))
+    rotation = normalised(angles.own.get(placed.ref, _ANGLE_RULES[angles.rule](placed.rotation)))
+    placed = replace(placed, rotation=rotation)
     if drawn is None or drawn.box is None:
         return placed
-    turn = drawn.rotation + found.degrees - placed.rotation
-    box = drawn.box
-    if by_center:
-        (width, height) = box.size
-        box = Box((-width / 2, -height / 2), (width / 2, height / 2))
+    box = Box.of_size(*drawn.box.size) if fit.by_center else drawn.box
     # Libraries disagree in what 0° of a package is. The body on the board is the same: its box turns in its frame.
-    quarter = next((q for q in _QUARTER_DEG if _is_near(turn, q)), 0.0)
-    if quarter:
-        corners = [rotated(p, quarter) for p in (box.low, box.high)]
-        xs, ys = zip(*corners, strict=True)
-        box = Box((min(xs), min(ys)), (max(xs), max(ys)))
+    if quarter := _quarter(drawn.rotation + fit.placement.degrees - rotation):
+        box = Box(*extent(rotated(p, quarter) for p in (box.low, box.high)))
     # The size of a known package is better than one that is the same for all unknown packages.
     keeps = placed.box is not None and drawn.size_from == "guess" and placed.size_from != "guess"
     return replace(
@@ -301,42 +271,31 @@ def _conflicts(
     drawn: dict[str, Part],
     off: dict[str, float],
     angles: _Angles,
-    sides: dict[str, tuple[Side, Side]],
+    sides: list[str],
     twice: Set[str],
 ) -> list[Note]:
     """Return a note for every kind of conflict; designators that occur twice in a file are no conflict."""
     notes = []
 
-    def add_conflict(code: str, count: int, words: str, names: Sequence[str]) -> None:
-        shown = _some(names)
-        notes.append(Note(code, f"conflict: {count} parts {words}: {shown}.", count=count, names=shown))
+    def add_conflict(code: str, words: str, names: list[str]) -> None:
+        if names:
+            notes.append(noted(code, f"conflict: {{count}} parts {words}: {{names}}.", count=len(names), names=names))
 
-    if off:
-        worst = sorted(off, key=lambda ref: -off[ref])
-        words = "are at another place in the second file; the first file's is used"
-        add_conflict("places-differ", len(off), words, [f"{ref} ({off[ref]:.2f} mm)" for ref in worst])
-    turned = [[f"{ref} ({normalised(-t):g}°)" for ref, t in angles.turns.items() if (ref in angles.own) is own]
-              for own in (True, False)]  # fmt: skip
-    if turned[0]:
-        words = "have another rotation by their pads in the second file; that is used"
-        add_conflict("rotations-differ", len(turned[0]), words, turned[0])
-    if turned[1]:
-        words = "have another rotation; the first file's is used, since the second has no pads of them"
-        add_conflict("rotations-unproven", len(turned[1]), words, turned[1])
+    worst = [f"{ref} ({off[ref]:.2f} mm)" for ref in sorted(off, key=lambda ref: -off[ref])]
+    add_conflict("places-differ", "are at another place in the second file; the first file's is used", worst)
+    by_pads, unproven = (
+        [f"{ref} ({normalised(-t):g}°)" for ref, t in angles.turns.items() if (ref in angles.own) is own]
+        for own in (True, False)
+    )
+    add_conflict("rotations-differ", "have another rotation by their pads in the second file; that is used", by_pads)
+    words = "have another rotation; the first file's is used, since the second has no pads of them"
+    add_conflict("rotations-unproven", words, unproven)
     if angles.offsets:
         names = [f"{package} ({(-offset) % 360:g}°)" for package, offset in sorted(angles.offsets.items())]
-        shown = _some(names)
-        sentence = f"0° of {len(names)} packages differs in both files; bodies stay as the second draws them: {shown}."
-        notes.append(Note("quarter-turns-differ", sentence, count=len(names), names=shown))
-    if sides:
-        shown_sides = [f"{ref} ({first}, {second})" for ref, (first, second) in sides.items()]
-        add_conflict("sides-differ", len(sides), "lie on different sides in both files", shown_sides)
-    if missing := sorted(placed.keys() - drawn.keys() - twice):
-        add_conflict("parts-without-body", len(missing), "are in the first file only, without a body", missing)
-    if more := sorted(drawn.keys() - placed.keys() - twice):
-        add_conflict("parts-of-second-file", len(more), "are in the second file only; they were left out", more)
+        text = "0° of {count} packages differs in both files; bodies stay as the second draws them: {names}."
+        notes.append(noted("quarter-turns-differ", text, count=len(names), names=names))
+    add_conflict("sides-differ", "lie on different sides in both files", sides)
+    missing, more = sorted(placed.keys() - drawn.keys() - twice), sorted(drawn.keys() - placed.keys() - twice)
+    add_conflict("parts-without-body", "are in the first file only, without a body", missing)
+    add_conflict("parts-of-second-file", "are in the second file only; they were left out", more)
     return notes
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

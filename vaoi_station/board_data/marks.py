@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import get_args
 
 from vaoi_station.board_data.design import XY, Design, FoundBy, Mark, MarkKind, Part, Side
 from vaoi_station.geometry.polygon import encloses
@@ -35,16 +36,25 @@ _KINDS: tuple[tuple[MarkKind, re.Pattern[str]], ...] = (
     ("local", re.compile(r"local|^LFID|^FIDL", re.IGNORECASE)),
 )
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
+"""The diameter in a name such as `Fiducial_0.75mm_Mask1.5mm`."""
 
 
-def find_marks(design: Design, parts: Sequence[Part], side: Side) -> list[Mark]:
+def find_marks(design: Design, side: Side) -> list[Mark]:
     """Return the marks of a side, at most one at every place: elements of the file first, names last.
 
     A mark outside the outline belongs to the panel if enough others lie inside. On a panel whose boards are laid out
     all marks are known.
     """
-    if design.boards:
-        return [mark for mark in design.marks if mark.side == side]
+    return [mark for mark in design.marks if mark.side == side] if design.boards else _marks_of_board(design, side)
+
+
+def all_marks(design: Design) -> list[Mark]:
+    """Return the marks of both sides of a design by itself, without its boards; those on both sides twice."""
+    return [replace(mark, side=side) for side in get_args(Side) for mark in _marks_of_board(design, side)]
+
+
+def _marks_of_board(design: Design, side: Side) -> list[Mark]:
+    parts = design.parts_on(side)
     explicit = [mark for mark in design.marks if mark.side in (side, None)]
     marked = [_of_part(part, "package") for part in parts if part.is_mark]
     named = [_of_part(p, "name") for p in parts if _NAME.match(p.ref) or _PACKAGE.search(p.package)]
@@ -65,22 +75,15 @@ def kind_by_name(*texts: str) -> MarkKind:
 
 
 def _of_part(part: Part, found_by: FoundBy) -> Mark:
-    kind = part.mark_kind or kind_by_name(part.ref, part.package)
-    diameter = part.mark_diameter or _diameter_in(part.package)
+    kind, diameter = part.mark_kind or kind_by_name(part.ref, part.package), part.mark_diameter
+    if not diameter and (stated := _SIZE.search(part.package)) and 0.05 <= float(stated[1]) <= 50:
+        diameter = float(stated[1])
     return Mark(part.ref, part.side, part.origin, diameter, kind, "attribute" if part.mark_kind else found_by)
-
-
-def _diameter_in(package: str) -> float | None:
-    """Return the diameter in a name such as `Fiducial_0.75mm_Mask1.5mm`."""
-    found = _SIZE.search(package)
-    return float(found[1]) if found and 0.05 <= float(found[1]) <= 50 else None
 
 
 def _with_marks_of_the_panel(marks: list[Mark], outline: Sequence[XY]) -> list[Mark]:
     """Return the marks, those outside the outline as marks of the panel, if enough global ones lie inside."""
-    if len(outline) < 3:
-        return marks
-    inside = [encloses(outline, mark.at) for mark in marks]
+    inside = [len(outline) < 3 or encloses(outline, mark.at) for mark in marks]
     if sum(mark.kind == "global" for mark, within in zip(marks, inside, strict=True) if within) < LEAST_GLOBAL:
         return marks
     return [
@@ -92,17 +95,15 @@ def _with_marks_of_the_panel(marks: list[Mark], outline: Sequence[XY]) -> list[M
 def _with_components(marks: list[Mark], parts: Sequence[Part]) -> list[Mark]:
     """Return the marks, local ones with the components that they belong to.
 
-    They belong to a component that their name contains, or in pairs to the body in their middle.
+    They belong to a component that their name contains (`FID_U1`, `U1_FID2`), or in pairs to the body in their middle.
     """
     names = {mark.name for mark in marks}
     bodies = [p for p in parts if p.box is not None and p.ref not in names and max(p.box.size) >= LEAST_LOCAL_BODY_MM]
-    refs = {part.ref for part in bodies}
-    found = [
-        replace(m, kind="local", components=(ref,))
-        if m.kind in ("local", "global") and not m.components and (ref := _ref_in(m.name, refs))
-        else m
-        for m in marks
-    ]
+    refs, found = {part.ref for part in bodies}, list(marks)
+    for n, mark in enumerate(found):
+        ref = next((word for word in re.split(r"[-_. ]", mark.name) if word in refs), None)
+        if ref and mark.kind in ("local", "global") and not mark.components:
+            found[n] = replace(mark, kind="local", components=(ref,))
     for a, b, ref in _pairs(found, bodies):
         other = sum(mark.kind == "global" for mark in found) - sum(found[n].kind == "global" for n in (a, b))
         if "global" in (found[a].kind, found[b].kind) and other < LEAST_GLOBAL:
@@ -113,22 +114,16 @@ def _with_components(marks: list[Mark], parts: Sequence[Part]) -> list[Mark]:
     return found
 
 
-def _ref_in(name: str, refs: set[str]) -> str | None:
-    """Return the designator in the name of a mark: `FID_U1`, `U1_FID2`."""
-    return next((word for word in re.split(r"[-_. ]", name) if word in refs), None)
-
-
 def _pairs(marks: Sequence[Mark], bodies: Sequence[Part]) -> Iterator[tuple[int, int, str]]:
     """Yield pairs of marks beside opposite corners of one body, and its designator."""
     if len(marks) > MOST_MARKS:
         return
     usable = [n for n, mark in enumerate(marks) if mark.kind in ("global", "local") and not mark.components]
+    diagonals = [(part, math.hypot(*part.box.size)) for part in bodies if part.box is not None]
     for a, b in combinations(usable, 2):
         (x0, y0), (x1, y1) = marks[a].at, marks[b].at
         middle, apart = ((x0 + x1) / 2, (y0 + y1) / 2), math.dist((x0, y0), (x1, y1))
-        for part in bodies:
-            assert part.box is not None
-            diagonal = math.hypot(*part.box.size)
+        for part, diagonal in diagonals:
             beside = 0.7 * diagonal < apart <= diagonal + 2 * FARTHEST_LOCAL_MM
             if beside and math.dist(middle, part.center) <= CENTERED_MM:
                 yield a, b, part.ref

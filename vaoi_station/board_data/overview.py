@@ -8,34 +8,17 @@ from typing import Literal
 
 from pydantic import Field
 
-from vaoi_station.board_data.design import Design, Side
+from vaoi_station.board_data.design import Design, ImportedTable
 from vaoi_station.model import BoardType, Strict
 from vaoi_station.model.reason import Note
 
-
-class ImportedColumn(Strict):
-    """A column of a centroid file whose content was recognised."""
-
-    name: str
-    number: int = Field(description="From 1.")
-    header: str | None = None
-
-
-class ImportedTable(Strict):
-    """What was recognised of a centroid file."""
-
-    delimiter: str
-    unit: str
-    unit_from: str = Field(description="What states the unit.")
-    columns: list[ImportedColumn]
-    headers: list[str] = Field(default=[], description="Header of every column.")
-    all_on: Side | None = Field(default=None, description="The side of all parts, as it was given.")
+Missing = Literal["outline", "fiducials", "sizes", "heights", "sides", "rotations"]
 
 
 class MissingData(Strict):
     """Data that the file does not have."""
 
-    what: Literal["outline", "fiducials", "sizes", "heights", "sides", "rotations"]
+    what: Missing
     count: int = Field(description="Number of components without it; of fiducials, those that are missing to two.")
     message: str
 
@@ -74,14 +57,13 @@ class ImportOverview(Strict):
 
 def overview(design: Design, board: BoardType, notes: tuple[Note, ...]) -> ImportOverview:
     """Describe an import: `board` is the board type of one side of `design`."""
-    sides = Counter(part.side for part in design.parts)
     low, high = board.extent()
     return ImportOverview(
         name=board.name,
         format=design.format,
         side=board.side,
-        parts_top=sides["top"],
-        parts_bottom=sides["bottom"],
+        parts_top=len(design.parts_on("top")),
+        parts_bottom=len(design.parts_on("bottom")),
         components=len(board.components),
         not_fitted=sum(c.fitted is False for c in board.components),
         fiducials=len(board.fiducials),
@@ -93,49 +75,25 @@ def overview(design: Design, board: BoardType, notes: tuple[Note, ...]) -> Impor
         size_mm=(round(float(high[0] - low[0]), 3), round(float(high[1] - low[1]), 3)),
         sizes_from=dict(Counter(str(c.size_from) for c in board.components)),
         heights=sum(c.body_height is not None for c in board.components),
-        table=_table(design),
-        missing=list(_missing(design, board)),
+        table=design.table,
+        missing=[MissingData(what=what, count=count, message=text) for what, count, text in _missing(design, board)],
         check=[ImportRemark(code=note.code, message=note, values=dict(note.values)) for note in notes],
     )
 
 
-def _table(design: Design) -> ImportedTable | None:
-    table = design.table
-    if table is None:
-        return None
-    headers = dict(enumerate(table.headers, 1))
-    columns = [ImportedColumn(name=name, number=n, header=headers.get(n)) for name, n in table.columns]
-    return ImportedTable(
-        delimiter=table.delimiter,
-        unit=table.unit,
-        unit_from=table.unit_from,
-        columns=columns,
-        headers=list(table.headers),
-        all_on=table.all_on,
-    )
-
-
-def _missing(design: Design, board: BoardType) -> Iterator[MissingData]:
+def _missing(design: Design, board: BoardType) -> Iterator[tuple[Missing, int, str]]:
     """Yield what the board type lacks, the most important first."""
-    count = len(board.components)
+    count, table = len(board.components), design.table
     if (lacking := 2 - len(board.fiducials)) > 0:
-        yield MissingData(
-            what="fiducials", count=lacking, message="A board is placed by two fiducials at least; add them by hand."
-        )
+        yield "fiducials", lacking, "A board is placed by two fiducials at least; add them by hand."
     if board.outline is None:
-        message = "Without an outline the orientation of boards is not checked; join a file that has it."
-        yield MissingData(what="outline", count=1, message=message)
+        yield "outline", 1, "Without an outline the orientation of boards is not checked; join a file that has it."
     if guessed := sum(c.size_from == "guess" for c in board.components):
-        message = "Sizes are guessed; join a file with bodies, or give a table of sizes."
-        yield MissingData(what="sizes", count=guessed, message=message)
+        yield "sizes", guessed, "Sizes are guessed; join a file with bodies, or give a table of sizes."
     if flat := sum(c.body_height is None for c in board.components):
-        message = "Without body heights, images are right on the board and less so on tall bodies."
-        yield MissingData(what="heights", count=flat, message=message)
-    known = dict(design.table.columns) if design.table else None
-    sides = sorted({part.side for part in design.parts})
-    stated = design.table is not None and design.table.all_on is not None
-    if known is not None and "side" not in known and not stated and len(sides) == 1:
-        message = f"No column states the side; all parts count as those of the {sides[0]}."
-        yield MissingData(what="sides", count=count, message=message)
-    if known is not None and "rotation" not in known:
-        yield MissingData(what="rotations", count=count, message="No column states the rotation; 0° is taken.")
+        yield "heights", flat, "Without body heights, images are right on the board and less so on tall bodies."
+    sides = {part.side for part in design.parts}
+    if table is not None and not table.has("side") and table.all_on is None and len(sides) == 1:
+        yield "sides", count, f"No column states the side; all parts count as those of the {sides.pop()}."
+    if table is not None and not table.has("rotation"):
+        yield "rotations", count, "No column states the rotation; 0° is taken."

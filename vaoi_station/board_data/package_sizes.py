@@ -18,16 +18,18 @@ Table = tuple[tuple[re.Pattern[str], Size], ...]
 GUESS_MM: Size = (2.0, 2.0)
 """Size of a part of which nothing is known."""
 LIMITS_MM = (0.1, 300.0)
-
-_IN_MM = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)(?:x\d+(?:\.\d+)?)?mm", re.IGNORECASE)
-"""KiCad: `SOIC-8_3.9x4.9mm_P1.27mm`."""
-_METRIC = re.compile(r"(\d{2})(\d{2})metric", re.IGNORECASE)
-"""KiCad: `R_0603_1608Metric`."""
-_IPC_7351 = re.compile(r"(?:^|[^A-Z])(?:[A-Z]{2,5}\d{2,3}P)(\d{2,4})X(\d{2,4})X(\d{2,4})", re.IGNORECASE)
-"""IPC-7351: `SOIC127P600X175`, `QFN50P700X700X80`: pitch, span, (length,) height in hundredths of a millimetre."""
-_IPC_CHIP = re.compile(r"(?:CAP|RES|IND|LED|DIO|FUS)[CM](\d{2})(\d{2})X", re.IGNORECASE)
-"""IPC-7351: `CAPC1608X87`: length and width in tenths of a millimetre."""
-
+_NAMES = tuple(
+    (re.compile(pattern, re.IGNORECASE), unit_mm)
+    for pattern, unit_mm in (
+        # KiCad: `SOIC-8_3.9x4.9mm_P1.27mm`, `R_0603_1608Metric`.
+        (r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)(?:x\d+(?:\.\d+)?)?mm", 1.0),
+        (r"(\d{2})(\d{2})metric", 0.1),
+        # IPC-7351: `CAPC1608X87`: length and width; `SOIC127P600X175`: pitch, span, (length,) height.
+        (r"(?:CAP|RES|IND|LED|DIO|FUS)[CM](\d{2})(\d{2})X", 0.1),
+        (r"(?:^|[^A-Z])(?:[A-Z]{2,5}\d{2,3}P)(\d{2,4})X(\d{2,4})X(\d{2,4})", 0.01),
+    )
+)
+"""Names that state width and height in a unit."""
 _HEADER = re.compile(r"Pin(?:Header|Socket)_(\d{1,3})x(\d{1,3})_P(\d+(?:\.\d+)?)mm", re.IGNORECASE)
 """KiCad: `PinHeader_1x05_P2.54mm`: pins along x and along y, and their pitch."""
 _FIDUCIAL = re.compile(r"Fiducial_?(\d+(?:\.\d+)?)mm", re.IGNORECASE)
@@ -36,11 +38,9 @@ _FIDUCIAL = re.compile(r"Fiducial_?(\d+(?:\.\d+)?)mm", re.IGNORECASE)
 
 def size_of(package: str, table: Table) -> Size | None:
     """Return the size of a body by the name of its package, at rotation 0, mm; None if the name says nothing."""
-    if found := _IN_MM.search(package):
-        return _plausible(float(found[1]), float(found[2]))
-    for pattern, unit in ((_METRIC, 0.1), (_IPC_CHIP, 0.1), (_IPC_7351, 0.01)):
+    for pattern, unit_mm in _NAMES:
         if found := pattern.search(package):
-            return _plausible(float(found[1]) * unit, float(found[2]) * unit)
+            return _plausible(float(found[1]) * unit_mm, float(found[2]) * unit_mm)
     if found := _HEADER.search(package):
         return _plausible(int(found[1]) * float(found[3]), int(found[2]) * float(found[3]))
     if found := _FIDUCIAL.search(package):
@@ -74,22 +74,20 @@ def _table(document: dict[str, Any], where: str | Path) -> Table:
     rows: Any = document.get("package")
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{where}: has no [[package]] with pattern and size.")
-    return tuple(_row(where, n, row) for n, row in enumerate(rows))
-
-
-def _row(path: str | Path, n: int, row: Any) -> tuple[re.Pattern[str], Size]:
-    where = f"package.{n}"
-    if not isinstance(row, dict) or set(row) != {"pattern", "size"}:
-        raise InputError.field(path, where, row, "a table with pattern and size")
-    size = row["size"]
-    if not (
-        isinstance(size, list) and len(size) == 2 and all(type(v) in (int, float) for v in size) and _plausible(*size)
-    ):
-        raise InputError.field(path, f"{where}.size", size, f"[x, y] from {LIMITS_MM[0]} to {LIMITS_MM[1]} mm")
-    try:
-        return re.compile(str(row["pattern"]), re.IGNORECASE), (float(size[0]), float(size[1]))
-    except re.error as error:
-        raise InputError.field(path, f"{where}.pattern", row["pattern"], f"a regular expression ({error})") from error
+    found = []
+    for n, row in enumerate(rows):
+        key = f"package.{n}"
+        if not isinstance(row, dict) or set(row) != {"pattern", "size"}:
+            raise InputError.field(where, key, row, "a table with pattern and size")
+        pattern, size = row["pattern"], row["size"]
+        numbers = isinstance(size, list) and len(size) == 2 and all(type(v) in (int, float) for v in size)
+        if not numbers or not _plausible(*size):
+            raise InputError.field(where, f"{key}.size", size, f"[x, y] from {LIMITS_MM[0]} to {LIMITS_MM[1]} mm")
+        try:
+            found.append((re.compile(str(pattern), re.IGNORECASE), (float(size[0]), float(size[1]))))
+        except re.error as error:
+            raise InputError.field(where, f"{key}.pattern", pattern, f"a regular expression ({error})") from error
+    return tuple(found)
 
 
 def with_sizes(design: Design, table: Table) -> Design:
@@ -104,6 +102,4 @@ def with_sizes(design: Design, table: Table) -> Design:
 
 def _sized(part: Part, table: Table) -> Part:
     size = size_of(part.package, table)
-    width, height = size or GUESS_MM
-    box = Box((-width / 2, -height / 2), (width / 2, height / 2))
-    return replace(part, box=box, size_from="table" if size else "guess")
+    return replace(part, box=Box.of_size(*(size or GUESS_MM)), size_from="table" if size else "guess")

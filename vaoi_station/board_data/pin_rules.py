@@ -15,7 +15,7 @@ from itertools import product
 from statistics import median
 from typing import NamedTuple
 
-from vaoi_station.board_data.design import XY, Box, Part, Side, body_of, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Part, Placement, Side, body_of, normalised, noted, rotated
 from vaoi_station.model.reason import Note
 
 FITS_MM = 0.05
@@ -53,16 +53,23 @@ class Rule(NamedTuple):
         """Return the rotation of the package, counter-clockwise as seen from the top."""
         return normalised(self.sign * degrees + self.offset)
 
+    def place(self, part: Part) -> Placement:
+        """Return where the package of a part lies on the board."""
+        return Placement(self.mirrored, self.rotation(part.rotation), part.origin)
+
     def __str__(self) -> str:
         """Return the rule in words."""
-        axis = "x" if self.offset == 0 else "y"
         turn = f"turned {'counter-clockwise' if self.sign > 0 else 'clockwise'} by the angle"
         if self.mirrored:
-            return f"mirrored in {axis}, then {turn}"
+            return f"mirrored in {'x' if self.offset == 0 else 'y'}, then {turn}"
         return turn if self.offset == 0 else f"{turn} and by 180°"
 
 
 RULES = tuple(Rule(mirrored, sign, by) for by, mirrored, sign in product((0.0, 180.0), (False, True), (1, -1)))
+Usual = Callable[[Side, str], Rule]
+"""Returns the rule of the specification, or of the program that wrote the file, for a side and mirror word."""
+Group = tuple[Side, str]
+"""Side and mirror word of parts for which one rule holds."""
 
 
 class Pin(NamedTuple):
@@ -88,14 +95,9 @@ class DrawnPart:
     pads_count: bool = False
     """Whether pins extend a body that is drawn too small, or not at all."""
 
-    @property
-    def group(self) -> tuple[Side, str]:
-        """Parts for which one rule holds."""
-        return self.part.side, self.word
-
-
-Usual = Callable[[Side, str], Rule]
-"""Returns the rule of the specification, or of the program that wrote the file, for a side and mirror word."""
+    def pins(self, reading: int) -> tuple[Pin, ...]:
+        """Return the pins in one reading of the file; in the last one if there are fewer."""
+        return self.readings[min(reading, len(self.readings) - 1)]
 
 
 @dataclass(frozen=True)
@@ -114,11 +116,6 @@ class _Decision:
     """Whether the rule is that of other parts of the side, since no pin of these shows one."""
 
     @property
-    def is_proven(self) -> bool:
-        """Whether most pins fit this rule, and no other as well."""
-        return self.fits_most and not self.rivals
-
-    @property
     def fits_most(self) -> bool:
         """Whether most pins fit this rule."""
         return self.fitting > LEAST_SHARE * self.pins
@@ -132,58 +129,53 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
         usual: the rule where pins do not decide.
         exact: whether `places` are those of pins; else they may be others, and no single part is judged by them.
     """
-    groups = _grouped(parts)
-    margin = 0 if exact else LEAST_MARGIN
+    groups, margin, notes = _grouped(parts), 0 if exact else LEAST_MARGIN, []
     decided = _decisions(groups, usual, margin)
-    notes = []
     unfit_groups = {key for key, decision in decided.items() if decision.pins and not decision.fits_most}
     shift = _shift_of_pins([groups[key] for key in unfit_groups]) if exact else None
     if shift is not None:
-        parts = [_shifted_back(drawn, shift) if drawn.group in unfit_groups else drawn for drawn in parts]
+        parts = [_shifted_back(d, shift) if (d.part.side, d.word) in unfit_groups else d for d in parts]
         groups = _grouped(parts)
         decided = _decisions(groups, usual, margin)
-        by = f"{shift[0]:z.3f}, {shift[1]:z.3f}"
-        sentence = f"places of pins have another datum than those of parts; they were moved back by ({by}) mm."
-        notes.append(Note("pins-of-other-datum", sentence, shift_mm=by))
+        text = "places of pins have another datum than those of parts; they were moved back by ({shift_mm}) mm."
+        notes.append(noted("pins-of-other-datum", text, shift_mm=f"{shift[0]:z.3f}, {shift[1]:z.3f}"))
     words = Counter(side for side, _ in groups)
     for key in sorted(groups)[::-1]:
         notes.append(_note_on_rule(key, decided[key], len(groups[key]), words[key[0]] > 1))
         if count := decided[key].turned_over:
-            sentence = (
-                f"pins of {count} packages on the {key[0]} show that outlines are drawn as seen from the other side; "
+            text = (
+                "pins of {count} packages on the {side} show that outlines are drawn as seen from the other side; "
                 "bodies were mirrored. Check them in the picture."
             )
-            notes.append(Note("outlines-by-pins", sentence, count=count, side=key[0]))
+            notes.append(noted("outlines-by-pins", text, count=count, side=key[0]))
     found = []
     turned, unfit = [], []
     for drawn in parts:
-        decision = decided[drawn.group]
+        decision = decided[drawn.part.side, drawn.word]
         part = _placed(drawn, decision.rule)
-        if exact and not _fits(drawn, decision):
+        if exact and not _fits(drawn, decision.rule):
             own = _by_own_pins(drawn, decision)
-            if own is not None and (own.rotation != part.rotation or math.dist(own.center, part.center) > FITS_MM):
-                turned.append(f"{part.ref} ({own.rotation:g}° instead of {part.rotation:g}°{_shifted(own, part)})")
+            off_mm = 0.0 if own is None else math.dist(own.center, part.center)
+            if own is not None and (own.rotation != part.rotation or off_mm > FITS_MM):
+                shifted = f", body {off_mm:.2f} mm off" if off_mm > FITS_MM else ""
+                turned.append(f"{part.ref} ({own.rotation:g}° instead of {part.rotation:g}°{shifted})")
                 part = own
-            elif own is None and not _fits(drawn, decision, LOOSE_SHARE):
+            elif own is None and not _fits(drawn, decision.rule, LOOSE_SHARE):
                 unfit.append(part.ref)
         found.append(part)
     if turned:
-        names = _some(turned)
-        sentence = (
-            f"the pins of {len(turned)} parts show another angle or place than the file states; it is used: {names}."
-        )
-        notes.append(Note("angles-by-pins", sentence, count=len(turned), names=names))
+        text = "the pins of {count} parts show another angle or place than the file states; it is used: {names}."
+        notes.append(noted("angles-by-pins", text, count=len(turned), names=turned))
     if unfit:
-        names = _some(unfit)
-        sentence = f"the pins of {len(unfit)} parts fit no angle of their package; check them in the picture: {names}."
-        notes.append(Note("pins-unfit", sentence, count=len(unfit), names=names))
+        text = "the pins of {count} parts fit no angle of their package; check them in the picture: {names}."
+        notes.append(noted("pins-unfit", text, count=len(unfit), names=unfit))
     return found, notes
 
 
-def _grouped(parts: Iterable[DrawnPart]) -> dict[tuple[Side, str], list[DrawnPart]]:
-    groups: defaultdict[tuple[Side, str], list[DrawnPart]] = defaultdict(list)
+def _grouped(parts: Iterable[DrawnPart]) -> dict[Group, list[DrawnPart]]:
+    groups: defaultdict[Group, list[DrawnPart]] = defaultdict(list)
     for drawn in parts:
-        groups[drawn.group].append(drawn)
+        groups[drawn.part.side, drawn.word].append(drawn)
     return groups
 
 
@@ -194,7 +186,7 @@ def _shift_of_pins(groups: Iterable[Sequence[DrawnPart]]) -> XY | None:
     """
     found: list[tuple[int, XY]] = []
     for parts in groups:
-        with_pins = sum(any(_pins(drawn, 0)) for drawn in parts)
+        with_pins = sum(any(_telling(drawn.pins(0))) for drawn in parts)
         for reading, rule in product(range(max(len(drawn.readings) for drawn in parts)), RULES):
             shifts = [(shift, drawn) for drawn in parts if (shift := _shift_by(drawn, reading, rule)) is not None]
             if not shifts:
@@ -209,17 +201,14 @@ def _shift_of_pins(groups: Iterable[Sequence[DrawnPart]]) -> XY | None:
 
 def _shift_by(drawn: DrawnPart, reading: int, rule: Rule) -> XY | None:
     """Return how far all pins of a part lie beside their places by a rule; None if they are not shifted alike."""
-    place = _Placer(drawn.part.origin, rule.mirrored, rule.rotation(drawn.part.rotation)).place
-    shifts = []
-    for pin in drawn.readings[min(reading, len(drawn.readings) - 1)]:
+    at, shifts = rule.place(drawn.part), []
+    for pin in drawn.pins(reading):
         if pin.drawn is None or len(pin.places) != 1:
             return None
-        (x, y), (u, v) = place(pin.drawn), pin.places[0]
+        (x, y), (u, v) = at.apply(pin.drawn), pin.places[0]
         shifts.append((u - x, v - y))
-    if not shifts:
-        return None
     middle = _mean(shifts)
-    return middle if max(math.dist(shift, middle) for shift in shifts) <= FITS_MM else None
+    return middle if shifts and max(math.dist(shift, middle) for shift in shifts) <= FITS_MM else None
 
 
 def _shifted_back(drawn: DrawnPart, shift: XY) -> DrawnPart:
@@ -231,21 +220,18 @@ def _shifted_back(drawn: DrawnPart, shift: XY) -> DrawnPart:
     return replace(drawn, readings=readings)
 
 
-def _decisions(
-    groups: Mapping[tuple[Side, str], Sequence[DrawnPart]], usual: Usual, margin: int
-) -> dict[tuple[Side, str], _Decision]:
+def _decisions(groups: Mapping[Group, Sequence[DrawnPart]], usual: Usual, margin: int) -> dict[Group, _Decision]:
     """Return what is decided for each group of parts.
 
     A group whose pins leave several rules takes the one that pins prove for another group of its side.
     """
     # A program that does not draw packages from their own side treats both sides alike.
     decided = {key: _decide(group, [usual(*key), usual("top", "")], margin) for key, group in groups.items()}
-    proven = {key: decision.rule for key, decision in decided.items() if decision.is_proven}
+    proven = {key: found.rule for key, found in decided.items() if found.fits_most and not found.rivals}
     for key, group in groups.items():
         rules = {rule for other, rule in proven.items() if other[0] == key[0] and usual(*other) == usual(*key)}
         if key not in proven and len(rules) == 1:
-            (rule,) = rules
-            decision = _decide(group, [rule, usual(*key)], margin)
+            decision = _decide(group, [*rules, usual(*key)], margin)
             decided[key] = replace(decision, of_others=not decision.fitting)
     return decided
 
@@ -255,7 +241,6 @@ def _decide(parts: Sequence[DrawnPart], expected: Sequence[Rule], margin: int) -
 
     Of other rules that fit equally well an expected one is taken.
     """
-    usual = expected[0]
     rules = list(dict.fromkeys([*(rule._replace(outline_mirrored=False) for rule in expected), *RULES]))
     scores: dict[tuple[int, Rule], tuple[float, int, int]] = {}
     for reading in range(max(len(drawn.readings) for drawn in parts)):
@@ -271,46 +256,32 @@ def _decide(parts: Sequence[DrawnPart], expected: Sequence[Rule], margin: int) -
         best = 0, rules[0]
     (reading, rule), (_, fitting, pins) = best, scores[best]
     rivals = sum(scores[reading, other] == scores[best] for other in rules) - 1
-    turned_over = _turned_over(parts, usual) if parts[0].part.side == "bottom" else 0
-    rule = rule._replace(outline_mirrored=usual.outline_mirrored != (turned_over > 0))
+    turned_over = _turned_over(parts, expected[0]) if parts[0].part.side == "bottom" else 0
+    rule = rule._replace(outline_mirrored=expected[0].outline_mirrored != (turned_over > 0))
     return _Decision(rule, reading, fitting, pins, rivals, turned_over)
 
 
-def _pins(drawn: DrawnPart, reading: int) -> Iterable[Pin]:
+def _telling(pins: Iterable[Pin]) -> Iterable[Pin]:
     """Return the pins by which rules differ, and those that the package does not have."""
-    pins = drawn.readings[min(reading, len(drawn.readings) - 1)]
     return (pin for pin in pins if pin.drawn is None or math.hypot(*pin.drawn) >= LEAST_OFFSET_MM)
 
 
 def _count(drawn: DrawnPart, reading: int, rule: Rule, loose: float = 0.0) -> tuple[int, int]:
     """Return how many pins of a part fit a rule, and how many it has."""
     fitting = count = 0
-    at = _Placer(drawn.part.origin, rule.mirrored, rule.rotation(drawn.part.rotation))
-    for pin in _pins(drawn, reading):
+    at = rule.place(drawn.part)
+    for pin in _telling(drawn.pins(reading)):
         count += 1
         if pin.drawn is not None:
-            most = max(FITS_MM, loose * math.hypot(*pin.drawn))
-            fitting += any(math.dist(at.place(pin.drawn), place) <= most for place in pin.places)
+            most, there = max(FITS_MM, loose * math.hypot(*pin.drawn)), at.apply(pin.drawn)
+            fitting += any(math.dist(there, place) <= most for place in pin.places)
     return fitting, count
 
 
-def _fits(drawn: DrawnPart, decision: _Decision, loose: float = 0.0) -> bool:
+def _fits(drawn: DrawnPart, rule: Rule, loose: float = 0.0) -> bool:
     """Return whether a part fits the rule of its group, in any reading; a part without pins does."""
-    counts = [_count(drawn, reading, decision.rule, loose) for reading in range(len(drawn.readings))]
+    counts = [_count(drawn, reading, rule, loose) for reading in range(len(drawn.readings))]
     return any(fitting > LEAST_SHARE * pins or not pins for fitting, pins in counts)
-
-
-class _Placer:
-    """Places points of a package on the board."""
-
-    def __init__(self, origin: XY, mirrored: bool, degrees: float) -> None:
-        a = math.radians(degrees)
-        self.origin, self.mirrored, self.c, self.s = origin, mirrored, math.cos(a), math.sin(a)
-
-    def place(self, point: XY) -> XY:
-        """Return where a point of the package lies."""
-        x, y = -point[0] if self.mirrored else point[0], point[1]
-        return self.origin[0] + self.c * x - self.s * y, self.origin[1] + self.s * x + self.c * y
 
 
 def _placed(drawn: DrawnPart, rule: Rule) -> Part:
@@ -324,20 +295,19 @@ def _placed(drawn: DrawnPart, rule: Rule) -> Part:
 
 def _by_own_pins(drawn: DrawnPart, decision: _Decision) -> Part | None:
     """Return a part at the angle at which all its pins fit, if need be beside its origin; None if there is none."""
-    pins = drawn.readings[min(decision.reading, len(drawn.readings) - 1)]
+    pins = drawn.pins(decision.reading)
     known = [(pin.drawn, pin.places[0]) for pin in pins if pin.drawn is not None and len(pin.places) == 1]
     if len(known) < len(pins) or not any(math.hypot(*point) >= LEAST_OFFSET_MM for point, _ in known):
         return None
     for mirrored, shifted in product((decision.rule.mirrored, not decision.rule.mirrored), (False, True)):
         pose = _pose(known, drawn.part.origin, mirrored, shifted)
         if pose is not None:
-            degrees, (dx, dy) = pose
+            degrees, shift = pose
             rule = decision.rule._replace(mirrored=mirrored, sign=1, offset=0.0)
             part = _placed(replace(drawn, part=replace(drawn.part, rotation=degrees)), rule)
             if shifted and part.box is not None:
-                x, y = rotated((dx, dy), -degrees)
-                (x0, y0), (x1, y1) = part.box.low, part.box.high
-                part = replace(part, box=Box((x0 + x, y0 + y), (x1 + x, y1 + y)))
+                beside = Placement(False, 0.0, rotated(shift, -degrees))
+                part = replace(part, box=Box(beside.apply(part.box.low), beside.apply(part.box.high)))
             return part
     return None
 
@@ -357,14 +327,11 @@ def _pose(known: Sequence[tuple[XY, XY]], origin: XY, mirrored: bool, shifted: b
 
     def pose_at(degrees: float) -> tuple[float, XY]:
         x, y = rotated((px, py), degrees)
-        shift = (qx - x, qy - y)
-        place = _Placer(shift, False, degrees).place
-        return max(math.dist(place(p), q) for p, q in zip(points, places, strict=True)), shift
+        at = Placement(False, degrees, (qx - x, qy - y))
+        return max(math.dist(at.apply(p), q) for p, q in zip(points, places, strict=True)), at.shift
 
     least, _ = pose_at(best)
-    if least > FITS_MM:
-        return None
-    for degrees in (45 * round(best / 45), round(best), round(best, 2), best):
+    for degrees in (45 * round(best / 45), round(best), round(best, 2), best) if least <= FITS_MM else ():
         error, shift = pose_at(degrees)
         if error <= least + ROUNDING_MM:
             return normalised(degrees), shift
@@ -372,7 +339,8 @@ def _pose(known: Sequence[tuple[XY, XY]], origin: XY, mirrored: bool, shifted: b
 
 
 def _mean(points: Sequence[XY]) -> XY:
-    return sum(x for x, _ in points) / len(points), sum(y for _, y in points) / len(points)
+    count = max(len(points), 1)
+    return sum(x for x, _ in points) / count, sum(y for _, y in points) / count
 
 
 def _turned_over(parts: Sequence[DrawnPart], usual: Rule) -> int:
@@ -395,28 +363,18 @@ def _turned_over(parts: Sequence[DrawnPart], usual: Rule) -> int:
     return against if against >= len(shown) - against + LEAST_PACKAGES else 0
 
 
-def _note_on_rule(key: tuple[Side, str], decision: _Decision, count: int, name_word: bool) -> Note:
+def _note_on_rule(key: Group, decision: _Decision, count: int, name_word: bool) -> Note:
     side, word = key
-    parts = f"parts on the {side}" + (f" with {word!r}" if name_word else "")
-    rule = str(decision.rule)
-    values = {"side": side, "word": word, "rule": rule, "fit": decision.fitting, "pins": decision.pins}
+    parts = f"{count} parts on the {side}" + (f" with {word!r}" if name_word else "")
+    rule, fit, pins = str(decision.rule), decision.fitting, decision.pins
+    values = {"count": count, "side": side, "word": word, "rule": rule, "fit": fit, "pins": pins}
     if decision.of_others:
-        sentence = f"{count} {parts} are {rule}, as the pins of other parts of this side show; their own show no rule."
-        return Note("rotation-by-others", sentence, count=count, **values)
-    if not decision.fitting:
-        why = "states no places of pins" if not decision.pins else f"has {decision.pins} pins there, but none fits"
-        sentence = f"{count} {parts} are {rule}, which is usual; nothing in the file confirms it: it {why}."
-        return Note("rotation-unconfirmed", sentence, count=count, **values)
+        sentence = f"{parts} are {rule}, as the pins of other parts of this side show; their own show no rule."
+        return Note("rotation-by-others", sentence, **values)
+    if not fit:
+        why = "states no places of pins" if not pins else f"has {pins} pins there, but none fits"
+        sentence = f"{parts} are {rule}, which is usual; nothing in the file confirms it: it {why}."
+        return Note("rotation-unconfirmed", sentence, **values)
     also = f"; {decision.rivals} other rules fit as well" if decision.rivals else ""
-    sentence = f"{count} {parts} are {rule}: {decision.fitting} of {decision.pins} pins fit{also}."
-    return Note("rotation-by-pins", sentence, count=count, rivals=decision.rivals, **values)
-
-
-def _shifted(own: Part, stated: Part) -> str:
-    """Return how far a body lies from the place that the file states, if not there."""
-    distance = math.dist(own.center, stated.center)
-    return f", body {distance:.2f} mm off" if distance > FITS_MM else ""
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    sentence = f"{parts} are {rule}: {fit} of {pins} pins fit{also}."
+    return Note("rotation-by-pins", sentence, rivals=decision.rivals, **values)

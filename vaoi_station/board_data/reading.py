@@ -23,20 +23,7 @@ from vaoi_station.board_data.source_text import head_of, open_archive, read_byte
 from vaoi_station.errors import InputError
 
 FORMATS = ("kicad", "gencad", "ipc2581", "odb", "eagle", "html-bom", "centroid")
-_BY_HEAD: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
-    ("kicad", is_kicad),
-    ("gencad", is_gencad),
-    ("ipc2581", is_ipc2581),
-    ("eagle", is_eagle),
-    ("html-bom", is_html_bom),
-)
 _WITH_STEPS = frozenset({"odb", "ipc2581"})
-_READERS: dict[str, Callable[[bytes, Path], Design]] = {
-    "kicad": read_kicad,
-    "gencad": read_gencad,
-    "eagle": read_eagle,
-    "html-bom": read_html_bom,
-}
 
 
 @dataclass(frozen=True)
@@ -51,6 +38,17 @@ class Options:
     """Body sizes that come before the shipped table."""
     grid: Grid | None = None
     """How the board is repeated on a panel of which the file has no data."""
+
+
+_READERS: dict[str, tuple[Callable[[bytes], bool], Callable[[bytes, Path, Options], Design]]] = {
+    "kicad": (is_kicad, lambda data, path, _: read_kicad(data, path)),
+    "gencad": (is_gencad, lambda data, path, _: read_gencad(data, path)),
+    "ipc2581": (is_ipc2581, lambda data, path, options: read_ipc2581(data, path, options.step)),
+    "eagle": (is_eagle, lambda data, path, _: read_eagle(data, path)),
+    "html-bom": (is_html_bom, lambda data, path, _: read_html_bom(data, path)),
+    "centroid": (lambda _: False, lambda data, path, options: read_placement_table(data, path, options.table)),
+}
+"""How a format is recognised by the beginning of a file, and read. What none recognises is a centroid file."""
 
 
 def is_exported_run(path: Path) -> bool:
@@ -76,61 +74,50 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
     options = options or Options()
     if options.format is not None and options.format not in FORMATS:
         raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
-    table = (*options.sizes, *package_sizes.shipped_table())
-    design = without_frame(with_copies(package_sizes.with_sizes(_read(path, options), table)))
-    bodies = None
-    if join is not None:
-        bodies = without_frame(with_copies(package_sizes.with_sizes(_read(join, Options(step=options.step)), table)))
+    sizes = (*options.sizes, *package_sizes.shipped_table())
+    design = _completed(_read(path, options), sizes)
+    bodies = _completed(_read(join, Options(step=options.step)), sizes) if join is not None else None
     _refuse_without_effect(path, options, design.format, bodies.format if bodies is not None else None)
     if bodies is not None:
         design = join_designs(design, bodies, side)
     return laid_out(repeated(design, options.grid) if options.grid is not None else design)
 
 
+def _completed(design: Design, sizes: package_sizes.Table) -> Design:
+    return without_frame(with_copies(package_sizes.with_sizes(design, sizes)))
+
+
 def _read(path: Path, options: Options) -> Design:
-    may_be_archive = options.format is None and _may_be_archive(path)
+    head = b"" if path.is_dir() else _head(path)
+    packed = head[:2] in (b"PK", b"\x1f\x8b", b"BZ") or head[:6] == b"\xfd7zXZ\x00" or head[257:262] == b"ustar"
+    may_be_archive = options.format is None and (packed or path.is_dir())
     if options.format == "odb" or (may_be_archive and is_odb(path)):
         return read_odb(path, options.step)
     if path.is_dir():
         raise InputError(f"{path}: is a folder without matrix/matrix. Of folders, only ODB++ designs can be read.")
     if may_be_archive:
         with open_archive(path) as archive:
-            refuse_archive(path, archive)
+            refuse_archive(archive)
     data = read_bytes(path)
     if not data.strip():
         raise InputError(f"{path}: is empty.", action="Export it again.")
     head = head_of(data)
-    chosen = options.format or next((name for name, is_it in _BY_HEAD if is_it(head)), None)
+    chosen = options.format or next((name for name, (is_it, _) in _READERS.items() if is_it(head)), None)
     if chosen is None:
         refuse_foreign(path, head)
-    if chosen == "ipc2581":
-        return read_ipc2581(data, path, options.step)
-    if chosen in _READERS:
-        return _READERS[chosen](data, path)
-    return read_placement_table(data, path, options.table)
+    _, read = _READERS[chosen or "centroid"]
+    return read(data, path, options)
 
 
 def _refuse_without_effect(path: Path, options: Options, found: str, joined: str | None) -> None:
     """Raise InputError if an option is given that files of the format found do not take."""
-    table = options.table
-    for key, value in (("units", table.unit), ("columns", table.columns), ("delimiter", table.delimiter)):
+    table, columns = options.table, ",".join(f"{name}={at}" for name, at in options.table.columns)
+    for key, value in (("units", table.unit), ("columns", columns), ("delimiter", table.delimiter)):
         if value and found != "centroid":
-            raise InputError.field(path, f"--{key}", _written(value), f"absent: it is for centroid files, not {found}")
+            raise InputError.field(path, f"--{key}", value, f"absent: it is for centroid files, not {found}")
     if options.step is not None and _WITH_STEPS.isdisjoint((found, joined)):
         limit = f"absent: it is for ODB++ and IPC-2581, not {found}"
         raise InputError.field(path, "--step", options.step, limit)
-
-
-def _written(value: str | tuple[tuple[str, str], ...]) -> str:
-    """Return an option as a person writes it."""
-    return value if isinstance(value, str) else ",".join(f"{name}={at}" for name, at in value)
-
-
-def _may_be_archive(path: Path) -> bool:
-    if path.is_dir():
-        return True
-    head = _head(path)
-    return head[:2] in (b"PK", b"\x1f\x8b", b"BZ") or head[:6] == b"\xfd7zXZ\x00" or head[257:262] == b"ustar"
 
 
 def _head(path: Path) -> bytes:

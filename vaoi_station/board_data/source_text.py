@@ -9,6 +9,9 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
@@ -104,8 +107,7 @@ def parse_xml(data: bytes, where: str | Path) -> Element:
     def refuse(*_: object) -> None:
         raise InputError(f"{where}: declares a document type (<!DOCTYPE …>), which is refused. Remove the declaration.")
 
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = start, end, refuse
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
@@ -116,27 +118,13 @@ def parse_xml(data: bytes, where: str | Path) -> Element:
     return builder.close()
 
 
+@dataclass(frozen=True)
 class Archive:
-    """A folder, a zip file or a tar file, read member by member. Names are relative, with `/`, in lower case."""
+    """A folder, a zip file or a tar file, read member by member."""
 
-    def __init__(self, where: Path, members: dict[str, Callable[[], bytes]]) -> None:
-        self.where = where
-        self._members = members
-
-    def names(self) -> Iterator[str]:
-        """Return the names of all members."""
-        return iter(self._members)
-
-    def read(self, name: str) -> bytes:
-        """Return the content of a member."""
-        return self._members[name.lower()]()
-
-    def text(self, name: str) -> str:
-        """Return the content of a member as text."""
-        return decode(self.read(name), f"{self.where}: {name}")
-
-    def __contains__(self, name: str) -> bool:
-        return name.lower() in self._members
+    where: Path
+    members: dict[str, Callable[[], bytes]]
+    """By their relative names, with `/`, in lower case."""
 
 
 # zipfile raises RuntimeError for an encrypted member, and a subclass of it for a compression it does not have. Damaged
@@ -151,13 +139,16 @@ def open_archive(path: Path) -> Iterator[Archive]:
     """Open a folder, zip or tar file; refuse one with too many members, or with paths that lead out of it."""
     try:
         if path.is_dir():
-            yield _folder(path)
+            files = islice((f for f in path.rglob("*") if f.is_file() and not f.is_symlink()), MOST_MEMBERS + 1)
+            yield _archive(path, [(f.relative_to(path).as_posix(), partial(read_bytes, f)) for f in files])
         elif zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as zipped:
-                yield _zip(path, zipped)
+                # Not `is_dir`, which fails for an empty name.
+                infos = [info for info in zipped.infolist() if not info.filename.endswith("/")]
+                yield _archive(path, [(info.filename, partial(_unzipped, path, zipped, info)) for info in infos])
         else:
             with tarfile.open(path) as tar:
-                yield _tar(path, tar)
+                yield _archive(path, _tar_members(path, tar))
     except _UNREADABLE as error:
         why = str(error).partition("\n")[0].rstrip(":.") or type(error).__name__
         raise InputError(
@@ -176,13 +167,16 @@ def names_before_damage(path: Path) -> list[str]:
     return names
 
 
-def _checked(path: Path, count: int, name: str) -> str:
-    if count > MOST_MEMBERS:
-        raise InputError.field(path, "its number of members", count, f"at most {MOST_MEMBERS}")
-    parts = PurePosixPath(name.replace("\\", "/")).parts
-    if ".." in parts or name.startswith("/"):
-        raise InputError(f"{path}: member {name!r} leads out of the archive; the file is refused.")
-    return "/".join(parts).lower()
+def _archive(path: Path, members: list[tuple[str, partial[bytes]]]) -> Archive:
+    if len(members) > MOST_MEMBERS:
+        raise InputError.field(path, "its number of members", len(members), f"at most {MOST_MEMBERS}")
+    found: dict[str, Callable[[], bytes]] = {}
+    for name, read in members:
+        parts = PurePosixPath(name.replace("\\", "/")).parts
+        if ".." in parts or name.startswith("/"):
+            raise InputError(f"{path}: member {name!r} leads out of the archive; the file is refused.")
+        found["/".join(parts).lower()] = read
+    return Archive(path, found)
 
 
 def _limited(path: Path, name: str, size: int) -> None:
@@ -190,40 +184,25 @@ def _limited(path: Path, name: str, size: int) -> None:
         raise InputError.field(f"{path}: {name}", "its size", f"{size} bytes", f"at most {MOST_BYTES} bytes")
 
 
-def _folder(path: Path) -> Archive:
-    found: dict[str, Callable[[], bytes]] = {}
-    for n, file in enumerate(path.rglob("*")):
-        if file.is_file() and not file.is_symlink():
-            found[_checked(path, n, file.relative_to(path).as_posix())] = lambda file=file: read_bytes(file)  # type: ignore[misc]
-    return Archive(path, found)
+def _unzipped(path: Path, zipped: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    _limited(path, info.filename, info.file_size)
+    with zipped.open(info) as stream:
+        data = stream.read(MOST_BYTES + 1)  # the size in the head may be false
+    _limited(path, info.filename, len(data))
+    return data
 
 
-def _zip(path: Path, zipped: zipfile.ZipFile) -> Archive:
-    def read(info: zipfile.ZipInfo) -> bytes:
-        _limited(path, info.filename, info.file_size)
-        with zipped.open(info) as stream:
-            data = stream.read(MOST_BYTES + 1)  # the size in the head may be false
-        _limited(path, info.filename, len(data))
-        return data
-
-    # Not `is_dir`, which fails for an empty name.
-    infos = [info for info in zipped.infolist() if not info.filename.endswith("/")]
-    names = [_checked(path, len(infos), info.filename) for info in infos]
-    return Archive(path, {n: (lambda info=i: read(info)) for n, i in zip(names, infos, strict=True)})  # type: ignore[misc]
-
-
-def _tar(path: Path, tar: tarfile.TarFile) -> Archive:
-    found: dict[str, Callable[[], bytes]] = {}
+def _tar_members(path: Path, tar: tarfile.TarFile) -> list[tuple[str, partial[bytes]]]:
+    found: list[tuple[str, partial[bytes]]] = []
     total = 0
-
-    def read(member: tarfile.TarInfo) -> bytes:
-        _limited(path, member.name, member.size)
-        stream = tar.extractfile(member)
-        return b"" if stream is None else stream.read()
-
-    for n, member in enumerate(tar):
+    for member in tar:
         total += member.size
         _limited(path, "its content", total)
-        if member.isfile():
-            found[_checked(path, n, member.name)] = lambda member=member: read(member)  # type: ignore[misc]
-    return Archive(path, found)
+        if member.isfile() and len(found) <= MOST_MEMBERS:
+            found.append((member.name, partial(_untarred, tar, member)))
+    return found
+
+
+def _untarred(tar: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
+    stream = tar.extractfile(member)
+    return b"" if stream is None else stream.read()

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypedDict, Unpack
 
-from vaoi_station.board_data.import_process import OF_PERSONS, ImportTask
-from vaoi_station.board_data.limited_import import import_limited
+from vaoi_station.board_data.import_process import OF_PERSONS, ImportTask, import_limited
 from vaoi_station.errors import InputError
 from vaoi_station.library.arguments import require_path
 from vaoi_station.model import BoardType

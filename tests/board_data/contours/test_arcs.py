@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.board_data.contours.arcs import CHORD_MM, arc_points, arc_through, area, circle_points
+from vaoi_station.board_data.contours import CHORD_MM, arc_points, arc_through, area, circle_points
 
 
 @given(st.floats(0.05, 200), st.floats(0, 6.2), st.floats(0.1, 6.1), st.booleans())

@@ -175,22 +175,6 @@ def test_of_several_boards_the_largest_is_the_outline_and_the_others_follow() ->
     assert [round(shapely.Polygon(c).area) for c in contours.others] == [1000, 28]
 
 
-def test_boards_with_a_common_side_are_one_outline() -> None:
-    contours = found(*RECTANGLE, *([(x + 50, y) for x, y in piece] for piece in RECTANGLE))
-    assert_is(contours.outline, [(0, 0), (100, 0), (100, 40), (0, 40)])
-    assert not contours.others
-
-
-def test_two_arcs_that_are_split_at_other_places_are_one() -> None:
-    def arc(first: float, last: float) -> Piece:
-        ends = [(20 * math.cos(a), 20 * math.sin(a)) for a in (first, last)]
-        return arc_points(ends[0], ends[1], (0.0, 0.0), clockwise=False)
-
-    contours = found(arc(0, 2), arc(2, 4), arc(4, 2 * math.pi), arc(1, 3.3), arc(3.3, 5), arc(5, 7.2831853))
-    assert_is(contours.outline, circle_points((0, 0), 20))
-    assert not contours.others
-
-
 def test_coordinates_that_are_not_finite_are_refused() -> None:
     for wrong in (float("nan"), float("-inf"), 1e300):
         with pytest.raises(ValueError, match="coordinates"):

@@ -12,9 +12,9 @@ def test_local_fiducials_belong_to_the_components_of_their_board() -> None:
     body = Box((-3.0, -3.0), (3.0, 3.0))
     parts = (Part("U1", "top", (10, 10), 0.0, box=body), Part("FID_U1", "top", (14, 14), 0.0, is_mark=True))
     panel = laid_out(repeated(Design("d", "kicad", parts), Grid((2, 1), (30.0, 0.0))))
-    found = {mark.name: (mark.at, mark.components, mark.panel) for mark in find_marks(panel, panel.parts, "top")}
+    found = {mark.name: (mark.at, mark.components, mark.panel) for mark in find_marks(panel, "top")}
     assert found == {"1/FID_U1": ((14.0, 14.0), ("1/U1",), "1"), "2/FID_U1": ((44.0, 14.0), ("2/U1",), "2")}
-    assert find_marks(panel, panel.parts, "bottom") == []
+    assert find_marks(panel, "bottom") == []
 
 
 def test_designators_that_stand_twice_on_one_board_are_left_out_of_all() -> None:

@@ -70,12 +70,6 @@ def test_parts_are_fitted_as_the_current_variant_says(
     assert said == ([] if not variants else ["LITE" if "current" in variants else ""])
 
 
-def test_a_single_unnamed_variant_is_none() -> None:
-    unnamed = '<variantdefs><variantdef name="&lt;unbenannt&gt;" current="yes"/></variantdefs><elements>'
-    design = read_eagle(samples.EAGLE.replace("<elements>", unnamed).encode(), Path("b.brd"))
-    assert "variant-read" not in {note.code for note in design.notes}
-
-
 @pytest.mark.parametrize(
     ("rot", "side", "rotation"),
     [
@@ -89,12 +83,6 @@ def test_a_single_unnamed_variant_is_none() -> None:
 def test_spin_turns_no_part_and_mirroring_puts_it_below(rot: str, side: str, rotation: float) -> None:
     parts = read_eagle(samples.EAGLE.replace('rot="R90"', f'rot="{rot}"').encode(), Path("b.brd")).parts
     assert [(p.side, p.rotation) for p in parts if p.ref == "J1"] == [(side, rotation)]
-
-
-@pytest.mark.parametrize("rot", ["90", "RR90", "R", "MXR90", "Rnan"])
-def test_a_rotation_that_is_none_is_refused(rot: str) -> None:
-    with pytest.raises(InputError, match=r"element J1 rot is .* but must be R and degrees"):
-        read_eagle(samples.EAGLE.replace('rot="R90"', f'rot="{rot}"').encode(), Path("b.brd"))
 
 
 @pytest.mark.parametrize(
@@ -215,10 +203,3 @@ def test_polygons_with_curves_and_rotated_rectangles_are_outlines(
     for found, limit in zip(extent(design.outline), (low, high), strict=True):
         assert found == pytest.approx(limit, abs=0.02)
     assert not design.notes
-
-
-def test_a_rotated_rectangle_is_a_body() -> None:
-    turned = package(7).replace('layer="51"', 'layer="51" rot="R90"')
-    (part,) = read(f'<library name="lib"><packages>{turned}</packages></library>', element()).parts
-    assert part.box is not None
-    assert part.box.size == pytest.approx((2, 7))

@@ -103,17 +103,3 @@ def test_a_few_tracks_that_end_elsewhere_do_not_change_the_usual_rule() -> None:
     text = board("MIRRORX FLIP", "BOTTOM", ABOUT_Y, angles=(0,))
     (part,) = read_gencad(text.encode(), PATH).parts
     assert part.center == pytest.approx((4, 10))
-
-
-@pytest.mark.parametrize("line", ["LINE nan 1 2 3", "LINE 1", "VIA", "ARC a b c d e f", "ROUTE", "LINE 1e300 0 0 0"])
-def test_tracks_that_cannot_be_read_are_left_out(line: str) -> None:
-    text = board("MIRRORX FLIP", "BOTTOM", ABOUT_X)
-    design = read_gencad(text.replace("$ROUTES\n", f"$ROUTES\n{line}\n").encode(), PATH)
-    assert design.notes[0].values["fit"] == "6"
-
-
-def test_places_of_nails_are_places_of_pins() -> None:
-    nails = "NAILLOC J0 2 -1 7 10 -1 -1 100T BOTTOM\nNAILLOC J0 3 -1 7 9 -1 -1 100T BOTTOM\nNAILLOC J0\n"
-    text = board("MIRRORX FLIP", "BOTTOM", ABOUT_X, routes=False, angles=(0,))
-    design = read_gencad(text.replace("$ENDSIGNALS", f"{nails}$ENDSIGNALS").encode(), PATH)
-    assert (design.notes[0].values["fit"], design.notes[0].values["pins"]) == ("2", "2")

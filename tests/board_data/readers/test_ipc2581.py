@@ -61,16 +61,6 @@ def test_without_pads_the_rule_of_the_standard_or_of_kicad_holds_and_a_note_says
     assert [n.values["side"] for n in design.notes if n.code == "rotation-unconfirmed"] == ["top", "bottom"]
 
 
-@pytest.mark.parametrize(("x", "y", "rotation"), [(-0.05, 0.2, 90), (0.2, 0.05, 0), (-0.2, -0.05, 180)])
-def test_pads_on_the_top_decide_as_well(x: float, y: float, rotation: float) -> None:
-    """J1 states 90°; its pads show it, or another angle."""
-    pad = f'<Pad><Location x="{1.1811024 + x:.7f}" y="{0.7874016 + y:.7f}"/><PinRef componentRef="J1" pin="1"/></Pad>'
-    text = samples.IPC2581.replace("<Set><GlobalFiducial>", f"<Set>{pad}</Set><Set><GlobalFiducial>")
-    design = read_ipc2581(text.encode(), PATH)
-    assert next(p for p in design.parts if p.ref == "J1").rotation == rotation
-    assert any(n.code == "angles-by-pins" for n in design.notes) == (rotation != 90)
-
-
 def test_pins_of_one_number_may_lie_at_any_of_its_pads() -> None:
     """A through-hole pin has a pad on every layer, a tab several pads of one number."""
     first = '<Pin number="1"><Location x="0.2" y="0.05"/>'

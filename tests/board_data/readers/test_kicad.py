@@ -7,8 +7,7 @@ import pytest
 
 from tests.board_data.readers import samples
 from vaoi_station.board_data.contours import area
-from vaoi_station.board_data.readers.kicad import is_kicad, read_kicad
-from vaoi_station.errors import InputError
+from vaoi_station.board_data.readers.kicad import read_kicad
 
 PATH = Path("b.kicad_pcb")
 
@@ -64,13 +63,6 @@ def test_arcs_of_polygons_and_round_corners_of_rectangles(drawing: str, expected
     assert not design.notes
 
 
-def test_another_file_is_refused() -> None:
-    assert is_kicad(samples.KICAD.encode())
-    assert not is_kicad(b"(kicad_sch (version 1))")
-    with pytest.raises(InputError, match=r"begins with \(kicad_sch"):
-        read_kicad(b"(kicad_sch (version 1))", PATH)
-
-
 def test_pads_state_that_they_are_fiducials() -> None:
     text = """(kicad_pcb (footprint "L:QFN" (layer "F.Cu") (at 20 -20 90) (property "Reference" "U1")
         (pad "1" smd rect (at 0 0) (size 1 1))
@@ -85,14 +77,6 @@ def test_pads_state_that_they_are_fiducials() -> None:
     assert local.at == pytest.approx((20, 23))
     assert (excluded.name, excluded.at, excluded.diameter, excluded.kind) == ("REF**", (3, 4), 1.5, "global")
     assert {p.ref: p.mark_kind for p in design.parts} == {"U1": None, "FID1": "global"}
-
-
-def test_a_logo_has_the_size_of_its_silkscreen() -> None:
-    text = """(kicad_pcb (footprint "L:Logo" (layer "B.Cu") (at 10 -10) (property "Reference" "G1")
-        (fp_poly (pts (xy 0 0) (xy 4 0) (xy 4 3)) (layer "B.SilkS"))))"""
-    (part,) = read_kicad(text.encode(), PATH).parts
-    assert part.box is not None
-    assert part.box.size == (4, 3)
 
 
 DOT = '(fp_circle (center -2.45 1.75) (end -2.42 1.75) (layer "F.Fab"))'
@@ -117,12 +101,6 @@ def test_a_drawing_much_smaller_than_the_pads_is_no_body(drawing: str, size: tup
     (part,) = read_kicad(text.encode(), PATH).parts
     assert part.box is not None
     assert part.box.size == pytest.approx(size)
-
-
-def test_an_outline_of_a_footprint_without_a_place_is_left_out() -> None:
-    text = """(kicad_pcb (footprint "L:F" (layer "F.Cu")
-        (fp_line (start 0 0) (end 1 0) (layer "Edge.Cuts"))))"""
-    assert not read_kicad(text.encode(), PATH).outline
 
 
 @pytest.mark.parametrize(

@@ -219,12 +219,6 @@ def test_toeprints_are_matched_by_number_else_by_name(name: str, tmp_path: Path)
     assert (design.notes[0].values["fit"], design.notes[0].values["pins"]) == ("3", "3")
 
 
-def test_a_package_that_the_file_does_not_have_is_no_fault_of_its_toeprints(tmp_path: Path) -> None:
-    design = read_side(tmp_path, BOTTOM, "CMP 9 20 10 90 N Q1 x ;\n" + toeprints(SOT, True, 90))
-    assert design.parts[0].rotation == 90
-    assert [note.code for note in design.notes] == ["rotation-unconfirmed", "pins-unfit"]
-
-
 def contour(x0: float, y0: float, x1: float, y1: float, kind: str) -> str:
     corners = ((x1, y0), (x1, y1), (x0, y1), (x0, y0))
     return f"OB {x0} {y0} {kind}\n" + "".join(f"OS {x} {y}\n" for x, y in corners) + "OE\n"
@@ -263,9 +257,3 @@ def test_an_island_in_a_hole_is_no_cut_out_and_is_named(tmp_path: Path) -> None:
     assert [min(corners) for corners in design.cut_outs] == [(30, 30)]
     (note,) = [note for note in design.notes if note.code == "islands-left-out"]
     assert note.values == {"count": "1", "at": "(32, 32)"}
-
-
-def test_without_parts_on_an_island_the_largest_is_the_board(tmp_path: Path) -> None:
-    profile = f"UNITS=MM\nS P 0\n{BOARD}{OTHER}SE\n"
-    members = {PROFILE: profile, TOP: "UNITS=MM\nCMP 0 90 10 0 N R1 x ;\n", BOTTOM: "UNITS=MM\n"}
-    assert min(read_odb(write(tmp_path, **members)).outline) == (100, 0)

@@ -7,7 +7,7 @@ import pytest
 from tests.board_data.readers import samples
 from vaoi_station.board_data import read_design, to_board_type
 from vaoi_station.board_data.design import Mark
-from vaoi_station.board_data.readers.odb_features import outer_layers, pad_marks
+from vaoi_station.board_data.readers.odb_files import pad_marks
 
 MATRIX = """STEP {
  NAME=PCB
@@ -49,11 +49,6 @@ P 3 3 0 P 0 0
 """
 
 
-def test_the_outer_copper_layers_are_those_of_the_first_and_last_row() -> None:
-    assert outer_layers(MATRIX.splitlines()) == {"top": "top", "bottom": "bot"}
-    assert outer_layers([]) == {}
-
-
 def test_pads_with_a_usage_or_a_name_are_marks() -> None:
     assert list(pad_marks(FEATURES.splitlines(), 1.0, "top")) == [
         Mark("global1", "top", (5, 5), 1.0, "global", "attribute"),
@@ -79,8 +74,3 @@ def test_a_design_has_the_marks_of_its_copper(tmp_path: Path) -> None:
     assert [(f.name, f.kind) for f in board.fiducials] == [("global1", "global"), ("local2", "local")]
     assert [(m.name, m.kind) for m in board.other_marks or ()] == [("BADBOARD_1", "bad-board")]
     assert [len(c) for c in board.cut_outs or ()] == [3]
-
-
-def test_a_row_that_is_no_number_is_no_layer() -> None:
-    assert outer_layers(MATRIX.replace("ROW=2", "ROW=²").splitlines()) == {"top": "gnd", "bottom": "bot"}
-    assert outer_layers(MATRIX.replace("ROW=5", "ROW=" + "9" * 5000).splitlines()) == {"top": "top", "bottom": "gnd"}

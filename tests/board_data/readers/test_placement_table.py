@@ -58,13 +58,6 @@ def test_tables_of_many_programs(text: str, options: dict[str, str]) -> None:
     assert (parts["R1"].side, parts["C1"].side) == ("top", "top" if text is EAGLE else "bottom")
 
 
-def test_what_was_recognised_is_said() -> None:
-    note = read(ALTIUM).notes[0]
-    assert "delimiter comma; ref: column 1, x: column 5, y: column 6, rotation: column 7, side: column 3" in note
-    assert "unit mil (by the header)" in note
-    assert any("no column states the side" in note for note in read(EAGLE, units="mm").notes)
-
-
 def test_the_side_of_a_file_of_one_side_is_stated_by_the_user_or_its_suffix() -> None:
     text = "ref,x (mm),y (mm)\nR1,1,2\n"
     for options, side in (({}, "top"), ({"columns": "side=bottom"}, "bottom"), ({"columns": "side=Top"}, "top")):
@@ -188,13 +181,6 @@ def test_a_line_that_is_left_out_is_named_with_what_it_seems_to_hold(line: str, 
     assert "4 lines read: 2 parts, 1 header, 1 left out" in lines_read(design)
 
 
-@pytest.mark.parametrize("line", [",20,30,90,Top,x", "USB;20;30;90;Top;x", "R9,20", "1%,20,30,90", "#R9,20,30,90"])
-def test_a_line_before_the_first_part_is_named_as_well(line: str) -> None:
-    assert "1 left out" in lines_read(read(f"{HEADER}{line}\nC1,60,50,0,Bottom,b\n"))
-    above = read(f"R9,20,30,90\n{HEADER}C1,60,50,0,Bottom,b\n")
-    assert "line 1 stands above the header and holds R9" in lines_read(above)
-
-
 def test_more_lines_that_cannot_be_read_than_parts_refuse_the_file() -> None:
     with pytest.raises(InputError, match="2 lines cannot be read as parts, more than can: line 3 has 2 of 6 cells"):
         read(f"{HEADER}R1,10,20,90,Top,a\nR2,20\nR3,30\n")
@@ -218,12 +204,6 @@ def test_quotation_marks_and_commas_in_a_value_do_no_harm(line: str) -> None:
         "R1": ("top", (10, 20), 90), "R9": ("top", (20, 30), 90), "C1": ("bottom", (60, 50), 0),
     }  # fmt: skip
     assert "left out" not in lines_read(design)
-
-
-def test_a_second_table_below_the_first_is_read() -> None:
-    design = read(f"{HEADER}R1,10,20,90,Top,a\n\n{HEADER}C1,60,50,0,Bottom,b\n")
-    assert [(part.ref, part.side) for part in design.parts] == [("R1", "top"), ("C1", "bottom")]
-    assert "5 lines read: 2 parts, 2 header, 1 comments" in lines_read(design)
 
 
 @pytest.mark.parametrize(
@@ -258,11 +238,6 @@ def test_a_header_in_other_words_is_no_absent_header(header: str) -> None:
     assert [(part.ref, part.origin, part.rotation, part.side) for part in design.parts] == [
         ("R1", (10, 20), 90, "top"), ("C1", (60, 50), 0, "bottom"),
     ]  # fmt: skip
-
-
-def test_columns_that_are_not_used_are_named() -> None:
-    design = read("Designator,Supplier,X (mm),Y (mm),Rotation,Side,Zone\nR1,ACME,1,2,0,Top,7b\n")
-    assert "columns that are not used: Supplier, Zone." in design.notes
 
 
 @pytest.mark.parametrize(
@@ -329,12 +304,6 @@ def test_negated_x_of_the_bottom_is_made_positive_where_the_top_shows_it(xs: tup
     assert [part.origin[0] for part in bottom] == [-x if negated else x for x in xs]
     assert bottom[0].rotation == 90
     assert any("the bottom is negated" in note for note in design.notes) == negated
-
-
-def test_negative_x_of_the_bottom_alone_is_remarked() -> None:
-    design = read(f"{HEADER}C1,-60,50,90,Bottom,b\nC2,-20,50,0,Bottom,b\n")
-    assert [part.origin[0] for part in design.parts] == [-60, -20]
-    assert any("if the program has negated it, the places are mirrored" in note for note in design.notes)
 
 
 def test_a_table_without_header_whose_fourth_column_is_no_rotation_is_refused() -> None:
@@ -447,17 +416,6 @@ def test_designators_of_all_kinds(text: str, refs: list[str]) -> None:
 def test_a_table_that_may_mean_several_things_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(text)
-
-
-def test_a_unit_by_the_size_of_the_board_and_sides_by_number_are_remarked() -> None:
-    design = read("Ref,X,Y,Rot,Layer\nR1,0,0,0,0\nR2,160,90,0,1\n")
-    assert any(note.startswith("the file states no unit; mm is taken") for note in design.notes)
-    assert any("taken so: 0 as top, 1 as bottom" in note for note in design.notes)
-
-
-def test_a_column_of_mirrored_parts_beside_the_side_is_compared() -> None:
-    notes = read("Ref;X (mm);Y (mm);Rot;Side;Mirror\nR1;1;2;0;Top;No\nC1;3;4;0;Top;Yes\n").notes
-    assert any("'Mirror' says that 1 parts of the top are mirrored; they stay on the top: C1" in note for note in notes)
 
 
 def test_a_column_that_marks_the_fitted_parts_leaves_the_others_empty() -> None:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[3]
 STATION = """
 from pathlib import Path
 from vaoi_station.board_data.import_process import ImportTask
-from vaoi_station.board_data.limited_import import import_limited
+from vaoi_station.board_data.import_process import import_limited
 from vaoi_station.errors import InputError
 from vaoi_station.runs.handover.adder import Addition, launch_adder
 pipe, process = launch_adder()

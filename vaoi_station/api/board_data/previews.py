@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from vaoi_station.api.board_data.models import ImportOptions, ImportPreview
-from vaoi_station.board_data.import_process import ImportReply, ImportTask
-from vaoi_station.board_data.limited_import import import_limited
+from vaoi_station.board_data.import_process import ImportReply, ImportTask, import_limited
 from vaoi_station.errors import InputError, NotFoundError, VaoiError
 from vaoi_station.runs.states.run_ids import utc
 

@@ -8,15 +8,26 @@ several such places, of two boards each by 180° always two: then nothing states
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
 from math import dist
+from typing import NamedTuple
 
-from vaoi_station.board_data.design import XY, Design, Mark, Part, PlacedBoard, Placement, extent, rotated
+from vaoi_station.board_data.design import (
+    XY,
+    Design,
+    Mark,
+    Part,
+    PlacedBoard,
+    Placement,
+    angle_between,
+    extent,
+    noted,
+    rotated,
+)
 from vaoi_station.board_data.panels.layout import MOST_PARTS
 from vaoi_station.board_data.panels.step_and_repeat import MOST_BOARDS
-from vaoi_station.model.reason import Note
 
 SAME_PLACE_MM = 0.05
 """A part and the place where a copy is expected may differ by this; files of placement machines round to 10 µm."""
@@ -25,96 +36,97 @@ LEAST_MATCHED = 0.9
 """Least share of the repeated designators whose parts must be copies of one another."""
 MOST_ANCHORS = 5
 """Largest number of designators that are tried as the one that shows where the boards are."""
-_NOWHERE = Placement(False, 0.0, (0.0, 0.0))
+
+
+class _Member(NamedTuple):
+    """A part or a mark of a panel."""
+
+    of: Part | Mark
+    at: XY
+    degrees: float
 
 
 def with_copies(design: Design) -> Design:
     """Return the panel that a design is if its parts are copies of one board; any other design as it is."""
-    parts: defaultdict[str, list[Part | Mark]] = defaultdict(list)
-    for part in design.parts:
-        # `REF**` and `G***` are footprints that KiCad has not numbered: holes, logos, bridges between boards.
-        if not part.ref.endswith("*"):
-            parts[part.ref].append(part)
+    # `REF**` and `G***` are footprints that KiCad has not numbered: holes, logos, bridges between boards.
+    parts = _grouped((p.ref, _Member(p, p.origin, p.rotation)) for p in design.parts if not p.ref.endswith("*"))
     counts = Counter(len(group) for group in parts.values() if len(group) > 1)
     if design.boards or 2 * counts.total() <= len(parts) or len(design.parts) > MOST_PARTS:
         return design
     number = max(counts, key=lambda count: (counts[count], count))
-    groups = {ref: group for ref, group in parts.items() if len(group) == number}
+    groups = [group for group in parts.values() if len(group) == number]
     least = max(2.0, LEAST_MATCHED * counts.total())
     if number > MOST_BOARDS or len(groups) < least:
         return design
-    marks: defaultdict[str, list[Part | Mark]] = defaultdict(list)
-    for mark in design.marks:
-        marks[mark.name].append(mark)
-    anchors = [group for group in groups.values() if len({part.side for part in group}) == 1]
+    marks = _grouped((mark.name, _Member(mark, mark.at, 0.0)) for mark in design.marks)
+    anchors = [group for group in groups if len({member.of.side for member in group}) == 1]
     for anchor in anchors[:MOST_ANCHORS]:
-        placed = [found for group in groups.values() if (found := _placed(anchor, group))]
+        placed = [found for group in groups if (found := _placed(anchor, group))]
         if len(placed) >= least:
             placed += [found for group in marks.values() if len(group) == number and (found := _placed(anchor, group))]
             return _panel(design, list(zip(*placed, strict=True)))
     return design
 
 
-def _panel(design: Design, boards: Sequence[Sequence[Part | Mark]]) -> Design:
+def _grouped(members: Iterable[tuple[str, _Member]]) -> dict[str, list[_Member]]:
+    groups: defaultdict[str, list[_Member]] = defaultdict(list)
+    for name, member in members:
+        groups[name].append(member)
+    return groups
+
+
+def _panel(design: Design, boards: Sequence[Sequence[_Member]]) -> Design:
     """Return the design as a panel; its boards are numbered from left to right, then upwards."""
-    used = {id(member) for board in boards for member in board}
+    used = {id(member.of) for board in boards for member in board}
     placed = []
-    for n, k in enumerate(_in_rows([extent(_place(member) for member in board) for board in boards]), 1):
-        one = Design(
-            design.name,
-            design.format,
-            tuple(member for member in boards[k] if isinstance(member, Part)),
-            marks=tuple(member for member in boards[k] if isinstance(member, Mark)),
-        )
-        placed.append(PlacedBoard(str(n), str(n), one, _NOWHERE))
-    sentence = (
-        f"designators occur {len(boards)} times, at places that are copies of one another: the file was read as a "
-        f"panel of {len(boards)} boards, whose positions count from 1, from left to right, then upwards."
+    for n, k in enumerate(_in_rows([extent(member.at for member in board) for board in boards]), 1):
+        of = [member.of for member in boards[k]]
+        parts, marks = tuple(p for p in of if isinstance(p, Part)), tuple(m for m in of if isinstance(m, Mark))
+        placed.append(PlacedBoard(str(n), str(n), Design(design.name, design.format, parts, marks=marks), Placement()))
+    text = (
+        "designators occur {count} times, at places that are copies of one another: the file was read as a panel of "
+        "{count} boards, whose positions count from 1, from left to right, then upwards."
     )
     parts = tuple(part for part in design.parts if id(part) not in used)
     marks = tuple(mark for mark in design.marks if id(mark) not in used)
-    return replace(design, parts=parts, marks=marks, boards=tuple(placed)).with_notes(
-        Note("read-as-panel", sentence, count=len(boards))
-    )
+    panel = replace(design, parts=parts, marks=marks, boards=tuple(placed))
+    return panel.with_notes(noted("read-as-panel", text, count=len(boards)))
 
 
-def _placed(anchor: Sequence[Part | Mark], group: Sequence[Part | Mark]) -> tuple[Part | Mark, ...]:
+def _placed(anchor: Sequence[_Member], group: Sequence[_Member]) -> tuple[_Member, ...]:
     """Return a group in the order of the boards, of which `anchor` has one part each.
 
     It is empty if the group has no common place on the boards, or several.
     """
-    cells: defaultdict[tuple[int, int], list[Part | Mark]] = defaultdict(list)
-    for member in group:
-        cells[_cell(_place(member))].append(member)
+    cells = {_cell(member.at): member for member in group}
     # Boards do not lie on one another; a search among many parts at one place would take long.
-    if max(map(len, cells.values())) > 1:
+    if len(cells) < len(group):
         return ()
-    first = anchor[0]
-    found = []
+    first, found = anchor[0], []
     for start in group:
-        (x, y), (x0, y0) = _place(start), _place(first)
-        offset = rotated((x - x0, y - y0), -_angle(first))
+        offset = rotated((start.at[0] - first.at[0], start.at[1] - first.at[1]), -first.degrees)
         members = []
         for part in anchor:
-            dx, dy = rotated(offset, _angle(part))
-            at = _place(part)[0] + dx, _place(part)[1] + dy
-            copy = _at(cells, at, _angle(start) - _angle(first) + _angle(part), start)
+            dx, dy = rotated(offset, part.degrees)
+            turn = start.degrees - first.degrees + part.degrees
+            copy = _at(cells, (part.at[0] + dx, part.at[1] + dy), turn, start)
             if copy is None:
                 break
             members.append(copy)
-        if len({id(member) for member in members}) == len(anchor):
+        if len({id(member.of) for member in members}) == len(anchor):
             found.append(tuple(members))
     return found[0] if len(found) == 1 else ()
 
 
-def _at(cells: dict[tuple[int, int], list[Part | Mark]], at: XY, turn: float, like: Part | Mark) -> Part | Mark | None:
+def _at(cells: dict[tuple[int, int], _Member], at: XY, turn: float, like: _Member) -> _Member | None:
     """Return the member at a place, of the same side and rotation as its copy."""
     column, row = _cell(at)
     for cell in product((column - 1, column, column + 1), (row - 1, row, row + 1)):
-        for member in cells.get(cell, ()):
-            same = member.side == like.side and dist(_place(member), at) <= SAME_PLACE_MM
-            if same and (isinstance(member, Mark) or abs((_angle(member) - turn + 180) % 360 - 180) <= SAME_ANGLE_DEG):
-                return member
+        member = cells.get(cell)
+        if member is None or member.of.side != like.of.side or dist(member.at, at) > SAME_PLACE_MM:
+            continue
+        if isinstance(member.of, Mark) or angle_between(member.degrees, turn) <= SAME_ANGLE_DEG:
+            return member
     return None
 
 
@@ -133,11 +145,3 @@ def _in_rows(boxes: Sequence[tuple[XY, XY]]) -> list[int]:
 
 def _cell(at: XY) -> tuple[int, int]:
     return round(at[0] / (2 * SAME_PLACE_MM)), round(at[1] / (2 * SAME_PLACE_MM))
-
-
-def _place(member: Part | Mark) -> XY:
-    return member.origin if isinstance(member, Part) else member.at
-
-
-def _angle(member: Part | Mark) -> float:
-    return member.rotation if isinstance(member, Part) else 0.0

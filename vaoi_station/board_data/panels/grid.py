@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, replace
 
-from vaoi_station.board_data.design import XY, Design, PlacedBoard, Placement, extent
+from vaoi_station.board_data.design import XY, Contour, Design, PlacedBoard, Placement, extent, noted
 from vaoi_station.board_data.panels.step_and_repeat import MOST_BOARDS
+from vaoi_station.board_data.source_text import number_of
 from vaoi_station.errors import InputError
 from vaoi_station.model.frozen_model import MOST_MM
-from vaoi_station.model.reason import Note
-
-_UP_TO = f"at most {MOST_BOARDS}"
 
 
 @dataclass(frozen=True)
@@ -34,47 +31,38 @@ class Grid:
         Raises:
             InputError: a text cannot be understood, or one of the first two is missing.
         """
-        others = {"--pitch": pitch, "--rotate": rotate, "--border": border}
         if not repeat:
-            for key, value in others.items():
+            for key, value in {"--pitch": pitch, "--rotate": rotate, "--border": border}.items():
                 if value:
                     raise InputError.field(key, "the value", value, "given together with --repeat")
             return None
-        counts = _pair("--repeat", repeat, "two whole numbers such as 3x2, along x and y")
-        if min(counts) < 1 or any(c % 1 for c in counts) or counts[0] * counts[1] > MOST_BOARDS:
-            raise InputError.field("--repeat", "the value", repeat, f"whole numbers from 1, {_UP_TO} boards together")
+        nx, ny = _pair("--repeat", repeat, "two whole numbers such as 3x2, along x and y")
+        if min(nx, ny) < 1 or nx % 1 or ny % 1 or nx * ny > MOST_BOARDS:
+            limit = f"whole numbers from 1, at most {MOST_BOARDS} boards together"
+            raise InputError.field("--repeat", "the value", repeat, limit)
         lengths = "two lengths in mm such as 30x28.5, from board to board along x and y"
         if not pitch:
             raise InputError(f"--repeat {repeat} needs --pitch, {lengths}.")
         apart = _pair("--pitch", pitch, lengths)
-        for n, length, axis in zip(counts, apart, "xy", strict=True):
+        for n, length, axis in zip((nx, ny), apart, "xy", strict=True):
             if n > 1 and abs(length) < 1.0:
                 raise InputError.field("--pitch", f"the length along {axis}", length, "1 mm at least")
         edge = None if not border else _pair("--border", border, "two lengths in mm such as 0x5, along x and y")
         if edge is not None and min(edge) < 0:
             raise InputError.field("--border", "the value", border, "0 mm at least")
-        return cls((int(counts[0]), int(counts[1])), apart, _degrees(rotate), edge)
+        degrees = [number_of(word) for word in rotate.split(",")] if rotate else [0.0]
+        usable = tuple(angle for angle in degrees if angle is not None and abs(angle) <= 360)
+        if len(usable) < len(degrees) or len(degrees) > MOST_BOARDS:
+            raise InputError.field("--rotate", "the value", rotate, "angles in degrees such as 180, or 0,180 in turn")
+        return cls((int(nx), int(ny)), apart, usable, edge)
 
 
 def _pair(key: str, text: str, limit: str) -> XY:
     found = re.fullmatch(r"\s*([-+]?[\d.]+)\s*[x×,]\s*([-+]?[\d.]+)\s*", text)
-    try:
-        x, y = (float(word) for word in found.groups()) if found else (math.nan, math.nan)
-    except ValueError:
-        x = y = math.nan
-    if not max(abs(x), abs(y)) <= MOST_MM:
+    x, y = (number_of(word) for word in found.groups()) if found else (None, None)
+    if x is None or y is None or max(abs(x), abs(y)) > MOST_MM:
         raise InputError.field(key, "the value", text, limit)
     return x, y
-
-
-def _degrees(text: str | None) -> tuple[float, ...]:
-    try:
-        found = tuple(float(word) for word in text.split(",")) if text else (0.0,)
-    except ValueError:
-        found = (math.nan,)
-    if len(found) > MOST_BOARDS or not all(abs(angle) <= 360 for angle in found):
-        raise InputError.field("--rotate", "the value", text, "angles in degrees such as 180, or 0,180 in turn")
-    return found
 
 
 def repeated(design: Design, grid: Grid) -> Design:
@@ -97,32 +85,30 @@ def repeated(design: Design, grid: Grid) -> Design:
     middle = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
     bare = replace(design, notes=(), table=None)
     boards, edges = [], []
-    for n in range(grid.counts[0] * grid.counts[1]):
-        ix, iy = n % grid.counts[0], n // grid.counts[0]
-        turn = grid.degrees[n % len(grid.degrees)]
-        (x, y) = Placement(False, turn, (0.0, 0.0)).apply(middle)
-        at = Placement(False, turn, (middle[0] + ix * grid.pitch[0] - x, middle[1] + iy * grid.pitch[1] - y))
-        boards.append(PlacedBoard(str(n + 1), str(n + 1), bare, at))
-        edges.append(extent([at.apply(corner) for corner in corners]))
     nx, ny = grid.counts
-    sentence = f"the board is repeated {nx} × {ny} times; positions count from 1, along x first."
-    notes = [Note("board-repeated", sentence, counts=f"{nx} × {ny}")]
-    sizes = [max(far[k] - near[k] for near, far in edges) for k in (0, 1)]
-    for size, pitch, n, axis in zip(sizes, grid.pitch, grid.counts, "xy", strict=True):
+    for n in range(nx * ny):
+        turn = grid.degrees[n % len(grid.degrees)]
+        (x, y) = Placement(False, turn).apply(middle)
+        shift = middle[0] + n % nx * grid.pitch[0] - x, middle[1] + n // nx * grid.pitch[1] - y
+        boards.append(PlacedBoard(str(n + 1), str(n + 1), bare, at := Placement(False, turn, shift)))
+        edges.append(extent([at.apply(corner) for corner in corners]))
+    text = "the board is repeated {counts} times; positions count from 1, along x first."
+    notes = [noted("board-repeated", text, counts=f"{nx} × {ny}")]
+    for k, (n, pitch, axis) in enumerate(zip(grid.counts, grid.pitch, "xy", strict=True)):
+        size = max(far[k] - near[k] for near, far in edges)
         if n > 1 and abs(pitch) < size - 1e-3:
-            stated, there = f"{abs(pitch):g}", f"{size:.3f}"
-            sentence = f"the pitch along {axis} is {stated} mm, but the board measures {there} mm there."
-            notes.append(Note("pitch-below-size", sentence, axis=axis, pitch_mm=stated, size_mm=there))
-    outline: tuple[XY, ...] = ()
-    if grid.border is None and design.outline:
-        sentence = (
+            text = "the pitch along {axis} is {pitch_mm} mm, but the board measures {size_mm} mm there."
+            notes.append(noted("pitch-below-size", text, axis=axis, pitch_mm=f"{abs(pitch):g}", size_mm=f"{size:.3f}"))
+    outline: Contour = ()
+    if grid.border is not None:
+        (x0, y0), (x1, y1) = extent([corner for edge in edges for corner in edge])
+        bx, by = grid.border
+        outline = ((x0 - bx, y0 - by), (x1 + bx, y0 - by), (x1 + bx, y1 + by), (x0 - bx, y1 + by))
+    elif design.outline:
+        text = (
             "the edges of the panel are not known, so that it has no outline and the extent of parts and fiducials is "
             "used; state them by --border."
         )
-        notes.append(Note("panel-edges-unknown", sentence))
-    elif grid.border is not None:
-        (x0, y0), (x1, y1) = extent([corner for edge in edges for corner in edge])
-        (bx, by) = grid.border
-        outline = ((x0 - bx, y0 - by), (x1 + bx, y0 - by), (x1 + bx, y1 + by), (x0 - bx, y1 + by))
+        notes.append(noted("panel-edges-unknown", text))
     panel = replace(design, parts=(), outline=outline, cut_outs=(), marks=(), boards=tuple(boards))
     return panel.with_notes(*notes)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from heapq import nlargest
-from typing import get_args
 
 from vaoi_station.board_data.contours import area
 from vaoi_station.board_data.conversion import MOST_CUT_OUTS, MOST_OUTLINE_POINTS
 from vaoi_station.board_data.design import (
-    XY,
+    Contour,
     Design,
     Mark,
     Part,
@@ -19,14 +18,15 @@ from vaoi_station.board_data.design import (
     Side,
     extent,
     normalised,
+    noted,
 )
-from vaoi_station.board_data.marks import find_marks
+from vaoi_station.board_data.marks import all_marks
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses
-from vaoi_station.model.reason import Note
 
 MOST_PARTS = 40_000
 """Largest number of parts on both sides of a panel: twice that of the components of a board type."""
+_OTHER: dict[Side, Side] = {"top": "bottom", "bottom": "top"}
 
 
 def laid_out(design: Design) -> Design:
@@ -44,43 +44,24 @@ def laid_out(design: Design) -> Design:
     if count > MOST_PARTS:
         raise InputError.field(design.name, "the number of parts of the panel", count, f"at most {MOST_PARTS}")
     parts = list(design.parts)
-    marks = [_of_board_below(_of_panel(mark), design.boards) for mark in _all_marks(design)]
-    found: dict[int, tuple[list[Mark], list[_Sized]]] = {}
-    contours: list[tuple[float, Placement, tuple[XY, ...]]] = []
+    marks = [_of_board_below(_of_panel(mark), design.boards) for mark in all_marks(design)]
+    found: dict[int, tuple[list[Mark], list[tuple[float, Contour]]]] = {}
+    contours: list[tuple[float, Placement, Contour]] = []
     for board in design.boards:
         parts += [_placed_part(part, board) for part in board.design.parts]
-        key = id(board.design)
-        if key not in found:
-            found[key] = _all_marks(board.design), _largest_cut_outs(board.design)
+        if (key := id(board.design)) not in found:
+            sized = ((abs(area(c)), c) for c in board.design.cut_outs if len(c) <= MOST_OUTLINE_POINTS)
+            largest = nlargest(MOST_CUT_OUTS, sized, key=lambda c: c[0])
+            found[key] = all_marks(board.design), largest
         marks += [_placed_mark(mark, board) for mark in found[key][0]]
         contours += ((size, board.at, contour) for size, contour in found[key][1])
     kept = nlargest(MOST_CUT_OUTS, contours, key=lambda c: c[0])
     cut_outs = (*design.cut_outs, *(tuple(map(at.apply, contour)) for _, at, contour in kept))
-    left_out = sum(len(board.design.cut_outs) for board in design.boards) - len(kept)
-    sentence = f"{left_out} contours of the boards are too many or too fine; they were left out."
-    notes = [Note("contours-too-many", sentence, count=left_out)] if left_out else []
     laid = replace(design, parts=tuple(parts), marks=tuple(marks), cut_outs=cut_outs)
-    return laid.with_notes(*notes)
-
-
-_Sized = tuple[float, tuple[XY, ...]]
-"""Area and corners of a contour."""
-
-
-def _largest_cut_outs(design: Design) -> list[_Sized]:
-    usable = ((abs(area(c)), c) for c in design.cut_outs if len(c) <= MOST_OUTLINE_POINTS)
-    return nlargest(MOST_CUT_OUTS, usable, key=lambda c: c[0])
-
-
-def _all_marks(design: Design) -> list[Mark]:
-    """Return the marks of both sides of one design; those on both sides twice."""
-    bare = replace(design, boards=())
-    sides: tuple[Side, ...] = get_args(Side)
-    return [
-        replace(mark, side=side)
-        for side in sides
-        for mark in find_marks(bare, [part for part in design.parts if part.side == side], side)
-    ]
+    if left_out := sum(len(board.design.cut_outs) for board in design.boards) - len(kept):
+        text = "{count} contours of the boards are too many or too fine; they were left out."
+        laid = laid.with_notes(noted("contours-too-many", text, count=left_out))
+    return laid
 
 
 def _of_panel(mark: Mark) -> Mark:
@@ -90,47 +71,27 @@ def _of_panel(mark: Mark) -> Mark:
 
 def _of_board_below(mark: Mark, boards: Sequence[PlacedBoard]) -> Mark:
     """Return a mark of the panel; a bad-board mark with the position of the board on which it lies."""
-    if mark.kind != "bad-board":
-        return mark
-    below = [b.position for b in boards if b.position and _lies_on(b.at.undo(mark.at), b.design.outline)]
+    below = []
+    for board in boards if mark.kind == "bad-board" else ():
+        (x, y), outline = board.at.undo(mark.at), board.design.outline
+        if board.position and len(outline) > 2:
+            (x0, y0), (x1, y1) = extent(outline)
+            below += [board.position] if x0 <= x <= x1 and y0 <= y <= y1 and encloses(outline, (x, y)) else []
     return replace(mark, panel=below[0]) if len(below) == 1 else mark
-
-
-def _lies_on(point: XY, outline: Sequence[XY]) -> bool:
-    if len(outline) < 3:
-        return False
-    (x0, y0), (x1, y1) = extent(outline)
-    return x0 <= point[0] <= x1 and y0 <= point[1] <= y1 and encloses(outline, point)
 
 
 def _placed_part(part: Part, board: PlacedBoard) -> Part:
     at, side, rotation, box = board.at, part.side, part.rotation, part.box
     if at.mirrored:
-        side, rotation, box = _other(side), -rotation, box.mirrored() if box else None
-    return replace(
-        part,
-        ref=part.ref if board.position else f"{board.name}/{part.ref}",
-        side=side,
-        origin=at.apply(part.origin),
-        rotation=normalised(rotation + at.degrees),
-        box=box,
-        panel=board.position,
-    )
+        side, rotation, box = _OTHER[side], -rotation, box.mirrored() if box else None
+    ref = part.ref if board.position else f"{board.name}/{part.ref}"
+    rotation, origin = normalised(rotation + at.degrees), at.apply(part.origin)
+    return replace(part, ref=ref, side=side, origin=origin, rotation=rotation, box=box, panel=board.position)
 
 
 def _placed_mark(mark: Mark, board: PlacedBoard) -> Mark:
-    at, side = board.at, mark.side
-    if at.mirrored and side is not None:
-        side = _other(side)
-    placed = replace(
-        mark,
-        name=f"{board.name}/{mark.name}",
-        side=side,
-        at=at.apply(mark.at),
-        components=tuple(f"{board.name}/{ref}" for ref in mark.components),
-    )
+    side = _OTHER[mark.side] if board.at.mirrored and mark.side is not None else mark.side
+    refs = tuple(f"{board.name}/{ref}" for ref in mark.components)
+    name = f"{board.name}/{mark.name}"
+    placed = replace(mark, name=name, side=side, at=board.at.apply(mark.at), components=refs)
     return _of_panel(placed) if board.position is None else replace(placed, panel=board.position)
-
-
-def _other(side: Side) -> Side:
-    return "bottom" if side == "top" else "top"

@@ -5,11 +5,14 @@ The boards of a panel have the positions "1", "2", … in the order of the block
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-from vaoi_station.board_data.design import XY, Design, PlacedBoard, Placement
+from vaoi_station.board_data.design import XY, Design, PlacedBoard, Placement, noted
+from vaoi_station.board_data.source_text import number_of
 from vaoi_station.errors import InputError
 from vaoi_station.model.reason import Note
 
@@ -33,6 +36,40 @@ class Repeat:
     mirrored: bool = False
     """Whether the step lies upside down: mirrored in x about its datum, before the rotation."""
 
+    def places(self, datum: XY, where: str) -> Iterator[Placement]:
+        """Yield the placements of the block, along x first; raise InputError for an impossible grid."""
+        nx, ny = self.counts
+        key = f"the number of places of step {self.step!r}"
+        if nx * ny > MOST_BOARDS:
+            raise InputError.field(where, key, f"{nx} × {ny}", f"at most {MOST_BOARDS}")
+        if min(nx, ny) < 1:
+            raise InputError.field(where, key, f"{nx} × {ny}", "at least 1 × 1")
+        for n, pitch, axis in zip(self.counts, self.pitch, "xy", strict=True):
+            if n > 1 and abs(pitch) < 1e-3:
+                key = f"the pitch of step {self.step!r} along {axis}"
+                raise InputError.field(where, key, pitch, f"above 0 for {n} places")
+        about = Placement(self.mirrored, self.degrees).apply(datum)
+        for iy in range(ny):
+            for ix in range(nx):
+                x = self.first[0] + ix * self.pitch[0] - about[0]
+                y = self.first[1] + iy * self.pitch[1] - about[1]
+                yield Placement(self.mirrored, self.degrees, (x, y))
+
+
+def stated_number(where: str, values: Mapping[str, str], key: str) -> float:
+    """Return the number under a key, 0 by default; raise InputError if it is none."""
+    found = number_of(text := values.get(key, "0"))
+    if found is None:
+        raise InputError.field(where, key, text, "a number")
+    return found
+
+
+def stated_count(where: str | Path, values: Mapping[str, str], key: str, shown: str = "") -> int:
+    """Return the whole number under a key, 1 by default; raise InputError if it is none."""
+    if not re.fullmatch(r"\d{1,9}", text := values.get(key, "1")):
+        raise InputError.field(where, shown or key, text, "a whole number from 1")
+    return int(text)
+
 
 @dataclass(frozen=True)
 class Step:
@@ -44,85 +81,52 @@ class Step:
     repeats: tuple[Repeat, ...] = ()
 
 
-@dataclass
 class _Layout:
     """The boards of a panel as they are found."""
 
-    where: str
-    read: Callable[[str], Step]
-    boards: list[PlacedBoard] = field(default_factory=list)
-    """Boards, and the panels within the panel that have marks or parts."""
-    steps: Counter[str] = field(default_factory=Counter)
-    """Number of boards of each step."""
-    bare: Counter[str] = field(default_factory=Counter)
-    """Number of places of each step without components."""
-    known: dict[str, Step] = field(default_factory=dict)
+    def __init__(self, where: str, read: Callable[[str], Step]) -> None:
+        self.where, self._read = where, read
+        self.boards: list[PlacedBoard] = []
+        """Boards, and the panels within the panel that have marks or parts."""
+        self.steps: Counter[str] = Counter()
+        """Number of boards of each step."""
+        self.bare: Counter[str] = Counter()
+        """Number of places of each step without components."""
+        self.known: dict[str, Step] = {}
 
     def step(self, name: str) -> Step:
         """Return a step, which is read once."""
         if name not in self.known:
-            self.known[name] = self.read(name)
+            self.known[name] = self._read(name)
         return self.known[name]
 
     def add(self, repeats: Sequence[Repeat], at: Placement, above: tuple[str, ...]) -> None:
         """Add the boards that the repeats of one step place; `above` are the steps that contain it."""
         for repeat in repeats:
+            path = (*above, repeat.step)
             if repeat.step in above:
-                raise InputError(f"{self.where}: steps contain one another: {' > '.join((*above, repeat.step))}.")
+                raise InputError(f"{self.where}: steps contain one another: {' > '.join(path)}.")
             if len(above) >= MOST_LEVELS:
-                raise InputError.field(
-                    self.where, "the depth of its steps", ">".join((*above, repeat.step)), f"at most {MOST_LEVELS}"
-                )
+                raise InputError.field(self.where, "the depth of its steps", ">".join(path), f"at most {MOST_LEVELS}")
             step = self.step(repeat.step)
-            for place in _places(repeat, step.datum(), self.where):
-                self._add_one(repeat.step, step, place.within(at), above)
+            for place in repeat.places(step.datum(), self.where):
+                self._add_one(repeat.step, step, place.within(at), path)
 
-    def _add_one(self, name: str, step: Step, at: Placement, above: tuple[str, ...]) -> None:
+    def _add_one(self, name: str, step: Step, at: Placement, path: tuple[str, ...]) -> None:
         if step.repeats:
             if step.design.parts or step.design.marks:
                 within = sum(board.position is None for board in self.boards)
-                self._append(PlacedBoard(f"{name}-{within + 1}", None, step.design, at))
-            self.add(step.repeats, at, (*above, name))
+                self.boards.append(PlacedBoard(f"{name}-{within + 1}", None, step.design, at))
         elif step.design.parts:
             self.steps[name] += 1
             position = str(self.steps.total())
-            self._append(PlacedBoard(position, position, step.design, at))
+            self.boards.append(PlacedBoard(position, position, step.design, at))
         else:
             self.bare[name] += 1
-            self._count()
-
-    def _append(self, board: PlacedBoard) -> None:
-        self.boards.append(board)
-        self._count()
-
-    def _count(self) -> None:
-        count = len(self.boards) + self.bare.total()
-        if count > MOST_BOARDS:
-            raise InputError.field(self.where, "the number of boards of the panel", f"{count} or more", _UP_TO)
-
-
-_UP_TO = f"at most {MOST_BOARDS}"
-
-
-def _places(repeat: Repeat, datum: XY, where: str) -> Iterator[Placement]:
-    """Yield the placements of a block, along x first."""
-    nx, ny = repeat.counts
-    key = f"the number of places of step {repeat.step!r}"
-    if nx * ny > MOST_BOARDS:
-        raise InputError.field(where, key, f"{nx} × {ny}", _UP_TO)
-    if min(nx, ny) < 1:
-        raise InputError.field(where, key, f"{nx} × {ny}", "at least 1 × 1")
-    for n, pitch, axis in zip(repeat.counts, repeat.pitch, "xy", strict=True):
-        if n > 1 and abs(pitch) < 1e-3:
-            raise InputError.field(
-                where, f"the pitch of step {repeat.step!r} along {axis}", pitch, f"above 0 for {n} places"
-            )
-    about = Placement(repeat.mirrored, repeat.degrees, (0.0, 0.0)).apply(datum)
-    for iy in range(ny):
-        for ix in range(nx):
-            x = repeat.first[0] + ix * repeat.pitch[0] - about[0]
-            y = repeat.first[1] + iy * repeat.pitch[1] - about[1]
-            yield Placement(repeat.mirrored, repeat.degrees, (x, y))
+        if (count := len(self.boards) + self.bare.total()) > MOST_BOARDS:
+            limit = f"at most {MOST_BOARDS}"
+            raise InputError.field(self.where, "the number of boards of the panel", f"{count} or more", limit)
+        self.add(step.repeats, at, path)
 
 
 def panel_of(name: str, read: Callable[[str], Step], where: str) -> Design:
@@ -140,7 +144,7 @@ def panel_of(name: str, read: Callable[[str], Step], where: str) -> Design:
     top = layout.step(name)
     if not top.repeats:
         return top.design
-    layout.add(top.repeats, Placement(False, 0.0, (0.0, 0.0)), (name,))
+    layout.add(top.repeats, Placement(), (name,))
     if not layout.steps:
         raise InputError(
             f"{where}: step {name!r} repeats no step with components ({', '.join(sorted(layout.bare))}).",
@@ -151,38 +155,24 @@ def panel_of(name: str, read: Callable[[str], Step], where: str) -> Design:
     sentence = f"step {name} is a panel of {count} boards: {shown}; their positions count from 1."
     notes = [Note("step-is-panel", sentence, step=name, count=count)]
     if over := [board.name for board in layout.boards if board.position and board.at.mirrored]:
-        names = _some(over)
-        sentence = f"{len(over)} boards lie upside down, so that their other side is up: positions {names}."
-        notes.append(Note("boards-upside-down", sentence, count=len(over), names=names))
+        text = "{count} boards lie upside down, so that their other side is up: positions {names}."
+        notes.append(noted("boards-upside-down", text, count=len(over), names=over))
     # By 0° and 180° both orders of mirroring and turning are the same.
-    turned = [board.name for board in layout.boards if board.at.mirrored and board.at.degrees % 180]
-    if turned:
-        names = _some(turned)
-        sentence = (
+    if turned := [board.name for board in layout.boards if board.at.mirrored and board.at.degrees % 180]:
+        text = (
             "boards lie upside down and turned, for which programs differ in what they do first: check in the picture "
-            f"that the boards lie within the panel: {names}."
+            "that the boards lie within the panel: {names}."
         )
-        notes.append(Note("boards-turned-over", sentence, names=names))
+        notes.append(noted("boards-turned-over", text, names=turned))
     if layout.bare:
-        names = ", ".join(sorted(layout.bare))
-        notes.append(Note("bare-steps", f"repeated steps without components were left out: {names}.", names=names))
-    notes += [
-        Note(note.code, f"step {used}: {note}", **note.values)
-        for used, step in layout.known.items()
-        if used != name
-        for note in step.design.notes
-    ]
+        text = "repeated steps without components were left out: {names}."
+        notes.append(noted("bare-steps", text, names=", ".join(sorted(layout.bare))))
+    of_others = ((used, note) for used, step in layout.known.items() if used != name for note in step.design.notes)
+    notes += [Note(note.code, f"step {used}: {note}", **note.values) for used, note in of_others]
     return replace(top.design, boards=tuple(layout.boards), notes=(*top.design.notes, *notes))
 
 
 def note_on_panels(names: Sequence[str]) -> list[Note]:
     """Return the note that names the panels of a file of which a board was read; none without panels."""
-    if not names:
-        return []
-    shown = _some(names)
-    sentence = f"steps that repeat boards: {shown}. If panels run through the line, choose the panel by --step."
-    return [Note("panels-in-file", sentence, names=shown)]
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    text = "steps that repeat boards: {names}. If panels run through the line, choose the panel by --step."
+    return [noted("panels-in-file", text, names=list(names))] if names else []

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
@@ -24,9 +24,10 @@ from vaoi_station.board_data.design import (
     box_around,
     extent,
     normalised,
-    rotated,
+    noted,
+    some,
 )
-from vaoi_station.board_data.readers.table_columns import is_fitted
+from vaoi_station.board_data.readers.table_words import is_fitted
 from vaoi_station.board_data.source_text import decode, number_of, parse_xml
 from vaoi_station.errors import InputError
 from vaoi_station.model.reason import Note
@@ -73,14 +74,13 @@ def read_eagle(data: bytes, path: Path) -> Design:
     notes = [*libraries.notes(), *contours.notes]
     # A board without variants may state a single, unnamed one: `<unnamed>`, or a translation of it.
     if len(variants) > 1 or any(not re.fullmatch("<.*>", name) for name, _ in variants):
-        names = ", ".join(name for name, _ in variants)
         which = f"{current!r}, the current one," if current is not None else "the default one"
+        names = ", ".join(name for name, _ in variants)
         sentence = f"the file has assembly variants ({names}); {which} was read."
         notes.append(Note("variant-read", sentence, names=names, variant=current or ""))
     if without_pads:
-        names = _some(without_pads)
-        sentence = f"{len(without_pads)} parts have no pads: {names}. Remove those that are a frame or a logo."
-        notes.append(Note("parts-without-pads", sentence, count=len(without_pads), names=names))
+        text = "{count} parts have no pads: {names}. Remove those that are a frame or a logo."
+        notes.append(noted("parts-without-pads", text, count=len(without_pads), names=without_pads))
     return Design(
         name=path.stem,
         format="eagle",
@@ -93,7 +93,7 @@ def read_eagle(data: bytes, path: Path) -> Design:
 
 
 class _Libraries:
-    """The libraries of a board.
+    """The packages of all libraries of a board.
 
     Since version 9 several may have one name; `urn` of the library and `library_urn` of the element distinguish them.
     An element without it is of the library without, else of the only library of its name. Names are without regard to
@@ -101,10 +101,9 @@ class _Libraries:
     """
 
     def __init__(self, board: Element) -> None:
-        """Take the packages of all libraries of a board."""
         self._packages: defaultdict[tuple[str, str], list[tuple[str, Element]]] = defaultdict(list)
-        self._missing: dict[str, list[str]] = {}
-        self._ambiguous: dict[str, list[str]] = {}
+        self._missing: defaultdict[str, list[str]] = defaultdict(list)
+        self._ambiguous: defaultdict[str, list[str]] = defaultdict(list)
         for library in board.iterfind("libraries/library"):
             for package in library.iter("package"):
                 key = (library.get("name", "").casefold(), package.get("name", "").casefold())
@@ -114,36 +113,31 @@ class _Libraries:
         """Return the package of an element; None if the board has none, or several that differ."""
         library, name, urn = (element.get(key, "") for key in ("library", "package", "library_urn"))
         found = self._packages.get((library.casefold(), name.casefold()), [])
-        exact = [package for of, package in found if of == urn]
-        candidates = exact or [package for _, package in found]
+        candidates = [package for of, package in found if of == urn] or [package for _, package in found]
         if not candidates:
-            self._missing.setdefault(name, []).append(element.get("name", ""))
+            self._missing[name].append(element.get("name", ""))
             return None
-        if len({_drawn(package) for package in candidates}) > 1:
-            self._ambiguous.setdefault(f"{name} of {library}", []).append(element.get("name", ""))
+        # What they consist of decides, without their own attributes, such as the version of the library.
+        drawn = {b"".join(tostring(child) for child in p if child.tag != "description") for p in candidates}
+        if len(drawn) > 1:
+            self._ambiguous[f"{name} of {library}"].append(element.get("name", ""))
             return None
         return candidates[0]
 
-    def notes(self) -> list[Note]:
-        """Return notes on packages that were not found."""
-        notes = []
-        if self._missing:
-            names = _some([f"{name} ({_some(refs)})" for name, refs in self._missing.items()])
-            sentence = f"{len(self._missing)} packages are not in the file: {names}."
-            notes.append(Note("packages-not-described", sentence, count=len(self._missing), names=names))
-        if self._ambiguous:
-            names = _some([f"{name} ({_some(refs)})" for name, refs in self._ambiguous.items()])
-            sentence = (
-                f"{len(self._ambiguous)} packages are in several libraries of one name, and their elements state no "
-                f"library_urn of one of them; their bodies were left out: {names}."
+    def notes(self) -> Iterator[Note]:
+        """Yield notes on packages that were not found."""
+        missing, ambiguous = (
+            [f"{name} ({some(refs)})" for name, refs in found.items()] for found in (self._missing, self._ambiguous)
+        )
+        if missing:
+            text = "{count} packages are not in the file: {names}."
+            yield noted("packages-not-described", text, count=len(missing), names=missing)
+        if ambiguous:
+            text = (
+                "{count} packages are in several libraries of one name, and their elements state no library_urn of one "
+                "of them; their bodies were left out: {names}."
             )
-            notes.append(Note("packages-ambiguous", sentence, count=len(self._ambiguous), names=names))
-        return notes
-
-
-def _drawn(package: Element) -> bytes:
-    """Return what a package consists of, without its own attributes, such as the version of its library."""
-    return b"".join(tostring(child) for child in package if child.tag != "description")
+            yield noted("packages-ambiguous", text, count=len(ambiguous), names=ambiguous)
 
 
 class _Reader:
@@ -155,31 +149,25 @@ class _Reader:
         variant = next((v for v in element.iterfind("variant") if v.get("name") == self._variant), Element("variant"))
         value = str(variant.get("value") or element.get("value", ""))
         populate = variant.get("populate") or element.get("populate", "yes")
-        box = self._body(package) if package is not None else None
-        name = element.get("package", "")
-        is_mark = "fiducial" in name.lower()
         stated = [a for a in element.iter("attribute") if a.get("name", "").upper() in _FITTING]
-        fitted = all(is_fitted(a.get("value", ""), a.get("name", ""), "") for a in stated) and is_fitted(
-            "", "", (value,)
-        )
-        pads = [p for p in (package if package is not None else ()) if p.tag in _PADS]
-        sizes = [max(self._box_of_pad(p).size) for p in pads]
+        fitted = all(is_fitted(a.get("value", ""), a.get("name", ""), "") for a in stated)
+        pads = [self._box_of_pad(p) for p in (package if package is not None else ()) if p.tag in _PADS]
+        box, name = self._body(package, pads) if package is not None else None, element.get("package", "")
         return Part(
             ref=element.get("name", ""),
             side="bottom" if mirrored else "top",
-            origin=(self._number(element, "x"), self._number(element, "y")),
+            origin=self._xy(element),
             rotation=normalised(-turn if mirrored else turn),
             package=name,
             value=value,
             box=box.mirrored() if box is not None and mirrored else box,
-            fitted=fitted and populate != "no",
-            is_mark=is_mark,
-            mark_diameter=sizes[0] if sizes else None,
+            fitted=fitted and is_fitted("", "", (value,)) and populate != "no",
+            is_mark="fiducial" in name.lower(),
+            mark_diameter=max(pads[0].size) if pads else None,
         )
 
-    def _body(self, package: Element) -> Box | None:
+    def _body(self, package: Element, pads: list[Box]) -> Box | None:
         """Return the body: the documentation layer, else the silkscreen, with the pads."""
-        pads = [self._box_of_pad(p) for p in package if p.tag in _PADS]
         pins = box_around(corner for pad in pads for corner in (pad.low, pad.high))
         for layer in (_DOCUMENTATION, _PLACEMENT):
             drawn = box_around(p for piece in self.drawing(package, layer) for p in piece)
@@ -188,17 +176,14 @@ class _Reader:
         return pins
 
     def _box_of_pad(self, pad: Element) -> Box:
-        x, y = self._number(pad, "x"), self._number(pad, "y")
+        at = self._xy(pad)
         if pad.tag == "smd":
-            half = (self._number(pad, "dx") / 2, self._number(pad, "dy") / 2)
+            box = Box.of_size(self._number(pad, "dx"), self._number(pad, "dy"))
         else:
             diameter = self._number(pad, "diameter", 0.0) or 2 * self._number(pad, "drill", 0.5)
             # A long pad is twice as long as wide.
-            half = (diameter if pad.get("shape") == "long" else diameter / 2, diameter / 2)
-        turn = self._rotation(pad)[1]
-        corners = [rotated((sx * half[0], sy * half[1]), turn) for sx in (-1, 1) for sy in (-1, 1)]
-        (low, high) = extent(corners)
-        return Box((x + low[0], y + low[1]), (x + high[0], y + high[1]))
+            box = Box.of_size(2 * diameter if pad.get("shape") == "long" else diameter, diameter)
+        return Box(*extent(box.corners(Placement(False, self._rotation(pad)[1], at))))
 
     def drawing(self, node: Element, layer: str) -> Iterator[list[XY]]:
         """Yield lines, arcs, circles, rectangles and polygons of a layer."""
@@ -206,17 +191,15 @@ class _Reader:
             if shape.get("layer") != layer:
                 continue
             if shape.tag == "wire":
-                ends = [(self._number(shape, f"x{n}"), self._number(shape, f"y{n}")) for n in (1, 2)]
-                yield _arc(ends[0], ends[1], self._number(shape, "curve", 0.0))
+                yield _arc(self._xy(shape, "1"), self._xy(shape, "2"), self._number(shape, "curve", 0.0))
             elif shape.tag == "circle":
-                yield circle_points((self._number(shape, "x"), self._number(shape, "y")), self._number(shape, "radius"))
+                yield circle_points(self._xy(shape), self._number(shape, "radius"))
             elif shape.tag == "rectangle":
-                x0, y0, x1, y1 = (self._number(shape, key) for key in ("x1", "y1", "x2", "y2"))
+                (x0, y0), (x1, y1) = self._xy(shape, "1"), self._xy(shape, "2")
                 # It is rotated about its centre.
-                at, (dx, dy) = ((x0 + x1) / 2, (y0 + y1) / 2), ((x1 - x0) / 2, (y1 - y0) / 2)
-                turned = Placement(False, self._rotation(shape)[1], at)
-                corners = ((-dx, -dy), (dx, -dy), (dx, dy), (-dx, dy), (-dx, -dy))
-                yield [turned.apply(corner) for corner in corners]
+                turned = Placement(False, self._rotation(shape)[1], ((x0 + x1) / 2, (y0 + y1) / 2))
+                a, b, c, d = Box.of_size(x1 - x0, y1 - y0).corners(turned)
+                yield [a, c, d, b, a]
             elif shape.tag == "polygon":
                 yield self._contour(shape)
             elif shape.tag == "polygonshape":  # version 9.7; its children are contours, such as polygonoutlinesegments
@@ -225,7 +208,7 @@ class _Reader:
     def _contour(self, polygon: Element) -> list[XY]:
         """Return the points of a polygon; `curve` of a vertex is that of the edge from it to the next one."""
         vertices = polygon.findall("vertex")
-        points = [(self._number(v, "x"), self._number(v, "y")) for v in vertices]
+        points = [self._xy(v) for v in vertices]
         found = points[:1]
         for vertex, start, end in zip(vertices, points, [*points[1:], *points[:1]], strict=True):
             found += _arc(start, end, self._number(vertex, "curve", 0.0))[1:]
@@ -241,11 +224,12 @@ class _Reader:
             raise InputError.field(self._path, where, text, "R and degrees, such as R90, MR90 or MSR90")
         return "M" in match[1], degrees
 
+    def _xy(self, element: Element, suffix: str = "") -> XY:
+        return self._number(element, f"x{suffix}"), self._number(element, f"y{suffix}")
+
     def _number(self, element: Element, key: str, default: float | None = None) -> float:
         text = element.get(key)
-        if text is None and default is not None:
-            return default
-        found = number_of(text)
+        found = default if text is None else number_of(text)
         if found is None:
             raise InputError.field(self._path, f"{element.tag} {element.get('name', '')} {key}", text, "a number")
         return found
@@ -255,12 +239,6 @@ def _arc(start: XY, end: XY, curve: float) -> list[XY]:
     """Return an arc between two points with its angle in degrees, counter-clockwise if positive."""
     if abs(curve) < 1e-6 or math.dist(start, end) < 1e-9:
         return [start, end]
-    half = math.radians(curve) / 2
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    shift = 1 / (2 * math.tan(half))
+    dx, dy, shift = end[0] - start[0], end[1] - start[1], 1 / (2 * math.tan(math.radians(curve) / 2))
     center = ((start[0] + end[0]) / 2 - dy * shift, (start[1] + end[1]) / 2 + dx * shift)
     return arc_points(start, end, center, clockwise=curve < 0)
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from vaoi_station.board_data.contours import arc_points, circle_points, find_contours
-from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, rotated
+from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, normalised, noted, rotated
 from vaoi_station.board_data.pin_rules import FITS_MM, LEAST_MARGIN, RULES, Rule
 from vaoi_station.board_data.readers.lz_string import decompress
 from vaoi_station.board_data.source_text import MOST_BYTES, decode
@@ -35,11 +35,8 @@ _PLAIN = re.compile(r"pcbdata\s*=\s*(?=\{)")
 
 def is_html_bom(head: bytes) -> bool:
     """Return whether a file begins like a page of InteractiveHtmlBom or its data."""
-    return (
-        b"InteractiveHtmlBom" in head
-        or b"Interactive BOM" in head
-        or (b'"edges_bbox"' in head and head.lstrip()[:1] == b"{")
-    )
+    data = b'"edges_bbox"' in head and head.lstrip()[:1] == b"{"
+    return data or b"InteractiveHtmlBom" in head or b"Interactive BOM" in head
 
 
 def read_html_bom(data: bytes, path: Path) -> Design:
@@ -55,15 +52,14 @@ def read_html_bom(data: bytes, path: Path) -> Design:
         raise InputError(f"{path}: pcbdata lacks or has a wrong value at {error}.") from error
     parts, notes = _by_pads(stated, pads)
     if len(parts) >= LEAST_UNTURNED and all(part.box and part.box.low[0] == 0 == part.box.high[1] for part in stated):
-        parts = [_at_center(part) for part in parts]
+        parts = [replace(p, origin=p.center, box=Box.of_size(*p.box.size)) for p in parts if p.box is not None]
         if all(part.rotation == 0 for part in stated):
-            sentence = "all boxes lie along the axes, at angle 0: the file states no angles of parts."
-            notes.append(Note("angles-not-stated", sentence))
-    fitted = tuple(p if n not in hidden else _unfitted(p) for n, p in enumerate(parts))
+            text = "all boxes lie along the axes, at angle 0: the file states no angles of parts."
+            notes.append(noted("angles-not-stated", text))
     return Design(
         name=title,
         format="html-bom",
-        parts=fitted,
+        parts=tuple(replace(part, fitted=n not in hidden) for n, part in enumerate(parts)),
         outline=contours.outline,
         cut_outs=contours.others,
         islands=contours.islands,
@@ -89,11 +85,12 @@ def _board(text: str, path: Path) -> dict[str, Any]:
 def _part(footprint: dict[str, Any]) -> Part:
     bbox = footprint["bbox"]
     x, y = map(float, bbox["pos"])
-    relative, size = [float(v) for v in bbox.get("relpos", (0, 0))], [float(v) for v in bbox["size"]]
-    # Before its rotation the box reaches from relpos to relpos + size, with y down.
-    box = Box((relative[0], -relative[1] - size[1]), (relative[0] + size[0], -relative[1]))
-    if not all(map(math.isfinite, (x, y, *relative, *size))):
+    left, top = map(float, bbox.get("relpos", (0, 0)))
+    width, height = map(float, bbox["size"])
+    if not all(map(math.isfinite, (x, y, left, top, width, height))):
         raise ValueError("bbox")
+    # Before its rotation the box reaches from relpos to relpos + size, with y down.
+    box = Box((left, -top - height), (left + width, -top))
     return Part(
         ref=str(footprint["ref"]),
         side="bottom" if footprint["layer"] == "B" else "top",
@@ -125,22 +122,15 @@ def _by_pads(stated: list[Part], pads: list[list[XY]]) -> tuple[list[Part], list
             parts[n] = _turned(stated[n], rule)
         outside += [parts[n].ref for n in judged if not _holds(parts[n], pads[n])]
         if of_side and rule != USUAL:
-            sentence = (
-                f"boxes of parts on the {side} are {rule}, which is not usual: {counts[rule]} of {len(judged)} parts "
-                f"have their pads within their box so, {counts[USUAL]} by the usual rule."
+            text = (
+                "boxes of parts on the {side} are {rule}, which is not usual: {fit} of {parts} parts have their pads "
+                "within their box so, {usual} by the usual rule."
             )
-            values = {
-                "side": side,
-                "rule": str(rule),
-                "fit": counts[rule],
-                "parts": len(judged),
-                "usual": counts[USUAL],
-            }
-            notes.append(Note("boxes-by-pads", sentence, **values))
+            values = {"rule": str(rule), "fit": counts[rule], "parts": len(judged), "usual": counts[USUAL]}
+            notes.append(noted("boxes-by-pads", text, side=side, **values))
     if outside:
-        names = ", ".join(outside[:8]) + (f" and {len(outside) - 8} more" if len(outside) > 8 else "")
-        sentence = f"pads of {len(outside)} parts lie outside their box; check them in the picture: {names}."
-        notes.append(Note("pads-outside-box", sentence, count=len(outside), names=names))
+        text = "pads of {count} parts lie outside their box; check them in the picture: {names}."
+        notes.append(noted("pads-outside-box", text, count=len(outside), names=outside))
     return parts, notes
 
 
@@ -151,21 +141,9 @@ def _turned(part: Part, rule: Rule) -> Part:
 
 def _holds(part: Part, pads: list[XY]) -> bool:
     """Return whether the pads of a part lie within its box."""
-    at = Placement(False, part.rotation, part.origin)
-    low, high = (part.box.low, part.box.high) if part.box is not None else ((0.0, 0.0), (0.0, 0.0))
+    at, box = Placement(False, part.rotation, part.origin), part.box or Box.of_size(0.0, 0.0)
     points = (at.undo(pad) for pad in pads)
-    return all(a - FITS_MM <= v <= b + FITS_MM for p in points for a, v, b in zip(low, p, high, strict=True))
-
-
-def _at_center(part: Part) -> Part:
-    """Return a part with the centre of its box as its origin."""
-    assert part.box is not None
-    width, height = part.box.size
-    return replace(part, origin=part.center, box=Box((-width / 2, -height / 2), (width / 2, height / 2)))
-
-
-def _unfitted(part: Part) -> Part:
-    return replace(part, fitted=False)
+    return all(a - FITS_MM <= v <= b + FITS_MM for p in points for a, v, b in zip(box.low, p, box.high, strict=True))
 
 
 def _edges(edges: list[dict[str, Any]]) -> Iterator[list[XY]]:
@@ -175,11 +153,11 @@ def _edges(edges: list[dict[str, Any]]) -> Iterator[list[XY]]:
             (x0, y0), (x1, y1) = edge["start"], edge["end"]
             corners = [(x0, -y0), (x1, -y1)]
             yield corners if kind == "segment" else [(x0, -y0), (x1, -y0), (x1, -y1), (x0, -y1), (x0, -y0)]
-        elif kind == "circle":
+        elif kind in ("circle", "arc"):
             (x, y), radius = edge["start"], float(edge["radius"])
-            yield circle_points((x, -y), radius)
-        elif kind == "arc":
-            (x, y), radius = edge["start"], float(edge["radius"])
+            if kind == "circle":
+                yield circle_points((x, -y), radius)
+                continue
             # Angles are clockwise on the screen from the x axis.
             ends = [rotated((radius, 0.0), -float(edge[key])) for key in ("startangle", "endangle")]
             first, last = ((x + dx, -y + dy) for dx, dy in ends)

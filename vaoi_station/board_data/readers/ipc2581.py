@@ -8,26 +8,16 @@ physical nets state no places of pins. Source: IPC-2581C and its schema.
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from vaoi_station.board_data.contours import arc_points, circle_points
-from vaoi_station.board_data.design import (
-    XY,
-    Box,
-    Design,
-    Mark,
-    MarkKind,
-    Part,
-    Side,
-    box_around,
-    rotated,
-)
+from vaoi_station.board_data.design import XY, Box, Design, Mark, MarkKind, Part, Placement, Side, box_around, noted
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
+from vaoi_station.board_data.panels.step_and_repeat import stated_count
 from vaoi_station.board_data.pin_rules import DrawnPart, Pin, Rule, placed_parts
 from vaoi_station.board_data.source_text import number_of, parse_xml
 from vaoi_station.errors import InputError
@@ -59,9 +49,11 @@ def read_ipc2581(data: bytes, path: Path, step: str | None = None) -> Design:
     unit = "" if header is None else header.get("units", "")
     if unit not in _UNITS:
         raise InputError.field(path, "CadHeader units", unit, ", ".join(_UNITS))
-    steps = {_step_name(element): element for element in reversed(list(root.iter("Step")))}
-    placed = [name for name, element in steps.items() if element.find("Component") is not None][::-1]
-    panels = [name for name, element in steps.items() if element.find("StepRepeat") is not None][::-1]
+    steps = {_local(element.get("name")): element for element in reversed(list(root.iter("Step")))}
+    placed, panels = (
+        [name for name, element in reversed(steps.items()) if element.find(tag) is not None]
+        for tag in ("Component", "StepRepeat")
+    )
     known = tuple(name for name in reversed(steps) if name in placed or name in panels)
     if step is not None and step not in known:
         limit = f"a step with components or repeats: {', '.join(known) or 'there is none'}"
@@ -69,16 +61,7 @@ def read_ipc2581(data: bytes, path: Path, step: str | None = None) -> Design:
     if not placed:
         raise InputError(f"{path}: no step has a component; the file is no assembly data. Export it with components.")
     reader = _Reader(path, root, _UNITS[unit])
-    notes = []
-    if step is None:
-        best = max(placed, key=lambda name: len(steps[name].findall("Component")))
-        design = reader.design(steps[best], best)
-        if len(placed) > 1:
-            names = ", ".join(placed)
-            sentence = f"the file has {len(placed)} steps with components ({names}); {best} was read. Choose by --step."
-            notes.append(Note("several-steps", sentence, names=names, step=best))
-        notes += note_on_panels([name for name in panels if name != best])
-    else:
+    if step is not None:
 
         def read(name: str) -> Step:
             if name not in steps:
@@ -86,31 +69,36 @@ def read_ipc2581(data: bytes, path: Path, step: str | None = None) -> Design:
             return reader.step(steps[name], name)
 
         design = panel_of(step, read, str(path))
-    design = design.with_notes(*notes)
+    else:
+        best = max(placed, key=lambda name: len(steps[name].findall("Component")))
+        design = reader.design(steps[best], best)
+        if len(placed) > 1:
+            text = f"the file has {len(placed)} steps with components ({{names}}); {{step}} was read. Choose by --step."
+            design = design.with_notes(noted("several-steps", text, names=", ".join(placed), step=best))
+        design = design.with_notes(*note_on_panels([name for name in panels if name != best]))
     return replace(design, name=design.name or path.stem, step=design.name, steps=known)
 
 
-def _step_name(element: Element) -> str:
-    """Return the name of a step without the prefix of its kind."""
-    return element.get("name", "").rpartition(":")[2]
-
-
-@dataclass
+@dataclass(frozen=True)
 class _Package:
-    drawing: Box | None
-    pads: Box | None
-    height: float | None
     name: str
-    pad: float | None
+    drawing: Box | None = None
+    pads: Box | None = None
+    height: float | None = None
+    pad: float | None = None
     """Largest extent of its first pad."""
-    pins: tuple[tuple[str, XY], ...]
+    pins: tuple[tuple[str, XY], ...] = ()
     """Number and place of every pin."""
 
 
 class _Reader:
     def __init__(self, path: Path, root: Element, mm: float) -> None:
-        self._path, self._root, self._mm = path, root, mm
-        self._sides, self._primitives = _sides(root), _primitives(root)
+        self._path, self._mm = path, mm
+        sides: dict[str, Side] = {"TOP": "top", "BOTTOM": "bottom"}
+        layers = ((layer.get("name", ""), layer.get("side", "").upper()) for layer in root.iter("Layer"))
+        self._sides = {name: sides[side] for name, side in layers if side in sides}
+        """Side of each outer layer."""
+        self._primitives = {e.get("id", ""): e for tag in ("EntryStandard", "EntryUser") for e in root.iter(tag)}
         self._boms = [element for element in root.iter("Bom") if next(element.iter("RefDes"), None) is not None]
         chosen = [element.get("name", "") for content in root.iter("Content") for element in content.iter("BomRef")]
         # Those that the content names come first, in its order.
@@ -119,55 +107,54 @@ class _Reader:
 
     def step(self, step: Element, name: str) -> Step:
         """Return a step with what it repeats."""
-
-        def datum() -> XY:
-            element = step.find("Datum")
-            return (0.0, 0.0) if element is None else self._place(element)
-
+        datum = step.find("Datum")
         repeats = tuple(self._repeat(element) for element in step.findall("StepRepeat"))
-        return Step(self.design(step, name), datum, repeats)
+        return Step(self.design(step, name), lambda: (0.0, 0.0) if datum is None else self._xy(datum), repeats)
 
     def _repeat(self, element: Element) -> Repeat:
         """Return a block of step-and-repeat: the datum of the step at x, y, mirrored in x first, then turned."""
-        mm = self._mm
+        count = [stated_count(self._path, element.attrib, key, f"{element.tag} {key}") for key in ("nx", "ny")]
         return Repeat(
-            step=element.get("stepRef", "").rpartition(":")[2],
-            first=(self._number(element, "x", 0.0) * mm, self._number(element, "y", 0.0) * mm),
-            pitch=(self._number(element, "dx", 0.0) * mm, self._number(element, "dy", 0.0) * mm),
-            counts=(self._count(element, "nx"), self._count(element, "ny")),
+            step=_local(element.get("stepRef")),
+            first=(self._mm * self._number(element, "x", 0.0), self._mm * self._number(element, "y", 0.0)),
+            pitch=(self._mm * self._number(element, "dx", 0.0), self._mm * self._number(element, "dy", 0.0)),
+            counts=(count[0], count[1]),
             degrees=self._number(element, "angle", 0.0),
-            mirrored=element.get("mirror", "false").lower() in ("true", "1"),
+            mirrored=_is_mirrored(element),
         )
-
-    def _count(self, element: Element, key: str) -> int:
-        text = element.get(key, "1")
-        if not re.fullmatch(r"\d{1,9}", text):
-            raise InputError.field(self._path, f"{element.tag} {key}", text, "a whole number from 1")
-        return int(text)
 
     def design(self, step: Element, name: str) -> Design:
         """Return a step without what it repeats. Wrong values of its datum and repeats change no board."""
         packages = {p.get("name", ""): self._package(p) for p in step.iter("Package")}
-        places = self._pin_places(step)
+        places: defaultdict[tuple[str, str], dict[XY, None]] = defaultdict(dict)
+        for pad in step.iter("Pad"):
+            if (location := pad.find("Location")) is not None:
+                for pin in pad.findall("PinRef"):
+                    places[pin.get("componentRef", ""), pin.get("pin", "")][self._xy(location)] = None
         not_fitted, notes_on_boms = self._not_fitted(name)
-        drawn, absent = [], set()
-        for component in step.findall("Component"):
-            package = packages.get(component.get("packageRef", ""))
-            if package is None:
-                absent.add(component.get("packageRef", ""))
+        components = step.findall("Component")
+        absent = {ref for c in components if (ref := c.get("packageRef", "")) not in packages}
+        drawn = []
+        for component in components:
+            ref = component.get("packageRef", "")
+            package = packages.get(ref) or _Package(_plain(ref))
             drawn.append(self._part(component, package, places, not_fitted))
         parts, notes = placed_parts(drawn, self._usual_rule)
         notes += notes_on_boms
         if absent:
-            names = ", ".join(sorted(absent)[:8])
-            sentence = f"{len(absent)} packages are not described: {names}."
-            notes.append(Note("packages-not-described", sentence, count=len(absent), names=names))
+            text = "{count} packages are not described: {names}."
+            notes.append(noted("packages-not-described", text, count=len(absent), names=", ".join(sorted(absent)[:8])))
         profile = step.find("Profile")
         outline = self._polygon(profile.find("Polygon")) if profile is not None else []
         cut_outs = [self._polygon(c) for c in profile.iter("Cutout")] if profile is not None else []
-        marks = tuple(self._marks(step))
         return Design(
-            name, "ipc2581", tuple(parts), tuple(outline), tuple(map(tuple, cut_outs)), marks=marks, notes=tuple(notes)
+            name,
+            "ipc2581",
+            tuple(parts),
+            tuple(outline),
+            tuple(map(tuple, cut_outs)),
+            marks=tuple(self._marks(step)),
+            notes=tuple(notes),
         )
 
     def _not_fitted(self, step: str) -> tuple[set[str], list[Note]]:
@@ -175,25 +162,20 @@ class _Reader:
 
         Bills of different designators, such as of both sides, belong together.
         """
-        steps = [[_step_name(ref) for ref in bom.iterfind("BomHeader/StepRef")] for bom in self._boms]
+        steps = [[_local(ref.get("name")) for ref in bom.iterfind("BomHeader/StepRef")] for bom in self._boms]
         boms = [bom for bom, names in zip(self._boms, steps, strict=True) if not names or step in names] or self._boms
         refs = [{ref.get("name", "") for ref in bom.iter("RefDes")} for bom in boms]
         notes = []
         if sum(map(len, refs)) > len(set().union(*refs)):
-            names = ", ".join(bom.get("name", "").rpartition(":")[2] for bom in boms)
-            first = boms[0].get("name", "").rpartition(":")[2]
-            sentence = (
-                f"the file has several bills of materials for the same parts ({names}); {first} was read. By "
-                "another one other parts may be fitted."
+            names = [_local(bom.get("name")) for bom in boms]
+            text = (
+                "the file has several bills of materials for the same parts ({names}); {bom} was read. By another one "
+                "other parts may be fitted."
             )
-            notes.append(Note("bom-read", sentence, names=names, bom=first))
+            notes.append(noted("bom-read", text, names=", ".join(names), bom=names[0]))
             boms = boms[:1]
-        return {
-            _plain(ref.get("name", ""))
-            for bom in boms
-            for ref in bom.iter("RefDes")
-            if ref.get("populate", "true").lower() == "false"
-        }, notes
+        all_refs = (ref for bom in boms for ref in bom.iter("RefDes"))
+        return {_plain(r.get("name", "")) for r in all_refs if r.get("populate", "true").lower() == "false"}, notes
 
     def _usual_rule(self, side: Side, word: str) -> Rule:
         if side == "top" and word != "mirror":
@@ -203,83 +185,64 @@ class _Reader:
     def _part(
         self,
         component: Element,
-        package: _Package | None,
-        places: Mapping[tuple[str, str], tuple[XY, ...]],
-        not_fitted: Set[str],
+        package: _Package,
+        places: dict[tuple[str, str], dict[XY, None]],
+        not_fitted: set[str],
     ) -> DrawnPart:
-        ref = _plain(component.get("refDes", ""))
-        transform, location = component.find("Xform"), component.find("Location")
+        key = component.get("refDes", "")
+        ref, transform, location = _plain(key), component.find("Xform"), component.find("Location")
         if not ref or location is None:
             raise InputError(f"{self._path}: a Component has no refDes or no Location (refDes {ref!r}).")
-        mirror = transform is not None and transform.get("mirror", "false").lower() in ("true", "1")
-        # Of a rigid-flex board parts may lie on inner layers; those that are mirrored are seen from below.
-        side = self._sides.get(component.get("layerRef", ""), "bottom" if mirror else "top")
-        name = package.name if package else _plain(component.get("packageRef", ""))
-        is_mark = "fiducial" in name.lower()
+        mirror = _is_mirrored(transform)
         part = Part(
             ref=ref,
-            side=side,
-            origin=self._place(location),
+            # Of a rigid-flex board parts may lie on inner layers; those that are mirrored are seen from below.
+            side=self._sides.get(component.get("layerRef", ""), "bottom" if mirror else "top"),
+            origin=self._xy(location),
             rotation=self._number(transform, "rotation", 0.0),
-            package=name,
+            package=package.name,
             value=_plain(component.get("part", "")),
-            box=package.drawing if package else None,
-            body_height=package.height if package else None,
+            box=package.drawing,
+            body_height=package.height,
             fitted=ref not in not_fitted,
-            is_mark=is_mark,
-            mark_diameter=package.pad if package else None,
+            is_mark="fiducial" in package.name.lower(),
+            mark_diameter=package.pad,
         )
-        key = component.get("refDes", "")
-        numbers = Counter(number for number, _ in package.pins) if package else {}
+        numbers = Counter(number for number, _ in package.pins)
         # Pins of one number, such as the pads of a tab, may lie at any place of that number.
         pins = tuple(
-            Pin(at, places[key, number])
-            for number, at in (package.pins if package else ())
+            Pin(at, tuple(places[key, number]))
+            for number, at in package.pins
             if (key, number) in places and (numbers[number] == 1 or len(places[key, number]) > 1)
         )
-        return DrawnPart(part, (pins,), "mirror" if mirror else "", package.pads if package else None, pads_count=True)
+        return DrawnPart(part, (pins,), "mirror" if mirror else "", package.pads, pads_count=True)
 
     def _package(self, element: Element) -> _Package:
-        outline = element.find("Outline")
+        outline, assembly = element.find("Outline"), element.find("AssemblyDrawing")
         points = [p for shape in (outline if outline is not None else ()) for p in self._points(shape)]
-        assembly = element.find("AssemblyDrawing")
         drawn = [p for shape in (assembly.iter() if assembly is not None else ()) for p in self._points(shape)]
         pads = [self._pad(pin) for pin in element.findall("Pin")]
-        pins = box_around(p for pad in pads for p in pad)
-        drawing = box_around(drawn) or box_around(points)
         first = box_around(pads[0]) if pads else None
-        height = self._number(element, "height", 0.0) * self._mm
         places = tuple(
-            (pin.get("number", ""), self._place(location))
+            (pin.get("number", ""), self._xy(location))
             for pin in element.findall("Pin")
             if (location := pin.find("Location")) is not None
         )
-        pad = max(first.size) if first else None
-        return _Package(drawing, pins, height or None, _plain(element.get("name", "")), pad, places)
-
-    def _place(self, location: Element) -> XY:
-        return self._number(location, "x") * self._mm, self._number(location, "y") * self._mm
-
-    def _pin_places(self, step: Element) -> dict[tuple[str, str], tuple[XY, ...]]:
-        """Return component and pin → places of its pads, on any layer."""
-        found: defaultdict[tuple[str, str], dict[XY, None]] = defaultdict(dict)
-        for pad in step.iter("Pad"):
-            location = pad.find("Location")
-            if location is None:
-                continue
-            for pin in pad.findall("PinRef"):
-                found[pin.get("componentRef", ""), pin.get("pin", "")][self._place(location)] = None
-        return {pin: tuple(places) for pin, places in found.items()}
+        return _Package(
+            name=_plain(element.get("name", "")),
+            drawing=box_around(drawn) or box_around(points),
+            pads=box_around(p for pad in pads for p in pad),
+            height=self._number(element, "height", 0.0) * self._mm or None,
+            pad=max(first.size) if first else None,
+            pins=places,
+        )
 
     def _pad(self, pin: Element) -> list[XY]:
-        location, transform = pin.find("Location"), pin.find("Xform")
-        shapes = [child for child in pin if child.tag not in ("Location", "Xform")]
-        if location is None:
+        if (location := pin.find("Location")) is None:
             return []
-        turn = self._number(transform, "rotation", 0.0)
-        at = (self._number(location, "x") * self._mm, self._number(location, "y") * self._mm)
-        turned = [rotated(p, turn) for shape in shapes for p in self._points(shape)]
-        return [(at[0] + x, at[1] + y) for x, y in turned] or [at]
+        at = Placement(False, self._number(pin.find("Xform"), "rotation", 0.0), self._xy(location))
+        shapes = (child for child in pin if child.tag not in ("Location", "Xform"))
+        return [at.apply(p) for shape in shapes for p in self._points(shape)] or [at.shift]
 
     def _points(self, shape: Element) -> list[XY]:
         """Return the corners of a shape; of a reference, those of the primitive that it names."""
@@ -291,11 +254,9 @@ class _Reader:
         if shape.tag == "Circle":
             return circle_points((0.0, 0.0), self._number(shape, "diameter") * self._mm / 2)
         if shape.tag == "Line":
-            keys = (("startX", "startY"), ("endX", "endY"))
-            return [(self._number(shape, x) * self._mm, self._number(shape, y) * self._mm) for x, y in keys]
+            return [self._xy(shape, "startX", "startY"), self._xy(shape, "endX", "endY")]
         if shape.get("width") and shape.get("height"):
-            w, h = (self._number(shape, key) * self._mm / 2 for key in ("width", "height"))
-            return [(-w, -h), (w, -h), (w, h), (-w, h)]
+            return Box.of_size(*self._xy(shape, "width", "height")).corners(Placement())
         return []
 
     def _polygon(self, element: Element | None) -> list[XY]:
@@ -304,13 +265,11 @@ class _Reader:
         for step in element if element is not None else ():
             if step.tag == "Polygon":
                 points += self._polygon(step)
+            elif step.tag == "PolyStepCurve" and points:
+                center, clockwise = self._xy(step, "centerX", "centerY"), step.get("clockwise", "false") == "true"
+                points += arc_points(points[-1], self._xy(step), center, clockwise)[1:]
             elif step.tag in ("PolyBegin", "PolyStepSegment", "PolyStepCurve"):
-                at = (self._number(step, "x") * self._mm, self._number(step, "y") * self._mm)
-                if step.tag == "PolyStepCurve" and points:
-                    center = (self._number(step, "centerX") * self._mm, self._number(step, "centerY") * self._mm)
-                    points += arc_points(points[-1], at, center, step.get("clockwise", "false") == "true")[1:]
-                else:
-                    points.append(at)
+                points.append(self._xy(step))
         return points[:-1] if len(points) > 1 and math.dist(points[0], points[-1]) < 1e-6 else points
 
     def _marks(self, step: Element) -> Iterator[Mark]:
@@ -318,38 +277,31 @@ class _Reader:
         for layer in step.findall("LayerFeature"):
             side = self._sides.get(layer.get("layerRef", ""))
             for tag, kind in _MARK_KINDS.items():
-                for n, mark in enumerate(layer.iter(tag)):
-                    location = mark.find("Location")
-                    if location is not None:
+                for n, mark in enumerate(layer.iter(tag), 1):
+                    if (location := mark.find("Location")) is not None:
                         box = box_around(p for shape in mark for p in self._points(shape))
+                        size = max(box.size) if box else None
                         of = {_plain(pin.get("componentRef", "")) for pin in mark.iter("PinRef")} - {""}
-                        name, size = f"{tag}{n + 1}", max(box.size) if box else None
-                        yield Mark(name, side, self._place(location), size, kind, components=tuple(sorted(of)))
+                        yield Mark(f"{tag}{n}", side, self._xy(location), size, kind, components=tuple(sorted(of)))
+
+    def _xy(self, element: Element, x: str = "x", y: str = "y") -> XY:
+        return self._number(element, x) * self._mm, self._number(element, y) * self._mm
 
     def _number(self, element: Element | None, key: str, default: float | None = None) -> float:
         text = None if element is None else element.get(key)
-        if text is None and default is not None:
-            return default
-        found = number_of(text)
+        found = default if text is None else number_of(text)
         if found is None:
-            tag = "" if element is None else element.tag
-            raise InputError.field(self._path, f"{tag} {key}", text, "a number")
+            raise InputError.field(self._path, f"{'' if element is None else element.tag} {key}", text, "a number")
         return found
 
 
-def _sides(root: Element) -> dict[str, Side]:
-    """Return layer → its side, for outer layers."""
-    found: dict[str, Side] = {}
-    for layer in root.iter("Layer"):
-        side = layer.get("side", "").upper()
-        if side in ("TOP", "BOTTOM"):
-            found[layer.get("name", "")] = "top" if side == "TOP" else "bottom"
-    return found
+def _is_mirrored(element: Element | None) -> bool:
+    return element is not None and element.get("mirror", "false").lower() in ("true", "1")
 
 
-def _primitives(root: Element) -> dict[str, Element]:
-    """Return id → entry of the dictionaries of shapes."""
-    return {entry.get("id", ""): entry for tag in ("EntryStandard", "EntryUser") for entry in root.iter(tag)}
+def _local(name: str | None) -> str:
+    """Return the name of a step or bill without the prefix of its kind."""
+    return (name or "").rpartition(":")[2]
 
 
 def _plain(name: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from operator import mul
 from pathlib import Path
 
 from vaoi_station.board_data.contours import arc_points, arc_through, circle_points, find_contours
@@ -20,18 +21,19 @@ from vaoi_station.board_data.design import (
     Mark,
     MarkKind,
     Part,
+    Placement,
     Side,
     body_of,
     box_around,
     normalised,
+    noted,
     rotated,
 )
 from vaoi_station.board_data.marks import kind_by_name
 from vaoi_station.board_data.readers.sexpr import Node, every, first, numbers, parse_sexpr, text_of
-from vaoi_station.board_data.readers.table_columns import is_fitted
+from vaoi_station.board_data.readers.table_words import is_fitted
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
-from vaoi_station.model.reason import Note
 
 _MARK_PROPERTIES: dict[str, MarkKind] = {"pad_prop_fiducial_glob": "global", "pad_prop_fiducial_loc": "local"}
 _UNFITTED = frozenset({"DNP", "DNI", "DNF"})
@@ -57,151 +59,134 @@ def read_kicad(data: bytes, path: Path) -> Design:
 
 
 def _design(root: Node, path: Path) -> Design:
-    parts, unplaced = [], 0
-    marks: list[Mark] = []
-    for footprint in every(root, "footprint", "module"):
-        part = _part(footprint)
-        marks += _marks(footprint, part)
-        if part is None:
-            unplaced += 1
-        else:
-            parts.append(part)
-    contours = find_contours(_edges(root), "Edge.Cuts")
+    footprints = [_Footprint(node) for node in every(root, "footprint", "module")]
+    placed = [(footprint, footprint.part()) for footprint in footprints]
+    parts = [part for _, part in placed if part is not None]
+    edges = [*_drawing(root, "gr_", "Edge.Cuts"), *(piece for footprint in footprints for piece in footprint.edges())]
+    contours = find_contours(edges, "Edge.Cuts")
     notes = []
-    if variants := [text_of(v, "name") for v in every(first(root, "variants") or [], "variant")]:
+    if variants := [text_of(v, "name") for v in every(first(root, "variants"), "variant")]:
         # Version 10. Footprints state what differs in a variant; the file does not state which one is current.
-        names = ", ".join(variants)
-        sentence = f"the file has assembly variants ({names}); the default one was read."
-        notes.append(Note("variant-read", sentence, names=names, variant=""))
-    if unplaced:
-        sentence = f"{unplaced} footprints are not for placement, or have no designator; they were left out."
-        notes.append(Note("footprints-left-out", sentence, count=unplaced))
+        text = "the file has assembly variants ({names}); the default one was read."
+        notes.append(noted("variant-read", text, names=", ".join(variants), variant=""))
+    if unplaced := len(placed) - len(parts):
+        text = "{count} footprints are not for placement, or have no designator; they were left out."
+        notes.append(noted("footprints-left-out", text, count=unplaced))
     return Design(
-        name=text_of(first(root, "title_block") or [], "title") or path.stem,
+        name=text_of(first(root, "title_block"), "title") or path.stem,
         format="kicad",
         parts=tuple(parts),
         outline=contours.outline,
         cut_outs=contours.others,
         islands=contours.islands,
-        marks=tuple(marks),
+        marks=tuple(mark for footprint, part in placed for mark in footprint.marks(part)),
         notes=(*notes, *contours.notes),
     )
 
 
-def _part(footprint: Node) -> Part | None:
-    """Return the part of a footprint; None if it is none that is placed."""
-    attributes = {str(a) for node in every(footprint, "attr") for a in node[1:]}
-    ref = _text(footprint, "reference")
-    at = numbers(first(footprint, "at"))
-    if not ref or ref.startswith("#") or len(at) < 2 or attributes & {"virtual", "exclude_from_pos_files"}:
-        return None
-    rotation = at[2] if len(at) > 2 else 0.0
-    properties = {str(n[1]): str(n[2]) for n in every(footprint, "property") if len(n) > 2}
-    value = _text(footprint, "value")
-    stated = [(name, cell) for name, cell in properties.items() if name.upper() in _UNFITTED]
-    name = str(footprint[1]) if len(footprint) > 1 and not isinstance(footprint[1], list) else ""
-    side: Side = "bottom" if text_of(footprint, "layer").startswith("B.") else "top"
-    return Part(
-        ref=ref,
-        side=side,
-        origin=(at[0], -at[1]),
-        rotation=normalised(rotation),
-        package=name.rpartition(":")[2],
-        value=value,
-        box=_body(footprint, rotation, side),
+class _Footprint:
+    """A footprint on the board."""
+
+    def __init__(self, node: Node) -> None:
+        self.node, self.pads, at = node, list(every(node, "pad")), numbers(node, "at")
+        self.has_place = len(at) > 1
+        self.turn = at[2] if len(at) > 2 else 0.0
+        self.at = Placement(False, self.turn, (at[0], -at[1])) if self.has_place else Placement()
+        self.side: Side = "bottom" if text_of(node, "layer").startswith("B.") else "top"
+        self.properties = {str(n[1]): str(n[2]) for n in every(node, "property") if len(n) > 2}
+        self.ref, self.value = self._text("reference"), self._text("value")
+        self.name = str(node[1]) if len(node) > 1 and not isinstance(node[1], list) else ""
+        self.is_mark = "fiducial" in f"{node[1:2]} {text_of(node, 'tags')}".lower()
+        self.marked = [(p, kind) for p in self.pads if (kind := _MARK_PROPERTIES.get(text_of(p, "property")))]
+        """The pads whose property says that they are fiducials."""
+        sizes = (numbers(pad, "size") for pad in self.pads)
+        self.diameter = next((max(size) for size in sizes if size and max(size) > 0), None)
+        """That of the copper of a fiducial."""
+
+    def _text(self, kind: str) -> str:
+        """Return the reference or the value: a property since version 8, a text before."""
+        stated = (str(n[2]) for n in every(self.node, "property") if len(n) > 2 and str(n[1]).lower() == kind)
+        texts = (str(n[2]) for n in every(self.node, "fp_text") if len(n) > 2 and n[1] == kind)
+        return next(stated, next(texts, ""))
+
+    def part(self) -> Part | None:
+        """Return the part; None if it is none that is placed."""
+        attributes = {str(a) for node in every(self.node, "attr") for a in node[1:]}
+        not_placed = not self.ref or self.ref.startswith("#") or not self.has_place
+        if not_placed or attributes & {"virtual", "exclude_from_pos_files"}:
+            return None
         # Version 7 has the property "dnp" without a value, older ones only what users write into value or fields.
-        fitted="dnp" not in attributes
-        and properties.get("dnp", "no") != ""
-        and is_fitted("", "", (value,))
-        and all(is_fitted(cell, name, "") for name, cell in stated),
-        in_bom=not ("exclude_from_bom" in attributes or "exclude_from_bom" in properties),
-        is_mark=_is_mark(footprint),
-        mark_kind=next(_marked_pads(footprint), (None, None))[1] if len(list(every(footprint, "pad"))) == 1 else None,
-        mark_diameter=_pad_diameter(footprint),
-    )
+        stated = [(name, cell) for name, cell in self.properties.items() if name.upper() in _UNFITTED]
+        unfitted = "dnp" in attributes or self.properties.get("dnp", "no") == ""
+        return Part(
+            ref=self.ref,
+            side=self.side,
+            origin=self.at.shift,
+            rotation=normalised(self.turn),
+            package=self.name.rpartition(":")[2],
+            value=self.value,
+            box=self._body(),
+            fitted=not unfitted
+            and is_fitted("", "", (self.value,))
+            and all(is_fitted(cell, name, "") for name, cell in stated),
+            in_bom=not ("exclude_from_bom" in attributes or "exclude_from_bom" in self.properties),
+            is_mark=self.is_mark,
+            mark_kind=self.marked[0][1] if len(self.pads) == 1 and self.marked else None,
+            mark_diameter=self.diameter,
+        )
 
+    def marks(self, part: Part | None) -> Iterator[Mark]:
+        """Yield the fiducials that are no placed part of their own."""
+        if not self.has_place:
+            return
+        if len(self.pads) > 1:
+            for n, (pad, kind) in enumerate(self.marked):
+                where, size = numbers(pad, "at"), numbers(pad, "size")
+                if len(where) >= 2 and size:
+                    of = (part.ref,) if part is not None and kind == "local" else ()
+                    at = self.at.apply((where[0], -where[1]))
+                    yield Mark(f"{self.ref}.FID{n + 1}", self.side, at, max(size), kind, "attribute", of)
+        elif part is None and self.pads and self.is_mark:
+            kind = self.marked[0][1] if self.marked else kind_by_name(self.ref, str(self.node[1]))
+            yield Mark(self.ref or "FID", self.side, self.at.shift, self.diameter, kind, "package")
 
-def _is_mark(footprint: Node) -> bool:
-    return "fiducial" in f"{footprint[1:2]} {text_of(footprint, 'tags')}".lower()
+    def edges(self) -> Iterator[list[XY]]:
+        """Yield the pieces of an outline of its own."""
+        for piece in _drawing(self.node, "fp_", "Edge.Cuts") if self.has_place else ():
+            yield [self.at.apply(point) for point in piece]
 
+    def _body(self) -> Box | None:
+        """Return the body: the drawing of the fabrication layer, else the courtyard without its margin, else the pads.
 
-def _marked_pads(footprint: Node) -> Iterator[tuple[Node, MarkKind]]:
-    """Yield the pads whose property says that they are fiducials."""
-    for pad in every(footprint, "pad"):
-        kind = _MARK_PROPERTIES.get(text_of(pad, "property"))
-        if kind is not None:
-            yield pad, kind
+        Without both layers, the silkscreen counts with the pads.
+        """
+        layer = "B" if self.side == "bottom" else "F"
+        pads = box_around(p for pad in self.pads for p in self._corners(pad))
+        drawn, courtyard, silkscreen = (
+            box_around(p for piece in _drawing(self.node, "fp_", f"{layer}.{name}") for p in piece)
+            for name in ("Fab", "CrtYd", "SilkS")
+        )
+        if drawn is not None and _is_body(drawn, pads):
+            return drawn
+        if courtyard is not None and _is_body(courtyard, pads):
+            return courtyard.shrunk(KICAD_COURTYARD_MM)
+        return body_of(silkscreen, pads)
 
-
-def _marks(footprint: Node, part: Part | None) -> Iterator[Mark]:
-    """Yield the fiducials of a footprint that are no placed part of their own."""
-    at, ref = numbers(first(footprint, "at")), _text(footprint, "reference")
-    if len(at) < 2:
-        return
-    side: Side = "bottom" if text_of(footprint, "layer").startswith("B.") else "top"
-    pads = list(every(footprint, "pad"))
-    if len(pads) > 1:
-        turn = at[2] if len(at) > 2 else 0.0
-        for n, (pad, kind) in enumerate(_marked_pads(footprint)):
-            where, size = numbers(first(pad, "at")), numbers(first(pad, "size"))
-            if len(where) >= 2 and size:
-                dx, dy = rotated((where[0], -where[1]), turn)
-                of = (part.ref,) if part is not None and kind == "local" else ()
-                yield Mark(f"{ref}.FID{n + 1}", side, (at[0] + dx, dy - at[1]), max(size), kind, "attribute", of)
-    elif part is None and pads and _is_mark(footprint):
-        kind = next(_marked_pads(footprint), (None, kind_by_name(ref, str(footprint[1]))))[1]
-        yield Mark(ref or "FID", side, (at[0], -at[1]), _pad_diameter(footprint), kind, "package")
-
-
-def _text(footprint: Node, kind: str) -> str:
-    """Return the reference or the value of a footprint: a property since version 8, a text before."""
-    for node in every(footprint, "property"):
-        if len(node) > 2 and str(node[1]).lower() == kind:
-            return str(node[2])
-    return next((str(n[2]) for n in every(footprint, "fp_text") if len(n) > 2 and n[1] == kind), "")
-
-
-def _body(footprint: Node, rotation: float, side: Side) -> Box | None:
-    """Return the body: the drawing of the fabrication layer, else the courtyard without its margin, else the pads.
-
-    A drawing that is much smaller than the pads is a mark of pin 1. Without both layers, the silkscreen counts with the
-    pads.
-    """
-    layer = "B" if side == "bottom" else "F"
-    pads = box_around(p for pad in every(footprint, "pad") for p in _pad_corners(pad, rotation))
-    drawn, courtyard, silkscreen = (
-        box_around(p for piece in _drawing(footprint, "fp_", f"{layer}.{name}") for p in piece)
-        for name in ("Fab", "CrtYd", "SilkS")
-    )
-    if drawn is not None and _is_body(drawn, pads):
-        return drawn
-    if courtyard is not None and _is_body(courtyard, pads):
-        return courtyard.shrunk(KICAD_COURTYARD_MM)
-    return body_of(silkscreen, pads)
+    def _corners(self, pad: Node) -> list[XY]:
+        """Return the corners of a pad in the frame of the footprint. Its own angle includes that of the footprint."""
+        at, size = numbers(pad, "at"), numbers(pad, "size")
+        if len(at) < 2 or len(size) < 2:
+            return []
+        turn = (at[2] if len(at) > 2 else 0.0) - self.turn
+        return Box.of_size(size[0], size[1]).corners(Placement(False, turn, (at[0], -at[1])))
 
 
 def _is_body(drawing: Box, pads: Box | None) -> bool:
-    """Return whether a drawing is large enough for a body; along one axis pads may reach far beyond one."""
+    """Return whether a drawing is large enough for a body, and no mark of pin 1; pads may reach far along one axis."""
     if pads is None:
         return True
     least, most = sorted(d / p for d, p in zip(drawing.size, pads.size, strict=True))
     return least >= _LEAST_BODY and most >= LEAST_DRAWING
-
-
-def _pad_corners(pad: Node, rotation: float) -> list[XY]:
-    """Return the corners of a pad in the frame of its footprint. Its own angle includes that of the footprint."""
-    at, size = numbers(first(pad, "at")), numbers(first(pad, "size"))
-    if len(at) < 2 or len(size) < 2:
-        return []
-    turn = (at[2] if len(at) > 2 else 0.0) - rotation
-    corners = [rotated((sx * size[0] / 2, sy * size[1] / 2), turn) for sx in (-1, 1) for sy in (-1, 1)]
-    return [(at[0] + x, -at[1] + y) for x, y in corners]
-
-
-def _pad_diameter(footprint: Node) -> float | None:
-    """Return the diameter of the copper of a fiducial."""
-    sizes = [size for pad in every(footprint, "pad") if (size := numbers(first(pad, "size"))) and max(size) > 0]
-    return max(sizes[0]) if sizes else None
 
 
 def _drawing(node: Node, prefix: str, layer: str) -> Iterator[list[XY]]:
@@ -211,19 +196,16 @@ def _drawing(node: Node, prefix: str, layer: str) -> Iterator[list[XY]]:
         if text_of(shape, "layer") != layer:
             continue
         kind = str(shape[0]).removeprefix(prefix)
-        point = {key: _xy(shape, key) for key in ("start", "end", "mid", "center")}
-        if kind == "line" and point["start"] and point["end"]:
-            yield [point["start"], point["end"]]
-        elif kind == "rect" and point["start"] and point["end"]:
-            yield _rectangle(point["start"], point["end"], (numbers(first(shape, "radius")) or [0.0])[0])
-        elif kind == "circle" and point["center"] and point["end"]:
-            yield circle_points(point["center"], math.dist(point["center"], point["end"]))
-        elif kind == "arc" and point["start"] and point["end"]:
-            yield _arc(shape, point["start"], point["mid"], point["end"])
-        elif kind in ("poly", "curve"):
-            corners = _points(first(shape, "pts") or [])
-            if corners:
-                yield [*corners, corners[0]] if kind == "poly" else _bezier(corners)
+        start, end, center = (_xy(shape, key) for key in ("start", "end", "center"))
+        if kind == "circle" and center and end:
+            yield circle_points(center, math.dist(center, end))
+        elif kind in ("line", "rect", "arc") and start and end:
+            if kind == "arc":
+                yield _arc(shape, start, end)
+            else:
+                yield [start, end] if kind == "line" else _rectangle(start, end, (*numbers(shape, "radius"), 0.0)[0])
+        elif kind in ("poly", "curve") and (corners := _points(first(shape, "pts"))):
+            yield [*corners, corners[0]] if kind == "poly" else _bezier(corners)
 
 
 def _rectangle(start: XY, end: XY, radius: float) -> list[XY]:
@@ -251,11 +233,11 @@ def _points(pts: Node) -> list[XY]:
     return found
 
 
-def _arc(shape: Node, start: XY, middle: XY | None, end: XY) -> list[XY]:
-    if middle is not None:
+def _arc(shape: Node, start: XY, end: XY) -> list[XY]:
+    if (middle := _xy(shape, "mid")) is not None:
         return arc_through(start, middle, end)
     # Until version 5 "start" is the centre, "end" the begin of the arc, and "angle" its clockwise sweep on the screen.
-    sweep = (numbers(first(shape, "angle")) or [0.0])[0]
+    sweep = (*numbers(shape, "angle"), 0.0)[0]
     offset = rotated((end[0] - start[0], end[1] - start[1]), -sweep)
     return arc_points(end, (start[0] + offset[0], start[1] + offset[1]), start, clockwise=sweep > 0)
 
@@ -266,20 +248,10 @@ def _bezier(control: list[XY]) -> list[XY]:
         return control
     steps = [k / 16 for k in range(17)]
     weights = [((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3) for t in steps]
-    return [(sum(w * p[0] for w, p in zip(ws, control, strict=True)),
-             sum(w * p[1] for w, p in zip(ws, control, strict=True))) for ws in weights]  # fmt: skip
+    x, y = zip(*control, strict=True)
+    return [(sum(map(mul, ws, x)), sum(map(mul, ws, y))) for ws in weights]
 
 
 def _xy(shape: Node, key: str) -> XY | None:
-    found = numbers(first(shape, key))
+    found = numbers(shape, key)
     return (found[0], -found[1]) if len(found) >= 2 else None
-
-
-def _edges(root: Node) -> Iterator[list[XY]]:
-    """Yield the pieces of the outline: drawings of the board, and of footprints with an outline of their own."""
-    yield from _drawing(root, "gr_", "Edge.Cuts")
-    for footprint in every(root, "footprint", "module"):
-        at = numbers(first(footprint, "at"))
-        for piece in _drawing(footprint, "fp_", "Edge.Cuts") if len(at) >= 2 else ():
-            turned = [rotated(p, at[2] if len(at) > 2 else 0.0) for p in piece]
-            yield [(x + at[0], y - at[1]) for x, y in turned]

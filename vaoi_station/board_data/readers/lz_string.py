@@ -1,7 +1,7 @@
 """Decompress text of the JavaScript library LZ-String, in which InteractiveHtmlBom embeds its data.
 
-Format: a stream of bits, the lowest first, in code words whose width grows with the dictionary. Words 0 and 1 introduce
-a new character of 8 or 16 bits, 2 ends the text. Source: pieroxy/lz-string, its description of the format.
+Format: a stream of bits in code words whose width grows with the dictionary, each word from its lowest bit. Words 0 and
+1 introduce a new character of 8 or 16 bits, 2 ends the text. Source: pieroxy/lz-string, its description of the format.
 """
 
 from __future__ import annotations
@@ -12,24 +12,8 @@ from pathlib import Path
 
 from vaoi_station.errors import InputError
 
-_NEW_8, _NEW_16, _END = 0, 1, 2
-
-
-class _Bits:
-    """Reads numbers from bytes, each bit of a byte from the highest, each number from its lowest bit."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
-
-    def number(self, width: int) -> int:
-        found = 0
-        for k in range(width):
-            byte, bit = divmod(self._at, 8)
-            if byte >= len(self._data):
-                raise ValueError("ends within the text")
-            found |= ((self._data[byte] >> (7 - bit)) & 1) << k
-            self._at += 1
-        return found
+_CHARACTER_BITS = {0: 8, 1: 16}
+_END = 2
 
 
 def decompress(text: str, where: str | Path, most_characters: int) -> str:
@@ -41,41 +25,40 @@ def decompress(text: str, where: str | Path, most_characters: int) -> str:
 
 
 def _decompress(data: bytes, most_characters: int) -> str:
-    bits = _Bits(data)
+    at, end = 0, 8 * len(data)
+
+    def number(width: int) -> int:
+        nonlocal at
+        if at + width > end:
+            raise ValueError("ends within the text")
+        found = 0
+        for k in range(width):
+            found |= ((data[at >> 3] >> (7 - (at & 7))) & 1) << k
+            at += 1
+        return found
+
     words: list[str] = ["", "", ""]
-    width, room = 3, 4  # `room`: new words until the width grows
-
-    def new_character(code: int) -> str:
-        return chr(bits.number(8 if code == _NEW_8 else 16))
-
-    code = bits.number(2)
-    if code == _END:
-        return ""
-    previous = new_character(code)
-    words.append(previous)
-    out, length = [previous], 1
-    while True:
-        code = bits.number(width)
-        if code == _END:
-            return "".join(out)
-        if code in (_NEW_8, _NEW_16):
-            words.append(new_character(code))
+    width, room = 2, 1  # `room`: new words until the width grows
+    out: list[str] = []
+    previous, length = "", 0
+    while (code := number(width)) != _END:
+        if code in _CHARACTER_BITS:
+            words.append(chr(number(_CHARACTER_BITS[code])))
             code = len(words) - 1
             room -= 1
             if room == 0:
                 room, width = 1 << width, width + 1
-        if code < len(words):
-            entry = words[code]
-        elif code == len(words):
-            entry = previous + previous[0]
-        else:
+        if code > len(words) or (code == len(words) and not previous):
             raise ValueError(f"names word {code} of {len(words)}")
+        entry = words[code] if code < len(words) else previous + previous[0]
         out.append(entry)
         length += len(entry)
         if length > most_characters:
             raise ValueError(f"is longer than {most_characters} characters")
-        words.append(previous + entry[0])
+        if previous:
+            words.append(previous + entry[0])
+            room -= 1
+            if room == 0:
+                room, width = 1 << width, width + 1
         previous = entry
-        room -= 1
-        if room == 0:
-            room, width = 1 << width, width + 1
+    return "".join(out)

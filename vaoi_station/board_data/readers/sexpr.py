@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,13 @@ def parse_sexpr(text: str, where: str | Path) -> Node:
     for token in _TOKEN.finditer(text):
         quoted, atom, parenthesis = token.groups()
         if parenthesis == "(":
-            if len(stack) > MOST_DEPTH:
-                raise InputError(f"{where}: is nested deeper than {MOST_DEPTH} levels{_at(text, token.start())}.")
             stack.append([])
+            if len(stack) > MOST_DEPTH + 1:
+                line = text.count("\n", 0, token.start()) + 1
+                raise InputError(f"{where}: is nested deeper than {MOST_DEPTH} levels, line {line}.")
         elif parenthesis == ")":
             if len(stack) == 1:
-                raise InputError(f"{where}: has a ')' without '('{_at(text, token.start())}.")
+                raise InputError(f"{where}: has a ')' without '(', line {text.count(chr(10), 0, token.start()) + 1}.")
             done = stack.pop()
             stack[-1].append(done)
             if len(stack) == 1:
@@ -47,40 +49,31 @@ def every(node: Node, *names: str) -> Iterator[Node]:
     return (n for n in node if isinstance(n, list) and n and n[0] in names)
 
 
-def first(node: Node, name: str) -> Node | None:
-    """Return the first list in a node that begins with a name."""
-    return next(every(node, name), None)
+def first(node: Node, name: str) -> Node:
+    """Return the first list in a node that begins with a name; an empty one without."""
+    return next(every(node, name), [])
 
 
-def text_of(node: Node, name: str, default: str = "") -> str:
+def text_of(node: Node, name: str) -> str:
     """Return the text after a name: of `(layer F.Cu)` it is `F.Cu`."""
     found = first(node, name)
-    return str(found[1]) if found and len(found) > 1 and not isinstance(found[1], list) else default
+    return str(found[1]) if len(found) > 1 and not isinstance(found[1], list) else ""
 
 
-def numbers(node: Node | None) -> list[float]:
-    """Return the numbers of a list, without its name and without other texts.
+def numbers(node: Node, name: str = "") -> list[float]:
+    """Return the numbers of a list, or of the first one in it of a name, without its other texts.
 
     Raises:
         InputError: one is infinite or too large; the message does not name the file.
     """
+    node = first(node, name) if name else node
     found: list[float] = []
-    for item in (node or [])[1:]:
+    for item in node[1:]:
         if (value := number_of(item)) is not None:
             found.append(value)
-        elif _is_float(item):
-            shown = " ".join(str(word) for word in (node or []) if isinstance(word, str))
-            raise InputError(f"({shown:.80}): {item!r:.40} is no number from 0 to ±{LARGEST_NUMBER:g}.")
+        else:
+            with suppress(TypeError, ValueError):
+                float(item)
+                shown = " ".join(str(word) for word in node if isinstance(word, str))
+                raise InputError(f"({shown:.80}): {item!r:.40} is no number from 0 to ±{LARGEST_NUMBER:g}.")
     return found
-
-
-def _is_float(item: object) -> bool:
-    try:
-        float(item)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
-def _at(text: str, position: int) -> str:
-    return f", line {text.count(chr(10), 0, position) + 1}"

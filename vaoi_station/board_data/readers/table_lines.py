@@ -8,12 +8,16 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from vaoi_station.board_data.readers.table_words import HEADERS, is_one_header, plain_key
+
 MOST_LINES_OF_A_RECORD = 20
 """A quoted cell with more line breaks is a cell with a single quotation mark, such as an inch mark."""
+MOST_WORDS = 3
+"""Largest number of words of a header in columns of fixed width."""
 RULER = re.compile(r"^[\s=_*+|#-]*$")
 """A line that only separates."""
 MOST_CUT_WORDS = 0.2
@@ -39,7 +43,7 @@ def split_lines(text: str) -> list[str]:
     return lines[:-1] if lines and not lines[-1] else lines
 
 
-# By a delimiter.
+# By a delimiter, or at spaces.
 
 
 def delimited(lines: Sequence[str], delimiter: str) -> list[Record]:
@@ -62,13 +66,12 @@ def delimited(lines: Sequence[str], delimiter: str) -> list[Record]:
 
 def _record(lines: Sequence[str], n: int, delimiter: str, usual: int) -> Record:
     line = lines[n]
-    one = [cells for cells in (_standard(line, delimiter), _lenient(line, delimiter)) if cells is not None]
-    best = next((cells for cells in one if len(cells) == usual), None)
-    if best is None and line.count('"') % 2:  # a quoted cell that does not end in its line
-        literal = line.split(delimiter)
+    literal = line.split(delimiter)
+    one = [cells for cells in (_standard(line, delimiter), _lenient(line, delimiter), literal) if cells is not None]
+    if line.count('"') % 2 and all(len(cells) != usual for cells in one[:-1]):  # a quoted cell that goes on
         for count in range(2, min(MOST_LINES_OF_A_RECORD, len(lines) - n) + 1):
             # A quotation mark in a full line is an inch mark if another full line follows.
-            if len(literal) == usual and len(lines[n + count - 1].split(delimiter)) == usual:
+            if len(literal) == usual == len(lines[n + count - 1].split(delimiter)):
                 break
             if '"' not in lines[n + count - 1]:
                 continue
@@ -76,8 +79,7 @@ def _record(lines: Sequence[str], n: int, delimiter: str, usual: int) -> Record:
             for read in (_standard, _lenient):
                 if (cells := read(text, delimiter)) is not None and len(cells) == usual:
                     return Record(n + 1, text, tuple(cells), count)
-    if best is None:
-        best = one[0] if one else line.split(delimiter)
+    best = next((cells for cells in one[:-1] if len(cells) == usual), one[0])
     return Record(n + 1, line, tuple(cell.strip() for cell in best))
 
 
@@ -93,11 +95,12 @@ def _standard(text: str, delimiter: str) -> list[str] | None:
 def _lenient(text: str, delimiter: str) -> list[str] | None:
     """Return the cells of a record in which a quotation mark ends a cell only before a delimiter or the end."""
     cells, at = [], 0
+    closing = re.compile(rf'"[ \t]*(?={re.escape(delimiter)}|$)')
     while True:
         while text[at : at + 1] == " ":
             at += 1
         if text[at : at + 1] == '"':
-            found = re.compile(rf'"[ \t]*(?={re.escape(delimiter)}|$)').search(text, at + 1)
+            found = closing.search(text, at + 1)
             if found is None:
                 return None
             cells.append(_joined(text[at + 1 : found.start()]))
@@ -116,60 +119,46 @@ def _joined(cell: str) -> str:
     return " ".join(cell.split())
 
 
-# At spaces.
-
-
 def spaced(lines: Sequence[str]) -> list[Record]:
     """Return the records of a table whose cells are separated by spaces or tabs."""
-    return [Record(n, line, tuple(_words(line))) for n, line in enumerate(lines, 1)]
-
-
-def _words(line: str) -> list[str]:
-    return [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)]
+    words = (re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line) for line in lines)
+    return [
+        Record(n, line, tuple(quoted or plain for quoted, plain in found))
+        for n, (line, found) in enumerate(zip(lines, words, strict=True), 1)
+    ]
 
 
 # At the positions of the header's words.
 
 
-def fixed_width(
-    lines: Sequence[str], header: int, is_known: Callable[[str], bool], is_ref: Callable[[str], bool]
-) -> list[Record] | None:
-    """Return the records of a table with columns of fixed width; None if its lines have no such columns.
+def fixed_width(lines: Sequence[str], header: int) -> list[Record] | None:
+    """Return the records of a table with columns of fixed width, whose header is one of the lines.
 
-    Args:
-        lines: all lines.
-        header: index of the line with the header.
-        is_known: whether words are the header of one column, so that "Mid X" is one and "Pad Y TB" are two.
-        is_ref: whether words are the header of the designators.
+    None is returned if its lines have no such columns.
     """
     lines = [line.expandtabs(8) for line in lines]
     if "  " not in lines[header].strip():
         return None
-    headers = header_phrases(lines[header], is_known, is_ref)
+    headers = header_phrases(lines[header])
     body = [line for line in lines[header + 1 :] if line.strip() and not RULER.match(line) and line.lstrip()[:1] != "#"]
     if len(headers) < 3 or not body:
         return None
     bounds = [0]
     for (start, words), following in pairwise(headers):
         bounds.append(_boundary(body, max(start, bounds[-1]) + 1, start + len(words), *following))
-    cut = [any(_cuts(line, bound) for bound in bounds[1:]) for line in body]
-    if sum(cut) > MOST_CUT_WORDS * len(body):
+    if sum(_is_cut(line, bounds) for line in body) > MOST_CUT_WORDS * len(body):
         return None
-    ends = [*bounds[1:], None]
     records = []
     for n, line in enumerate(lines):
+        cells = [_joined(line[a:b]) for a, b in zip(bounds, [*bounds[1:], None], strict=True)]
+        cells = [c[1:-1].strip() if len(c) > 1 and c[0] == c[-1] == '"' else c for c in cells]
         if n == header:
-            cells = tuple(words for _, words in headers)
-        else:
-            cells = tuple(_unquoted(line[a:b]) for a, b in zip(bounds, ends, strict=True))
-        below = n > header and any(_cuts(line, bound) for bound in bounds[1:])
-        records.append(Record(n + 1, line, cells, cut=below))
+            cells = [words for _, words in headers]
+        records.append(Record(n + 1, line, tuple(cells), cut=n > header and _is_cut(line, bounds)))
     return records
 
 
-def header_phrases(
-    line: str, is_known: Callable[[str], bool], is_ref: Callable[[str], bool], most_words: int = 3
-) -> list[tuple[int, str]]:
+def header_phrases(line: str) -> list[tuple[int, str]]:
     """Return position and words of every column of a header: `Mid X` is one, "Pad Y TB" are two.
 
     A single `#` before the first one is left out. "Ref PosX" are two, if no other header is that of the designators.
@@ -182,17 +171,17 @@ def header_phrases(
     n = 0
     while n < len(words):
         count = 1
-        for more in range(min(most_words, len(words) - n), 1, -1):
-            near = all(a[1] + 1 == b[0] for a, b in zip(words[n : n + more], words[n + 1 : n + more], strict=False))
-            if near and is_known(" ".join(w for _, _, w in words[n : n + more])):
+        for more in range(min(MOST_WORDS, len(words) - n), 1, -1):
+            near = all(a[1] + 1 == b[0] for a, b in pairwise(words[n : n + more]))
+            if near and is_one_header(" ".join(w for _, _, w in words[n : n + more])):
                 count = more
                 break
         found.append((words[n][0], " ".join(w for _, _, w in words[n : n + count])))
         n += count
-    if not any(is_ref(phrase) for _, phrase in found):
+    if not any(plain_key(phrase) in HEADERS["ref"] for _, phrase in found):
         for m, (at, phrase) in enumerate(found):
             first, space, rest = phrase.partition(" ")
-            if space and is_ref(first):
+            if space and plain_key(first) in HEADERS["ref"]:
                 found[m : m + 1] = [(at, first), (at + len(first) + 1, rest)]
                 break
     return found
@@ -223,11 +212,6 @@ def _boundary(body: Sequence[str], first: int, end: int, header: int, words: str
     return max(runs, key=fitness)[-1] + 1
 
 
-def _cuts(line: str, at: int) -> bool:
-    """Return whether a boundary lies within a word."""
-    return line[at - 1 : at].strip() != "" and line[at : at + 1].strip() != ""
-
-
-def _unquoted(cell: str) -> str:
-    cell = " ".join(cell.split())
-    return cell[1:-1].strip() if len(cell) > 1 and cell[0] == cell[-1] == '"' else cell
+def _is_cut(line: str, bounds: Sequence[int]) -> bool:
+    """Return whether a boundary of columns lies within a word."""
+    return any(line[at - 1 : at].strip() != "" and line[at : at + 1].strip() != "" for at in bounds[1:])

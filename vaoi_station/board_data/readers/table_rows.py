@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from vaoi_station.board_data.design import Side
-from vaoi_station.board_data.readers.table_columns import (
-    TableLayout,
+from vaoi_station.board_data.readers.table_columns import TableLayout
+from vaoi_station.board_data.readers.table_header import DELIMITER_NAMES, DELIMITERS, FIXED, Table
+from vaoi_station.board_data.readers.table_lines import RULER, Record
+from vaoi_station.board_data.readers.table_words import (
     angle_in,
     header_cells,
     is_comment,
@@ -17,35 +19,18 @@ from vaoi_station.board_data.readers.table_columns import (
     looks_like_part,
     named_columns,
     number_in,
+    numbers_in,
     side_in_words,
 )
-from vaoi_station.board_data.readers.table_header import DELIMITERS, FIXED, Table
-from vaoi_station.board_data.readers.table_lines import RULER, Record
 from vaoi_station.errors import InputError
 
-DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", " ": "spaces", "|": "bar", "!": "exclamation mark"}
 PartRow = tuple[Record, tuple[str, ...]]
 """A record, and its cells in the columns of the layout."""
 _REF_IN_TEXT = re.compile(r"(?<![\w.])[A-Za-z]{1,5}[-_$]?\d+[A-Za-z]?(?:[_.]\d+)?(?![\w.])")
 _REF = re.compile(r"^[A-Za-z]{1,6}[-_$ ]?(?:\d|\?|$)")
 SHOWN_CHARACTERS = 60
 _TITLE_WORDS = frozenset(
-    (
-        "side",
-        "layer",
-        "components",
-        "parts",
-        "part",
-        "placement",
-        "of",
-        "on",
-        "the",
-        "auf",
-        "der",
-        "seite",
-        "bauteile",
-        "smd",
-    )
+    "side layer components parts part placement of on the auf der seite bauteile smd".split()  # noqa: SIM905
 )
 """Words beside the side in the title of a section."""
 
@@ -77,59 +62,52 @@ def part_rows(table: Table, layout: TableLayout, account: Account, path: Path) -
     Raises:
         InputError: a second header has other columns than the first.
     """
-    width = table.usual_width
     seen_part = False
     for n, record in enumerate(table.records):
         account.continued += record.lines - 1
         if n == table.header or (table.header is not None and tuple(header_cells(record.cells)) == table.headers):
             account.headers += 1
-        elif not record.text.strip() or RULER.match(record.text):
+            continue
+        if not record.text.strip() or RULER.match(record.text):
             account.comments += 1
-        elif is_comment(record.cells) or n < layout.first:
-            _account_for_comment(record, n < layout.first, layout, account)
-        else:
+            continue
+        is_head = n < table.first
+        if not is_head and not is_comment(record.cells):
             aligned = _aligned(record, table, layout, account)
             if aligned is not None and _is_part(aligned, layout) and not _is_shifted(aligned, table, layout):
                 seen_part = True
                 yield record, aligned
                 continue
-            if n > layout.first and {"x", "y"} <= named_columns(record.cells).keys():
+            if n > table.first and {"x", "y"} <= named_columns(record.cells).keys():
+                line = table.records[-1 if table.header is None else table.header].line
                 raise InputError(
-                    f"{path}, line {record.line}: is a second header with other columns than that in line "
-                    f"{table.records[layout.header].line}.",
+                    f"{path}, line {record.line}: is a second header with other columns than that in line {line}.",
                     action="Import each table from a file of its own.",
                 )
-            side = _title_of_side(record.text) if "side" not in layout.columns else None
-            if side is not None:
-                account.sections.append((record.line, side))
-            damaged = _may_hold_part(record, layout)
-            # A text below the header, such as Proteus' notes, has no number.
-            if side is not None or (not seen_part and not re.search(r"\d", record.text)):
-                account.comments += 1
+        side = _title_of_side(record.text) if "side" not in layout.columns else None
+        if side is not None:
+            account.sections.append((record.line, side))
+        words = _words(record.text)
+        refs = [word for word in words if is_usual_designator(word)]
+        if is_head or is_comment(record.cells):
+            if refs and looks_like_part(words):
+                what = "stands above the header and holds" if is_head else "is a comment that holds"
+                account.left_out.append(f"line {record.line} {what} {refs[0]}: {_shown(record)}")
             else:
-                account.left_out.append(_described(record, width, layout))
-                account.damaged += damaged
-
-
-def _account_for_comment(record: Record, is_head: bool, layout: TableLayout, account: Account) -> None:
-    """Account for a comment, or a line above the header: it may be a title of the parts of a side, or hold a part."""
-    side = _title_of_side(record.text) if "side" not in layout.columns else None
-    if side is not None:
-        account.sections.append((record.line, side))
-    words = _words(record.text)
-    refs = [word for word in words if is_usual_designator(word)]
-    if refs and looks_like_part(words):
-        what = "stands above the header and holds" if is_head else "is a comment that holds"
-        account.left_out.append(f"line {record.line} {what} {refs[0]}: {_shown(record)}")
-    else:
-        account.comments += 1
+                account.comments += 1
+        # A text below the header, such as Proteus' notes, has no number.
+        elif side is not None or (not seen_part and not re.search(r"\d", record.text)):
+            account.comments += 1
+        else:
+            account.left_out.append(_described(record, table.usual_width, layout, refs))
+            account.damaged += _may_hold_part(record, layout)
 
 
 def _title_of_side(text: str) -> Side | None:
     """Return the side of the parts below a title such as "Bottom side (12 parts)"; None if it has other words."""
     words = [word for word in re.findall(r"[a-zäöüß]+", text.lower()) if word not in _TITLE_WORDS]
     sides = {side_in_words(word) for word in words}
-    return sides.pop() if len(words) > 0 and len(sides) == 1 else None
+    return sides.pop() if len(sides) == 1 else None
 
 
 def _words(text: str) -> list[str]:
@@ -144,7 +122,7 @@ def _shown(record: Record) -> str:
 
 def _is_shifted(cells: Sequence[str], table: Table, layout: TableLayout) -> bool:
     """Return whether cells at spaces, or in fixed columns, are beside their columns: the designator shows it."""
-    ref = cells[layout.columns["ref"]]
+    ref = layout.cell(cells, "ref")
     if table.delimiter == " " and layout.headers:
         return not is_usual_designator(ref) and any(is_usual_designator(cell) for cell in cells)
     return table.delimiter == FIXED and " " in ref and is_usual_designator(ref.split()[0])
@@ -152,11 +130,9 @@ def _is_shifted(cells: Sequence[str], table: Table, layout: TableLayout) -> bool
 
 def _may_hold_part(record: Record, layout: TableLayout) -> bool:
     """Return whether a line that cannot be read may be a damaged part: it has a designator and a number."""
-    cells = record.cells
-    at = layout.columns["ref"]
     pieces = [piece.strip() for piece in re.split(r"[,;|\t!]|\s{1,}", record.text) if piece.strip()]
-    numbers = sum(number_in(piece) is not None for piece in pieces)
-    if at < len(cells) and _REF.match(cells[at]) and len(cells[at]) <= 12 and numbers:
+    numbers, ref = numbers_in(pieces), layout.cell(record.cells, "ref")
+    if _REF.match(ref) and len(ref) <= 12 and numbers:
         return True
     return numbers >= 2 and any(_REF_IN_TEXT.fullmatch(piece) for piece in pieces)
 
@@ -176,19 +152,15 @@ def _aligned(record: Record, table: Table, layout: TableLayout, account: Account
     texts = [n for n in range(width) if n not in keys]
     if surplus > 0:
         # Numbers that follow the delimiter are those of a decimal comma, not words of a value.
-        tries = [
-            (*cells[:n], " ".join(cells[n : n + surplus + 1]), *cells[n + surplus + 1 :])
-            for n in texts
-            if not any(number_in(cell) is not None for cell in cells[n : n + surplus + 1])
-        ]
+        merged = [(n, cells[n : n + surplus + 1]) for n in texts]
+        tries = [(*cells[:n], " ".join(m), *cells[n + surplus + 1 :]) for n, m in merged if not numbers_in(m)]
     elif table.delimiter == " " and surplus == -1:
         tries = [(*cells[:n], "", *cells[n:]) for n in texts if n <= len(cells)]
     else:
         # Only words at the end of a line may be absent: else it does not show which cell is.
-        used = any(n >= len(cells) for n in layout.columns.values()) or len(cells) <= layout.last
-        numbers = any(number_in(cell) is not None for row in table.rows for cell in row[len(cells) :])
-        padded = (*cells, *[""] * -surplus)
-        return None if used or numbers or not _is_valid(padded, layout) else padded
+        used = max(*layout.columns.values(), layout.last) >= len(cells)
+        numbers = any(numbers_in(row[len(cells) :]) for row in table.rows)
+        tries = [] if used or numbers else [(*cells, *[""] * -surplus)]
     valid = [found for found in tries if _is_valid(found, layout)]
     if len({tuple(found[n] for n in sorted(keys)) for found in valid}) != 1:
         return None
@@ -198,30 +170,26 @@ def _aligned(record: Record, table: Table, layout: TableLayout, account: Account
 
 def _is_valid(cells: Sequence[str], layout: TableLayout) -> bool:
     """Return whether the cells of a line are what its columns are to hold."""
-    columns = layout.columns
-    if any(number_in(cells[columns[name]]) is None for name in ("x", "y")):
+    ref, x, y, side = (layout.cell(cells, name) for name in ("ref", "x", "y", "side"))
+    if "side" in layout.columns and side not in layout.sides and side_in_words(side) is None:
         return False
-    if "rotation" in columns and angle_in(cells[columns["rotation"]]) is None:
+    if "rotation" in layout.columns and angle_in(layout.cell(cells, "rotation")) is None:
         return False
-    side = cells[columns["side"]] if "side" in columns else "top"
-    if side not in layout.sides and side_in_words(side) is None:
-        return False
-    return number_in(cells[columns["ref"]]) is None
+    return numbers_in((x, y)) == 2 and number_in(ref) is None
 
 
 def _is_part(cells: Sequence[str], layout: TableLayout) -> bool:
     """Return whether the cells of a line are those of a part, perhaps with a wrong value."""
-    ref = cells[layout.columns["ref"]]
-    x, y = (cells[layout.columns[name]] for name in ("x", "y"))
-    numbers = [number_in(cell) is not None for cell in (x, y)]
-    if not ref or (not layout.headers and not all(numbers)):
+    ref, x, y = (layout.cell(cells, name) for name in ("ref", "x", "y"))
+    numbers = numbers_in((x, y))
+    if not ref or (not layout.headers and numbers < 2):
         return False
-    if not all(numbers) and "" in (x, y) and not is_usual_designator(ref):
+    if numbers < 2 and "" in (x, y) and not is_usual_designator(ref):
         return False
-    return any(numbers) or _REF_IN_TEXT.fullmatch(ref) is not None
+    return numbers > 0 or _REF_IN_TEXT.fullmatch(ref) is not None
 
 
-def _described(record: Record, width: int, layout: TableLayout) -> str:
+def _described(record: Record, width: int, layout: TableLayout, refs: Sequence[str]) -> str:
     """Return what a line that cannot be read seems to hold."""
     at, shown = f"line {record.line}", _shown(record)
     if record.cut:
@@ -229,9 +197,8 @@ def _described(record: Record, width: int, layout: TableLayout) -> str:
     for delimiter in DELIMITERS:
         if len(record.cells) < 3 and record.text.count(delimiter) >= 2:
             return f"{at} seems to have another delimiter, {DELIMITER_NAMES[delimiter]}: {shown}"
-    ref_at = layout.columns["ref"]
-    in_column = record.cells[ref_at : ref_at + 1]
-    refs = [word for word in (*in_column, *_words(record.text)) if is_usual_designator(word)]
+    in_column = layout.cell(record.cells, "ref")
+    refs = [*([in_column] if is_usual_designator(in_column) else []), *refs]
     what = f", it seems to be part {refs[0]}: {shown}" if refs else f": {shown}"
     if len(record.cells) != width:
         return f"{at} has {len(record.cells)} of {width} cells{what}"

@@ -7,15 +7,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from vaoi_station.board_data.readers.table_columns import (
-    NUMBER,
-    TableLayout,
-    decimal_separator,
-    is_comment,
-    number_in,
-)
+from vaoi_station.board_data.readers.table_columns import TableLayout
 from vaoi_station.board_data.readers.table_header import Table
 from vaoi_station.board_data.readers.table_rows import PartRow
+from vaoi_station.board_data.readers.table_words import NUMBER, decimal_separator, is_comment, number_in
 from vaoi_station.errors import InputError
 
 UNITS = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
@@ -23,20 +18,21 @@ USUAL_SPREAD_MM = {"mm": (8.0, 1500.0), "inch": (8.0, 650.0), "mil": (8.0, 650.0
 """Distance of the outermost parts of a board along x or y, by the unit of its file. Long boards are drawn in mm."""
 LEAST_PARTS = 2
 """With fewer parts their distance says nothing of the unit."""
-_UNIT_WORDS = (
-    (re.compile(r"(?:(?<![a-z])|(?<=[xy]))(millimet(er|re)s?|mm|metric|metrisch)(?![a-z])", re.IGNORECASE), "mm"),
-    (re.compile(r"(?:(?<![a-z])|(?<=[xy]))(mils?|thou|th|milli-?inch(es)?)(?![a-z])", re.IGNORECASE), "mil"),
-    # "in" is a word of sentences, too: it is a unit in brackets, behind a colon, or at the end of a header.
-    (
-        re.compile(r"(?<![a-z])(inch(es)?|zoll)(?![a-z])|[(\[:=,]\s*in\.?\s*([)\],;]|$)|[\s_-]in$", re.IGNORECASE),
-        "inch",
-    ),
-    # Units that are recognised to be refused. A single m stands for metres in brackets only.
-    (re.compile(r"(?<![a-z])(centimet(er|re)s?|cm)(?![a-z])", re.IGNORECASE), "cm"),
-    (re.compile(r"(?<![a-z])(micromet(er|re)s?|microns?|[uµμ]m)(?![a-z])", re.IGNORECASE), "um"),
-    (re.compile(r"(?<![a-z])(nanomet(er|re)s?|nm)(?![a-z])", re.IGNORECASE), "nm"),
-    (re.compile(r"(?<![a-z])(met(er|re)s?)(?![a-z])|[(\[]m[)\]]", re.IGNORECASE), "m"),
-    (re.compile(r"(?<![a-z])imperial(?![a-z])", re.IGNORECASE), "imperial"),
+_BEFORE, _AFTER = r"(?<![a-z])", r"(?![a-z])"
+_UNIT_WORDS = tuple(
+    (re.compile(pattern, re.IGNORECASE), unit)
+    for pattern, unit in (
+        (rf"(?:{_BEFORE}|(?<=[xy]))(millimet(er|re)s?|mm|metric|metrisch){_AFTER}", "mm"),
+        (rf"(?:{_BEFORE}|(?<=[xy]))(mils?|thou|th|milli-?inch(es)?){_AFTER}", "mil"),
+        # "in" is a word of sentences, too: it is a unit in brackets, behind a colon, or at the end of a header.
+        (rf"{_BEFORE}(inch(es)?|zoll){_AFTER}|[(\[:=,]\s*in\.?\s*([)\],;]|$)|[\s_-]in$", "inch"),
+        # Units that are recognised to be refused. A single m stands for metres in brackets only.
+        (rf"{_BEFORE}(centimet(er|re)s?|cm){_AFTER}", "cm"),
+        (rf"{_BEFORE}(micromet(er|re)s?|microns?|[uµμ]m){_AFTER}", "um"),
+        (rf"{_BEFORE}(nanomet(er|re)s?|nm){_AFTER}", "nm"),
+        (rf"{_BEFORE}(met(er|re)s?){_AFTER}|[(\[]m[)\]]", "m"),
+        (rf"{_BEFORE}imperial{_AFTER}", "imperial"),
+    )
 )
 _LENGTH_UNIT = r"(?:mm|mils?|thou|inch(?:es)?|zoll|in|\"|″)"
 _FACTOR = re.compile(
@@ -52,6 +48,8 @@ _OF_OTHER_LENGTHS = re.compile(
     re.IGNORECASE,
 )
 _BY_SIZE = "the only one at which the board has a usual size"
+_Places = Sequence[Sequence[str]]
+"""The cells of x and of y."""
 
 
 @dataclass(frozen=True)
@@ -65,28 +63,27 @@ class StatedUnits:
     is_guess: bool = False
     """Whether the file states no unit, and the size of the board decided."""
 
-    @classmethod
-    def of(
-        cls, table: Table, layout: TableLayout, rows: Sequence[PartRow], path: Path, given: str | None
-    ) -> StatedUnits:
-        """Find them: as given, by the header, by the values, by a comment, or by the size of the board.
 
-        Raises:
-            InputError: the file states a unit that is none of `UNITS`, several, or none.
-        """
-        places = [[cells[layout.columns[name]] for _, cells in rows] for name in ("x", "y")]
-        decimal = decimal_separator(cell for cells in places for cell in cells)
-        unit, by = (given, "as given") if given is not None else _stated_unit(table, layout, rows, path)
-        if unit is not None and unit not in UNITS:
-            stated = "State the unit of its numbers by --units." if unit == "imperial" else "Export it in mm."
-            raise InputError(
-                f"{path}: states the unit {unit!r} ({by}), but must be one of {', '.join(UNITS)}.", action=stated
-            )
-        if decimal is None and _may_separate_thousands(places):
-            decimal = _plausible_decimal(places, unit, path)
-        if unit is None:
-            return cls(_plausible_unit(places, decimal, path), _BY_SIZE, decimal, is_guess=True)
-        return cls(unit, by, decimal)
+def stated_units(
+    table: Table, layout: TableLayout, rows: Sequence[PartRow], path: Path, given: str | None
+) -> StatedUnits:
+    """Return the units: as given, by the header, by the values, by a comment, or by the size of the board.
+
+    Raises:
+        InputError: the file states a unit that is none of `UNITS`, several, or none.
+    """
+    places = [[layout.cell(cells, name) for _, cells in rows] for name in ("x", "y")]
+    decimal = decimal_separator(cell for cells in places for cell in cells)
+    unit, by = (given, "as given") if given is not None else _stated_unit(table, layout, rows, path)
+    if unit is not None and unit not in UNITS:
+        action = "State the unit of its numbers by --units." if unit == "imperial" else "Export it in mm."
+        stated = f"{path}: states the unit {unit!r} ({by}), but must be one of {', '.join(UNITS)}."
+        raise InputError(stated, action=action)
+    if decimal is None and _may_separate_thousands(places):
+        decimal = _plausible_decimal(places, unit, path)
+    if unit is None:
+        return StatedUnits(_plausible_unit(places, decimal, path), _BY_SIZE, decimal, is_guess=True)
+    return StatedUnits(unit, by, decimal)
 
 
 def _unit_word(text: str) -> str | None:
@@ -112,16 +109,16 @@ def _stated_unit(table: Table, layout: TableLayout, rows: Sequence[PartRow], pat
         return x or y, "by the header"
     units, bare = set(), []
     for record, cells in rows:
-        of_line = layout.unit is not None and unit_of(f"1{cells[layout.unit].lower()}")
+        of_line = unit_of(f"1{cells[layout.unit].lower()}") if layout.unit is not None else None
         for name in ("x", "y"):
-            cell = cells[layout.columns[name]]
-            if (unit := unit_of(cell) or of_line) is not None and unit:
+            cell = layout.cell(cells, name)
+            if unit := unit_of(cell) or of_line:
                 units.add(unit)
             elif number_in(cell):
                 bare.append((record.line, name, cell))
     if units and not bare:
-        return min(units, key=lambda unit: unit not in UNITS), "by the values"
-    by_lines = dict(_units_by_lines(table, layout, rows))
+        return min(sorted(units), key=lambda unit: unit not in UNITS), "by the values"
+    by_lines = dict(_units_by_lines(table, rows))
     if len(set(by_lines.values())) > 1:
         shown = ", ".join(f"{unit} in line {line}" for line, unit in by_lines.items())
         raise InputError(f"{path}: states several units: {shown}.", action="State that of x and y by --units.")
@@ -137,16 +134,11 @@ def _stated_unit(table: Table, layout: TableLayout, rows: Sequence[PartRow], pat
     return None, ""
 
 
-def _units_by_lines(table: Table, layout: TableLayout, rows: Sequence[PartRow]) -> Iterator[tuple[int, str]]:
+def _units_by_lines(table: Table, rows: Sequence[PartRow]) -> Iterator[tuple[int, str]]:
     """Yield lines beside the parts that state a unit: those that say so, else those that have one."""
     first = rows[0][0].line
-    beside = [
-        record
-        for record in table.records
-        if (record.line < first or is_comment(record.cells))
-        and record.cells != layout.headers
-        and not _OF_OTHER_LENGTHS.search(record.text)
-    ]
+    beside = [r for r in table.records if (r.line < first or is_comment(r.cells)) and r.cells != table.headers]
+    beside = [record for record in beside if not _OF_OTHER_LENGTHS.search(record.text)]
     stating = [record for record in beside if _STATES_UNIT.search(record.text) and _unit_word(record.text)]
     # A length that is stated beside its unit, such as that of a title, says nothing of x and y.
     for record in stating or [record for record in beside if not _VALUE.search(record.text)]:
@@ -157,25 +149,18 @@ def _units_by_lines(table: Table, layout: TableLayout, rows: Sequence[PartRow]) 
 
 def _refused_factor(texts: Iterable[str]) -> str | None:
     """Return a unit with a factor, such as `0.01mm`, as it is written; None if there is none."""
-    for text in texts:
-        match = _FACTOR.search(text)
-        if match is not None and match[1] != "1":
-            return match[0]
-    return None
+    matches = (_FACTOR.search(text) for text in texts)
+    return next((match[0] for match in matches if match is not None and match[1] != "1"), None)
 
 
-def _may_separate_thousands(places: Iterable[Sequence[str]]) -> bool:
+def _may_separate_thousands(places: _Places) -> bool:
     """Return whether commas of numbers may separate thousands: each stands before three digits, as in `1,025`."""
     cells = [match[2] for column in places for cell in column if (match := NUMBER.match(cell.strip()))]
     return any("," in c for c in cells) and not any("." in c for c in cells)
 
 
-def _plausible_decimal(places: Sequence[Sequence[str]], unit: str | None, path: Path) -> str:
-    """Return whether the comma separates decimals or thousands, by the size of the board.
-
-    Raises:
-        InputError: both are possible.
-    """
+def _plausible_decimal(places: _Places, unit: str | None, path: Path) -> str:
+    """Return whether the comma separates decimals or thousands, by the size of the board; refuse if it may be both."""
     units = [unit] if unit is not None else list(UNITS)
     usual = [d for d in (",", ".") if any(_is_usual(_spread(places, d), of) for of in units)]
     if len(usual) == 1:
@@ -191,7 +176,7 @@ def _plausible_decimal(places: Sequence[Sequence[str]], unit: str | None, path: 
     )
 
 
-def _spread(places: Sequence[Sequence[str]], decimal: str | None) -> float:
+def _spread(places: _Places, decimal: str | None) -> float:
     """Return the distance of the outermost parts along x or y, in the unit of the file."""
     spreads = []
     for column in places:
@@ -205,7 +190,7 @@ def _is_usual(spread: float, unit: str) -> bool:
     return low <= spread * UNITS[unit] <= high
 
 
-def _plausible_unit(places: Sequence[Sequence[str]], decimal: str | None, path: Path) -> str:
+def _plausible_unit(places: _Places, decimal: str | None, path: Path) -> str:
     """Return the only unit at which the parts are spread over a board; refuse if there are several or none."""
     spread = _spread(places, decimal)
     if len(places[0]) < LEAST_PARTS:

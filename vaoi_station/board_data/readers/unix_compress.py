@@ -21,11 +21,9 @@ def decompress(data: bytes, where: str | Path, most_bytes: int) -> bytes:
     The format has no checksum and no length: a file that was cut off is recognised by a rest of a code only.
     """
     widest = data[2] & 0x1F if len(data) > 2 else 0
-    if data[:2] != MAGIC or not 10 <= widest <= 16:
-        raise InputError(
-            f"{where}: is no valid file of compress (.Z): its codes have {widest} bits, but must have 10 to 16."
-        )
     try:
+        if data[:2] != MAGIC or not 10 <= widest <= 16:
+            raise ValueError(f"its codes have {widest} bits, but must have 10 to 16")
         return _decompress(data, widest, bool(data[2] & 0x80), most_bytes)
     except ValueError as error:
         raise InputError(f"{where}: is no valid file of compress (.Z): {error}.") from error
@@ -33,9 +31,8 @@ def decompress(data: bytes, where: str | Path, most_bytes: int) -> bytes:
 
 def _decompress(data: bytes, widest: int, clears: bool, most_bytes: int) -> bytes:
     out = bytearray()
-    first_free = _CLEAR + 1 if clears else _CLEAR
     # Each entry of the table repeats what was put out before: its begin and its length. Entries below 256 are bytes.
-    table: list[tuple[int, int]] = [(0, 0)] * first_free
+    table: list[tuple[int, int]] = [(0, 0)] * (_CLEAR + clears)
     width, group, at, end = 9, 24, 24, 8 * len(data)
     last: tuple[int, int] | None = None
     while at + width <= end:
