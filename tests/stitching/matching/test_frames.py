@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import Status
-from vaoi_station.stitching.matching.frames import PreparedFrame, downsampled, half_size, resample
+from vaoi_station.stitching.matching.frames import PreparedFrame, resample
 from vaoi_station.stitching.work import stitch_frames
 
 
@@ -19,7 +19,7 @@ def test_copies_keep_positions(workshop: Any) -> None:
     dot = workshop.digitised(20 + 200 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * 12**2)))
     frame = PreparedFrame(dot)
     assert frame.factor == 4
-    for copy, factor in ((frame.grey, 1), (frame.quarter, 4), (downsampled(frame, 2), 2), (downsampled(frame, 8), 8)):
+    for copy, factor in ((frame.grey, 1), (frame.reduced(4), 4), (frame.reduced(2), 2), (frame.reduced(8), 8)):
         weight = copy.astype(float) - 20
         v, u = np.mgrid[: copy.shape[0], : copy.shape[1]]
         found = np.array([(u * weight).sum(), (v * weight).sum()]) / weight.sum()
@@ -42,16 +42,10 @@ def test_the_coarse_copy_does_not_depend_on_light(workshop: Any) -> None:
     assert plain.coarse.std() > 5
 
 
-def test_half_size_leaves_an_odd_border_out() -> None:
-    image = np.arange(35, dtype=np.uint8).reshape(5, 7)
-    assert half_size(image).shape == (2, 3)
-    assert half_size(image)[0, 0] == round((0 + 1 + 7 + 8) / 4)
-
-
 def test_quarter_size_has_the_means_of_blocks() -> None:
     image = np.random.default_rng(0).integers(0, 256, (43, 59), dtype=np.uint8)
     means = image[:40, :56].reshape(10, 4, 14, 4).mean((1, 3))
-    np.testing.assert_array_equal(PreparedFrame(image).quarter, np.floor(means + 0.5))
+    np.testing.assert_array_equal(PreparedFrame(image).reduced(4), np.floor(means + 0.5))
 
 
 @pytest.mark.parametrize("wide", [1.0, 1.4, 2.5])
@@ -69,12 +63,6 @@ def test_a_resampled_frame_shows_the_same_content(workshop: Any, wide: float, an
     assert abs((part[inside] - exact).mean()) < 0.05
 
 
-def test_beside_a_frame_its_border_is_repeated() -> None:
-    frame = np.full((20, 30), 90, dtype=np.uint8)
-    part = resample(frame, np.array([[1.0, 0.0, -40.0], [0.0, 1.0, -30.0]]), (120, 90), 1.0)
-    assert (part == 90).all()
-
-
 def test_outside_its_part_a_masked_frame_is_without_texture(workshop: Any) -> None:
     whole = PreparedFrame(workshop.digitised(workshop.waves(1, finest=12.0, coarsest=40.0).levels(640, 480)))
     left = whole.masked(np.array([(0.0, 0.0), (319.5, 0.0), (319.5, 479.0), (0.0, 479.0)]))
@@ -83,7 +71,7 @@ def test_outside_its_part_a_masked_frame_is_without_texture(workshop: Any) -> No
     middle = whole.coarse.shape[1] // 2
     np.testing.assert_array_equal(left.coarse[:, : middle - 1], whole.coarse[:, : middle - 1])
     assert not left.coarse[:, middle + 1 :].any()
-    assert downsampled(left, 8) is downsampled(whole, 8)
+    assert left.reduced(8) is whole.reduced(8)
 
 
 DOUBT = "trigger of camera 1: it runs freely; these frames are not used"

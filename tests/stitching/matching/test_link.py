@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import Any
 
 import cv2
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
-from vaoi_station.geometry.robust import Failure
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
 from vaoi_station.stitching.matching.frames import PreparedFrame, read_only
@@ -65,10 +63,6 @@ def test_the_best_pixel_of_every_cell_is_that_of_opencv(
     np.testing.assert_allclose(score[found[:, 1], found[:, 0]], best[cell], rtol=1e-3, atol=1e-7)
 
 
-def test_flat_grey_has_no_corners() -> None:
-    assert not len(best_corners(read_only(np.full((60, 90), 77, np.uint8)), 10, 10, (4, 8), (4, 8)))
-
-
 SIZE = (640, 480)
 REACH = np.array([40.0, 40.0])
 
@@ -98,48 +92,6 @@ def test_the_deviation_from_the_nominal_motion_is_found(
     assert isinstance(found, CoarseShift), found
     assert np.abs(found.px - slip).max() <= 2.0
     assert found.score > 0.5
-
-
-def test_a_narrow_overlap_is_enough(workshop: Any, frame: PreparedFrame) -> None:
-    b = PreparedFrame(workshop.waves(7, finest=12.0, coarsest=150.0).picture(*SIZE, (0, 400)))
-    found = find_shift(frame, b, box((0, 390)), np.array([0.0, 390.0]), REACH)
-    assert isinstance(found, CoarseShift), found
-    assert found.px == pytest.approx([0, 10], abs=2)
-
-
-def test_too_narrow_an_overlap_is_refused(frame: PreparedFrame) -> None:
-    found = find_shift(frame, frame, (0, 470, 640, 480), np.array([0.0, -470.0]), REACH)
-    assert isinstance(found, Failure)
-    assert "640×10 px is too narrow" in found.reason
-
-
-def test_an_empty_overlap_is_refused(workshop: Any, frame: PreparedFrame) -> None:
-    g = np.random.default_rng(2)
-    belt = PreparedFrame(workshop.digitised(20 + g.normal(0, 2, SIZE[::-1])))
-    found = find_shift(belt, frame, (0, 0, 640, 300), np.array([0.0, 100.0]), REACH)
-    assert isinstance(found, Failure)
-    assert "the overlap is empty" in found.reason
-
-
-def test_different_texture_does_not_fit(workshop: Any, frame: PreparedFrame) -> None:
-    other = PreparedFrame(workshop.waves(8, finest=12.0, coarsest=40.0).picture(*SIZE))
-    found = find_shift(frame, other, (0, 0, 640, 380), np.array([0.0, 100.0]), REACH)
-    assert isinstance(found, Failure)
-    assert "no place within ±40, ±40 px fits" in found.reason
-
-
-@pytest.mark.parametrize("slip", [(-14, 9), (15, -15), (0, 0)])
-def test_the_repetition_within_the_prior_is_taken(workshop: Any, slip: tuple[int, int]) -> None:
-    y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
-
-    def pins(dx: float, dy: float) -> PreparedFrame:
-        grey = 120 + 50 * np.cos(2 * np.pi * (x - dx) / 48) + 50 * np.cos(2 * np.pi * (y - dy) / 48)
-        return PreparedFrame(workshop.digitised(grey))
-
-    nominal = np.array([0.0, 144.0])
-    found = find_shift(pins(0, 0), pins(slip[0], 144 + slip[1]), box((0, 144)), nominal, np.array([20.0, 20.0]))
-    assert isinstance(found, CoarseShift)
-    assert np.abs(found.px - slip).max() <= 2.0
 
 
 @pytest.mark.parametrize(("template", "window"), [((5, 9), (11, 30)), ((24, 87), (40, 95)), ((7, 6), (7, 6))])
@@ -259,7 +211,7 @@ def neighbours(workshop: Any, overlap_px: int, elsewhere_mm: float = 0.0) -> Fra
     return FramePair(a, b, left, right, np.zeros(2))
 
 
-@pytest.mark.parametrize("overlap_px", [26, 30, 34, 38, 44, 52, 60])
+@pytest.mark.parametrize("overlap_px", [30, 34, 38, 60])
 def test_a_narrow_overlap_of_neighbours_is_no_sign_of_a_displaced_camera(workshop: Any, overlap_px: int) -> None:
     """Patches keep a margin to the borders: an overlap of 34 px has room for none, a slightly wider one for few."""
     links = link_neighbours(NEIGHBOURS, neighbours(workshop, overlap_px))
@@ -267,7 +219,7 @@ def test_a_narrow_overlap_of_neighbours_is_no_sign_of_a_displaced_camera(worksho
     assert (len(links.a_px) > 0) == (overlap_px >= 36)
 
 
-@pytest.mark.parametrize(("overlap_px", "unmatched"), [(30, False), (36, True), (44, True), (60, True)])
+@pytest.mark.parametrize(("overlap_px", "unmatched"), [(30, False), (36, True), (60, True)])
 def test_neighbours_that_show_different_things_are_marked_where_there_is_room(
     workshop: Any, overlap_px: int, unmatched: bool
 ) -> None:
@@ -320,27 +272,12 @@ def test_the_reason_for_missing_links_is_noted(workshop: Any) -> None:
     assert not len(reference.a_px)
 
 
-@given(st.tuples(st.integers(-20, 500), st.integers(-20, 380)), st.integers(0, 500), st.integers(0, 380))
-def test_corners_lie_inside_their_box(corner: tuple[int, int], width: int, height: int) -> None:
-    frame = noise()
-    x0, y0 = max(corner[0], 0), max(corner[1], 0)
-    box = x0, y0, min(x0 + width, FRAME_PX[0]), min(y0 + height, FRAME_PX[1])
-    at = choose_corners(frame, box)
-    assert len(at) <= 2 * 80
-    assert ((at >= box[:2]) & (at < box[2:])).all()
-
-
 def test_bare_belt_beside_a_board_has_no_corners(workshop: Any) -> None:
     grey = np.full(FRAME_PX[::-1], 20, dtype=np.uint8)
     grey[:, :240] = workshop.waves(1).picture(240, FRAME_PX[1])
     at = choose_corners(PreparedFrame(grey), (0, 0, *FRAME_PX))
     assert len(at) > 20
     assert at[:, 0].max() < 250
-
-
-@cache
-def noise() -> PreparedFrame:
-    return PreparedFrame(np.random.default_rng(0).integers(0, 256, FRAME_PX[::-1], dtype=np.uint8))
 
 
 PLACES = np.array([[60.5, 50.5], [160.5, 120.5], [20.5, 120.5], [300.5, 200.5]])

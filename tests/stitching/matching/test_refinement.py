@@ -12,27 +12,18 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
 from vaoi_station.stitching.matching.frames import read_only
 from vaoi_station.stitching.matching.refinement import (
     BINOMIAL,
     BLUR_REACH,
     FRACTIONS,
     NOISE_SHARE,
-    PITCH_PX,
     SINC,
     TAPS,
     WINDOW_PX,
-    Pixels,
-    Plane,
-    blur,
-    cut,
     refine,
-    saturated_share,
 )
 
 BLUR = np.array([*BINOMIAL[:0:-1], *BINOMIAL]) / 64
@@ -50,14 +41,6 @@ def test_the_noise_share_is_the_sum_of_squared_weights() -> None:
     assert pytest.approx(float((np.outer(BLUR, BLUR) ** 2).sum())) == NOISE_SHARE
 
 
-def test_the_interpolation_keeps_grey_levels_and_whole_pixels() -> None:
-    assert SINC.shape == (FRACTIONS + 1, TAPS)
-    assert SINC.sum(1) == pytest.approx(1, abs=1e-6)
-    assert SINC[0] == pytest.approx([0, 0, 1, 0, 0, 0], abs=1e-7)
-    assert SINC[-1] == pytest.approx([0, 0, 0, 1, 0, 0], abs=1e-7)
-    assert pytest.approx(SINC[::-1, ::-1], abs=1e-6) == SINC
-
-
 @pytest.mark.parametrize("period_px", [6.0, 10.0, 25.0])
 def test_the_interpolation_shifts_waves_of_blurred_texture(period_px: float) -> None:
     at = np.arange(1 - TAPS // 2, TAPS // 2 + 1)
@@ -66,56 +49,6 @@ def test_the_interpolation_shifts_waves_of_blurred_texture(period_px: float) -> 
     found = SINC @ np.exp(2j * np.pi * at / period_px)
     shift_px = np.angle(found / exact) * period_px / (2 * np.pi)
     assert np.abs(shift_px).max() < 0.0025
-
-
-SIZE = WINDOW_PX + 2
-SIDE = SIZE + 2 * BLUR_REACH
-
-
-@compiled
-def make_tile(image: Pixels, x0: int, y0: int, less: float) -> tuple[Pixels, Plane]:
-    """Raw pixels and tile as `refine` makes them; helpers of compiled functions have no entry of their own."""
-    raw, out = np.zeros(40 * PITCH_PX, np.uint8), np.zeros(34 * PITCH_PX, np.float32)
-    cut(image, x0, y0, raw, SIZE, PITCH_PX, PITCH_PX)
-    blur(raw, np.zeros(40 * PITCH_PX, np.float32), out, SIZE, PITCH_PX, less)
-    return raw, out
-
-
-@compiled
-def share(raw: Pixels, x0: int, y0: int) -> float:
-    return saturated_share(raw, SIZE, PITCH_PX, x0, y0)
-
-
-def picture(seed: int) -> NDArray[np.uint8]:
-    return np.random.default_rng(seed).integers(0, 256, (70, 80), dtype=np.uint8)
-
-
-def lines(flat: NDArray[np.float32] | Pixels) -> NDArray[np.float64]:
-    return flat[: len(flat) // PITCH_PX * PITCH_PX].reshape(-1, PITCH_PX).astype(np.float64)
-
-
-@given(x0=st.integers(-40, 90), y0=st.integers(-40, 90), seed=st.integers(0, 5))
-def test_a_tile_is_the_blurred_image_with_repeated_borders(x0: int, y0: int, seed: int) -> None:
-    image = picture(seed)
-    raw, tile = make_tile(image, x0, y0, 7.0)
-    far = 60
-    padded = cv2.copyMakeBorder(image, far, far, far, far, cv2.BORDER_REPLICATE)
-    expected = padded[y0 + far : y0 + far + SIDE, x0 + far : x0 + far + SIDE].astype(np.float64)
-    assert (lines(raw)[:SIDE, :SIDE] == expected).all()
-    weights = np.array([*BINOMIAL[:0:-1], *BINOMIAL]) / 64
-    soft = cv2.sepFilter2D(expected, -1, weights, weights)[BLUR_REACH:-BLUR_REACH, BLUR_REACH:-BLUR_REACH] - 7.0
-    assert lines(tile)[:SIZE, :SIZE] == pytest.approx(soft, abs=1e-4)
-
-
-@given(count=st.integers(0, 30), seed=st.integers(0, 100))
-def test_the_saturated_share_counts_pixels_of_the_window(count: int, seed: int) -> None:
-    g = np.random.default_rng(seed)
-    raw = np.full((SIDE, PITCH_PX), 200, np.uint8)
-    x, y = g.integers(0, SIDE, (2, count))
-    raw[y, x] = g.integers(253, 256, count)
-    x0, y0 = g.integers(0, SIDE - WINDOW_PX, 2).tolist()
-    window = raw[y0 : y0 + WINDOW_PX, x0 : x0 + WINDOW_PX]
-    assert share(raw.ravel(), x0, y0) == pytest.approx((window >= 254).mean())
 
 
 Array = NDArray[np.float64]
@@ -193,14 +126,6 @@ def test_a_match_is_where_the_step_of_numpy_is_zero(workshop: Any, noise: float)
         assert twice == pytest.approx(true["blurred"], rel=0.02, abs=0.01 * np.trace(twice))
         assert found.scatter[n] == pytest.approx(true["scatter"], rel=0.02, abs=0.03)
         assert found.score[n] == pytest.approx(true["score"], abs=2e-4)
-
-
-def test_a_patch_without_texture_is_lost_and_stays_at_its_guess() -> None:
-    grey = read_only(np.full((120, 120), 90, np.uint8))
-    found = refine(grey, grey, np.array([[60, 60]]), np.array([[61.5, 60.5]]), 6.0)
-    assert found.last_step_px[0] == np.inf
-    assert found.b_px[0].tolist() == [61.5, 60.5]
-    assert found.score[0] == 0
 
 
 def test_saturation_is_reported_in_either_image(workshop: Any) -> None:

@@ -30,7 +30,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.evidence import Detections, FrameKey, Task
-from vaoi_station.stitching.matching.frames import PreparedFrame, Scene, downsampled
+from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
 """Largest number of detections per frame and kind: at first, and if no board was found among them."""
@@ -123,10 +123,10 @@ def _search_kind(frame: PreparedFrame, shape: Shape, size_px: float, most: int) 
     """
     coarse = reduction_factor(_SMALL * size_px)
     fine = max(coarse // 2, 1)
-    places, _ = find_candidates(downsampled(frame, coarse), shape, size_px / coarse, most)
+    places, _ = find_candidates(frame.reduced(coarse), shape, size_px / coarse, most)
     marks = []
     for place in (places + 0.5) * (coarse / fine) - 0.5:
-        mark = locate_mark(downsampled(frame, fine), place, shape, size_px / fine, precise=False)
+        mark = locate_mark(frame.reduced(fine), place, shape, size_px / fine, precise=False)
         if isinstance(mark, Mark):
             marks.append(replace(mark, px=(mark.px + 0.5) * fine - 0.5, sigma_px=mark.sigma_px * fine))
     return marks

@@ -37,30 +37,26 @@ class PreparedFrame:
         `part_px` are the corners (k, 2) of the convex part that coarse searches use; None for all of it.
         """
         self._pixels, self._part_px = pixels, part_px
+        self._copies: dict[int, NDArray[np.uint8]] = {}  # reduced grey frames by their factor
 
     @cached_property
     def grey(self) -> NDArray[np.uint8]:
-        """(h, w) 8-bit luminance, as a read-only and contiguous array.
-
-        Numba compiles separate variants for read-only and for writable arrays, and the two may round differently. A
-        frame in the ring and the same frame from a file must give the same evidence.
-        """
+        """(h, w) 8-bit luminance, as a read-only and contiguous array."""
         return read_only(eight_bit_grey(self._pixels))
 
-    @cached_property
-    def quarter(self) -> NDArray[np.uint8]:
-        """The grey frame reduced by 4 in width and height: means of 4×4 pixels."""
-        return read_only(quarter_size(self.grey))
+    def reduced(self, factor: int) -> NDArray[np.uint8]:
+        """Return the grey frame reduced by a power of two, by block means, read-only. It is computed once per frame."""
+        if factor == 1:
+            return self.grey
+        if factor not in self._copies:
+            small = _quarter_size(self.grey) if factor == 4 else half_size(self.reduced(factor // 2))
+            self._copies[factor] = read_only(small)
+        return self._copies[factor]
 
     @cached_property
     def contrast(self) -> float:
         """Standard deviation of the grey levels, from a sample of the pixels."""
         return float(self.grey[::_SAMPLED_PX, ::_SAMPLED_PX].std())
-
-    @cached_property
-    def copies(self) -> dict[int, NDArray[np.uint8]]:
-        """The cache of `downsampled`: reduced grey frames by their factor."""
-        return {}
 
     @cached_property
     def factor(self) -> int:
@@ -73,7 +69,7 @@ class PreparedFrame:
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
         """The grey frame reduced by `factor`, minus its local mean, which removes uneven light and vignetting."""
-        small = downsampled(self, self.factor)
+        small = self.reduced(self.factor)
         wide = cv2.blur(small, (15, 15), borderType=cv2.BORDER_REFLECT)
         coarse = np.asarray(cv2.subtract(small, wide, dtype=cv2.CV_32F), dtype=np.float32)
         if self._part_px is None:
@@ -95,7 +91,7 @@ class PreparedFrame:
     def masked(self, part_px: Floats) -> PreparedFrame:
         """Return the frame for coarse searches in a convex part with corners (k, 2); outside `coarse` is 0."""
         # They are read first, so that the copy shares what is computed once per frame.
-        _ = self.grey, self.copies, self.factor
+        _ = self.grey, self.factor
         out = copy.copy(self)
         out._part_px = part_px
         for searched in ("coarse", "coarser"):
@@ -103,17 +99,8 @@ class PreparedFrame:
         return out
 
 
-def downsampled(frame: PreparedFrame, factor: int) -> NDArray[np.uint8]:
-    """Return the grey frame reduced by a power of two, by block means, read-only. It is computed once per frame."""
-    if factor == 1:
-        return frame.grey
-    if factor not in frame.copies:
-        frame.copies[factor] = frame.quarter if factor == 4 else read_only(half_size(downsampled(frame, factor // 2)))
-    return frame.copies[factor]
-
-
 @compiled
-def quarter_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _quarter_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the means of blocks of 4×4 pixels. Incomplete blocks at the right and at the bottom are left out.
 
     Here a frame is read from memory for the first time, so the order of access determines the time. Reading line by
@@ -136,7 +123,11 @@ def quarter_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def read_only(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a contiguous, read-only view of an image, so that compiled functions receive a single type of array."""
+    """Return a contiguous, read-only view of an image: a single type of array for compiled functions.
+
+    Numba compiles separate variants for read-only and for writable arrays, and the two may round differently. A frame
+    in the ring and the same frame from a file must give the same evidence.
+    """
     view = np.ascontiguousarray(image).view()
     view.flags.writeable = False
     return view
@@ -162,7 +153,7 @@ def resample(
         size: width and height of the part.
         wide: size of a pixel of the grid in pixels of the image, at least 1. Texture finer than the grid is removed.
     """
-    return read_only(_resample(read_only(image), np.ascontiguousarray(image_from_grid), size[0], size[1], wide))
+    return read_only(_resample(read_only(image), np.ascontiguousarray(image_from_grid), *size, wide))
 
 
 @compiled
@@ -189,19 +180,16 @@ def _resample(image: NDArray[np.uint8], affine: Floats, width: int, height: int,
             for k in range(ny):
                 down[k] = _weight(abs(top + k - v) / wide)
                 all_y += down[k]
-            total = np.float32(0)
-            if left >= 0 and top >= 0 and left + nx <= w and top + ny <= h:
-                for j in range(ny):
-                    line, part = image[top + j], np.float32(0)
+            total, inside = np.float32(0), left >= 0 and left + nx <= w
+            for j in range(ny):
+                line, part = image[min(max(top + j, 0), h - 1)], np.float32(0)
+                if inside:
                     for i in range(nx):
                         part += across[i] * line[left + i]
-                    total += down[j] * part
-            else:
-                for j in range(ny):
-                    line, part = image[min(max(top + j, 0), h - 1)], np.float32(0)
+                else:
                     for i in range(nx):
                         part += across[i] * line[min(max(left + i, 0), w - 1)]
-                    total += down[j] * part
+                total += down[j] * part
             out[y, x] = np.uint8(min(max(total / (all_x * all_y) + np.float32(0.5), np.float32(0)), np.float32(255)))
     return out
 

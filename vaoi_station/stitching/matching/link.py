@@ -1,9 +1,7 @@
 """Link two frames: find the coarse shift, choose well-textured corners, match their patches with sub-pixel accuracy.
 
 The coarse search correlates the overlap in reduced, high-passed copies of the frames at all shifts within a given
-range. `PreparedFrame` has two such copies: `coarse`, called full size here, and `coarser`, of half that size. A wide
-overlap is searched at half size only. A narrower one is searched at half size first; the search at full size is then
-limited to the surroundings of a few peaks.
+range: `PreparedFrame.coarse`, called full size here, and `coarser`, of half that size.
 """
 
 from __future__ import annotations
@@ -20,8 +18,8 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frame_pair import Box, FramePair, in_one_exposure, in_one_grid
-from vaoi_station.stitching.matching.frames import PreparedFrame, downsampled
-from vaoi_station.stitching.matching.patches import inside_both, match_patches, patch_centres
+from vaoi_station.stitching.matching.frames import PreparedFrame
+from vaoi_station.stitching.matching.patches import are_inside_both, match_patches, patch_centres
 from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
 Small = NDArray[np.float32]
@@ -42,9 +40,7 @@ def best_corners(
 ) -> NDArray[np.int64]:
     """Return the corners (k, 2), x and y in a reduced frame: the best pixel of each cell of a grid from (x0, y0) on.
 
-    `across` and `down` are the number of cells and their size in pixels. Texture is the smaller eigenvalue of the
-    structure tensor (Shi and Tomasi, 1994). `cv2.cornerMinEigenVal` gives the same; with a selection by numpy that
-    takes 71 µs in place of 25 µs. Cells of weak texture have no corner.
+    `across` and `down` are the number of cells and their size in pixels. Cells of weak texture have no corner.
     """
     best, at = _best_of_cells(image, x0, y0, across, down)
     # A high quantile over the cells is the texture of a good corner even if most cells show only the belt.
@@ -57,7 +53,11 @@ def best_corners(
 def _best_of_cells(
     image: NDArray[np.uint8], x0: int, y0: int, across: tuple[int, int], down: tuple[int, int]
 ) -> tuple[Small, NDArray[np.int64]]:
-    """Return the texture of the best pixel of each cell (n,), and its x and y (n, 2)."""
+    """Return the texture of the best pixel of each cell (n,), and its x and y (n, 2).
+
+    Texture is the smaller eigenvalue of the structure tensor (Shi and Tomasi, 1994). `cv2.cornerMinEigenVal` gives the
+    same; with a selection by numpy that takes 71 µs in place of 25 µs.
+    """
     nx, width = across
     ny, height = down
     columns = nx * width
@@ -149,12 +149,9 @@ class NoMatch(Failure):
 def find_shift(
     a: PreparedFrame, b: PreparedFrame, box: tuple[int, int, int, int], offset_px: Floats, reach_px: Floats
 ) -> CoarseShift | Failure:
-    """Find by how much the content of frame a is shifted in frame b beyond the prediction.
+    """Find by how much the content of frame a, inside the overlap `box`, is shifted in frame b beyond the prediction.
 
     Args:
-        a: the frame whose part inside the overlap is the template.
-        b: the frame in which the template is searched.
-        box: the overlap (x0, y0, x1, y1) in pixels of frame a.
         offset_px: (2,) predicted position in frame b minus position in frame a, in the middle of the overlap.
         reach_px: (2,) the search covers shifts within ± this range around `offset_px`.
     """
@@ -202,25 +199,21 @@ def _peaks(
     reach_px: Floats,
     most: int,
 ) -> list[tuple[float, Floats]]:
-    """Correlate a template with a reduced frame around the predicted shift and return the highest peaks.
+    """Correlate a template with a reduced frame b around the predicted shift and return at most `most` peaks.
 
-    Args:
-        template: the overlap, cut from the reduced frame a.
-        image: the reduced frame b.
-        box: the overlap in pixels of the unreduced frame a.
-        factor: the size of a pixel of `image` in pixels of the frame.
-        offset_px: (2,) predicted shift in pixels of the frame.
-        reach_px: (2,) range of the search in pixels of the frame.
-        most: largest number of peaks.
-
-    Returns:
-        Correlation and shift (2,) of each peak, the highest first; shifts are in pixels of `image`.
+    `factor` is the size of a reduced pixel. Each peak is its correlation and its shift (2,) in reduced pixels, the
+    highest first; box, offset and reach are in pixels of the frames.
     """
     # One pixel more on every side, because the parabola through a peak needs the neighbours of the peak.
     reach_x, reach_y = (max(math.ceil(v / factor) + 1, 2) for v in reach_px.tolist())
     shift_x, shift_y = (round(v / factor) for v in offset_px.tolist())
     left, top = round(box[0] / factor) + shift_x - reach_x, round(box[1] / factor) + shift_y - reach_y
-    window = _window(image, left, top, template.shape[1] + 2 * reach_x, template.shape[0] + 2 * reach_y)
+    # Pixels of the window outside the image are 0, that is no texture.
+    window = np.zeros((template.shape[0] + 2 * reach_y, template.shape[1] + 2 * reach_x), dtype=np.float32)
+    (height, width), (h, w) = window.shape, image.shape
+    xa, ya, xb, yb = max(left, 0), max(top, 0), min(left + width, w), min(top + height, h)
+    if xb > xa and yb > ya:
+        window[ya - top : yb - top, xa - left : xb - left] = image[ya:yb, xa:xb]
     if template.size * (2 * reach_x + 1) * (2 * reach_y + 1) <= _DIRECT:
         surface = correlations(np.ascontiguousarray(template), window)
     else:
@@ -235,12 +228,9 @@ def _peaks(
 
 @compiled
 def correlations(template: Small, window: Small) -> Small:
-    """Return the normalised correlation of a template (h, w) with a window (H, W) at every shift.
+    """Return the correlation of a template (h, w) with a window (H, W) at every shift, (H − h + 1, W − w + 1).
 
-    Template and window are high-passed, so that means need not be subtracted.
-
-    Returns:
-        (H − h + 1, W − w + 1) correlations; 0 at shifts where the window is empty.
+    Template and window are high-passed, so that means need not be subtracted. It is 0 where the window is empty.
     """
     h, w = template.shape
     lines, pitch = window.shape
@@ -325,16 +315,6 @@ def _vertex_offset(line: Small, k: int) -> float:
     return 0.5 * (line[k - 1] - line[k + 1]) / bend if bend < 0 else 0.0
 
 
-def _window(image: Small, left: int, top: int, width: int, height: int) -> Small:
-    """Cut a window out of a high-passed image; pixels of the window outside the image are 0, that is no texture."""
-    h, w = image.shape
-    out = np.zeros((height, width), dtype=np.float32)
-    xa, ya, xb, yb = max(left, 0), max(top, 0), min(left + width, w), min(top + height, h)
-    if xb > xa and yb > ya:
-        out[ya - top : yb - top, xa - left : xb - left] = image[ya:yb, xa:xb]
-    return out
-
-
 _CORNERS, _CORNERS_APART = 80, 40
 """Number of corners per pair of frames.
 
@@ -384,10 +364,7 @@ def link_rows(task: Task, pair: FramePair) -> Links:
 
 
 def row_reach_mm(shift_mm: Floats) -> Floats:
-    """Return by how far the coarse search between two rows looks on both sides of a predicted motion.
-
-    Both the predicted motion `shift_mm` and the returned range are (2,), mm.
-    """
+    """Return by how far (2,) mm the coarse search between two rows looks on both sides of a predicted motion (2,)."""
     return np.asarray(_PLAY_MM + _SLIP_SHARE * np.abs(shift_mm))
 
 
@@ -448,8 +425,7 @@ def link_reference(task: Task, pair: FramePair) -> Links:
     """
     box = pair.overlap()
     assert box is not None
-    reach = np.full(2, _PLACEMENT_MM * pair.camera_a.px_per_mm)
-    coarse = find_shift(pair.a, pair.b, box, np.zeros(2), reach)
+    coarse = find_shift(pair.a, pair.b, box, np.zeros(2), np.full(2, _PLACEMENT_MM * pair.camera_a.px_per_mm))
     if isinstance(coarse, Failure):
         return Links.empty(task, coarse.reason)
     return _link_corners(task, pair, box, coarse.px)
@@ -465,10 +441,7 @@ def _too_few(links: Links) -> bool:
 
 
 def _link_corners(task: Task, pair: FramePair, box: Box, correction_px: Floats, count: int = _CORNERS) -> Links:
-    """Choose corners in the overlap of frame a, match them in frame b, and return the good matches as links.
-
-    Frame b is searched at the prediction plus `correction_px` (2,), the shift that the coarse search found.
-    """
+    """Choose corners in the overlap of frame a, match them in frame b at the prediction plus `correction_px` (2,)."""
     a, b = pair.a, pair.b
     corners = choose_corners(a, _shrink(box, a.grey.shape, correction_px), round(count * pair.spread))
     guess = pair.predict(patch_centres(corners)) + correction_px
@@ -486,17 +459,14 @@ def _link_corners(task: Task, pair: FramePair, box: Box, correction_px: Floats, 
 
 
 def choose_corners(a: PreparedFrame, box: Box, count: int = _CORNERS) -> NDArray[np.int64]:
-    """Return corners (k, 2), x and y in whole pixels: the best-textured place of each cell of a grid over a box.
-
-    The grid has about `count` cells. Cells without sufficient texture have no corner.
-    """
+    """Return corners (k, 2), x and y in whole pixels: the best-textured places of about `count` cells of a box."""
     grid = _grid(a, box)
     if grid is None:
         return np.zeros((0, 2), dtype=np.int64)
     grain, x0, y0, w, h = grid
     cell = max(int(math.sqrt(w * h / count)), _MIN_CELL_PX // grain)
     nx, ny = max(round(w / cell), 1), max(round(h / cell), 1)
-    best = best_corners(downsampled(a, grain), x0, y0, (nx, max(w // nx, 1)), (ny, max(h // ny, 1)))
+    best = best_corners(a.reduced(grain), x0, y0, (nx, max(w // nx, 1)), (ny, max(h // ny, 1)))
     return np.asarray(best * grain + grain // 2)
 
 
@@ -514,20 +484,14 @@ def _grid(a: PreparedFrame, box: Box) -> tuple[int, int, int, int, int] | None:
 
 
 def _shrink(box: Box, shape: tuple[int, ...], correction_px: Floats) -> Box:
-    """Return the part of the overlap in which patches can be matched.
+    """Return the part of the overlap in which patches can be matched, for the shape of frame a.
 
-    The correction (2,) of the coarse search reduces the overlap, and patches need a margin to the borders of both
-    frames. `shape` is the shape of frame a.
+    The correction (2,) of the coarse search reduces the overlap, and patches need a margin to the borders.
     """
     m = MARGIN_PX + 1
     cx, cy = correction_px
-    x0, y0, x1, y1 = box[0] - min(cx, 0), box[1] - min(cy, 0), box[2] - max(cx, 0), box[3] - max(cy, 0)
-    return (
-        max(int(x0) + m, m),
-        max(int(y0) + m, m),
-        min(int(x1) - m, shape[1] - m),
-        min(int(y1) - m, shape[0] - m),
-    )
+    x0, y0 = max(int(box[0] - min(cx, 0)) + m, m), max(int(box[1] - min(cy, 0)) + m, m)
+    return x0, y0, min(int(box[2] - max(cx, 0)) - m, shape[1] - m), min(int(box[3] - max(cy, 0)) - m, shape[0] - m)
 
 
 STATIC_PX = 1.5  # largest distance in px between two places that count as the same: noise, and vibration of the cameras
@@ -541,14 +505,13 @@ def shows_patches(
 
     The second returned value is (k,) whether the place lies inside image b, so that the patch could be found.
     """
-    corners, (shown, tested) = np.rint(a_px - 0.5).astype(np.int64), np.zeros((2, len(a_px)), dtype=np.bool_)
-    inside, guess = inside_both(a.shape, b.shape, corners, patch_centres(corners) + b_px - a_px)
-    if len(inside):
-        m = match_patches(a, b, inside, guess)
-        same = m.found & (m.score >= _SAME_SCORE) & (np.hypot(*(m.b_px - guess).T) <= within_px)
-        found = dict(zip(map(tuple, inside.tolist()), same.tolist(), strict=True))
-        shown = np.array([found.get((x, y), False) for x, y in corners.tolist()], dtype=np.bool_)
-        tested = np.array([(x, y) in found for x, y in corners.tolist()], dtype=np.bool_)
+    corners = np.rint(a_px - 0.5).astype(np.int64)
+    guess = patch_centres(corners) + b_px - a_px
+    tested = are_inside_both(a.shape, b.shape, corners, guess)
+    shown = tested.copy()
+    if tested.any():
+        m = match_patches(a, b, corners[tested], guess[tested])
+        shown[tested] = m.found & (m.score >= _SAME_SCORE) & (np.hypot(*(m.b_px - guess[tested]).T) <= within_px)
     return shown, tested
 
 

@@ -52,14 +52,17 @@ def patch_centres(corners: NDArray[np.int_]) -> Floats:
     return np.asarray(corners + 0.5, dtype=np.float64)
 
 
-def inside_both(
+def are_inside_both(
     a: tuple[int, ...], b: tuple[int, ...], corners: NDArray[np.int64], guess_px: Floats
-) -> tuple[NDArray[np.int64], Floats]:
-    """Return those corners (k, 2) and guesses (k, 2) whose patches lie inside both images.
+) -> NDArray[np.bool_]:
+    """Return (k,) whether the patches at corners (k, 2) of image a and their guesses in image b lie inside the images.
 
-    Corners are in image a and guesses in image b; `a` and `b` are the shapes of the images.
+    `a` and `b` are the shapes of the images.
     """
-    return _inside_both((a[0], a[1]), (b[0], b[1]), corners, guess_px)
+    last_a, last_b = (np.array(shape[1::-1]) - MARGIN_PX - 1 for shape in (a, b))
+    at = patch_centres(corners)
+    inside = (np.minimum(at, guess_px) >= MARGIN_PX) & (at <= last_a) & (guess_px <= last_b)
+    return np.asarray(inside.all(1))
 
 
 def match_patches(a: NDArray[np.uint8], b: NDArray[np.uint8], corners: NDArray[np.int_], guess_px: Floats) -> Matches:
@@ -68,8 +71,8 @@ def match_patches(a: NDArray[np.uint8], b: NDArray[np.uint8], corners: NDArray[n
     Args:
         a: first image.
         b: second image.
-        corners: (k, 2) whole pixels in image a that passed `inside_both`; patches are centred at `patch_centres`.
-        guess_px: (k, 2) predicted centres in image b that passed `inside_both`, accurate to a few pixels.
+        corners: (k, 2) whole pixels in image a that pass `are_inside_both`; patches are centred at `patch_centres`.
+        guess_px: (k, 2) predicted centres in image b, accurate to a few pixels.
     """
     # Numba would compile a second variant for another memory layout or for a writable image
     at = np.ascontiguousarray(corners, dtype=np.int64)
@@ -104,17 +107,3 @@ def _assess(guess_px: Floats, refined: Refinement) -> tuple[NDArray[np.bool_], F
         least = (along_x + along_y) / 2 - math.hypot((along_x - along_y) / 2, cross)
         sigma[n] = 1 / math.sqrt(max(least, 1e-9))
     return found, information, sigma
-
-
-@compiled
-def _inside_both(
-    a: tuple[int, int], b: tuple[int, int], corners: NDArray[np.int64], guess_px: Floats
-) -> tuple[NDArray[np.int64], Floats]:
-    """Perform `inside_both` for shapes (height, width) of the images."""
-    keep = np.zeros(len(corners), np.bool_)
-    for n in range(len(corners)):
-        x, y = corners[n, 0] + 0.5, corners[n, 1] + 0.5
-        u, v = guess_px[n, 0], guess_px[n, 1]
-        inside = min(x, y) >= MARGIN_PX and x <= a[1] - MARGIN_PX - 1 and y <= a[0] - MARGIN_PX - 1
-        keep[n] = inside and min(u, v) >= MARGIN_PX and u <= b[1] - MARGIN_PX - 1 and v <= b[0] - MARGIN_PX - 1
-    return corners[keep], guess_px[keep]

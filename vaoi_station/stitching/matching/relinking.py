@@ -1,14 +1,10 @@
 """Link rows again if the belt moved between them at another speed than its nominal one, or stood still.
 
 While frames arrive, links are searched near the nominal motion, frame by frame. If the links of two consecutive rows
-are too few or do not agree, the motion is searched here in its whole range, for all cameras together. The rows are then
-linked around the motion found. A run in which the belt keeps its speed is not changed.
-
-Search the motion of the board between two rows in the whole range that a belt can move, by correlation.
-
-The reduced, high-passed frames of each camera are correlated at all shifts at once by Fourier transforms. The sums of
-all cameras are added at the shifts that one motion on the conveyor's plane causes in each of them, so that the texture
-of the whole row decides. The search yields several candidates; links of patches then show which of them is right.
+are too few or do not agree, the motion is searched here in the whole range that a belt can move, for all cameras
+together: their reduced, high-passed frames are correlated at all shifts by Fourier transforms, and the sums are added
+at the shifts that one motion on the conveyor's plane causes in each camera. Links of patches around the best candidates
+then show which of them is right. A run in which the belt keeps its speed is not changed.
 
 A repeated pattern, such as a grid of LEDs, fits at several motions, and two cameras may find different ones although
 they see one motion. `possible_motions` lists them, so that all cameras together are compared at each.
@@ -43,7 +39,9 @@ from vaoi_station.stitching.matching.link import (
 )
 
 Ints = NDArray[np.int64]
-FASTEST = 1.5  # largest motion between two rows that is searched, as a share of the nominal motion. The smallest is 0
+Step = tuple[int, int]
+"""Two consecutive rows with frames, p and q."""
+FASTEST = 1.5  # largest motion between two rows that is searched, as a share of the nominal motion; the smallest is 0
 _ACROSS_MM = 2.0  # largest motion across the belt between two rows that is searched
 _BACK_MM = 1.0
 """Range of the search against the belt's direction, mm.
@@ -51,34 +49,35 @@ _BACK_MM = 1.0
 A board at rest has its highest correlation at a motion of 0, and a maximum needs neighbours on both sides."""
 _LEAST_OVERLAP = 0.12  # least share of a frame that the frames of both rows must show
 _MIN_CONTRAST = 1.0  # contrast, rms of the high-passed grey levels, below which a frame counts as empty
-_MIN_SCORE = 0.12
-"""Smallest correlation of a candidate. It is low because components that lean reduce it; links decide later."""
+_MIN_SCORE = (
+    0.12  # smallest correlation of a candidate: low, because components that lean reduce it; links decide later
+)
 _CANDIDATES = 5
 SIMILAR = 0.75  # another motion fits as well if it has at least this share of the largest number of links
-APART_MM = 0.5  # least difference between two motions. A smaller difference comes from components that lean
+APART_MM = 0.5  # least difference between two motions: a smaller one comes from components that lean
 _STATIC_BOX, _STATIC_SHARE = 5, 0.4
 """Limits for texture that stands still, which is searched in squares of `_STATIC_BOX` reduced pixels.
 
 Texture stands still if the squared difference of two frames, summed over a square, is less than `_STATIC_SHARE` times
 the sum of their squares. This ratio is 1 for unrelated texture."""
+_AGREE_MM = 0.5
+"""Largest distance from the median at which links of two rows agree, mm.
 
+Turns of the board, and components that lean, displace correct links from the median."""
+_CERTAIN, _SHARE = 24, 0.4
+"""Number of agreeing links, and their share of the tried corners, from which on a motion is certain."""
+_FEW, _MOST = 8, 0.6
+"""The same where an overlap has few corners: at least `_FEW` links, and at least the share `_MOST` of the corners.
 
-class _Sums(NamedTuple):
-    """Sums over the common pixels of two reduced frames, one for each shift between the frames; 0 without any."""
+Links near the nominal motion need no search if they reach this number and share. Pins of components and other periodic
+texture reached a share of 0.3 at a wrong motion; the correct motion reached 0.9."""
+_BETTER = 2.0  # least ratio of the agreeing links around a new motion to those around the nominal motion
+_REST_MM = 1.0  # the board counts as at rest at a motion up to this; texture that stands still is then removed
+_NEAR_PX, _CONTINUES = 4.0, 0.2
+"""Limits by which texture at rest is recognised as the board's, because the board moves on later.
 
-    products: Floats
-    energy_a: Floats
-    energy_b: Floats
-    overlap: Floats  # number of common pixels, as a share of the frame
-
-
-@dataclass(frozen=True, eq=False)
-class _Reduced:
-    """A pair of frames, and their reduced, high-passed copies that are correlated."""
-
-    pair: FramePair
-    a: Small
-    b: Small
+A patch continues if it appears within `_NEAR_PX` px of its place after the motion of the next row. At least the share
+`_CONTINUES` of the patches must do so."""
 
 
 def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> list[Floats]:
@@ -90,35 +89,27 @@ def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> li
         moving: whether to leave out texture that both frames show in the same place. Otherwise, texture that stands
             still beside the board may outweigh the board.
     """
-    reduced = [_Reduced(pair, *(_moving(pair) if moving else (pair.a.coarse, pair.b.coarse))) for pair in pairs]
-    textured = [one for one in reduced if min(_contrast(one.a), _contrast(one.b)) >= _MIN_CONTRAST]
-    if not textured:
-        return []
-    nominal = textured[0].pair.shift_mm
-    way = float(np.hypot(*nominal))
+    copies = [(pair, *(_moving(pair) if moving else (pair.a.coarse, pair.b.coarse))) for pair in pairs]
+    textured = [one for one in copies if min(float(np.sqrt(np.mean(x * x))) for x in one[1:]) >= _MIN_CONTRAST]
+    way = float(np.hypot(*textured[0][0].shift_mm)) if textured else 0.0
     if way <= 0:
         return []
-    along = np.asarray(nominal) / way
-    cell = max(one.pair.a.factor / one.pair.camera_a.px_per_mm for one in textured)
+    along = np.asarray(textured[0][0].shift_mm) / way
+    across = np.array([-along[1], along[0]])
+    cell = max(pair.a.factor / pair.camera_a.px_per_mm for pair, *_ in textured)
     # A whole number of samples, so that a motion of exactly 0 is one of them.
     u = np.arange(-math.ceil(_BACK_MM / cell) - 1, math.ceil(FASTEST * way / cell) + 2) * cell
     v = np.arange(-math.ceil(_ACROSS_MM / cell), math.ceil(_ACROSS_MM / cell) + 1) * cell
-    across = np.array([-along[1], along[0]])
     motion = u[None, :, None] * along + v[:, None, None] * across
-    each = [_correlated(one.a, one.b, _shifts(one.pair, motion)) for one in textured]
-    products, energy_a, energy_b, overlap = (np.sum(sums, axis=0) for sums in zip(*each, strict=True))
-    overlap /= len(textured)
+    sums = np.sum([_correlated(a, b, _shifts(pair, motion)) for pair, a, b in textured], axis=0)
+    products, energy_a, energy_b, overlap = sums
     energy = np.sqrt(np.maximum(energy_a * energy_b, 0.0))
     whole = max(float(energy.max()), 1e-9)
     # At shifts at which the frames have hardly any texture in common, the correlation of noise is large.
-    known = (overlap >= _LEAST_OVERLAP) & (energy > 0.02 * whole)
+    known = (overlap >= _LEAST_OVERLAP * len(textured)) & (energy > 0.02 * whole)
     score = np.where(known, products / np.maximum(energy, 1e-9 * whole), 0.0).astype(np.float32)
     peaks = best_peaks(np.ascontiguousarray(score), _CANDIDATES).tolist()
     return [(u[0] + x * cell) * along + (v[0] + y * cell) * across for s, x, y in peaks if s >= _MIN_SCORE]
-
-
-def _contrast(coarse: Small) -> float:
-    return math.sqrt(float(np.vdot(coarse, coarse)) / max(coarse.size, 1))
 
 
 def _moving(pair: FramePair) -> tuple[Small, Small]:
@@ -129,13 +120,18 @@ def _moving(pair: FramePair) -> tuple[Small, Small]:
     return a * moves, b * moves
 
 
-def _correlated(a: Small, b: Small, shift: Ints) -> _Sums:
-    """Correlate two reduced frames at shifts (..., 2) from a to b, px, by Fourier transforms with zeros beside them."""
+def _correlated(a: Small, b: Small, shift: Ints) -> Floats:
+    """Correlate two reduced frames at shifts (..., 2) from a to b, px, by Fourier transforms with zeros beside them.
+
+    Return four sums over the common pixels at each shift, (4, ...): of products, of squares of a and of b, and of ones,
+    as a share of the frame.
+    """
     (height, width), (rows, columns) = a.shape, b.shape
     # Half a frame of zeros would do for most shifts; a whole frame is enough for all of them. Single precision errs by
     # 1e-7 of the highest value.
     size = cv2.getOptimalDFTSize(height + rows), cv2.getOptimalDFTSize(width + columns)
-    spectrum_a, spectrum_b = (cv2.dft(_padded(x, size), nonzeroRows=len(x)) for x in (a, b))
+    padded = [np.pad(x, ((0, size[0] - len(x)), (0, size[1] - x.shape[1]))) for x in (a, b)]
+    spectrum_a, spectrum_b = (cv2.dft(x, nonzeroRows=n) for x, n in zip(padded, (height, rows), strict=True))
     product = cv2.mulSpectrums(spectrum_b, spectrum_a, 0, conjB=True)
     products = cv2.dft(product, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT)
     x, y = shift[..., 0], shift[..., 1]
@@ -144,15 +140,9 @@ def _correlated(a: Small, b: Small, shift: Ints) -> _Sums:
     right, bottom = np.clip(columns - x, left, width), np.clip(rows - y, top, height)
     common = (right - left) * (bottom - top)
     energy_a = _sum_within(a, left, top, right, bottom)
-    energy_b = np.where(common > 0, _sum_within(b, left + x, top + y, right + x, bottom + y), 0.0)
-    return _Sums(np.where(common > 0, products[y % size[0], x % size[1]], 0.0), energy_a, energy_b, common / a.size)
-
-
-def _padded(picture: Small, size: tuple[int, int]) -> Small:
-    """Return a picture with zeros below and to the right of it."""
-    out = np.zeros(size, np.float32)
-    out[: picture.shape[0], : picture.shape[1]] = picture
-    return out
+    energy_b = _sum_within(b, left + x, top + y, right + x, bottom + y)
+    sums = np.array([products[y % size[0], x % size[1]], energy_a, energy_b, common / a.size])
+    return np.where(common > 0, sums, 0.0)
 
 
 def _sum_within(picture: Small, left: Ints, top: Ints, right: Ints, bottom: Ints) -> Floats:
@@ -167,16 +157,9 @@ def _shifts(pair: FramePair, motion: Floats) -> Ints:
     """Convert motions (..., 2) of the board, mm, to the shifts of the reduced picture that they cause at its centre."""
     centre = np.array([pair.camera_a.center_px])
     # The shift of the picture is linear in the motion, except for a reduced pixel or two.
-    by_x, by_y = (predict(centre, pair.camera_a, pair.camera_b, np.array(e))[0] for e in ((1.0, 0.0), (0.0, 1.0)))
-    still = predict(centre, pair.camera_a, pair.camera_b, np.zeros(2))[0]
-    jacobian = np.stack([by_x - still, by_y - still], 1)
-    shift = np.rint((motion @ jacobian.T + (still - centre[0])) / pair.a.factor)
+    still, *moved = (predict(centre, pair.camera_a, pair.camera_b, e)[0] for e in (np.zeros(2), *np.eye(2)))
+    shift = np.rint((motion @ (np.array(moved) - still) + (still - centre[0])) / pair.a.factor)
     return np.asarray(shift, dtype=np.int64)
-
-
-def has_rival(links: Sequence[Links]) -> bool:
-    """Return whether the coarse search of any camera found another shift that fits similarly well."""
-    return any(e.rival_px is not None for e in links)
 
 
 def possible_motions(links: Sequence[Links], cameras: Sequence[Camera], nominal_mm: Floats) -> list[Floats]:
@@ -202,28 +185,6 @@ def possible_motions(links: Sequence[Links], cameras: Sequence[Camera], nominal_
     return [one for n, one in enumerate(near) if all(np.hypot(*(one - other)) > APART_MM for other in near[:n])]
 
 
-_AGREE_MM = 0.5
-"""Largest distance from the median at which links of two rows agree, mm.
-
-Turns of the board, and components that lean, displace correct links from the median."""
-_CERTAIN, _SHARE = 24, 0.4
-"""Number of agreeing links, and their share of the tried corners, from which on a motion is certain."""
-_FEW, _MOST = 8, 0.6
-"""The same where an overlap has few corners: at least `_FEW` links, and at least the share `_MOST` of the corners.
-
-Links near the nominal motion need no search if they reach this number and share. Pins of components and other periodic
-texture reached a share of 0.3 at a wrong motion; the correct motion reached 0.9."""
-_BETTER = 2.0  # least ratio of the agreeing links around a new motion to those around the nominal motion
-_REST_MM = 1.0
-"""The board counts as at rest if its motion between two rows is at most this. Texture that stands still is then
-removed."""
-_NEAR_PX, _CONTINUES = 4.0, 0.2
-"""Limits by which texture at rest is recognised as the board's, because the board moves on later.
-
-A patch continues if it appears within `_NEAR_PX` px of its place after the motion of the next row. At least the share
-`_CONTINUES` of the patches must do so."""
-
-
 class RowLinks(NamedTuple):
     """The k links between rows near the nominal motion: their rows, and the motion that each of them measures."""
 
@@ -245,16 +206,9 @@ class _Found:
 
     @property
     def certain(self) -> bool:
-        """Whether the share of agreeing links is so large that false links cannot explain it."""
-        return _certain(self.agreeing, max(sum(e.tried for e in self.links) - self.still, self.agreeing))
-
-    def agreeing_with(self, other: _Found) -> bool:
-        """Return whether this motion is that of another search too, with at least as many agreeing links."""
-        return self.agreeing >= other.agreeing and float(np.hypot(*(self.motion_mm - other.motion_mm))) <= APART_MM
-
-    def marked(self) -> _Found:
-        """Return a copy in which every `Links` states that another motion fits as well."""
-        return replace(self, links=tuple(replace(e, ambiguous=True) for e in self.links), ambiguous=True)
+        """Whether the share of agreeing links is so large that false links to similar texture cannot explain it."""
+        n, tried = self.agreeing, max(sum(e.tried for e in self.links) - self.still, self.agreeing)
+        return (n >= _CERTAIN and n >= _SHARE * tried) or (n >= _FEW and n >= _MOST * tried)
 
     @property
     def at_rest(self) -> bool:
@@ -268,125 +222,114 @@ class _Relinker:
     scene: Scene
     velocity_mm_s: Floats
     times_s: Floats
-    rows: tuple[int, ...] = ()  # numbers of the rows that have frames, sorted
-    step_mm: dict[tuple[int, int], Floats] = field(default_factory=dict)
+    step_mm: dict[Step, Floats] = field(default_factory=dict)
     """Motion between consecutive rows with frames: the one found, else that of links near the nominal motion, else the
     nominal one."""
 
+    @property
+    def rows(self) -> list[int]:
+        return sorted({row for _, row in self.scene.present})
+
+    def nominal(self, p: int, q: int) -> Floats:
+        return np.asarray(self.velocity_mm_s * (self.times_s[q] - self.times_s[p]))
+
     def pairs(self, p: int, q: int, motion_mm: Floats) -> list[tuple[Task, FramePair]]:
         """Return the tasks that link rows p and q, camera by camera, with their frames."""
-        present, dt_s = set(self.scene.present), round(float(self.times_s[q] - self.times_s[p]), 6)
-        out = []
-        for i, camera in enumerate(self.scene.cameras):
-            if (i, p) in present and (i, q) in present:
-                a, b = self.scene.prepared((i, p)), self.scene.prepared((i, q))
-                out.append((Task("rows", (i, p), (i, q), dt_s), FramePair(a, b, camera, camera, motion_mm)))
-        return out
+        dt_s = round(float(self.times_s[q] - self.times_s[p]), 6)
+        present = set(self.scene.present)
+        there = [i for i in range(len(self.scene.cameras)) if {(i, p), (i, q)} <= present]
+        return [(Task("rows", (i, p), (i, q), dt_s), self.pair((i, p), (i, q), motion_mm)) for i in there]
 
-    def link(self, p: int, q: int, motion_mm: Floats) -> _Found:
-        """Link rows p and q in all cameras, with patches searched near a motion (2,) of the board, mm."""
-        return self.counted(motion_mm, tuple(link_rows(task, pair) for task, pair in self.pairs(p, q, motion_mm)))
-
-    def settle(self, links: Sequence[Links], p: int, q: int) -> _Found | None:
-        """Return the links of rows p and q around the most likely motion among those that a repeated pattern allows.
-
-        Return None if only one motion fits and all cameras have found it.
-        """
-        nominal = self.velocity_mm_s * (self.times_s[q] - self.times_s[p])
-        options = []
-        for motion in possible_motions(links, self.scene.cameras, nominal):
-            exact = tuple(link_in_place(task, pair) for task, pair in self.pairs(p, q, motion))
-            options.append(self.counted(motion, exact))
-        likeliest = _likeliest(options, nominal)
-        if likeliest is None or (
-            not likeliest.ambiguous and self.counted(nominal, tuple(links)).agreeing_with(likeliest)
-        ):
-            return None
-        return replace(likeliest, repeated=True)
+    def pair(self, a: tuple[int, int], b: tuple[int, int], motion_mm: Floats) -> FramePair:
+        """Return two frames of one camera between which the board moved by this."""
+        camera = self.scene.cameras[a[0]]
+        return FramePair(self.scene.prepared(a), self.scene.prepared(b), camera, camera, motion_mm)
 
     def counted(self, motion_mm: Floats, links: tuple[Links, ...]) -> _Found:
         """Return the motion that links measure (their median), with the count of links that agree with it.
 
         Without links it is the motion that was tried, `motion_mm` (2,).
         """
-        each = [
-            self.scene.cameras[e.task.a[0]].ground(e.b_px) - self.scene.cameras[e.task.a[0]].ground(e.a_px)
-            for e in links
-            if len(e.a_px)
-        ]
+        cameras = self.scene.cameras
+        each = [cameras[e.task.a[0]].ground(e.b_px) - cameras[e.task.a[0]].ground(e.a_px) for e in links if len(e.a_px)]
         if not each:
             return _Found(motion_mm, links, 0)
         measured = np.concatenate(each)
         return _Found(np.median(measured, axis=0), links, _agreeing(measured))
+
+    def settle(self, links: Sequence[Links], p: int, q: int) -> _Found | None:
+        """Return the links of rows p and q around the most likely motion among those that a repeated pattern allows.
+
+        It is the motion nearest to the nominal one among those with similarly many links. Return None if only one
+        motion fits and all cameras have found it.
+        """
+        nominal, options = self.nominal(p, q), list[_Found]()
+        for motion in possible_motions(links, self.scene.cameras, nominal):
+            exact = tuple(link_in_place(task, pair) for task, pair in self.pairs(p, q, motion))
+            options.append(self.counted(motion, exact))
+        most = max((one.agreeing for one in options), default=0)
+        if not most:
+            return None
+        fitting = [one for one in options if one.agreeing >= SIMILAR * most]
+        nearest = min(fitting, key=lambda one: _distance(one.motion_mm, nominal))
+        if any(_distance(one.motion_mm, nearest.motion_mm) > APART_MM for one in fitting):
+            marked = tuple(replace(e, ambiguous=True) for e in nearest.links)
+            return replace(nearest, links=marked, ambiguous=True, repeated=True)
+        known = self.counted(nominal, tuple(links))
+        if known.agreeing >= nearest.agreeing and _distance(known.motion_mm, nearest.motion_mm) <= APART_MM:
+            return None
+        return replace(nearest, repeated=True)
 
     def search(self, p: int, q: int, before: int) -> list[_Found]:
         """Search the motion from row p to row q in its whole range; return those that links confirm, most links first.
 
         `before` is the number of agreeing links around the nominal motion.
         """
-        nominal = self.velocity_mm_s * (self.times_s[q] - self.times_s[p])
-        pairs = self.pairs(p, q, nominal)
+        frames = [pair for _, pair in self.pairs(p, q, self.nominal(p, q))]
         found = []
-        for motion in candidate_motions([pair for _, pair in pairs]):
-            one = self.link(p, q, motion)
-            if one.certain and one.agreeing >= _BETTER * before:
-                found.append(one)
+        for motion in candidate_motions(frames):
+            found.append(self.counted(motion, tuple(link_rows(*both) for both in self.pairs(p, q, motion))))
+        found = [one for one in found if one.certain and one.agreeing >= _BETTER * before]
         if any(one.at_rest for one in found):
-            # Texture that stands still may belong to the belt or its frame. It may outweigh a board that moves.
-            found += self._search_moving(p, q, before, pairs)
+            # Texture that stands still may belong to the belt or its frame. It may outweigh a board that moves. A
+            # separate search for each camera would find the texture that stands still.
+            for motion in candidate_motions(frames, moving=True):
+                here = self.pairs(p, q, motion)
+                still = sum(static_corners(pair) for _, pair in here)
+                one = replace(self.counted(motion, tuple(link_in_place(*both) for both in here)), still=still)
+                if one.certain and not one.at_rest and one.agreeing >= _BETTER * before:
+                    found.append(one)
         return sorted(found, key=lambda one: -one.agreeing)
 
-    def _search_moving(self, p: int, q: int, before: int, pairs: Sequence[tuple[Task, FramePair]]) -> list[_Found]:
-        """Search the motion of everything that does not stand still between rows p and q."""
-        found = []
-        for motion in candidate_motions([pair for _, pair in pairs], moving=True):
-            # A separate search for each camera would find the texture that stands still.
-            here = self.pairs(p, q, motion)
-            one = self.counted(motion, tuple(link_in_place(task, pair) for task, pair in here))
-            still = sum(static_corners(pair) for _, pair in here)
-            one = replace(one, still=still)
-            if one.certain and not one.at_rest and one.agreeing >= _BETTER * before:
-                found.append(one)
-        return found
-
-    def continues(self, group: Sequence[tuple[int, int]]) -> bool | None:
+    def continues(self, group: Sequence[Step]) -> bool | None:
         """Return whether texture at rest moves on before or after the rest, as the texture of a board does.
 
         Texture of the belt's frame does not move; meanwhile the board may cover it. Return None if too little of it is
         in view.
         """
-        first, last = self.rows.index(group[0][0]), self.rows.index(group[-1][1])
+        rows, present = self.rows, set(self.scene.present)
+        first, last = rows.index(group[0][0]), rows.index(group[-1][1])
         tested = shown = 0
         for at, to in ((first, first - 1), (last, last + 1)):
-            if not 0 <= to < len(self.rows):
+            if not 0 <= to < len(rows):
                 continue
-            row, other = self.rows[at], self.rows[to]
-            motion = self.step_mm[other, row] * -1 if to < at else self.step_mm[row, other]
+            row, other = rows[at], rows[to]
+            motion = -self.step_mm[other, row] if to < at else self.step_mm[row, other]
             if float(np.hypot(*motion)) < _REST_MM:
                 continue
-            beside = self.rows[at + 1] if to < at else self.rows[at - 1]
-            for task, pair in self.pairs(row, beside, np.zeros(2)) if to < at else self.pairs(beside, row, np.zeros(2)):
-                links = link_in_place(task, pair)
-                k, n = self._moved_on(task.a[0], (row, other), links.a_px if to < at else links.b_px, motion)
-                shown, tested = shown + k, tested + n
-        if tested < _FEW:
-            return None
-        return shown >= max(_FEW / 2, _CONTINUES * tested)
-
-    def _moved_on(self, camera: int, rows: tuple[int, int], px: Floats, motion_mm: Floats) -> tuple[int, int]:
-        """Return how many patches at `px` (k, 2) of a row another row shows after a motion, and how many were tried."""
-        present = set(self.scene.present)
-        if not len(px) or (camera, rows[1]) not in present:
-            return 0, 0
-        a, b = (self.scene.prepared((camera, row)) for row in rows)
-        guess = FramePair(a, b, self.scene.cameras[camera], self.scene.cameras[camera], motion_mm).predict(px)
-        shows, inside = shows_patches(a.grey, b.grey, px, guess, _NEAR_PX)
-        return int(shows.sum()), int(inside.sum())
+            step = (row, rows[at + 1]) if to < at else (rows[at - 1], row)
+            for task, pair in self.pairs(*step, np.zeros(2)):
+                links, i = link_in_place(task, pair), task.a[0]
+                px = links.a_px if to < at else links.b_px
+                if len(px) and (i, other) in present:
+                    on = self.pair((i, row), (i, other), motion)
+                    shows, inside = shows_patches(on.a.grey, on.b.grey, px, on.predict(px), _NEAR_PX)
+                    shown, tested = shown + int(shows.sum()), tested + int(inside.sum())
+        return None if tested < _FEW else shown >= max(_FEW / 2, _CONTINUES * tested)
 
     def without_static(self, one: _Found, outside: Sequence[int]) -> _Found:
         """Remove links of texture that has the same place in a row of `outside`: such texture is not on the board."""
-        present = set(self.scene.present)
-        kept = []
+        present, kept = set(self.scene.present), []
         for e in one.links:
             moving = np.ones(len(e.a_px), dtype=np.bool_)
             a = self.scene.prepared(e.task.a).grey
@@ -407,19 +350,16 @@ def relink_rows(
         links: all links of the run near the nominal motion, sorted by task; those between cameras are not changed.
         measured: the same links between rows, as motions on the conveyor's plane.
     """
-    run = _Relinker(scene, velocity_mm_s, times_s, tuple(sorted({row for _, row in scene.present})))
+    run = _Relinker(scene, velocity_mm_s, times_s)
     found = _find_steps(run, links, measured)
     if not found:
         return tuple(links)
     new = {e.task[:3]: e for one in found.values() for e in one.links}
     for e in links:
         if e.task.kind == "rows" and e.task[:3] not in new and e.task.b is not None:
-            steps = _steps_between(run.rows, e.task.a[1], e.task.b[1])
+            steps = [(p, q) for p, q in pairwise(run.rows) if e.task.a[1] <= p and q <= e.task.b[1]]
             if any(step in found for step in steps):
-                motion = np.sum([run.step_mm[step] for step in steps], axis=0)
-                camera = e.task.a[0]
-                a, b = scene.prepared(e.task.a), scene.prepared(e.task.b)
-                pair = FramePair(a, b, scene.cameras[camera], scene.cameras[camera], motion)
+                pair = run.pair(e.task.a, e.task.b, np.sum([run.step_mm[step] for step in steps], axis=0))
                 # With a repeated pattern, a coarse search would find another place again.
                 repeated = any(step in found and found[step].repeated for step in steps)
                 new[e.task[:3]] = (link_in_place if repeated else link_rows)(e.task, pair)
@@ -427,51 +367,42 @@ def relink_rows(
     return tuple(sorted((*kept, *new.values()), key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind)))
 
 
-def _find_steps(run: _Relinker, links: Sequence[Links], measured: RowLinks) -> dict[tuple[int, int], _Found]:
-    """Find the consecutive rows (p, q) whose motion was not the nominal one: {(p, q): motion and links}.
+def _find_steps(run: _Relinker, links: Sequence[Links], measured: RowLinks) -> dict[Step, _Found]:
+    """Find the steps whose motion was not the nominal one, with the motion and its links.
 
-    The motion between all consecutive rows is written to `run.step_mm`.
+    The motion of all steps is written to `run.step_mm`.
     """
-    candidates: dict[tuple[int, int], list[_Found]] = {}
-    settled: dict[tuple[int, int], _Found] = {}
-    tried = _tried(links)
+    candidates: dict[Step, list[_Found]] = {}
+    settled: dict[Step, _Found] = {}
+    of_step: dict[Step, list[Links]] = {}
+    for e in links:
+        if e.task.kind == "rows" and e.task.b is not None:
+            of_step.setdefault((e.task.a[1], e.task.b[1]), []).append(e)
     for p, q in pairwise(run.rows):
+        between = of_step.get((p, q), [])
         motions = measured.motion_mm[(measured.p == p) & (measured.q == q)]
         agreeing = _agreeing(motions)
-        run.step_mm[p, q] = (
-            np.median(motions, axis=0) if agreeing else run.velocity_mm_s * (run.times_s[q] - run.times_s[p])
-        )
-        between = [
-            e for e in links if e.task.kind == "rows" and e.task.b is not None and (e.task.a[1], e.task.b[1]) == (p, q)
-        ]
-        one = run.settle(between, p, q) if has_rival(between) else None
+        run.step_mm[p, q] = np.median(motions, axis=0) if agreeing else run.nominal(p, q)
+        one = run.settle(between, p, q) if any(e.rival_px is not None for e in between) else None
         if one is not None and one.certain:
             settled[p, q] = one
-        elif agreeing < max(_FEW, _MOST * tried.get((p, q), 0)):
+        elif agreeing < max(_FEW, _MOST * sum(e.tried for e in between)):
             candidates[p, q] = run.search(p, q, agreeing)
     found = settled | {step: each[0] for step, each in candidates.items() if each}
-    for group in _rests(run.rows, found):
+    rests: list[list[Step]] = []
+    for step in (step for step in pairwise(run.rows) if step in found and found[step].at_rest):
+        if rests and rests[-1][-1][1] == step[0]:
+            rests[-1].append(step)
+        else:
+            rests.append([step])
+    for group in rests:
         _exclude_static(run, group, found, candidates)
     run.step_mm.update({step: one.motion_mm for step, one in found.items()})
     return found
 
 
-def _likeliest(options: Sequence[_Found], nominal_mm: Floats) -> _Found | None:
-    """Return the motion nearest to the nominal one among those with similarly many links; None if there is none."""
-    most = max((one.agreeing for one in options), default=0)
-    if not most:
-        return None
-    fitting = [one for one in options if one.agreeing >= SIMILAR * most]
-    nearest = min(fitting, key=lambda one: float(np.hypot(*(one.motion_mm - nominal_mm))))
-    apart = any(np.hypot(*(one.motion_mm - nearest.motion_mm)) > APART_MM for one in fitting)
-    return nearest.marked() if apart else nearest
-
-
 def _exclude_static(
-    run: _Relinker,
-    group: Sequence[tuple[int, int]],
-    found: dict[tuple[int, int], _Found],
-    candidates: Mapping[tuple[int, int], list[_Found]],
+    run: _Relinker, group: Sequence[Step], found: dict[Step, _Found], candidates: Mapping[Step, list[_Found]]
 ) -> None:
     """Remove links of texture that stands still from rows at rest; the remaining links decide whether the board rests.
 
@@ -479,8 +410,9 @@ def _exclude_static(
     a board moves on before or after the rest. A board that rests from the first row to the last cannot be distinguished
     from them: its texture is taken as that of a board, unless something else in these rows moves.
     """
-    first, last = run.rows.index(group[0][0]), run.rows.index(group[-1][1])
-    outside = [*run.rows[max(first - 1, 0) : first], *run.rows[last + 1 : last + 2]]
+    rows = run.rows
+    first, last = rows.index(group[0][0]), rows.index(group[-1][1])
+    outside = [*rows[max(first - 1, 0) : first], *rows[last + 1 : last + 2]]
     continues = run.continues(group)
     if continues is None and not outside:
         continues = not any(not one.at_rest for step in group for one in candidates.get(step, ()))
@@ -495,33 +427,6 @@ def _exclude_static(
             del found[step]
 
 
-def _rests(rows: Sequence[int], found: Mapping[tuple[int, int], _Found]) -> list[list[tuple[int, int]]]:
-    """Return the groups of consecutive rows between which the board is at rest, as lists of pairs (p, q)."""
-    groups: list[list[tuple[int, int]]] = []
-    for p, q in pairwise(rows):
-        if (p, q) in found and found[p, q].at_rest:
-            if groups and groups[-1][-1][1] == p:
-                groups[-1].append((p, q))
-            else:
-                groups.append([(p, q)])
-    return groups
-
-
-def _steps_between(rows: Sequence[int], p: int, q: int) -> list[tuple[int, int]]:
-    """Return the pairs of consecutive rows with frames that lead from row p to row q."""
-    return [(a, b) for a, b in pairwise(rows) if p <= a and b <= q]
-
-
-def _tried(links: Sequence[Links]) -> dict[tuple[int, int], int]:
-    """Return for each pair of rows the number of corners whose patches were searched."""
-    out: dict[tuple[int, int], int] = {}
-    for e in links:
-        if e.task.kind == "rows" and e.task.b is not None:
-            rows = (e.task.a[1], e.task.b[1])
-            out[rows] = out.get(rows, 0) + e.tried
-    return out
-
-
 def _agreeing(motion_mm: Floats) -> int:
     """Return how many of the motions (k, 2) agree with their median."""
     if not len(motion_mm):
@@ -529,9 +434,8 @@ def _agreeing(motion_mm: Floats) -> int:
     return int((np.hypot(*(motion_mm - np.median(motion_mm, axis=0)).T) <= _AGREE_MM).sum())
 
 
-def _certain(agreeing: int, tried: int) -> bool:
-    """Return whether false links to similar texture cannot explain this number of agreeing links."""
-    return (agreeing >= _CERTAIN and agreeing >= _SHARE * tried) or (agreeing >= _FEW and agreeing >= _MOST * tried)
+def _distance(a_mm: Floats, b_mm: Floats) -> float:
+    return float(np.hypot(*(a_mm - b_mm)))
 
 
 def _selected(e: Links, keep: np.ndarray) -> Links:

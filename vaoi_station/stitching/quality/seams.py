@@ -348,13 +348,13 @@ def _examine(scene: Scene, left: FrameKey) -> _Overlap | None:
     (sat_a, sat_b), (mean_a, mean_b) = ([f(s) for s in strips] for f in (_saturated_share, _mean))
     black_a, black_b = (
         min(float((grey <= _BLACK).mean()) for grey in both)
-        for both in zip(strips, (a.quarter, b.quarter), strict=True)
+        for both in zip(strips, (a.reduced(4), b.reduced(4)), strict=True)
     )
     return _Overlap(
         (sat_a, sat_b),
         (black_a, black_b),
         (mean_a, mean_b),
-        (_mean(a.quarter), _mean(b.quarter)),
+        (_mean(a.reduced(4)), _mean(b.reduced(4))),
         len(corners),
         (left_out, right_out),
         int(clear.sum()),
