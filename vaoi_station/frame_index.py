@@ -1,39 +1,117 @@
-"""Which frames of a stitched run show a place of the board, and where: by lens, row motion, surface and height.
-
-Pictures of components, merged pictures, heights, mosaics and codes all ask this index.
-"""
+"""Which frames of a run show a place, a line or a region of the board, and how: by lens, motion, surface and height."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from itertools import pairwise
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.errors import StateError
 from vaoi_station.geometry import Camera, apply
+from vaoi_station.geometry.camera import camera_arrays
+from vaoi_station.geometry.projection_kernels import CameraArrays, ground_to_raw
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import Stitch
+from vaoi_station.model import Stitch, Surface
 
-Box = tuple[int, int, int, int]  # part x0, y0, x1, y1 of a picture in pixels, ends excluded
+Ints = NDArray[np.int_]
+Box = tuple[int, int, int, int]
+"""Part x0, y0, x1, y1 of a picture in pixels, ends excluded."""
+FrameKey = tuple[int, int]
+"""Camera and row of a frame."""
+
+_BEYOND_PX = 3.0  # a footprint's centre up to this far outside a frame still counts as a view
+_MARGIN_MM = 1.0  # least distance of a point from the border of its best frame
+_FAINT = 1 / 3
+"""A frame whose grey levels scatter less than this share of those of another frame is exposed too short or too long."""
+_DEEPEST, _DEEPEST_VIEW = 7, 4
+"""Number of times that a footprint is divided into quarters at its border: for its share, and to count its views."""
+_VIEW_SHARE = 0.5  # least share of a footprint that a frame must show, for the frame to count as a view
 
 
-class Lenses(NamedTuple):
-    """The lenses of all cameras, as compiled functions take them (`geometry.projection_kernels`)."""
+class Pixels(Protocol):
+    """A prepared frame (`stitching.matching.frames`), as far as the index reads it."""
 
-    radial: Floats  # (cameras, coefficients) of the distortion; 0 where a lens has fewer
-    shape: Floats  # (cameras, 5) `Lens.shape`
-    distorts: NDArray[np.bool_]  # (cameras,) whether the lens distorts at all
+    @property
+    def grey(self) -> NDArray[np.uint8]:
+        """(h, w) luminance."""
+
+    @property
+    def contrast(self) -> float:
+        """Standard deviation of the grey levels."""
 
 
+View = tuple[int, int, float, float]  # one view of a point: camera, row, and raw pixels x and y
+
+
+@dataclass(frozen=True, eq=False)
+class FootprintViews:
+    """k views of points of the board, ordered by point, then by camera, then by row."""
+
+    point: Ints  # (k,) number of the point that each view shows
+    camera: Ints
+    row: Ints
+    place_mm: Floats
+    """(k, 2) position of the point in the conveyor's plane, mm in row coordinates, in the row of the view."""
+    px: Floats  # (k, 2) raw pixels. Some lie a little outside the frame
+
+    @property
+    def frames(self) -> list[FrameKey]:
+        """Camera and row of each of the k views."""
+        return list(zip(self.camera.tolist(), self.row.tolist(), strict=True))
+
+    def without_rows(self, rows: Sequence[int]) -> FootprintViews:
+        """Return the views in all rows except the given ones."""
+        return self._where(~np.isin(self.row, rows)) if rows else self
+
+    def without_frames(self, frames: Collection[FrameKey]) -> FootprintViews:
+        """Return the views in all frames except the given ones."""
+        return self._where(np.array([key not in frames for key in self.frames], np.bool_)) if frames else self
+
+    def without_points(self, points: Sequence[int]) -> FootprintViews:
+        """Return the views of all points except the given ones."""
+        return self._where(~np.isin(self.point, points)) if points else self
+
+    def _where(self, keep: NDArray[np.bool_]) -> FootprintViews:
+        return FootprintViews(self.point[keep], self.camera[keep], self.row[keep], self.place_mm[keep], self.px[keep])
+
+    def by_address(self, addresses: Sequence[str]) -> dict[str, tuple[View, ...]]:
+        """Return the views by the address of each point: {address: ((camera, row, x, y), …)}, rounded raw pixels."""
+        x, y = np.round(self.px, 4).T.tolist()
+        every = list(zip(self.camera.tolist(), self.row.tolist(), x, y, strict=True))
+        ends = [0, *np.cumsum(np.bincount(self.point, minlength=len(addresses))).tolist()]
+        return {address: tuple(every[a:b]) for address, (a, b) in zip(addresses, pairwise(ends), strict=True)}
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """How much of each of n components the frames show."""
+
+    share: Floats  # (n,) share of the footprint's area that the frames show together
+    views: Ints  # (n,) number of frames that show at least half of the footprint
+    in_one_frame: NDArray[np.bool_]  # (n,) whether one frame shows the whole footprint
+
+
+@dataclass(frozen=True, eq=False)
 class FrameIndex:
-    """The f frames of a run that stitching placed, ordered by camera and row."""
+    """The f frames of a run, with their poses above the board."""
 
-    def __init__(self, stitch: Stitch, calibrated: Sequence[Camera]) -> None:
-        """Store the matrices of a run; `calibrated` are the cameras with which it was stitched.
+    cameras: Sequence[Camera]
+    row_from_tester: Floats  # (m, 3, 3) the matrices D_j of all rows
+    present: Sequence[FrameKey] = ()  # camera and row of the frames that count
+    surface: Surface | None = None  # surface of the board; None for a board in the calibrated plane
+    tester_from_cad: Floats = field(default_factory=lambda: np.eye(3))  # C; the identity if places are given in mm
+    prepared: Callable[[FrameKey], Pixels] | None = None  # the pixels of a frame, for those questions that read them
+
+    @staticmethod
+    def of_result(stitch: Stitch, calibrated: Sequence[Camera]) -> FrameIndex:
+        """Make the index of the frames that stitching placed; `calibrated` are the cameras with which it stitched.
 
         Raises:
             StateError: the run has no CAD mapping.
@@ -44,36 +122,43 @@ class FrameIndex:
                 action="; ".join(stitch.reasons),
                 code="no-cad-mapping",
             )
-        self.cameras, self.surface = stitch.cameras(calibrated), stitch.surface
-        self.tester_from_cad: Floats = np.asarray(stitch.cad_matrix, dtype=np.float64)
-        self.row_from_tester: Floats = np.array(stitch.row_motion, dtype=np.float64).reshape(-1, 3, 3)
-        self.row_from_cad: Floats = self.row_from_tester @ self.tester_from_cad  # (rows, 3, 3)
+        rows = np.array(stitch.row_motion, dtype=np.float64).reshape(-1, 3, 3)
         placed = [(i, j) for i, rows in enumerate(stitch.image_matrices) for j, m in enumerate(rows) if m is not None]
-        self._placed = frozenset(placed)
-        self.key = np.array(placed, dtype=np.int_).reshape(-1, 2)  # (f, 2) camera and row
+        cad = np.asarray(stitch.cad_matrix, dtype=np.float64)
+        return FrameIndex(stitch.cameras(calibrated), rows, placed, stitch.surface, cad)
+
+    @cached_property
+    def key(self) -> Ints:
+        """Camera and row (f, 2) of the frames that count."""
+        return np.array(self.present, dtype=np.int_).reshape(-1, 2)
+
+    @cached_property
+    def _there(self) -> frozenset[FrameKey]:
+        return frozenset(self.present)
+
+    def places(self, camera: int, row: int) -> bool:
+        """Return whether a frame counts."""
+        return (camera, row) in self._there
+
+    @cached_property
+    def row_from_cad(self) -> Floats:
+        """(m, 3, 3)."""
+        return np.asarray(self.row_from_tester @ self.tester_from_cad)
 
     @property
     def px_per_mm(self) -> float:
         """Mean resolution of the cameras."""
         return float(np.mean([camera.px_per_mm for camera in self.cameras]))
 
-    def places(self, camera: int, row: int) -> bool:
-        """Return whether stitching placed a frame."""
-        return (camera, row) in self._placed
+    @cached_property
+    def arrays(self) -> CameraArrays:
+        """The cameras as compiled functions take them."""
+        return camera_arrays(self.cameras)
 
     @cached_property
-    def lenses(self) -> Lenses:
-        """The lenses of all cameras."""
-        lenses = [camera.lens for camera in self.cameras]
-        radial = np.zeros((len(lenses), max(len(lens.coefficients) for lens in lenses)))
-        for own, lens in zip(radial, lenses, strict=True):
-            own[: len(lens.coefficients)] = lens.coefficients
-        return Lenses(radial, np.array([lens.shape for lens in lenses]), np.array([not lens.ideal for lens in lenses]))
-
-    @cached_property
-    def image_from_row(self) -> Floats:
-        """N_i of every camera (cameras, 3, 3)."""
-        return np.array([camera.image_from_row.matrix for camera in self.cameras])
+    def distorts(self) -> NDArray[np.bool_]:
+        """(cameras,) whether the lens distorts at all."""
+        return np.array([not camera.lens.ideal for camera in self.cameras])
 
     @cached_property
     def size_px(self) -> Floats:
@@ -88,8 +173,10 @@ class FrameIndex:
 
     def raw_px(self, camera: int, row: int, cad: Floats, above_mm: float = 0.0) -> Floats:
         """Project CAD points (..., 2), so far above the board's surface, to raw pixels (..., 2) of a frame."""
-        height = above_mm if self.surface is None else above_mm + self.surface.height_mm(cad)
-        return self.cameras[camera].project(apply(self.row_from_cad[row], cad), height)
+        return self.cameras[camera].project(apply(self.row_from_cad[row], cad), above_mm + self._height_mm(cad))
+
+    def _height_mm(self, cad: Floats) -> Floats:
+        return self.surface.height_mm(cad) if self.surface is not None else np.zeros(cad.shape[:-1])
 
     def from_foot_mm(self, camera: int, row: int, cad: Floats) -> Floats:
         """Return where CAD points (..., 2) lie from the foot of the camera: (..., 2).
@@ -100,16 +187,9 @@ class FrameIndex:
         return apply(self.row_from_cad[row], cad) - self.cameras[camera].foot_mm
 
     def largest_lean(self, camera: int) -> float:
-        """Return by how many mm a body 1 mm high appears displaced at most, somewhere in the frames of a camera.
-
-        It is 0 if the working distance is unknown: heights then displace nothing.
-        """
+        """Return by how many mm a body 1 mm high appears displaced at most, somewhere in the frames of a camera."""
         eye = self.cameras[camera]
-        if eye.working_distance_mm is None:
-            return 0.0
-        w, h = eye.width_px - 1.0, eye.height_px - 1.0
-        corners = eye.ground(np.array([(0.0, 0.0), (w, 0.0), (w, h), (0.0, h)]))
-        return float(np.hypot(*(corners - eye.foot_mm).T).max()) / eye.working_distance_mm
+        return float(np.hypot(*eye.parallax(eye.ground(_corners(eye, 0.0))).T).max())
 
     def matrix(self, camera: int, row: int, cad_from_picture: Floats, box: Box, above_mm: float = 0.0) -> Floats:
         """Return the homography (3, 3) from pixels of a picture to raw pixels of a frame.
@@ -129,14 +209,11 @@ class FrameIndex:
         """Return the CAD points (k, 2) on the board's surface that raw pixels (k, 2) of a frame show."""
         eye, cad_from_row = self.cameras[camera], np.linalg.inv(self.row_from_cad[row])
         cad = apply(cad_from_row, eye.ground(raw_px))
-        if self.surface is not None:
-            cad = apply(cad_from_row, eye.ground(raw_px, self.surface.height_mm(cad)))
-        return np.asarray(cad)
+        return cad if self.surface is None else apply(cad_from_row, eye.ground(raw_px, self.surface.height_mm(cad)))
 
     def outline(self, camera: int, row: int) -> Floats:
         """Return the corners (4, 2), going round, of what a frame shows of the board's plane, CAD coordinates."""
-        w, h = self.cameras[camera].width_px - 0.5, self.cameras[camera].height_px - 0.5
-        return self.cad(camera, row, np.array([(-0.5, -0.5), (w, -0.5), (w, h), (-0.5, h)]))
+        return self.cad(camera, row, _corners(self.cameras[camera], 0.5))
 
     def seen_box(self, camera: int, row: int, picture_from_cad: Floats, size: tuple[int, int]) -> Box:
         """Return the part of a picture of this width and height that encloses what a frame shows; may be empty."""
@@ -147,6 +224,104 @@ class FrameIndex:
         x0, y0 = np.clip(np.floor(at.min(0)).astype(int) - 1, 0, size)
         x1, y1 = np.clip(np.ceil(at.max(0)).astype(int) + 2, 0, size)
         return int(x0), int(y0), int(x1), int(y1)
+
+    def views(self, cad: Floats) -> FootprintViews:
+        """Return the views of points (n, 2) in CAD coordinates in the frames of all cameras and rows."""
+        height = self._height_mm(cad)
+        # First, one box around all cameras' views is tested: in most rows no camera sees a given point.
+        between = float(height.min(initial=0.0)), float(height.max(initial=0.0))
+        boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in self.cameras])
+        board = apply(self.tester_from_cad, cad)
+        row, point, place = _points_in_box(self.row_from_tester, board, boxes[:, 0].min(0), boxes[:, 1].max(0))
+        found = []
+        for i, (camera, (low, high)) in enumerate(zip(self.cameras, boxes, strict=True)):
+            near = np.flatnonzero(((place >= low) & (place <= high)).all(1))
+            px = camera.project(place[near], height[point[near]])
+            seen = camera.sees(px, -_BEYOND_PX)
+            at = near[seen]
+            found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
+        point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
+        # Views were found camera by camera; the stable sort orders them by point and keeps cameras and rows.
+        order = np.argsort(point, kind="stable")
+        return FootprintViews(point[order], *(values[order] for values in others))
+
+    def coverage(self, corners: Floats, *, count_views: bool = True) -> Coverage:
+        """Compute how much of every footprint with corners (n, 4, 2), going round, the frames show.
+
+        Without `count_views`, a count may be too low. The footprint lies at the height of the board's surface at its
+        centre. It is divided into quarters until each part lies inside one frame, or outside all frames, or is smaller
+        than 1/128 of the footprint's sides.
+        """
+        n = len(corners)
+        there = np.zeros((len(self.row_from_tester), len(self.cameras)), np.bool_)
+        there[self.key[:, 1], self.key[:, 0]] = True
+        coverage = Coverage(np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.bool_))
+        if corners.size and len(there):
+            height = self._height_mm(corners.mean(1))
+            board = np.ascontiguousarray(apply(self.tester_from_cad, corners))
+            poses = self._poses_between((float(height.min()), float(height.max())))
+            seen = _Seen(coverage.share, coverage.views, coverage.in_one_frame)
+            _cover(board, height, there, poses, count_views, seen)
+        return coverage
+
+    def nearest(self, board_mm: Floats) -> Ints:
+        """Return for each board point (k, 2) the number of the frame that shows it nearest to its centre; −1: none.
+
+        A frame that is almost black or saturated everywhere shows no edges: it is taken for points that no other frame
+        shows. A program may give every row and camera its own exposure.
+        """
+        assert self.prepared is not None
+        points, faint = np.ascontiguousarray(board_mm), np.zeros(len(self.key), np.bool_)
+        contrast = dict[int, float]()
+        chosen = first = _nearest(points, self.key, self._poses, faint)
+        # Only the contrast of frames that are chosen is computed: their pixels are read next in any case.
+        while new := set(np.unique(chosen[chosen >= 0]).tolist()) - set(contrast):
+            contrast |= {n: self.prepared(self.present[n]).contrast for n in new}
+            least = _FAINT * max(contrast.values())
+            faint[[n for n, found in contrast.items() if found < least]] = True
+            better = _nearest(points, self.key, self._poses, faint) if faint.any() else first
+            chosen = np.where(better >= 0, better, first)
+        return chosen
+
+    def project(self, number: Ints, board_mm: Floats) -> Floats:
+        """Project board points (k, s, 2) to raw pixels, s each to the frames numbered `number` (k,); NaN for −1."""
+        return _projected(np.ascontiguousarray(board_mm), number, self.key, self._poses)
+
+    def grey(self, number: Ints, px: Floats) -> Floats:
+        """Read grey levels at raw pixels (k, s, 2) of the frames numbered `number` (k,), bilinearly: (k, s).
+
+        They are NaN outside the frame, and where the number is −1.
+        """
+        return self.read_samples(number, px.shape[1], lambda image, mine: _bilinear(image, px[mine]))
+
+    def read_samples(self, number: Ints, samples: int, read: Callable[[NDArray[np.uint8], Ints], Floats]) -> Floats:
+        """Read s grey levels at each of k places, from the frames numbered `number` (k,): (k, samples); NaN for −1.
+
+        `read` takes the pixels of a frame and the indices (j,) of its places, and returns their samples (j, samples).
+        """
+        assert self.prepared is not None
+        # The loop goes frame by frame, so that each frame is fetched and prepared only once.
+        out = np.full((len(number), samples), np.nan)
+        for n in np.unique(number[number >= 0]).tolist():
+            mine = np.flatnonzero(number == n)
+            out[mine] = read(self.prepared(self.present[n]).grey, mine)
+        return out
+
+    @cached_property
+    def _poses(self) -> _Poses:
+        return self._poses_between((0.0, 0.0))
+
+    def _poses_between(self, heights_mm: tuple[float, float]) -> _Poses:
+        sizes = [(c.width_px, c.height_px, _MARGIN_MM * c.px_per_mm) for c in self.cameras]
+        view_mm = np.array([np.concatenate(c.view_mm(0.0, heights_mm)) for c in self.cameras])
+        rows = np.ascontiguousarray(self.row_from_tester)
+        return _Poses(rows, self.arrays, np.array(sizes, dtype=np.float64), view_mm)
+
+
+def _corners(camera: Camera, beyond_px: float) -> Floats:
+    """Return the corners (4, 2) of a frame, so far outside of the centres of its outermost pixels."""
+    low, w, h = -beyond_px, camera.width_px - 1 + beyond_px, camera.height_px - 1 + beyond_px
+    return np.array([(low, low), (w, low), (w, h), (low, h)])
 
 
 def _from_rectangle(target: Floats, width: float, height: float) -> Floats:
@@ -163,3 +338,211 @@ def _from_rectangle(target: Floats, width: float, height: float) -> Floats:
             [g / width, h / height, 1.0],
         ]
     )
+
+
+@compiled
+def _points_in_box(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> tuple[Ints, Ints, Floats]:
+    """Find in which rows which points of the board lie inside a box on the conveyor's plane.
+
+    Args:
+        board_mm: (k, 2) points of the board in tester coordinates.
+        low: (2,) the corner of the box with the smallest x and y, in row coordinates.
+        high: (2,) the corner with the largest x and y.
+
+    Returns:
+        For each of v hits, row by row: the row (v,), the index of the point (v,), its row coordinates (v, 2).
+    """
+    most = len(rows) * len(board_mm)
+    row, point, place = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 2))
+    count = 0
+    for j in range(len(rows)):
+        d = rows[j]
+        for n in range(len(board_mm)):
+            x = d[0, 0] * board_mm[n, 0] + d[0, 1] * board_mm[n, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[n, 0] + d[1, 1] * board_mm[n, 1] + d[1, 2]
+            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+                row[count], point[count], place[count, 0], place[count, 1] = j, n, x, y
+                count += 1
+    return row[:count].copy(), point[:count].copy(), place[:count].copy()
+
+
+class _Poses(NamedTuple):
+    """The poses of c cameras in m rows, in the form that compiled functions take."""
+
+    rows: Floats  # (m, 3, 3) the matrices D_j
+    cameras: CameraArrays
+    size_px: Floats  # (c, 3) width and height of each camera's frame, and the margin at its border
+    view_mm: Floats  # (c, 4) lowest x and y, then highest x and y, of a box around each camera's view, row coordinates
+
+
+class _Seen(NamedTuple):
+    """The arrays of a `Coverage` while they are filled."""
+
+    share: Floats
+    views: Ints
+    in_one_frame: NDArray[np.bool_]
+
+
+@inlined
+def _to_pixel(x: float, y: float, height: float, i: int, j: int, poses: _Poses) -> tuple[float, float]:
+    """Project a board point at a height to raw pixels of camera i in row j."""
+    d, eye = poses.rows[j], poses.cameras.viewpoint[i]
+    share = height * eye[2]
+    u = (d[0, 0] * x + d[0, 1] * y + d[0, 2] - share * eye[0]) / (1 - share)
+    v = (d[1, 0] * x + d[1, 1] * y + d[1, 2] - share * eye[1]) / (1 - share)
+    return ground_to_raw(u, v, i, poses.cameras)
+
+
+@compiled
+def _nearest(board_mm: Floats, frame: Ints, poses: _Poses, faint: NDArray[np.bool_]) -> Ints:
+    chosen = np.full(len(board_mm), -1)
+    for k in range(len(board_mm)):
+        best = np.inf
+        for n in range(len(frame)):
+            if faint[n]:
+                continue
+            i, d, view = frame[n, 0], poses.rows[frame[n, 1]], poses.view_mm[frame[n, 0]]
+            x = d[0, 0] * board_mm[k, 0] + d[0, 1] * board_mm[k, 1] + d[0, 2]
+            y = d[1, 0] * board_mm[k, 0] + d[1, 1] * board_mm[k, 1] + d[1, 2]
+            # The comparison in mm is cheap and rules out most frames before projection and lens are computed.
+            if not (view[0] <= x <= view[2] and view[1] <= y <= view[3]):
+                continue
+            last_x, last_y, margin = poses.size_px[i, 0] - 1, poses.size_px[i, 1] - 1, poses.size_px[i, 2]
+            u, v = _to_pixel(board_mm[k, 0], board_mm[k, 1], 0.0, i, frame[n, 1], poses)
+            if min(u, v) < margin or u > last_x - margin or v > last_y - margin:
+                continue
+            off = (u - last_x / 2) ** 2 + (v - last_y / 2) ** 2
+            if off < best:
+                best, chosen[k] = off, n
+    return chosen
+
+
+@compiled
+def _projected(board_mm: Floats, number: Ints, frame: Ints, poses: _Poses) -> Floats:
+    out = np.full(board_mm.shape, np.nan)
+    for k in range(len(board_mm)):
+        if number[k] >= 0:
+            i, j = frame[number[k], 0], frame[number[k], 1]
+            for s in range(board_mm.shape[1]):
+                out[k, s, 0], out[k, s, 1] = _to_pixel(board_mm[k, s, 0], board_mm[k, s, 1], 0.0, i, j, poses)
+    return out
+
+
+@compiled
+def _relation(corners: Floats, height: float, box: Floats, i: int, j: int, poses: _Poses) -> int:
+    """Return 1 if a frame shows a part of a footprint (4, 2) wholly, −1 if it shows none of it, 0 if undecided.
+
+    `box` (4,) holds the lowest u and v of the part, then the highest, as shares of the footprint's sides.
+    """
+    right, bottom = poses.size_px[i, 0] - 1, poses.size_px[i, 1] - 1
+    a, b, d = corners[0], corners[1], corners[3]
+    inside, left_of, right_of, above, below = 0, 0, 0, 0, 0
+    for k in range(4):
+        u = box[0] if k in (0, 3) else box[2]
+        v = box[1] if k < 2 else box[3]
+        x, y = a[0] + u * (b[0] - a[0]) + v * (d[0] - a[0]), a[1] + u * (b[1] - a[1]) + v * (d[1] - a[1])
+        px, py = _to_pixel(x, y, height, i, j, poses)
+        left_of += px < 0
+        right_of += px > right
+        above += py < 0
+        below += py > bottom
+        inside += px >= 0 and px <= right and py >= 0 and py <= bottom
+    if inside == 4:
+        return 1
+    return -1 if max(left_of, right_of, above, below) == 4 else 0
+
+
+@compiled
+def _share_of_union(corners: Floats, height: float, near: Ints, poses: _Poses, deepest: int) -> float:
+    """Return the share of a footprint that several frames show together; `near` (f, 2) holds camera and row of each."""
+    # Parts that are still to be examined lie on a stack as (lowest u, lowest v, side, depth); a division adds three.
+    stack = np.empty((3 * deepest + 4, 4))
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0.0, 0.0, 1.0, 0.0
+    waiting, share, box = 1, 0.0, np.empty(4)
+    while waiting:
+        waiting -= 1
+        u, v, side, depth = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2], stack[waiting, 3]
+        box[0], box[1], box[2], box[3] = u, v, u + side, v + side
+        if depth == deepest:
+            # At the border of the frames, the middle of a smallest part decides whether the part is seen.
+            box[0] = box[2] = u + side / 2
+            box[1] = box[3] = v + side / 2
+        covered, touched = False, False
+        for f in range(len(near)):
+            relation = _relation(corners, height, box, near[f, 0], near[f, 1], poses)
+            covered |= relation > 0
+            touched |= relation == 0
+            if covered:
+                break
+        if covered:
+            share += side * side
+        elif touched and depth < deepest:
+            half = side / 2
+            for k in range(4):
+                stack[waiting + k, 0], stack[waiting + k, 1] = u + half * (k % 2), v + half * (k // 2)
+                stack[waiting + k, 2], stack[waiting + k, 3] = half, depth + 1
+            waiting += 4
+    return share
+
+
+@compiled
+def _cover(
+    corners: Floats, height: Floats, there: NDArray[np.bool_], poses: _Poses, count_views: bool, seen: _Seen
+) -> None:
+    """Compute how much of each of n footprints the frames show, and write the values to `seen`.
+
+    `corners` (n, 4, 2) and `height` (n,) are those of the footprints, mm; `there` (m, c) says which frames count.
+    """
+    view, unit = poses.view_mm, np.array([0.0, 0.0, 1.0, 1.0])
+    outer = np.array([view[:, 0].min(), view[:, 1].min(), view[:, 2].max(), view[:, 3].max()])
+    near = np.empty((there.size, 2), np.int64)
+    for n in range(len(corners)):
+        part, whole, border = corners[n], 0, 0
+        x, y = (part[0, 0] + part[2, 0]) / 2, (part[0, 1] + part[2, 1]) / 2
+        reach = math.hypot(part[0, 0] - part[2, 0], part[0, 1] - part[2, 1]) / 2
+        for j in range(len(poses.rows)):
+            d = poses.rows[j]
+            a, b = d[0, 0] * x + d[0, 1] * y + d[0, 2], d[1, 0] * x + d[1, 1] * y + d[1, 2]
+            # In most rows no camera sees a given component: one comparison rules these rows out.
+            if a + reach < outer[0] or a - reach > outer[2] or b + reach < outer[1] or b - reach > outer[3]:
+                continue
+            for i in range(there.shape[1]):
+                if not there[j, i] or a + reach < view[i, 0] or a - reach > view[i, 2]:
+                    continue
+                if b + reach < view[i, 1] or b - reach > view[i, 3]:
+                    continue
+                relation = _relation(part, height[n], unit, i, j, poses)
+                whole += relation > 0
+                if relation == 0:
+                    near[border, 0], near[border, 1] = i, j
+                    border += 1
+            if whole and not count_views:
+                break
+        seen.views[n] = whole
+        if whole:
+            seen.share[n], seen.in_one_frame[n] = 1.0, True
+        elif border:
+            seen.share[n] = _share_of_union(part, height[n], near[:border], poses, _DEEPEST)
+        if count_views:
+            for k in range(border):
+                shown = _share_of_union(part, height[n], near[k : k + 1], poses, _DEEPEST_VIEW)
+                seen.views[n] += shown >= _VIEW_SHARE
+
+
+@compiled
+def _bilinear(image: NDArray[np.uint8], px: Floats) -> Floats:
+    """Interpolate the grey levels (k, s) at pixels (k, s, 2) of an image; NaN outside of it."""
+    h, w = image.shape
+    out = np.empty(px.shape[:2])
+    for k in range(len(px)):
+        for s in range(px.shape[1]):
+            x, y = px[k, s, 0], px[k, s, 1]
+            if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
+                out[k, s] = np.nan
+                continue
+            j, i = min(int(x), w - 2), min(int(y), h - 2)
+            u, v = x - j, y - i
+            above = image[i, j] * (1 - u) + image[i, j + 1] * u
+            below = image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
+            out[k, s] = above * (1 - v) + below * v
+    return out

@@ -61,7 +61,7 @@ def main(px_per_mm: float = SCALE) -> None:
         def read(camera: int, row: int) -> np.ndarray:
             return np.asarray(cv2.imread(str(files[(camera + 3 * row) % FILES]), cv2.IMREAD_UNCHANGED))
 
-        projector, began = FrameIndex(stitch, cameras), time.monotonic()
+        projector, began = FrameIndex.of_result(stitch, cameras), time.monotonic()
         base = MosaicGrid.of_board(board, SCALE)
         chosen = choose_frames(taken)
         plan = completed(make_plan(chosen, read, projector=projector, board_type=board, stitch=stitch, base=base))

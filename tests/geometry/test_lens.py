@@ -38,18 +38,6 @@ def test_undistort_inverts_distort_even_for_a_fisheye(undistorted: np.ndarray, a
     np.testing.assert_allclose(lens.undistort(lens.distort(undistorted))[inside], undistorted[inside], atol=1e-9)
 
 
-def test_an_ideal_lens_changes_nothing() -> None:
-    lens = Lens((5.0, 5.0), 10.0, (0.0, 0.0))
-    assert lens.ideal
-    assert lens.distort([[1, 2]]).tolist() == lens.undistort([[1, 2]]).tolist() == [[1, 2]]
-
-
-def test_the_centre_stays_and_shapes_are_kept() -> None:
-    lens = Lens((10.0, 20.0), 100.0, (0.2,))
-    np.testing.assert_allclose(lens.distort((10, 20)), (10, 20), rtol=0)
-    assert lens.distort(np.zeros((3, 4, 2))).shape == (3, 4, 2)
-
-
 def test_turning_point_is_where_the_polynomial_stops_growing() -> None:
     assert Lens((0, 0), 1.0, (-0.1,)).turning_point == pytest.approx(math.sqrt(1 / 0.3))
     assert Lens((0, 0), 1.0, (0.3,)).turning_point == math.inf

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from vaoi_station.errors import InternalError
 from vaoi_station.geometry import Similarity, System
 from vaoi_station.geometry.robust import Failure, fit_similarity, huber_weights, median_sigma
 
@@ -30,29 +29,6 @@ def test_exact_points_give_the_exact_similarity(
     assert (found.target, found.source) == (System.TESTER, System.CAD)
     assert found.mirrors is mirrored
     np.testing.assert_allclose(found(p), truth(p), atol=1e-8)
-
-
-@given(clouds)
-def test_no_other_similarity_fits_noisy_points_better(p: np.ndarray) -> None:
-    assume(np.ptp(p, axis=0).max() > 1)
-    g = np.random.default_rng(len(p))
-    q = p @ np.array([[0.0, 1], [-1, 0]]) + (5, 6) + g.normal(0, 0.1, p.shape)
-    found = fit(q, p)
-    assert isinstance(found, Similarity)
-
-    def cost(s: Similarity) -> float:
-        return float(((s(p) - q) ** 2).sum())
-
-    for scale, angle, x, y in (
-        (1e-4, 0, 0, 0),
-        (-1e-4, 0, 0, 0),
-        (0, 1e-4, 0, 0),
-        (0, -1e-4, 0, 0),
-        (0, 0, 1e-2, -1e-2),
-    ):
-        shift = found.matrix[:2, 2] + (x, y)
-        other = Similarity.of(found.scale + scale, found.angle_rad + angle, shift, System.TESTER, System.CAD)
-        assert cost(found) <= cost(other) + 1e-9
 
 
 def test_handedness_is_given_and_never_estimated() -> None:
@@ -78,11 +54,6 @@ def test_degenerate_points_fail_with_a_reason(target: object, source: object, re
     found = fit(target, source)
     assert isinstance(found, Failure)
     assert reason in found.reason
-
-
-def test_unpaired_points_are_an_internal_error() -> None:
-    with pytest.raises(InternalError, match="pairs"):
-        fit([[1, 2]], [[1, 2], [3, 4]])
 
 
 def test_huber_weights_fall_beyond_the_knee() -> None:

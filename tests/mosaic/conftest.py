@@ -44,7 +44,7 @@ class Filmed:
 
     @property
     def projector(self) -> FrameIndex:
-        return FrameIndex(self.stitch, self.cameras)
+        return FrameIndex.of_result(self.stitch, self.cameras)
 
     @property
     def base(self) -> MosaicGrid:

@@ -91,7 +91,7 @@ def test_sight_is_that_of_every_cell_though_few_are_projected(film: Film) -> Non
     bent = replace(
         eye, image_from_row=Projective(matrix, System.IMAGE, System.ROW), lens=Lens((159.5, 119.5), 200.0, (2e-3,))
     )
-    projector = FrameIndex(board.stitch, (board.cameras[0], bent))
+    projector = FrameIndex.of_result(board.stitch, (board.cameras[0], bent))
     sight = sight_of(board.taken[1], projector, board.base)
     h, w = sight.inside_px.shape
     y, x = np.mgrid[sight.y0 : sight.y0 + h, sight.x0 : sight.x0 + w]

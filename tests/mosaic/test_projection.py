@@ -39,7 +39,7 @@ def test_places_are_counted_from_the_foot_of_the_camera(board: Filmed) -> None:
 
 def test_run_without_cad_mapping_is_refused(board: Filmed) -> None:
     with pytest.raises(StateError, match="no CAD mapping"):
-        FrameIndex(board.stitch.model_copy(update={"cad_matrix": None}), board.cameras)
+        FrameIndex.of_result(board.stitch.model_copy(update={"cad_matrix": None}), board.cameras)
 
 
 def test_matrices_between_reduced_grids_keep_places() -> None:

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Lens, apply
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.geometry import ComponentIndex, FrameIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 
 C = np.array([[1.0, 0.02, -8.0], [0.02, -1.0, 20.0], [0, 0, 1]])
 
@@ -56,7 +57,7 @@ def test_shares_are_those_of_a_dense_search(workshop: Any, parts: Any, present: 
     cameras = [workshop.camera((x, 0.0), distance_mm=150.0, lens=lens) for x in (0.0, 19.0)]
     surface = Surface(lift_mm=2.0) if raised else None
     found = index(*parts)
-    coverage = FrameIndex(cameras, rows(4), present, surface).coverage(found, C)
+    coverage = FrameIndex(cameras, rows(4), sorted(present), surface, C).coverage(found.corners)
     expected = searched(found, cameras, rows(4), present, 2.0 if raised else 0.0)
     assert coverage.share == pytest.approx(expected, abs=0.012)
     assert (coverage.share[coverage.in_one_frame] == 1).all()
@@ -66,11 +67,11 @@ def test_views_and_wholeness_are_counted_by_frame(workshop: Any) -> None:
     cameras = [workshop.camera((x, 0.0)) for x in (0.0, 19.0)]
     # one in the middle of camera 0, one across the seam, one off to the side
     parts = index((8, 20, 2, 2, 0), (17.5, 20.4, 6, 2, 0), (60, 20, 2, 2, 0))
-    coverage = FrameIndex(cameras, rows(1), [(0, 0), (1, 0)], None).coverage(parts, C)
+    coverage = FrameIndex(cameras, rows(1), [(0, 0), (1, 0)], None, C).coverage(parts.corners)
     assert coverage.share.tolist() == pytest.approx([1, 1, 0])
     assert coverage.views.tolist() == [1, 2, 0]
     assert coverage.in_one_frame.tolist() == [True, False, False]
-    half = FrameIndex(cameras, rows(1), [(1, 0)], None).coverage(parts, C)
+    half = FrameIndex(cameras, rows(1), [(1, 0)], None, C).coverage(parts.corners)
     assert half.share[0] == 0
     assert 0.5 < half.share[1] < 0.7
 
@@ -83,12 +84,12 @@ def test_a_strip_of_a_hundredth_is_noticed(workshop: Any) -> None:
         low = right_mm - 10 * (1 - beyond)
         parts = index((low + 5, 0, 10, 2, 0))
         cad = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, 1]])
-        share = FrameIndex([camera], rows(1), [(0, 0)], None).coverage(parts, cad).share[0]
+        share = FrameIndex([camera], rows(1), [(0, 0)], None, cad).coverage(parts.corners).share[0]
         assert share == pytest.approx(1 - beyond, abs=0.005)
         assert (share >= 0.99) == (beyond < 0.01)
 
 
 def test_nothing_is_seen_without_frames_and_nothing_asked_without_parts(workshop: Any) -> None:
     camera = workshop.camera((0.0, 0.0))
-    assert FrameIndex([camera], rows(1), [], None).coverage(index((8, 20, 2, 2, 0)), C).share.tolist() == [0]
-    assert len(FrameIndex([camera], rows(1), [(0, 0)], None).coverage(index(), C).share) == 0
+    assert FrameIndex([camera], rows(1), [], None, C).coverage(index((8, 20, 2, 2, 0)).corners).share.tolist() == [0]
+    assert len(FrameIndex([camera], rows(1), [(0, 0)], None, C).coverage(index().corners).share) == 0

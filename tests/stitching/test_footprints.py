@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Euclidean, System
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType, Surface
 from vaoi_station.stitching.board.board_plane import board_plane, component_at, landmarks
-from vaoi_station.stitching.geometry import ComponentIndex, FrameIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 
 C = np.array([1.0, 0.02, -12.0, -8.0])
 
@@ -58,7 +59,8 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
     matrix = board_plane(kind, cameras[0]).matrix(C)
     surface = None if lift is None else Surface(lift_mm=lift)
     parts = ComponentIndex.of(kind)
-    seen = FrameIndex(cameras, np.array([d.matrix for d in motion]), surface=surface).views(parts.center, matrix)
+    rows = np.array([d.matrix for d in motion])
+    seen = FrameIndex(cameras, rows, surface=surface, tester_from_cad=matrix).views(parts.center)
     views = seen.by_address(parts.addresses)
     assert list(views) == ["A", "B", "FAR"]
     for component in kind.components:

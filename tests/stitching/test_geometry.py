@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera, Lens, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.geometry import ComponentIndex, FrameIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 MARGIN_MM = 0.3
@@ -110,7 +110,7 @@ def shown(camera: Camera, at: NDArray[np.float64], row: int) -> NDArray[np.float
 def test_the_frame_that_shows_a_point_nearest_to_its_middle_is_chosen(workshop: Any) -> None:
     s = scene(workshop)
     points = np.random.default_rng(0).uniform((-12, -28), (46, 12), (400, 2))
-    number = FrameIndex.of(s, MOTION.rows_from_tester).nearest(points)
+    number = s.index(MOTION.rows_from_tester).nearest(points)
     off = np.full((len(points), len(s.present)), np.inf)
     for n, (i, j) in enumerate(s.present):
         camera = s.cameras[i]
@@ -125,22 +125,22 @@ def test_the_frame_that_shows_a_point_nearest_to_its_middle_is_chosen(workshop: 
 def test_a_frame_of_little_contrast_is_taken_where_no_other_shows_the_point(workshop: Any) -> None:
     s, noise = scene(workshop), np.random.default_rng(3)
     points = noise.uniform((-12, -28), (46, 12), (400, 2))
-    near = FrameIndex.of(s, MOTION.rows_from_tester).nearest(points)
+    near = s.index(MOTION.rows_from_tester).nearest(points)
     faint = 0
     frames = {
         key: PreparedFrame(noise.integers(0, 10 if n == faint else 100, (160, 200)).astype(np.uint8))
         for n, key in enumerate(s.present)
     }
-    number = FrameIndex.of(Scene(s.cameras, s.present, frames.__getitem__), MOTION.rows_from_tester).nearest(points)
+    number = Scene(s.cameras, s.present, frames.__getitem__).index(MOTION.rows_from_tester).nearest(points)
     others = tuple(key for n, key in enumerate(s.present) if n != faint)
-    elsewhere = FrameIndex.of(Scene(s.cameras, others, frames.__getitem__), MOTION.rows_from_tester).nearest(points)
+    elsewhere = Scene(s.cameras, others, frames.__getitem__).index(MOTION.rows_from_tester).nearest(points)
     np.testing.assert_array_equal(number, np.where(elsewhere >= 0, elsewhere + 1, near))
     assert 0 < (number == faint).sum() < (near == faint).sum()
 
 
 def test_projected_points_match_the_camera_model(workshop: Any) -> None:
     s = scene(workshop)
-    frames = FrameIndex.of(s, MOTION.rows_from_tester)
+    frames = s.index(MOTION.rows_from_tester)
     pieces = np.random.default_rng(1).uniform((-8, -24), (40, 8), (60, 1, 2)) + np.random.default_rng(2).normal(
         0, 0.5, (60, 3, 2)
     )

@@ -147,7 +147,7 @@ def test_pictures_of_the_board_show_bodies_where_their_boards_lie(panel: Filmed)
     steps = make_plan(
         choose_frames(frames_of_head(panel.head), hdr=True),
         lambda _, __: None,
-        projector=FrameIndex(result, cameras),
+        projector=FrameIndex.of_result(result, cameras),
         board_type=board_type,
         stitch=result,
         base=MosaicGrid.of_board(board_type, 18.0),

@@ -257,7 +257,7 @@ def measure_mosaic(board: BenchmarkBoard, repetitions: int = 5, stitch: Stitch |
 
 def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> MosaicFigures:
     found = stitch_board(board) if stitch is None else stitch
-    projector = FrameIndex(found, board.setup.cameras)
+    projector = FrameIndex.of_result(found, board.setup.cameras)
     grid = MosaicGrid.of_board(board.board_type, projector.px_per_mm)
     choice = choose_frames(frames_of_head(board.head, sorted(board.frames)))
 

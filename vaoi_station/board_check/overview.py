@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import StateError
+from vaoi_station.frame_index import FootprintViews, FrameIndex
 from vaoi_station.geometry import Camera, apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Stitch, Surface
 from vaoi_station.pixel_formats import eight_bit_grey
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.geometry import FootprintViews, FrameIndex
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 Frame = Callable[[int, int], NDArray[np.generic] | None]
@@ -223,7 +223,7 @@ class CheckedRun:
         # Tilt and bow are known in the coordinates of the run's board type only; they move a point by micrometres.
         surface = Surface(lift_mm=self.stitch.surface.lift_mm) if self.stitch.surface else None
         rows = np.array(self.stitch.row_motion)
-        return FrameIndex(self.cameras, rows, surface=surface).views(cad, tester_from_cad)
+        return FrameIndex(self.cameras, rows, surface=surface, tester_from_cad=tester_from_cad).views(cad)
 
     def stated_matrix(self, board: BoardType) -> Floats | None:
         """Return C of the run for data in the unit and axes of another board type; None if the run has no C."""

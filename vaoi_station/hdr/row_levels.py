@@ -84,7 +84,7 @@ def row_levels(
     lights = {row: of.light for (_, row), of in sorted(taken.items())}
     counts = Counter(lights.values())
     used = {key: of for key, of in taken.items() if counts[lights[key[1]]] <= MOST_ROWS}
-    samples = _samples(used, board_type, FrameIndex(stitch, cameras), fields, frame, most_pixels)
+    samples = _samples(used, board_type, FrameIndex.of_result(stitch, cameras), fields, frame, most_pixels)
     for light in (light for light, count in counts.items() if count <= MOST_ROWS):
         rows = np.array([row for row in sorted(lights) if lights[row] == light])
         levels[rows] = np.exp(_solve(samples, rows))

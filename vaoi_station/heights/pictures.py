@@ -329,19 +329,19 @@ class Places:
 
     def __init__(self, board_type: BoardType, stitch: Stitch, cameras: Sequence[Camera]) -> None:
         """Store the matrices of a run; `cameras` are those of its calibration."""
-        index = FrameIndex(stitch, cameras)
+        index = FrameIndex.of_result(stitch, cameras)
         # Rows that a repeated pattern may have displaced by a period show other parts than their matrices say.
         doubtful = [row for rows in stitch.quality.get("rows_apart", ()) for row in rows]
         used = ~np.isin(index.key[:, 1], doubtful)
         self.board_type, self.stitch, self._key = board_type, stitch, index.key[used]
-        viewpoints = np.array([camera.viewpoint for camera in index.cameras])
-        self.cameras = Cameras(index.image_from_row, viewpoints, index.lenses.radial, index.lenses.shape)
+        arrays = index.arrays
+        self.cameras = Cameras(arrays.image_from_row, arrays.viewpoint, arrays.radial, arrays.lens)
         self.tester_from_cad = index.tester_from_cad
         """C (3, 3)."""
         self._px_per_mm, self._row_from_tester = index.px_per_mm, index.row_from_tester
         i, row = self._key.T
         eye_mm, self._size_px = index.eye_mm[used], index.size_px[used]
-        self._image_from_tester = index.image_from_row[i] @ index.row_from_tester[row]
+        self._image_from_tester = arrays.image_from_row[i] @ index.row_from_tester[row]
         self._distance_mm = eye_mm[:, 2]
         feet = np.column_stack([eye_mm[:, :2], np.ones(len(row))])
         self._foot_mm = (np.linalg.inv(index.row_from_tester)[row] @ feet[:, :, None])[:, :2, 0]

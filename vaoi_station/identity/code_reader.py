@@ -51,7 +51,7 @@ class RegionPictures:
         Raises:
             StateError: the run has no CAD mapping.
         """
-        self._board_type, self._projector, self._frame = board_type, FrameIndex(stitch, cameras), frame
+        self._board_type, self._projector, self._frame = board_type, FrameIndex.of_result(stitch, cameras), frame
         self._placed = [key for key in sorted(frames) if self._projector.places(*key)]
         self._grey: dict[tuple[FrameKey, int], NDArray[np.uint8] | None] = {}
 

@@ -71,7 +71,7 @@ def write_board(order: MosaicOrder) -> Iterator[str]:
     fields = FlatFields.open(order.flatfield) if order.flatfield else FlatFields.none()
     choice = choose_frames(frames_of_head(head), light=order.light, exposure_us=order.exposure_us, hdr=order.hdr)
     fields.check(head.cameras, None if choice.light is None else (choice.light,))
-    projector = FrameIndex(stitch, cameras)
+    projector = FrameIndex.of_result(stitch, cameras)
     resolution = projector.px_per_mm
     grid = MosaicGrid.of_board(board_type, order.px_per_mm or resolution, order.region)
     base = MosaicGrid.of_board(board_type, resolution, order.region, most_px=float("inf"))

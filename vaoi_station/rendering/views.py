@@ -371,14 +371,14 @@ class ViewCalculator:
         Raises:
             StateError: the run has no CAD mapping.
         """
-        index = self._index = FrameIndex(stitch, cameras)
+        index = self._index = FrameIndex.of_result(stitch, cameras)
         self._board_type = board_type
         i, row = index.key.T
         # A height decreases the third column of CAD → image (`geometry.Camera`).
         eye = np.array([(*c.viewpoint[:2], 1.0) for c in index.cameras])
         inverse = np.array([c.viewpoint[2] for c in index.cameras])
-        lean = (index.image_from_row @ eye[:, :, None])[:, :, 0] * inverse[:, None]
-        self._image_from_cad = index.image_from_row[i] @ index.row_from_cad[row]
+        lean = (index.arrays.image_from_row @ eye[:, :, None])[:, :, 0] * inverse[:, None]
+        self._image_from_cad = index.arrays.image_from_row[i] @ index.row_from_cad[row]
         """(f, 3, 3) to undistorted pixels, in the calibrated plane."""
         self._lean = lean[i]
         """(f, 3) decrease of the third column of that matrix per mm of height."""
@@ -503,13 +503,13 @@ class ViewCalculator:
         not distorted.
         """
         matrices, bend_px = pairs.image_from_crop, np.zeros(len(pairs.component))
-        if not self._index.lenses.distorts.any():
+        if not self._index.distorts.any():
             return matrices, bend_px
         points, picture = _grid(crops.size[pairs.component], 3), pairs.picture_px
         straight = rectangle_homographies(points[:, _CORNERS], picture[:, _CORNERS])
         apart_px = np.abs(through(straight, points) - picture).max((1, 2))
         # NaN, of a picture a pixel wide, counts as bent.
-        lensed = self._index.lenses.distorts[self._index.key[pairs.frame, 0]]
+        lensed = self._index.distorts[self._index.key[pairs.frame, 0]]
         bent = lensed & ~(apart_px <= _STRAIGHT_PX)
         bend_px[bent] = np.nan_to_num(apart_px[bent], nan=np.inf)
         return np.where((lensed & ~bent)[:, None, None], straight, matrices), bend_px
@@ -544,7 +544,7 @@ class ViewCalculator:
         """Return the raw pixels (p, n, 2) of undistorted pixels of p frames. `points` is overwritten."""
         of = self._index.key[frame, 0]
         # Few cameras see one component.
-        for i in set(of[self._index.lenses.distorts[of]].tolist()):
+        for i in set(of[self._index.distorts[of]].tolist()):
             mine = np.flatnonzero(of == i)
             points[mine] = self._index.cameras[i].lens.distort(np.ascontiguousarray(points[mine]))
         return points

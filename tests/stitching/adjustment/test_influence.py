@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.stitching.adjustment.test_solver import PX_PER_MM, Bench, C, bench, started
@@ -206,12 +204,6 @@ def cad_beyond_noise_mm(of: Influence | None) -> float:
     return float(np.sqrt(np.maximum(values, 0).max(initial=0)))
 
 
-def test_before_c_is_an_unknown_nothing_is_examined(bench: Any) -> None:
-    problem = few_links_after(bench(5), 0)
-    assert solved(problem).influence is not None
-    assert adjust(replace(problem, fiducials=None), started(problem)).influence is None
-
-
 @pytest.mark.parametrize(
     ("which", "groups"),
     [
@@ -232,30 +224,3 @@ def test_marks_are_left_out_where_others_place_the_board(which: list[int], group
     # Fiducials of single boards of a panel do not place the panel.
     of_boards = replace(points, which=np.arange(k) + 10, sigma_mm=np.full(k, 0.5))
     assert [g.tolist() for g in groups_of_marks(FiducialPoints.joined([points, of_boards]))] == groups
-
-
-@given(
-    st.lists(
-        st.tuples(st.integers(0, 3), st.floats(-30, 30), st.floats(-30, 30), st.sampled_from([0.0, 0.05, 0.5, 1.0])),
-        max_size=40,
-    ),
-    st.sampled_from(influence._GRIDS),
-)
-def test_clusters_are_the_used_links_of_one_pair_in_one_square(
-    links: list[tuple[int, float, float, float]], offset: tuple[float, float]
-) -> None:
-    links = sorted(links, key=lambda link: link[0])
-    empty = LinkArrays._make([np.zeros(0)] * len(LinkArrays._fields))
-    group = np.array([link[0] for link in links], np.int_)
-    b_mm = np.array([link[1:3] for link in links]).reshape(-1, 2)
-    weight = np.array([link[3] for link in links], np.float64)
-    arrays: LinkArrays = empty._replace(group=group, b_mm=b_mm)
-    cluster = number_clusters(arrays, weight, offset)
-    key = [(g, np.floor(x / 5.0 + offset[0]), np.floor(y / 5.0 + offset[1])) for g, x, y, w in links]
-    for n in range(len(links)):
-        assert (cluster[n] < 0) == (weight[n] <= 0.1)
-        for m in range(n):
-            if min(weight[n], weight[m]) > 0.1:
-                assert (cluster[n] == cluster[m]) == (key[n] == key[m])
-    used = cluster[cluster >= 0]
-    assert sorted(set(used.tolist())) == list(range(len(set(used.tolist()))))

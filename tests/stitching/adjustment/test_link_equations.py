@@ -227,11 +227,3 @@ def test_a_point_plainly_above_the_bare_board_loses_weight(scene: Scene) -> None
         less = 1 / (1 + max(n - 3, 0.0) ** 2)
         assert bare.robust == pytest.approx(plain.robust * less)
         assert bare.weight == pytest.approx(plain.weight * less)
-
-
-def test_the_weight_of_a_raised_link_falls_without_a_step(scene: Scene) -> None:
-    every = np.ones(LINKS, np.bool_)
-    heights = np.linspace(-0.05, 0.5, 400)
-    along = np.array([weights_of(scene, every, np.array([-0.1 * h, 0.0])).weight[0, 0] for h in heights])
-    assert np.abs(np.diff(along)).max() < 0.05 * along.max()
-    assert (np.diff(along) <= 1e-9 * along.max()).all()

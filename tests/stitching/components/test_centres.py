@@ -14,6 +14,7 @@ from tests.hostile.drawing import draw
 from tests.hostile.filming import film
 from tests.hostile.judging import stitched
 from tests.stitching.quality.test_agreement import PLANE, adjusted, points
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, ReasonCode, Status
@@ -31,7 +32,6 @@ from vaoi_station.stitching.components.centres import (
     two_that_place,
     unnoticed_mm,
 )
-from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
 
@@ -42,7 +42,7 @@ def test_each_component_is_taken_from_the_good_frame_that_shows_it_most_central(
     camera = workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
     rows = np.arange(4.0)
     motion = nominal_motion(rows, np.array([-4.0, 0.0]), np.zeros(2))
-    views = FrameIndex((camera,), motion.rows_from_tester).views(plane.components.center, np.eye(3))
+    views = FrameIndex((camera,), motion.rows_from_tester).views(plane.components.center)
     scene = Scene((camera,), ((0, 0), (0, 2), (0, 3)), workshop)
     found = {view.part: view for view in central_views(plane, np.eye(3), scene, motion, views)}
     assert set(found) == set(range(4))
@@ -60,7 +60,7 @@ def test_a_board_type_without_components_has_no_views_of_them(workshop: Any) -> 
     kind = BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0, 0], [9, 9]], "components": []})
     plane, camera = BoardPlane(kind, mirrored=False), workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
     motion = nominal_motion(np.zeros(1), np.zeros(2), np.zeros(2))
-    views = FrameIndex((camera,), motion.rows_from_tester).views(np.array([[0.0, 0.0], [9.0, 9.0]]), np.eye(3))
+    views = FrameIndex((camera,), motion.rows_from_tester).views(np.array([[0.0, 0.0], [9.0, 9.0]]))
     assert central_views(plane, np.eye(3), Scene((camera,), ((0, 0),), workshop), motion, views) == []
 
 
@@ -210,7 +210,7 @@ def measured(
     frame = PreparedFrame(workshop.digitised(picture))
     matrix = C if wrong is None else wrong @ C
     plane = BoardPlane(board_type, mirrored=False)
-    views = FrameIndex((camera,), np.eye(3)[None]).views(plane.components.center, matrix)
+    views = FrameIndex((camera,), np.eye(3)[None], tester_from_cad=matrix).views(plane.components.center)
     scene = Scene((camera,), ((0, 0),), lambda key: frame)
     parts = central_views(plane, matrix, scene, STILL, views)
     return measure_component_shift(plane, matrix, scene, STILL, parts)

@@ -33,15 +33,6 @@ def test_the_coarse_copy_is_at_least_150_pixels_wide(width: int, factor: int) ->
     assert frame.coarse.shape == (96 // factor, width // factor)
 
 
-def test_the_coarse_copy_does_not_depend_on_light(workshop: Any) -> None:
-    waves = workshop.waves(1, finest=12.0, coarsest=40.0).levels(640, 480)
-    lamp = np.linspace(-30, 30, 640)
-    plain, lit = PreparedFrame(workshop.digitised(waves)), PreparedFrame(workshop.digitised(waves + lamp))
-    inner = np.s_[10:-10, 10:-10]
-    assert np.abs(plain.coarse[inner] - lit.coarse[inner]).mean() < 0.5
-    assert plain.coarse.std() > 5
-
-
 def test_quarter_size_has_the_means_of_blocks() -> None:
     image = np.random.default_rng(0).integers(0, 256, (43, 59), dtype=np.uint8)
     means = image[:40, :56].reshape(10, 4, 14, 4).mean((1, 3))

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, Influence, Problem, to_observations
 from vaoi_station.stitching.board.board_plane import board_plane, landmarks
-from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.quality.uncertainty import (
     MODEL_PX,
@@ -64,7 +64,9 @@ def plane(scene: Scene) -> Any:
 def predicted(scene: Scene, plane: Any, found: AdjustmentResult) -> PredictedSigma:
     assert found.similarity is not None
     rows, matrix = found.motion.rows_from_tester, plane.matrix(found.similarity)
-    return predict_sigma(scene, plane, found, FrameIndex(scene.cameras, rows).views(landmarks(plane)[1], matrix))
+    return predict_sigma(
+        scene, plane, found, FrameIndex(scene.cameras, rows, tester_from_cad=matrix).views(landmarks(plane)[1])
+    )
 
 
 def test_uncertainty_of_c_counts_in_every_row(scene: Scene, plane: Any) -> None:

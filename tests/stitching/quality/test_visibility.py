@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.model import VISIBILITY, BoardType, ReasonCode, Status, Visibility
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.geometry import ComponentIndex, FrameIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.quality.visibility import (
     FilmedBoard,
@@ -151,7 +152,7 @@ def test_the_cause_is_the_one_that_was_tested(workshop: Any, center: Any, lost: 
     part = {"ref": "U1", "center": center, "width": 4, "height": 2, "visibility": {"in_one_frame": True}}
     kind = BoardType.model_validate({"name": "b", "y_axis": "down", "components": [part]})
     present = [(i, j) for i in range(2) for j in range(2) if (i, j) not in lost]
-    board = FilmedBoard(ComponentIndex.of(kind), np.eye(3), FrameIndex(cameras, rows, present))
+    board = FilmedBoard(ComponentIndex.of(kind), FrameIndex(cameras, rows, present))
     confirmed = [key for key in present if key not in odd]
     (unseen,) = find_unseen(board, confirmed, np.array([0.0, 50.0]), required_visibility(kind, Visibility()))
     assert (unseen.address, unseen.cause) == ("U1", cause)

@@ -13,6 +13,7 @@ import numpy as np
 
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files.results import component_tables
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, Component, FrameRecord, Verdict
 from vaoi_station.model.stitch_result import Heights, with_heights
@@ -28,7 +29,7 @@ from vaoi_station.rendering.selection import Measure, select
 from vaoi_station.rendering.views import ViewTable
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.states.schemas import ComponentSummary
-from vaoi_station.stitching.geometry import ComponentIndex, FrameIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 
 _ALIKE = 8
 """Largest number of addresses that the refusal of an unknown component names."""
@@ -51,8 +52,8 @@ def components_of(finished: FinishedRun) -> tuple[ComponentSummary, ...]:
         # Frames that show at least half of each component, and how much of it all of them show.
         views.update(finished.view_calculator.compute_all(board_type.components).counts_in(usable))
         moved = index.moved(stitch.displacements(index.addresses))
-        frames = FrameIndex(finished.cameras, np.array(stitch.row_motion), list(usable), stitch.surface)
-        seen = frames.coverage(moved, stitch.cad_matrix)
+        rows, cad = np.array(stitch.row_motion), np.asarray(stitch.cad_matrix)
+        seen = FrameIndex(finished.cameras, rows, list(usable), stitch.surface, cad).coverage(moved.corners)
     unseen, skipped = {u.address for u in finished.detail.unseen}, finished.detail.skipped_boards
     sigmas_px = tables_of(finished).get("component_sigma_px", {}) if finished.document else {}
     footprints = index.corners.round(6).tolist()

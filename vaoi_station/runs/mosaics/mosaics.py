@@ -106,7 +106,7 @@ class Mosaics:
         if download is None and (opened := self._opened.get(self._key(run, name))) is not None:
             return opened.grid
         choose_frames(_taken(finished), light=name.light, exposure_us=name.exposure_us, hdr=name.hdr)
-        resolution = FrameIndex(finished.lean, finished.cameras).px_per_mm
+        resolution = FrameIndex.of_result(finished.lean, finished.cameras).px_per_mm
         if download is None:
             return MosaicGrid.of_board(finished.board_type, resolution)
         return MosaicGrid.of_board(
@@ -239,7 +239,7 @@ class Mosaics:
         opened = self._opened.get(key)
         if opened is None:
             finished, grid = self._archive.get(run), self.grid(run, name)
-            opened = OpenedMosaic(grid, FrameIndex(finished.lean, finished.cameras))
+            opened = OpenedMosaic(grid, FrameIndex.of_result(finished.lean, finished.cameras))
         return self._opened.use(key, opened, asked=asked)
 
     def _planned(self, finished: FinishedRun, name: PictureName, opened: OpenedMosaic) -> PlannedMosaic:

@@ -25,7 +25,7 @@ def overlay_of(finished: FinishedRun) -> RunOverlay:
     """
     quality = quality_of(finished.text)
     stitch, board_type = finished.lean, finished.board_type
-    projector = FrameIndex(stitch, finished.cameras)
+    projector = FrameIndex.of_result(stitch, finished.cameras)
     assert stitch.cad_matrix is not None, "the projector refuses a run without it"
     cad_from_tester: Floats = np.asarray(np.linalg.inv(stitch.cad_matrix), np.float64)
     return RunOverlay(

@@ -270,7 +270,7 @@ class PlanJob(SteppedJob):
 
     def steps(self, frame: ReadSlot) -> Steps[PlannedPicture]:
         """Survey the frames of the run, make the plan and by it the picture, from the reduced frames of the survey."""
-        read, projector = _reader(self.slots, frame), FrameIndex(self.stitch, self.cameras)
+        read, projector = _reader(self.slots, frame), FrameIndex.of_result(self.stitch, self.cameras)
         reduction = 1
         while self.grid.width * self.grid.height > OVERVIEW_PX * reduction**2:
             reduction *= 2

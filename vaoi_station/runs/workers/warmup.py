@@ -94,7 +94,7 @@ def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: ND
         make_plan(
             choose_frames(taken),
             partial(_frame, picture),
-            projector=FrameIndex(stitch, setup.cameras),
+            projector=FrameIndex.of_result(stitch, setup.cameras),
             board_type=board_type,
             stitch=stitch,
             base=MosaicGrid.of_board(board_type, _PX_PER_MM),

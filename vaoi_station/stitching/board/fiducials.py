@@ -28,7 +28,6 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import FIXTURE, FiducialPoints, Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.evidence import Detections, FrameKey, Task
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
@@ -155,7 +154,7 @@ def relocate_fiducials(
     """
     kinds, kind = mark_kinds(board_type), _kind_numbers(board_type)
     expected: dict[FrameKey, list[tuple[int, Floats]]] = {}
-    views = FrameIndex(scene.cameras, motion.rows_from_tester).views(places_mm, np.eye(3))
+    views = scene.index(motion.rows_from_tester).views(places_mm)
     for n, key, px in zip(views.point.tolist(), views.frames, views.px, strict=True):
         if scene.cameras[key[0]].sees(px[None])[0]:
             expected.setdefault(key, []).append((n, px))

@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry.robust import huber_weights
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import Observations, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.frames import Scene
 
 _PIECE_MM = 4.0
@@ -163,7 +163,7 @@ def compare_orientations(
     `placed` and `turned` are the two C, (3, 3). Returns the first evidence that decides, outline or components, else
     the last that was measured; None if there was nothing to compare.
     """
-    best, frames = None, FrameIndex.of(scene, motion.rows_from_tester)
+    best, frames = None, scene.index(motion.rows_from_tester)
     footprints = [board_type.footprint(c) for c in board_type.components]
     for evidence, polygons in (("outline", outline_polygons(board_type)), ("components", footprints)):
         pieces = straight_pieces(polygons, board_type.mm_per_unit)
@@ -199,7 +199,7 @@ def measure_outline_contrast(
 ) -> OutlineContrast | None:
     """Measure the contrast along the outline where C (`placed`) puts it; None if too little is in view."""
     pieces = outline_pieces(board_type)
-    steps = _contrasts(pieces, placed, FrameIndex.of(scene, motion.rows_from_tester)) if len(pieces) else np.zeros(0)
+    steps = _contrasts(pieces, placed, scene.index(motion.rows_from_tester)) if len(pieces) else np.zeros(0)
     return OutlineContrast(float(np.median(steps)), len(steps)) if len(steps) >= _LEAST_PIECES else None
 
 
@@ -292,7 +292,7 @@ def edge_profiles(board: Floats, scene: Scene, motion: Motion) -> tuple[float, F
     a, b = np.moveaxis(board - board.mean((0, 1)), 1, 0)
     area = (a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]).sum()
     normal = -_left_normals(board) * np.sign(area)
-    frames = FrameIndex.of(scene, motion.rows_from_tester)
+    frames = scene.index(motion.rows_from_tester)
     number, reach, samples = frames.nearest(board.mean(1)), _REACH * _STEP_MM * normal, 2 * _REACH + 1
     # Within a piece the picture is taken as straight: three of its corners give the pixels of all samples.
     px = frames.project(number, np.stack([board[:, 0] - reach, board[:, 1] - reach, board[:, 0] + reach], 1))

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
@@ -28,7 +29,6 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import HALF_PATCH_PX, beside_in_cad
-from vaoi_station.stitching.geometry import FrameIndex
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 from vaoi_station.stitching.matching.frames import Scene
 
@@ -223,14 +223,14 @@ def compare_with_reference(
     """
     c = reference.stitch.cad_matrix
     assert c is not None
-    run = FrameIndex.of(scene, motion.rows_from_tester)
+    run = scene.index(motion.rows_from_tester)
     placed, turned = [], []
     for key in _spread(reference.scene.present):
         cad = _patches(board_type, key, reference)
         if not len(cad):
             continue
         one = Scene(reference.scene.cameras, (key,), reference.scene.prepared)
-        theirs = FrameIndex.of(one, np.array(reference.stitch.row_motion))
+        theirs = one.index(np.array(reference.stitch.row_motion))
         r, a, b = (
             _read(frames, apply(m, cad)) for frames, m in ((theirs, c), (run, rivals.placed), (run, rivals.turned))
         )

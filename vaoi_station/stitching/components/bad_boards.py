@@ -9,17 +9,17 @@ A look that is neither, or not clear, leaves the board in doubt: it is tested, a
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.frame_index import FootprintViews
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, OtherMark, Reason, ReasonCode, Surface
 from vaoi_station.model.board_type import Look
 from vaoi_station.stitching.components.places import OwnPlace
-from vaoi_station.stitching.geometry import FootprintViews, FrameIndex
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.frames import Scene
 
@@ -87,7 +87,7 @@ def read_bad_marks(panel: MarkedPanel, scene: Scene, confirmed: Collection[Frame
     back = np.linalg.inv(panel.cad_matrix)
     own = [back @ panel.of_boards.get(str(mark.panel), panel.cad_matrix) for mark in marks]
     at = np.array([apply(move, np.array([mark.x, mark.y])) for move, mark in zip(own, marks, strict=True)])
-    views = FrameIndex(scene.cameras, panel.rows, surface=panel.surface).views(at, panel.cad_matrix)
+    views = replace(scene.index(panel.rows, panel.surface), tester_from_cad=panel.cad_matrix).views(at)
     found: dict[str, list[MarkReading]] = {}
     for n, mark in enumerate(marks):
         size_mm = mark.diameter * panel.board_type.mm_per_unit

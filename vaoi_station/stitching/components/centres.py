@@ -40,12 +40,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.frame_index import FootprintViews
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.geometry import FootprintViews
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.frames import Scene
 

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
+from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import Surface
 from vaoi_station.pixel_formats import eight_bit_grey
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.refinement import KERNEL, KERNEL_REACH, KERNEL_STEPS
@@ -211,3 +213,7 @@ class Scene:
     prepared: Callable[[FrameKey], PreparedFrame]
     """A function that returns the prepared frame of a camera and row, and raises LookupError if it is missing."""
     doubts: tuple[str, ...] = ()  # doubts about the frames that arose when they were recorded (`RecordingHead.doubts`)
+
+    def index(self, row_from_tester: Floats, surface: Surface | None = None) -> FrameIndex:
+        """Return which frames show a place of the board, for rows with the matrices D_j (m, 3, 3)."""
+        return FrameIndex(self.cameras, row_from_tester, self.present, surface, prepared=self.prepared)

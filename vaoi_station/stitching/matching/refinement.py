@@ -18,12 +18,8 @@ blurred pixels in place of t.
 The compiler turns this loop into vector instructions, which it would not do for a loop over one line of 24 pixels. In
 every sum of products, at least one factor is 0 in the padding of the lines.
 
-Constants of `refinement`: the sizes of a patch, the weights of the blur, and the weights of the interpolation.
-
-Cut tiles out of an image: blurred squares, from which `refinement` takes patches and windows.
-
-A tile is a flat array whose lines lie `PITCH_PX` apart, so that one loop runs over all lines (see `refinement`). It is
-computed from a square of raw pixels, which is larger by `BLUR_REACH` on every side and may have a larger pitch.
+A tile is a blurred square of an image, from which patches and windows are taken. It is computed from a square of raw
+pixels, which is larger by `BLUR_REACH` on every side and may have a larger pitch.
 """
 
 from __future__ import annotations
@@ -59,10 +55,7 @@ _Table = NDArray[np.float32]
 
 
 def _sinc() -> _Table:
-    """Return the weights (FRACTIONS + 1, TAPS) of a windowed sinc.
-
-    The weights of each fraction sum to 1, so that interpolation does not change the mean grey level.
-    """
+    """Return the weights (FRACTIONS + 1, TAPS) of a windowed sinc. Each sum to 1, which keeps the mean grey level."""
     f = np.linspace(0, 1, FRACTIONS + 1)
     at = np.arange(1 - TAPS // 2, TAPS // 2 + 1) - f[:, None]
     window = np.i0(_KAISER * np.sqrt(np.maximum(1 - (at / (TAPS / 2)) ** 2, 0)))
@@ -106,11 +99,10 @@ _F32 = np.float32
 
 @inlined
 def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wide: int) -> None:
-    """Copy the raw pixels for a tile of side `size` from an image to `raw`, a flat array with lines `pitch` apart.
+    """Copy the raw pixels for a tile of side `size`, from (x0, y0) of an image on; outside it, its border is repeated.
 
-    The square of raw pixels begins at (x0, y0) of the image and is larger than the tile by `BLUR_REACH` on every side.
-    Outside the image, border pixels are repeated. `wide` equals `pitch`, but is not a constant for the compiler, which
-    would unroll a copy of constant length byte by byte.
+    `wide` equals `pitch`, but is not a constant for the compiler, which would unroll a copy of constant length byte by
+    byte.
     """
     h, w = image.shape
     side = size + 2 * BLUR_REACH
@@ -130,8 +122,7 @@ def cut(image: Pixels, x0: int, y0: int, raw: Pixels, size: int, pitch: int, wid
 def blur(raw: Pixels, half_way: Plane, out: Plane, size: int, pitch: int, less: float) -> None:
     """Blur raw pixels to a tile `out` of side `size`, and subtract the constant `less`.
 
-    The blur first runs down the columns, in exact whole numbers, and then along the lines. `half_way` is a buffer for
-    the values in between. Lines of `raw` lie `pitch` apart.
+    The blur first runs down the columns, in exact whole numbers, and then along the lines.
     """
     w0, w1, w2, w3 = BINOMIAL
     p = pitch
@@ -327,15 +318,9 @@ def _within(px: float, py: float, image: Pixels) -> bool:
 
 @inlined
 def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float, float, float, float]:
-    """Compute the arrays of a patch from its tile, and the Cholesky factor (4, 4) for the four changes of light.
+    """Write the arrays of a patch, and the Cholesky factor (4, 4) of the products of 1, t, t·x and t·y.
 
-    Args:
-        tile: blurred pixels of image a.
-        patch: written in place; its slopes are orthogonal to changes of light.
-        factor: written in place: the factor of the matrix of products of 1, t, t·x and t·y.
-
-    Returns:
-        The mean of the patch, t·t, and the entries xx, xy, yy of H.
+    `tile` has blurred pixels of image a. Return the mean of the patch, t·t, and the entries xx, xy, yy of H.
     """
     t, gx, gy, tx, ty = patch
     half, total, p = _F32(0.5), _F32(0), PITCH_PX
@@ -388,10 +373,7 @@ def _template(tile: Plane, patch: _Patch, factor: Floats) -> tuple[float, float,
 
 @inlined
 def _factorise(m: Floats) -> None:
-    """Replace the lower triangle of a matrix (4, 4) by its Cholesky factor.
-
-    A small addend keeps the matrix positive definite where the patch has no texture.
-    """
+    """Replace the lower triangle of a matrix (4, 4) by its Cholesky factor, regular also without texture."""
     for i in range(4):
         m[i, i] += 1e-3 if i else 0.0
         for j in range(i + 1):
@@ -424,12 +406,8 @@ def _solved(m: Floats, b0: float, b1: float, b2: float, b3: float) -> tuple[floa
 def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, float, float]:
     """Return the entries xx, xy, yy of Σ (B g)(B g)ᵀ, where B is the blur and slopes g are 0 outside the patch.
 
-    Blurred slopes are smooth: the sum runs over every second line only and is doubled.
-
-    Args:
-        padded_x: slopes in x, with padding above and below.
-        padded_y: slopes in y, with padding above and below.
-        soft: buffer for slopes that are blurred in y only.
+    Blurred slopes are smooth: the sum runs over every second line only and is doubled. The slopes have padding above
+    and below; `soft` is a buffer.
     """
     w0, w1, w2, w3 = BINOMIAL
     v0, v1, v2, v3 = _F32(w0 / 64), _F32(w1 / 64), _F32(w2 / 64), _F32(w3 / 64)
@@ -457,10 +435,7 @@ def _softened(padded_x: Plane, padded_y: Plane, soft: Plane) -> tuple[float, flo
 
 @inlined
 def _bilinear(tile: Plane, x: float, y: float, patch: _Patch) -> tuple[float, float, float]:
-    """Return the sums of s·t, s·gx, s·gy for the window s whose first pixel lies at (x, y) of a tile of image b.
-
-    The window is interpolated bilinearly; t, gx, gy are the arrays of the patch.
-    """
+    """Return the sums of s·t, s·gx, s·gy for the window s at (x, y) of a tile of image b, interpolated bilinearly."""
     t, gx, gy = patch[0], patch[1], patch[2]
     x0, y0, one = int(x), int(y), _F32(1)
     fx, fy = _F32(x - x0), _F32(y - y0)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from vaoi_station.frame_index import FootprintViews, FrameIndex
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.displacement import rms_displacement_px
 from vaoi_station.geometry.robust import Failure
@@ -28,7 +29,7 @@ from vaoi_station.stitching.components.places import (
     placed_parts,
 )
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.geometry import FootprintViews, FrameIndex, frames_of_marks
+from vaoi_station.stitching.geometry import frames_of_marks
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Method
 from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.quality.confirmation import (
@@ -158,8 +159,8 @@ class Findings:
     @cached_property
     def _frames(self) -> FrameIndex:
         """The good frames, with the poses that the adjustment estimated."""
-        scene = self.scene
-        return FrameIndex(scene.cameras, self.adjusted.motion.rows_from_tester, scene.present, self.surface, scene)
+        index = self.scene.index(self.adjusted.motion.rows_from_tester, self.surface)
+        return index if self.cad_matrix is None else replace(index, tester_from_cad=self.cad_matrix)
 
     @cached_property
     def views(self) -> FootprintViews | None:
@@ -172,7 +173,7 @@ class Findings:
         if self.plane is None or self.cad_matrix is None:
             return None
         cad = placed_landmarks(self.plane, self.cad_matrix, self.own_places.matrices)
-        return self._frames.views(cad, self.cad_matrix).without_rows(self.unplaced)
+        return self._frames.views(cad).without_rows(self.unplaced)
 
     @cached_property
     def bad_marks(self) -> dict[str, BoardMarks]:
@@ -209,7 +210,7 @@ class Findings:
         """One confirmed frame for each fiducial that a frame shows with its bare rim, by number; empty without C."""
         if self.plane is None or self.cad_matrix is None:
             return {}
-        views = self._frames.views(self.plane.cad(self.plane.fiducials), self.cad_matrix)
+        views = self._frames.views(self.plane.cad(self.plane.fiducials))
         return frames_of_marks(self.plane.board_type, views, self.scene.cameras, self.checked.confirmed)
 
     @cached_property
@@ -245,7 +246,7 @@ class Findings:
         if self.plane is None or self.cad_matrix is None:
             return ()
         parts = placed_parts(self.plane, self.cad_matrix, self.own_places.matrices)
-        board = FilmedBoard(parts, self.cad_matrix, self._frames)
+        board = FilmedBoard(parts, self._frames)
         required = required_visibility(self.plane.board_type, self.visibility)
         unseen = find_unseen(board, self.checked.confirmed, self.problem.velocity_mm_s, required)
         return tuple(part for part in unseen if part.address not in self.skipped_parts)

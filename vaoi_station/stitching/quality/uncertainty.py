@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
+from vaoi_station.frame_index import FootprintViews
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.camera_error import basis_px
 from vaoi_station.geometry.displacement import PARAMETERS
@@ -40,7 +41,6 @@ from vaoi_station.stitching.adjustment.cameras import CameraEffects
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Ints, basis
 from vaoi_station.stitching.board.board_plane import BoardPlane, landmarks
 from vaoi_station.stitching.board.reference import inliers
-from vaoi_station.stitching.geometry import FootprintViews
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.frames import Scene
 

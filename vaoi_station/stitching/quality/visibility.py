@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.frame_index import Coverage, FrameIndex
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, BoardType, Reason, ReasonCode, Visibility
@@ -22,7 +23,7 @@ from vaoi_station.model.board_type import UnseenCause
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.board.board_plane import BoardPlane, expected_angle, typical_camera
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.geometry import ComponentIndex, Coverage, FrameIndex
+from vaoi_station.stitching.geometry import ComponentIndex
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.frames import Scene
 
@@ -74,30 +75,29 @@ class FilmedBoard(NamedTuple):
     """A board with its position, and the frames of its run."""
 
     parts: ComponentIndex
-    cad_matrix: Floats
     frames: FrameIndex
 
     def coverage(self, present: Collection[FrameKey], *, count_views: bool = True) -> Coverage:
         """Compute how much of every component the frames `present` show."""
         frames = replace(self.frames, present=tuple(present))
-        return frames.coverage(self.parts, self.cad_matrix, count_views=count_views)
+        return frames.coverage(self.parts.corners, count_views=count_views)
 
     def complete(self) -> Coverage:
         """Compute how much of every component the frames of all cameras and rows would show."""
-        return self.coverage(list(product(range(len(self.frames.cameras)), range(len(self.frames.rows)))))
+        return self.coverage(list(product(range(len(self.frames.cameras)), range(len(self.frames.row_from_tester)))))
 
     def with_more_rows(self, way: int, velocity_mm_s: Floats) -> FilmedBoard:
         """Return the board with rows added after the last (`way` 1) or before the first (−1), until it is not seen."""
-        views, rows = np.array([camera.view_mm() for camera in self.frames.cameras]), self.frames.rows
+        views, rows = np.array([camera.view_mm() for camera in self.frames.cameras]), self.frames.row_from_tester
         low, high = views[:, 0].min(0), views[:, 1].max(0)
         # A step of half the smallest view: every part of the board is then wholly in some frame.
         step = float((views[:, 1] - views[:, 0]).min()) / 2
-        extent = np.ptp(self.parts.corners.reshape(-1, 2) @ self.cad_matrix[:2, :2].T, axis=0)
+        extent = np.ptp(self.parts.corners.reshape(-1, 2) @ self.frames.tester_from_cad[:2, :2].T, axis=0)
         count = min(int(np.ceil((float(np.hypot(*extent)) + float(np.hypot(*(high - low)))) / step)), _MOST_ROWS)
         more = np.repeat(rows[-1 if way > 0 else 0][None], count, 0)
         direction = np.asarray(velocity_mm_s) / float(np.hypot(*velocity_mm_s))
         more[:, :2, 2] += way * step * (np.arange(count) + 1)[:, None] * direction
-        return self._replace(frames=replace(self.frames, rows=np.concatenate([rows, more])))
+        return self._replace(frames=replace(self.frames, row_from_tester=np.concatenate([rows, more])))
 
 
 class _Asked(NamedTuple):
@@ -242,7 +242,7 @@ def absent_camera_reasons(
     if plane is not None and board_mm is None:
         clauses = dict.fromkeys(absent, ": fiducials that only this camera shows cannot be found")
     elif plane is not None and board_mm is not None:
-        views = FrameIndex(scene.cameras, motion.rows_from_tester).views(board_mm, np.eye(3))
+        views = scene.index(motion.rows_from_tester).views(board_mm)
         inside = np.array(
             [scene.cameras[i].sees(px) for (i, _), px in zip(views.frames, views.px, strict=True)], np.bool_
         )
