@@ -325,6 +325,11 @@ class StationConfig(Section):
         return self.line.rows_of_longest_board + self.ring.spare_rows
 
     @property
+    def heads(self) -> tuple[CameraHead, ...]:
+        """The camera heads of this station's recordings."""
+        return tuple(camera.head for camera in self.cameras)
+
+    @property
     def known_lights(self) -> tuple[str, ...]:
         """Lights of rows of board types without a program, in turn; empty if a twin or a recording decides, or none."""
         serial = self.controller.light_sequence if self.controller.backend == "serial" else ()

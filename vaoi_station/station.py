@@ -30,7 +30,6 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import Housekeeping, Retention
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawn_launcher
-from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import MakeOrder, StationCoordinator
 from vaoi_station.runs.control.core import Parts
@@ -145,10 +144,10 @@ class Station:
             # Workers and the acquisition process open the ring by its path, so the ring must exist before they start.
             workers = WorkerPool(config.workers, ring.path)
             link = AcquisitionLink(self._launch or spawn_launcher(config, ring.path))
-            grants = BayGrants(ring, link)
+            grants = BayGrants(ring.blacken, link)
             archive = Archive(store, events)
             watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras])
-            cameras = calibration.cameras(camera_heads(config))
+            cameras = calibration.cameras(config.heads)
             shelf = ReferenceStore(config.data / REFERENCES, store, cameras)
             shelf.sweep()
             housekeeping = _housekeeping(config, store, events)
@@ -166,7 +165,7 @@ class Station:
             coordinator = StationCoordinator(
                 Parts(
                     config,
-                    ring,
+                    ring.renew,
                     grants,
                     workers,
                     archive,
@@ -263,7 +262,7 @@ class Station:
 
 def _calibration(config: StationConfig) -> tuple[Calibration, StateError | None]:
     """Return the calibration, or while there is none the nominal one, and why the line cannot be armed with it."""
-    heads = tuple(camera.head for camera in config.cameras)
+    heads = config.heads
     try:
         return read_calibration(config.calibration, heads), None
     except NotFoundError:

@@ -26,7 +26,6 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import Retention
 from vaoi_station.runs.archive.recordings import RUN_FILE
-from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.run.order import OrderFactory, StandingOrder
 from vaoi_station.runs.run.reference_store import ReferenceStore
@@ -165,7 +164,7 @@ def _started(config: StationConfig) -> Iterator[Archive]:
         watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras])
         watch.warnings()
         watch.status()
-        cameras = calibration.cameras(camera_heads(config))
+        cameras = calibration.cameras(config.heads)
         shelf = ReferenceStore(config.data / "references", store, cameras)
         shelf.sweep()
         retention = Retention(config.keep, store.retention)

@@ -41,7 +41,6 @@ from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import acquisition_link
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink
-from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
@@ -351,14 +350,14 @@ def make_rig(tmp_path: Path, store: Store) -> Iterator[Callable[..., Rig]]:
         write_board_type(config.board_types / "small.json", a_board_type())
         ring = Ring.create(ring_path(config), RingLayout.of(config))
         ends.append(ring.close)
-        shelf = ReferenceStore(config.data / "references", store, a_calibration().cameras(camera_heads(config)))
+        shelf = ReferenceStore(config.data / "references", store, a_calibration().cameras(config.heads))
         events = EventLog(store)
         archive, peer, workers = Archive(store, events), Peer(), ScriptedWorkers()
         link = AcquisitionLink(peer.launch)
-        grants = BayGrants(ring, link)
+        grants = BayGrants(ring.blacken, link)
         watch = CalibrationWatch(store.checks, events, a_calibration(), [c.name for c in config.cameras])
         coordinator = StationCoordinator(
-            Parts(config, ring, grants, workers, archive, events, RunIds(store.newest_run()), watch),
+            Parts(config, ring.renew, grants, workers, archive, events, RunIds(store.newest_run()), watch),
             ring,
             BoardTypeDirectory(config.board_types),
             OrderFactory(config, a_calibration(), store, shelf),
@@ -388,7 +387,6 @@ def rig(make_rig: Callable[..., Rig]) -> Rig:
 @pytest.fixture
 def progress(config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType) -> Progress:
     """Return a run r1 in bay 1 whose board has just interrupted the barrier, at 50 s."""
-    heads = camera_heads(config)
-    references = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
+    references = ReferenceStore(config.data / "references", store, calibration.cameras(config.heads))
     order = OrderFactory(config, calibration, store, references)(board_type, None, None)
     return Progress.begin(messages.RunStarted("r1", 1, 50.0), Bay(1, "filming", "r1", 7), order)

@@ -6,7 +6,7 @@ from contextlib import nullcontext
 from typing import Any
 
 from vaoi_station.acquisition.process import messages
-from vaoi_station.runs.workers.jobs import OpenRun
+from vaoi_station.runs.workers.jobs import LinkJob, OpenRun, Reply
 
 
 class Acquisition:
@@ -40,17 +40,24 @@ class CountingRing:
 
 
 class Workers:
-    """Collects what is submitted."""
+    """Collects what is submitted, until the test answers it."""
 
     def __init__(self) -> None:
         self.jobs: list[Any] = []
         self.open: list[str] = []
-
-    def busy(self) -> bool:
-        return False
+        self._receivers: dict[int, Any] = {}
 
     def submit(self, job: Any, done: Any) -> None:
         self.jobs.append(job)
+        self._receivers[id(job)] = done
+
+    def answer(self, job: Any, value: Any = None, error: Any = None) -> None:
+        if isinstance(job, LinkJob) and error is None:
+            value = (0.5,) * len(job.tasks)
+        self._receivers[id(job)](Reply(value, error, 0.25))
+
+    def of(self, kind: Any, run: str = "r1") -> list[Any]:
+        return [job for job in self.jobs if isinstance(job, kind) and job.run == run]
 
     def open_run(self, opening: OpenRun) -> None:
         self.open.append(opening.context.run)

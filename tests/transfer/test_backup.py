@@ -22,7 +22,6 @@ from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.files.directories import files_below, remove_directory
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.simulation import scenario_path
 from vaoi_station.store import Database, Store
@@ -55,7 +54,7 @@ def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> N
     assert {run: archive.get(run).text for run in expected} == expected
     assert store.retention.pins() == {site.sound}
     assert len(store.events(0, 1000)) >= events
-    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(camera_heads(config)))
+    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(config.heads))
     reference = shelf.open(board_type)
     assert reference is not None
     assert reference.run == site.sound

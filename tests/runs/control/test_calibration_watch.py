@@ -185,7 +185,7 @@ def test_a_check_of_another_calibration_is_kept_and_changes_nothing(rig: Any) ->
     film(rig, rig.arm())
     other = rig.store.keep_document("calibration", '{"n": 1}', "2026-01-01T00:00:00Z")
     (job,) = (job for job in rig.workers.done if isinstance(job, CheckJob))
-    rig.coordinator._core.worker_reply(dataclasses.replace(job, calibration=other), rig.workers.check_reply(job), 0.0)
+    rig.coordinator._core.watch.checked(dataclasses.replace(job, calibration=other), rig.workers.check_reply(job))
     rig.wait_for(lambda: rig.store.checks.count(other) == 1, "the check")
     assert rig.coordinator.calibration().runs == 1
 

@@ -1,4 +1,4 @@
-"""The decisions of the coordinator's thread, called directly: messages, replies, releases, leases and the stop."""
+"""The decisions of the coordinator's thread, called directly: messages, answers of owners, releases and the stop."""
 
 from __future__ import annotations
 
@@ -7,20 +7,22 @@ from typing import Any
 
 import pytest
 
+from tests.runs.conftest import a_head, a_stitch
 from tests.runs.doubles import Acquisition, CountingRing, Workers
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InternalError, StateError
-from vaoi_station.model import Calibration, FrameRecord, Pulse, Verdict
+from vaoi_station.errors import StateError
+from vaoi_station.files.results import stitch_text, without_components
+from vaoi_station.model import Calibration, FrameRecord, Pulse, Status, Verdict
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.line_control import Completion
 from vaoi_station.runs.run.order import Order
-from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.run.progress import CAUSE, Progress
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.workers.jobs import LinkJob, Reply
+from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, LinkJob, WorkerLostError
 from vaoi_station.store import Store
 
 
@@ -30,11 +32,10 @@ class Station:
     def __init__(self, config: StationConfig, store: Store, calibration: Calibration, order: Order) -> None:
         self.log = EventLog(store)
         self.acquisition, self.workers, self.order = Acquisition(), Workers(), order
-        archive = Archive(store, self.log)
+        self.archive = Archive(store, self.log)
         watch = CalibrationWatch(store.checks, self.log, calibration, ["left", "right"])
-        self.core = Core(
-            Parts(config, CountingRing(), self.acquisition, self.workers, archive, self.log, RunIds(), watch)
-        )
+        renew = CountingRing().renew
+        self.core = Core(Parts(config, renew, self.acquisition, self.workers, self.archive, self.log, RunIds(), watch))
         self.core.acquisition_message(messages.Ready(2))
 
     @property
@@ -48,19 +49,37 @@ class Station:
         """Arm the line; returns the run that was granted."""
         self.core.arm(self.order, None, Completion())
         self.core.acquisition_message(messages.Armed())
-        return next(c.run for c in self.acquisition.commands if isinstance(c, messages.Grant))
+        return self._granted()
+
+    def _granted(self) -> str:
+        return next(c.run for c in reversed(self.acquisition.commands) if isinstance(c, messages.Grant))
 
     def begin(self) -> str:
-        """Arm, and let a board interrupt the barrier; returns its run."""
-        run = self.arm()
+        """Let a board interrupt the barrier; returns its run."""
+        run = self._granted() if self.state == "armed" else self.arm()
         self.core.acquisition_message(messages.RunStarted(run, 0, time.monotonic()))
         return run
 
-    def row(self, run: str) -> None:
+    def row(self, run: str) -> tuple[FrameRecord, ...]:
         self.core.acquisition_message(messages.PulseReported(run, Pulse(index=0, time_s=100.0)))
-        for camera in (0, 1):
-            record = FrameRecord(camera=camera, row=0, verdict=Verdict.OK, slot=camera)
+        records = tuple(FrameRecord(camera=k, row=0, verdict=Verdict.OK, slot=k) for k in (0, 1))
+        for record in records:
             self.core.acquisition_message(messages.FrameSettled(run, record, time.monotonic()))
+        return records
+
+    def film(self, reason: str = "clear") -> str:
+        """Let a board of one row pass, and answer its links; returns its run."""
+        records = self.row(run := self.begin())
+        report = messages.RunFinished(run, 0, a_head(1), records, time.monotonic(), reason)
+        self.core.acquisition_message(report)
+        for job in self.workers.of(LinkJob, run):
+            self.workers.answer(job)
+        return run
+
+    def conclude(self, run: str, status: Status = Status.OK) -> None:
+        [job] = self.workers.of(ConcludeJob, run)
+        stitch = a_stitch(a_head(1), status)
+        self.workers.answer(job, Concluded(without_components(stitch), stitch_text(stitch)))
 
 
 @pytest.fixture
@@ -82,10 +101,11 @@ def test_a_board_gets_its_bay_and_the_next_bay_is_granted(station: Station) -> N
         station.core.release(run)
 
 
-def test_a_run_without_an_order_is_a_reason_and_gets_no_memory(station: Station) -> None:
+def test_runs_without_an_order_or_a_beginning_get_nothing(station: Station) -> None:
     station.core.acquisition_message(messages.RunStarted("never", 0, time.monotonic()))
     assert station.events("trouble") == ["Run never was filmed without an order."]
-    assert station.core.runs.active == {}
+    station.core.acquisition_message(messages.RunFinished("never", 0, a_head(1), station.row("never"), 1.0, "clear"))
+    assert (station.core.active, station.workers.jobs) == ({}, [])
 
 
 def test_a_missed_board_is_counted_and_names_the_memory_if_that_is_the_cause(station: Station) -> None:
@@ -96,22 +116,60 @@ def test_a_missed_board_is_counted_and_names_the_memory_if_that_is_the_cause(sta
     assert station.core.boards.missed == 1
 
 
+@pytest.mark.parametrize(
+    ("status", "reason", "state", "checks"),
+    [
+        (Status.OK, "clear", "ready", 1),
+        (Status.DEGRADED, "single", "degraded", 1),
+        (Status.FAILED, "clear", "failed", 0),
+        (Status.OK, "disarmed", "degraded", 0),
+        (Status.OK, "max-rows", "degraded", 0),
+    ],
+)
+def test_a_run_ends_with_the_verdict_of_its_result_and_only_a_whole_one_is_evidence_of_drift(
+    station: Station, status: Status, reason: str, state: str, checks: int
+) -> None:
+    run = station.film(reason)
+    station.conclude(run, status)
+    assert station.archive.get(run).detail.state == state
+    assert station.archive.get(run).result.status == ("degraded" if state == "degraded" else status)
+    assert (station.core.active, station.workers.open) == ({}, [])
+    assert len(station.workers.of(CheckJob, run)) == checks
+
+
+def test_an_early_result_waits_for_the_run_before_it(station: Station) -> None:
+    first, second = station.film(), station.film()
+    station.conclude(second)
+    assert [*station.core.active] == [first, second]
+    station.conclude(first)
+    assert station.core.active == {}
+    numbers = [station.archive.get(run).finish_number for run in (first, second)]
+    assert numbers == sorted(numbers)
+
+
 def test_what_had_arrived_is_stitched_when_the_acquisition_process_ends(station: Station) -> None:
     run = station.begin()
-    station.row(run)
+    for index, time_s in ((0, 9.0), (1, 9.1000000004), (3, 9.3)):
+        station.core.acquisition_message(messages.PulseReported(run, Pulse(index=index, time_s=time_s)))
+    for camera, row in ((0, 0), (1, 0), (0, 1), (0, 3)):
+        record = FrameRecord(camera=camera, row=row, verdict=Verdict.OK, slot=row)
+        station.core.acquisition_message(messages.FrameSettled(run, record, 51.0))
     station.core.acquisition_ended("the acquisition process ended (code -9)")
-    progress = station.core.runs.active[run]
+    progress = station.core.active[run]
     assert (str(progress.state), station.state) == ("stitching", "faulted")
     assert [fault.code for fault in progress.faults] == ["acquisition-lost"]
-    assert progress.recorded is not None
-    assert progress.recorded.head.rows == 1
     assert station.events("trouble") == ["The acquisition process ended (code -9)."]
+    film = progress.recorded
+    assert film is not None
+    assert (film.head.rows, film.head.trigger_times_s, film.head.missing) == (2, (0.0, 0.1), ((1, 1),))
+    assert [f.verdict for f in film.frames] == [Verdict.OK, Verdict.OK, Verdict.OK, Verdict.MISSING]
+    assert (film.frames[-1].cause, film.reason) == (CAUSE, "acquisition lost")
 
 
 def test_a_run_without_a_pulse_fails_when_the_acquisition_process_ends(station: Station) -> None:
     station.begin()
     station.core.acquisition_ended("the acquisition process ended (code -9)")
-    assert station.core.runs.active == {}
+    assert station.core.active == {}
     assert [bay.use for bay in station.core.memory.bays()] == ["finished", "free", "free"]
 
 
@@ -122,21 +180,18 @@ def test_a_stop_completes_when_the_last_run_has_ended(station: Station) -> None:
     station.core.stop(stopped)
     assert not stopped.done()
     station.core.acquisition_ended("the acquisition process ended")
-    job: Any = next(job for job in station.workers.jobs if isinstance(job, LinkJob))
-    lost = Reply(None, InternalError("it died", code="worker-lost"), 0.0)
-    station.core.worker_reply(job, lost, time.monotonic())
+    job: Any = station.workers.of(LinkJob, run)[0]
+    station.workers.answer(job, error=WorkerLostError("it died"))
     stopped.result(0)
-    assert station.state == "stopping"
+    assert (station.state, station.archive.get(run).detail.state) == ("stopping", "failed")
+    assert "worker-lost" in [reason.code for reason in station.archive.get(run).detail.reasons]
 
 
-def test_expired_leases_are_published(station: Station) -> None:
-    station.core.leases.lease_s = 0.0
-    station.core.leases.take("r1", "tester 3", "AOI")
+def test_expired_leases_and_events_of_the_workers_are_published(station: Station) -> None:
+    station.core.memory.lease_s = 0.0
+    station.core.memory.lease("r1", "tester 3", "AOI")
     station.core.tick()
     assert station.events("lease") == ["The hold of tester 3 (AOI) expired."]
-
-
-def test_events_of_the_workers_are_logged(station: Station) -> None:
     station.core.worker_ended("Worker 0 ended with code -9.")
     station.core.workers_ready()
     assert station.events("process") == ["Worker 0 ended with code -9."]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -19,7 +18,7 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import line_control
 from vaoi_station.runs.control.line_control import Completion, LineControl
 from vaoi_station.runs.control.reasons import StationStateMachine
-from vaoi_station.runs.run.memory import Leases, Memory
+from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.states.run_ids import RunIds
@@ -32,17 +31,16 @@ class Line:
 
     def __init__(self, config: StationConfig, store: Store, order: Order) -> None:
         events = EventLog(store)
-        self.leases = Leases(600.0)
-        self.memory = Memory(CountingRing(), 2, self.leases)
+        self.memory = Memory(CountingRing().renew, 2, 600.0)
         self.machine, self.acquisition, self.order = StationStateMachine(events), Acquisition(), order
         self.control = LineControl(
             config, self.acquisition, self.machine, self.memory, RunIds(), Archive(store, events), events
         )
         self.control.on_ready()
 
-    def arm(self, runs: int | None = None, health: messages.Health | None = None) -> Completion:
+    def arm(self, runs: int | None = None) -> Completion:
         armed = Completion()
-        self.control.arm(self.order, runs, health, armed)
+        self.control.arm(self.order, runs, armed)
         return armed
 
     def armed(self) -> None:
@@ -80,7 +78,7 @@ def filming(line: Line) -> None:
 
 def board_leaves(line: Line) -> None:
     line.machine.advance(StationStep.BOARD_FILMED)
-    line.control.board_left(None)
+    line.control.board_left()
 
 
 def test_an_order_while_a_board_passes_takes_effect_after_it(line: Line) -> None:
@@ -105,29 +103,7 @@ def test_a_disarm_refuses_the_orders_that_wait_for_a_board_to_leave(line: Line) 
     with pytest.raises(StateError, match="disarmed before it was armed"):
         armed.result(0)
     board_leaves(line)
-    line.control.on_disarmed(messages.Disarmed(()), None)
-    disarmed.result(0)
-    assert line.state == "idle"
-
-
-def test_an_order_after_a_disarm_while_a_board_passes_arms_again(line: Line) -> None:
-    filming(line)
-    line.control.disarm(Completion())
-    armed = line.arm(runs=1)
-    line.control.on_disarmed(messages.Disarmed(()), None)
-    line.control.on_armed()
-    armed.result(0)
-    assert (line.state, line.control.orders.runs_left) == ("armed", 1)
-
-
-def test_a_disarm_refuses_the_orders_that_wait_for_a_disarm(line: Line) -> None:
-    line.armed()
-    line.control.disarm(Completion())
-    armed, disarmed = line.arm(), Completion()
-    line.control.disarm(disarmed)
-    with pytest.raises(StateError, match="was disarmed before it was armed"):
-        armed.result(0)
-    line.control.on_disarmed(messages.Disarmed(()), None)
+    line.control.on_disarmed(messages.Disarmed(()))
     disarmed.result(0)
     assert line.state == "idle"
 
@@ -158,22 +134,6 @@ def test_an_order_that_waits_is_withdrawn_or_refused_with_a_fault(line: Line) ->
     assert not first.done()
 
 
-def test_an_order_while_armed_sends_nothing_and_applies_at_once(line: Line) -> None:
-    line.armed()
-    line.acquisition.taken()
-    line.arm(runs=2).result(0)
-    assert line.acquisition.taken() == []
-    assert line.control.orders.runs_left == 2
-
-
-def test_a_lost_camera_refuses_the_order_and_takes_no_memory(line: Line) -> None:
-    health = messages.Health((CameraHealth(True), CameraHealth(False, "cable pulled")), "fine", 1.0)
-    with pytest.raises(DeviceError, match="The array is not complete"):
-        line.arm(health=health).result(0)
-    assert (line.granted(), line.acquisition.taken()) == ([], [])
-    assert line.state == "idle"
-
-
 def test_disarming_returns_unused_memory_and_a_waiting_order_is_armed_afterwards(line: Line) -> None:
     line.armed()
     [run] = line.granted()
@@ -181,7 +141,7 @@ def test_disarming_returns_unused_memory_and_a_waiting_order_is_armed_afterwards
     line.control.disarm(disarmed)
     waiting = line.arm()
     assert line.acquisition.taken() == ["Grant", "Arm", "Disarm"]
-    line.control.on_disarmed(messages.Disarmed((messages.Grant(run, 0),)), None)
+    line.control.on_disarmed(messages.Disarmed((messages.Grant(run, 0),)))
     disarmed.result(0)
     assert line.acquisition.taken() == ["Grant", "Arm"]
     assert run not in line.granted()
@@ -189,19 +149,12 @@ def test_disarming_returns_unused_memory_and_a_waiting_order_is_armed_afterwards
     waiting.result(0)
 
 
-def test_disarming_an_idle_line_is_harmless(line: Line) -> None:
-    disarmed = Completion()
-    line.control.disarm(disarmed)
-    disarmed.result(0)
-    assert line.acquisition.taken() == []
-
-
 def test_an_armed_that_crosses_a_disarm_does_not_arm(line: Line) -> None:
     armed = line.arm()
     line.control.disarm(Completion())
     line.control.on_armed()
     assert line.state == "arming"
-    line.control.on_disarmed(messages.Disarmed(()), None)
+    line.control.on_disarmed(messages.Disarmed(()))
     with pytest.raises(StateError, match="disarmed before it was armed"):
         armed.result(0)
 
@@ -230,7 +183,7 @@ def hold_all_bays(line: Line) -> list[str]:
     while runs := line.granted():
         assert line.control.take_grant(runs[0], 1e9) is not None
         line.memory.use(runs[0], "finished")
-        line.leases.take(runs[0], "tester", "AOI")
+        line.memory.lease(runs[0], "tester", "AOI")
         held += runs
         line.control.keep_memory_granted()
     return held
@@ -243,11 +196,11 @@ def test_an_order_survives_a_full_ring_after_a_fault(line: Line) -> None:
     line.control.on_acquisition_ended("the acquisition process ended")
     line.acquisition.taken()
     line.control.on_ready()
-    line.control.tick(None)
+    line.control.tick()
     assert (line.state, [reason.code for reason in line.machine.reasons.all()]) == ("idle", ["ring-full"])
-    line.leases.end(held[0], "tester")
+    line.memory.end_lease(held[0], "tester")
     line.memory.free(held[0])
-    line.control.tick(None)
+    line.control.tick()
     assert (line.acquisition.taken(), line.machine.reasons.all()) == (["Grant", "Arm"], ())
     line.control.on_armed()
     assert line.state == "armed"
@@ -261,7 +214,7 @@ def test_a_disarm_ends_the_order_that_waits_for_memory(line: Line) -> None:
     line.control.disarm(Completion())
     line.memory.free(held[0])
     line.acquisition.taken()
-    line.control.tick(None)
+    line.control.tick()
     assert (line.state, line.acquisition.taken(), line.machine.reasons.all()) == ("idle", [], ())
 
 
@@ -275,16 +228,20 @@ def test_an_order_survives_a_trouble_while_the_line_is_armed_again(
     line.control.on_ready()
     line.acquisition.taken()
     line.control.on_trouble(messages.Trouble("events-lost", "events were lost", "Check its cable."))
-    line.control.tick(None)
+    line.control.tick()
     assert line.acquisition.taken() == ["Disarm"]
-    line.control.on_disarmed(messages.Disarmed((messages.Grant(line.granted()[0], 0),)), None)
+    line.control.on_disarmed(messages.Disarmed((messages.Grant(line.granted()[0], 0),)))
     [warning] = line.control.warnings()
     assert (warning.code, "events were lost" in warning.message) == ("not-armed-again", True)
     away = messages.Health((CameraHealth(True), CameraHealth(False, "cable pulled")), "fine", 1.0)
-    line.control.tick(away)
+    line.control.health = away
+    line.control.tick()
     assert line.acquisition.taken() == []
     assert "Cable pulled" in line.control.warnings()[0].message
-    line.control.tick(replace(away, cameras=(CameraHealth(True),) * 2))
+    with pytest.raises(DeviceError, match="The array is not complete"):
+        line.arm().result(0)
+    line.control.health = replace(away, cameras=(CameraHealth(True),) * 2)
+    line.control.tick()
     assert line.acquisition.taken() == ["Grant", "Arm"]
     line.control.on_armed()
     assert (line.state, line.control.warnings()) == ("armed", ())
@@ -326,20 +283,6 @@ def test_a_run_without_grant_or_order_has_no_order(line: Line) -> None:
     assert line.acquisition.taken()[-1] == "Disarm"
 
 
-def test_a_stop_disarms_an_armed_line_once(line: Line) -> None:
-    line.armed()
-    line.acquisition.taken()
-    line.control.disarm_for_stop()
-    line.control.disarm_for_stop()
-    assert line.acquisition.taken() == ["Disarm"]
-
-
-def test_an_impossible_order_names_the_state(line: Line, config: Any) -> None:
-    line.control.on_acquisition_ended("the acquisition process ended")
-    with pytest.raises(StateError, match="The station is faulted"):
-        line.arm().result(0)
-
-
 def test_an_order_with_another_plan_is_armed_after_a_disarm(line: Line) -> None:
     line.armed()
     line.acquisition.taken()
@@ -348,7 +291,7 @@ def test_an_order_with_another_plan_is_armed_after_a_disarm(line: Line) -> None:
     changed = line.arm()
     assert line.acquisition.taken() == ["Disarm"]
     assert not changed.done()
-    line.control.on_disarmed(messages.Disarmed(()), None)
+    line.control.on_disarmed(messages.Disarmed(()))
     assert line.acquisition.taken()[-1] == "Arm"
     line.control.on_armed()
     changed.result(0)

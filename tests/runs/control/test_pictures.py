@@ -1,20 +1,32 @@
-"""Pixels of a run: frames are found by camera and row, and read under a lease."""
+"""Pixels of a run: frames are found by camera and row and read under a lease; small pictures need no worker."""
 
 from __future__ import annotations
 
 import gc
 import math
+import threading
 import weakref
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from vaoi_station.errors import NotFoundError, StateError
+from vaoi_station.acquisition.process import messages
+from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
+from vaoi_station.files.images import decode
+from vaoi_station.mosaic.tile_specs import TileSpec
+from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.control import pictures
-from vaoi_station.runs.control.pictures import frame_record
+from vaoi_station.runs.control.pictures import LARGEST_PX, SEATS, SMALL_PX, frame_record
 from vaoi_station.runs.host import processes
 from vaoi_station.runs.mosaics.opened_mosaics import PictureName
+from vaoi_station.runs.workers.evidence_log import EvidenceLog, shared_memory
+from vaoi_station.runs.workers.jobs import Numbered, Reply
+from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
+from vaoi_station.runs.workers.worker import WorkerRuntime, perform_with_frames
 
 
 def test_a_frame_that_may_still_arrive_is_refused_differently_from_one_that_cannot(rig: Any) -> None:
@@ -85,3 +97,123 @@ def test_no_full_garbage_collection_delays_a_caller_who_fetches(
     monkeypatch.setattr(pictures, "FETCHING_S", 0.0)
     rig.coordinator._inbox.ask(rig.coordinator._tick)
     assert knot() is None
+
+
+# --- small pictures
+
+MEDIUM = ImageRequest.of({"px_per_mm": 200})
+FINE = ImageRequest.of({"px_per_mm": 277})
+
+
+@pytest.fixture
+def run(rig: Any) -> str:
+    """A finished run with pixels; the station process has loaded what it renders with."""
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    random = np.random.default_rng(0)
+    for frame in rig.coordinator.run(grant.run).frames:
+        memory = rig.ring.memory(frame.slot)
+        memory[:] = random.integers(0, 256, memory.shape)
+    assert rig.coordinator._frames.small.loaded.wait(60)
+    return str(grant.run)
+
+
+def jobs(rig: Any) -> list[RenderJob]:
+    return [job for job in rig.workers.done if isinstance(job, RenderJob)]
+
+
+@pytest.mark.parametrize("format", ["png", "jpeg", "tiff", "npy"])
+def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any) -> None:
+    own = rig.coordinator.image(run, "U1", 0, format=format)
+    assert jobs(rig) == []
+    rig.coordinator._frames.small.loaded.clear()
+    assert rig.coordinator.image(run, "U1", 0, format=format) == b"picture", "until it is loaded, workers render"
+    [job] = jobs(rig)
+    with WorkerRuntime(str(rig.ring.path), 0, [EvidenceLog(shared_memory(1), 0)]) as worker:
+        reply = worker.reply(Numbered(1, job))
+    assert isinstance(reply, Reply)
+    assert reply.value == own
+
+
+def test_a_large_picture_waits_for_a_worker(rig: Any, run: str) -> None:
+    assert rig.coordinator.image(run, "U1", 0, FINE) == b"picture"
+    [job] = jobs(rig)
+    assert job.view.width * job.view.height > LARGEST_PX
+
+
+def test_a_large_component_at_the_resolution_of_the_camera_waits_for_no_worker(rig: Any, run: str) -> None:
+    picture = decode(rig.coordinator.image(run, "U1", 0, MEDIUM))
+    assert jobs(rig) == []
+    assert picture is not None
+    assert SMALL_PX < picture.size <= LARGEST_PX
+
+
+def tile_of(rig: Any, run: str, **changes: Any) -> TileJob:
+    detail = rig.coordinator.run(run)
+    spec = TileSpec(width=256, height=200, hdr=False, cells_from_tile=np.eye(2, 3), parts=())
+    job = TileJob(run, detail.bay, detail.generation, {}, spec, (0.0, 1.0), "jpg")
+    return replace(job, **changes)
+
+
+def test_tiles_that_take_long_are_left_to_workers(rig: Any, run: str) -> None:
+    small, spec = rig.coordinator._frames.small, tile_of(rig, run).spec
+    assert small.render(tile_of(rig, run, spec=replace(spec, hdr=True))) is None
+    assert small.render(tile_of(rig, run, spec=replace(spec, width=LARGEST_PX))) is None
+    assert small.render(tile_of(rig, run, format=None)) is None, "a file of the whole board is made of these"
+
+
+def test_tiles_are_left_to_workers_while_a_board_passes(rig: Any, run: str) -> None:
+    assert rig.coordinator._frames.tile(tile_of(rig, run)) is not None
+    rig.begin(rig.peer.expect(messages.Grant))  # the line is still armed
+    rig.wait_for(rig.coordinator._frames.busy, "the board to be filmed")
+    assert rig.coordinator._frames.tile(tile_of(rig, run)) is None
+
+
+def test_no_more_than_its_seats_are_rendered_at_a_time(rig: Any, run: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    began, go_on = threading.Semaphore(0), threading.Event()
+
+    def slow(job: Any, ring: Any) -> Any:
+        began.release()
+        assert go_on.wait(60)
+        return perform_with_frames(job, ring)
+
+    monkeypatch.setattr(pictures, "perform_with_frames", slow)
+    with ThreadPoolExecutor(SEATS) as callers:
+        drawn = [callers.submit(rig.coordinator.image, run, "U1", 0) for _ in range(SEATS)]
+        for _ in drawn:
+            assert began.acquire(timeout=60)
+        assert rig.coordinator.image(run, "U1", 0) == b"picture"
+        go_on.set()
+        assert all(d.result(60).startswith(b"\x89PNG") for d in drawn)
+
+
+def test_memory_that_a_later_board_has_is_left_to_the_ordinary_way(rig: Any, run: str) -> None:
+    rig.ring.renew(rig.coordinator.run(run).bay)
+    assert rig.coordinator.image(run, "U1", 0) == b"picture", "a worker finds out by itself, or reads a recording"
+
+
+def test_each_of_two_callers_gets_its_own_reply_whatever_their_order(rig: Any, run: str) -> None:
+    rig.coordinator._frames.small.loaded.clear()
+    rig.workers.keep = True
+    with ThreadPoolExecutor(2) as callers:
+        waiting = [callers.submit(rig.coordinator.image, run, "U1", k) for k in (0, 0)]
+        rig.wait_for(lambda: len(rig.workers.kept) == 2, "both jobs")
+        for number, job in enumerate(reversed(rig.workers.kept)):
+            rig.workers.answer(job, Reply(b"%d" % number, None, 0.0))
+        assert {w.result(20) for w in waiting} == {b"0", b"1"}
+
+
+def test_a_refusal_of_the_worker_is_raised_and_a_late_reply_ignored(
+    rig: Any, run: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.coordinator._frames.small.loaded.clear()
+    monkeypatch.setattr(rig.workers, "submit", lambda job, done: done(Reply.refused(GoneError("it is gone"))))
+    with pytest.raises(GoneError, match="it is gone"):
+        rig.coordinator.image(run, "U1", 0)
+    late: list[Any] = []
+    monkeypatch.setattr(rig.workers, "submit", lambda job, done: late.append(done))
+    monkeypatch.setattr(pictures, "RENDER_LIMIT_S", 0.01)
+    with pytest.raises(DeviceError, match="No worker rendered image U1/0"):
+        rig.coordinator.image(run, "U1", 0)
+    late[0](Reply(b"late", None, 0.0))

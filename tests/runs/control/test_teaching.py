@@ -248,7 +248,7 @@ def test_a_disk_that_refuses_changes_nothing(rig: Any) -> None:
 def test_damaged_reference_files_make_it_unusable(rig: Any, make_rig: Callable[..., Any], tmp_path: Path) -> None:
     run = taught(rig)
     (rig.config.data / "references" / run / "result.json").write_text("{")
-    rig.coordinator._board_types._references._opened.clear()  # as after a restart
+    rig.coordinator._references._opened.clear()  # as after a restart
     status = rig.coordinator.reference("small")
     assert not status.usable
     assert "result.json" in status.fault.message

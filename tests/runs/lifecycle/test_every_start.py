@@ -19,7 +19,6 @@ from vaoi_station.acquisition.process.messages import RunStarted
 from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.progress import Progress
@@ -54,7 +53,7 @@ class EveryStart(RuleBasedStateMachine):
         self.archive = Archive(self.store, events)
         self.archive.on_announced = lambda _run, _until_s: None
         self.ids = RunIds(self.store.newest_run())
-        calibration, heads = a_calibration(), camera_heads(self.config)
+        calibration, heads = a_calibration(), self.config.heads
         references = ReferenceStore(self.config.data / "references", self.store, calibration.cameras(heads))
         references.sweep()
         factory = OrderFactory(self.config, calibration, self.store, references)

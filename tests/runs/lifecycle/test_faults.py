@@ -15,7 +15,7 @@ from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
 from vaoi_station.model import Pulse, Status
-from vaoi_station.runs.workers.jobs import Reply
+from vaoi_station.runs.workers.jobs import Reply, WorkerLostError
 
 
 @contextmanager
@@ -253,7 +253,7 @@ def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -
     rig.board(second, rows=2)
     rig.wait_run(second.run, lambda run: run.state == "stitching", "stitching")
     job = rig.workers.kept.pop()
-    rig.workers.answer(job, Reply(None, InternalError(f"{job} took 2 workers with it", code="worker-lost"), 0.0))
+    rig.workers.answer(job, Reply(None, WorkerLostError(f"{job} took 2 workers with it"), 0.0))
     run = rig.result_of(second.run)
     assert run.state == "failed"
     assert "took 2 workers with it" in run.reasons[0].message

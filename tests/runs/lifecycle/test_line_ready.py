@@ -109,7 +109,7 @@ def test_an_order_that_accepts_lost_cameras_is_permitted(make_rig: Callable[...,
 
 def test_disarming_withdraws_it_before_the_process_confirms(line: Any) -> None:
     permit(line)
-    line.coordinator._inbox.post(line.coordinator._core.disarm, _Unheard())
+    line.coordinator._inbox.post(line.coordinator._core.line.disarm, _Unheard())
     assert permit(line, given=False) is None
 
 

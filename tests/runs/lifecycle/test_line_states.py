@@ -29,7 +29,6 @@ from vaoi_station.model import FrameRecord, Pulse, Verdict
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import line_control
-from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.line_control import Completion
@@ -94,7 +93,7 @@ class Process:
 def orders(tmp_path: Path, store: Store) -> tuple[Order, Order]:
     """Two orders with different plans, so that a change needs a disarm."""
     config = a_config(tmp_path)
-    references = ReferenceStore(config.data / "references", store, a_calibration().cameras(camera_heads(config)))
+    references = ReferenceStore(config.data / "references", store, a_calibration().cameras(config.heads))
     first = OrderFactory(config, a_calibration(), store, references)(a_board_type(), None, None)
     assert first.plan is not None
     return first, replace(first, plan=replace(first.plan, period_s=0.2))
@@ -118,8 +117,8 @@ def test_no_order_is_lost_and_no_bay_leaks(
             taken = Resumed(orders[0], None) if resumed else None
             self.core = Core(
                 Parts(
-                    config, CountingRing(), self.process, self.workers, archive, events, RunIds(store.newest_run()),
-                    watch, resumed=taken,
+                    config, CountingRing().renew, self.process, self.workers, archive, events,
+                    RunIds(store.newest_run()), watch, resumed=taken,
                 )
             )  # fmt: skip
             self.announced: deque[tuple[str, float]] = deque()
@@ -242,14 +241,14 @@ def test_no_order_is_lost_and_no_bay_leaks(
             completion = Completion()
             self.waiting.append(completion)
             self.intended = False
-            self.core.disarm(completion)
+            self.core.line.disarm(completion)
             self._note_answers()
 
         @rule()
         def holds(self) -> None:
             for bay in self.core.memory.bays():
                 if bay.use == "finished" and bay.run is not None and bay.run not in self.held:
-                    self.core.leases.take(bay.run, "tester", "AOI")
+                    self.core.memory.lease(bay.run, "tester", "AOI")
                     self.held.append(bay.run)
                     return
 
@@ -289,9 +288,8 @@ def test_no_order_is_lost_and_no_bay_leaks(
             uses = [bay.use for bay in self.core.memory.bays()]
             assert uses.count("granted") <= 1
             assert ("granted" in uses) == self.core.line.has_grant
-            assert {b.run for b in self.core.memory.bays() if b.use in ("filming", "stitching")} <= set(
-                self.core.runs.active
-            )
+            used = {b.run for b in self.core.memory.bays() if b.use in ("filming", "stitching")}
+            assert used <= self.core.active.keys()
 
         def teardown(self) -> None:
             if hasattr(self, "core"):
@@ -311,7 +309,7 @@ def test_no_order_is_lost_and_no_bay_leaks(
                 self.announces()
                 self.ticks()
                 is_settled = self.core.machine.state == "armed" or not self.core.line.orders.wants_more
-                if is_settled and not (self.process.commands or self.core.runs.active):
+                if is_settled and not (self.process.commands or self.core.active):
                     return
             raise AssertionError(f"does not come to rest: {self.core.machine.state}")
 

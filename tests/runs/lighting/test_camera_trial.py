@@ -11,7 +11,7 @@ from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, DeviceError, StateError
 from vaoi_station.runs.lighting.trials import TRIAL_S, CameraTrial, TrialShot
-from vaoi_station.runs.run.memory import Leases, Memory
+from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.states.tables import StationState
 
 WANTED = messages.FireTrial(messages.Grant("", 0), (CameraExposure((900.0,), 6.0),), "ring", 80.0)
@@ -24,7 +24,7 @@ class Bench:
         self.commands: list[messages.Command] = []
         self.evicted: list[str] = []
         self.state, self.now_s = StationState.IDLE, 100.0
-        self.memory = Memory(self, bays, Leases(60.0))
+        self.memory = Memory(self.renew, bays, 60.0)
         self.trial = CameraTrial(self, lambda: self.state, self.memory, self.evicted.append, lambda: self.now_s)
 
     def send(self, command: messages.Command) -> None:

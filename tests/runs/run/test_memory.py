@@ -10,10 +10,11 @@ import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from tests.runs.doubles import CountingRing
 from vaoi_station.acquisition.process.messages import Command, Disarm, Grant, Shutdown
 from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
 from vaoi_station.errors import BusyError, GoneError
-from vaoi_station.runs.run.memory import MAX_HOLDERS, OWN, BayGrants, Leases, Memory
+from vaoi_station.runs.run.memory import MAX_HOLDERS, OWN, BayGrants, Memory
 
 
 class Clock:
@@ -23,20 +24,8 @@ class Clock:
         return self.now_s
 
 
-class Claims:
-    """Counts generations as the ring does."""
-
-    def __init__(self) -> None:
-        self.generation = 0
-
-    def renew(self, bay: int) -> int:
-        self.generation += 1
-        return self.generation
-
-
-def memory_of(bays: int, clock: Clock | None = None) -> tuple[Memory, Leases]:
-    leases = Leases(1e9)
-    return Memory(Claims(), bays, leases, clock or Clock()), leases
+def memory_of(bays: int, clock: Clock | None = None, lease_s: float = 1e9) -> Memory:
+    return Memory(CountingRing().renew, bays, lease_s, clock or Clock())
 
 
 def finish(memory: Memory, run: str, keep_s: float = 0.0) -> None:
@@ -46,21 +35,9 @@ def finish(memory: Memory, run: str, keep_s: float = 0.0) -> None:
     memory.keep(run, Clock.now_s + keep_s)
 
 
-def test_the_oldest_finished_run_is_evicted() -> None:
-    memory, _ = memory_of(2)
-    finish(memory, "r1")
-    finish(memory, "r2")
-    granted = memory.grant("r3")
-    assert granted.evicted == "r1"
-    assert granted.bay.generation == 3
-    with pytest.raises(GoneError, match="r1 are no longer"):
-        memory.bay("r1")
-    assert memory.has("r2")
-
-
 def test_the_bay_of_a_run_that_ended_by_a_fault_is_free_again() -> None:
     """Its end could not be stored, so it never became finished."""
-    memory, _ = memory_of(3)
+    memory = memory_of(3)
     for run, use in (("r1", "filming"), ("r2", "stitching")):
         memory.grant(run)
         memory.use(run, use)  # type: ignore[arg-type]
@@ -71,7 +48,7 @@ def test_the_bay_of_a_run_that_ended_by_a_fault_is_free_again() -> None:
 
 
 def test_oldest_means_finished_first_not_begun_first() -> None:
-    memory, _ = memory_of(2)
+    memory = memory_of(2)
     memory.grant("r1")
     memory.grant("r2")
     memory.use("r2", "finished")
@@ -83,7 +60,7 @@ def test_oldest_means_finished_first_not_begun_first() -> None:
 
 def test_a_run_is_not_evicted_before_it_was_announced_and_its_time_has_passed() -> None:
     clock = Clock()
-    memory, _ = memory_of(1, clock)
+    memory = memory_of(1, clock)
     finish(memory, "r1", keep_s=5.0)
     with pytest.raises(BusyError, match=r"run r1 is kept for 5 s more") as refusal:
         memory.grant("r2")
@@ -102,76 +79,48 @@ def test_a_run_is_not_evicted_before_it_was_announced_and_its_time_has_passed() 
 
 def test_pictures_that_are_being_made_keep_no_board_waiting() -> None:
     """A caller that may only read could stop the line with them."""
-    memory, leases = memory_of(3)
+    memory = memory_of(3)
     for run in ("r1", "r2", "r3"):
         finish(memory, run)
-    leases.take("r1", f"{OWN}1", "image U1/0")
-    leases.take("r2", f"{OWN}2", "image U1/0")
-    leases.take("r2", "tester", "probing")
+    memory.lease("r1", f"{OWN}1", "image U1/0")
+    memory.lease("r2", f"{OWN}2", "image U1/0")
+    memory.lease("r2", "tester", "probing")
     assert memory.grant("r4").evicted == "r3", "a run that is not read goes first"
-    assert not leases.of("r3")
     assert memory.grant("r5").evicted == "r1"
-    assert not leases.of("r1")
+    assert [lease.run for lease in memory.leases()] == ["r2", "r2"], "those of an evicted run end"
     assert memory.held()
     with pytest.raises(BusyError, match=r"r2 is held by tester \(probing\)"):
         memory.grant("r6")
 
 
 def test_holds_that_leave_memory_for_fewer_than_two_boards_are_a_warning() -> None:
-    memory, leases = memory_of(3)
+    memory = memory_of(3)
     for run in ("r1", "r2"):
         finish(memory, run)
         assert memory.warning() is None
-        leases.take(run, "tester", "AOI")
+        memory.lease(run, "tester", "AOI")
     warning = memory.warning()
     assert warning is not None
     assert warning.code == "memory-short"
     assert "one further board at a time: run r1 is held by tester (AOI); run r2 is held by tester" in warning.message
-    leases.end("r1", "tester")
+    memory.end_lease("r1", "tester")
     assert memory.warning() is None
 
 
 def test_a_full_ring_names_the_holders() -> None:
-    memory, leases = memory_of(3)
+    memory = memory_of(3)
     finish(memory, "r1")
-    leases.take("r1", "tester 3", "AOI")
+    memory.lease("r1", "tester 3", "AOI")
     memory.grant("r2")
     memory.use("r2", "filming")
     memory.grant("r3")
     with pytest.raises(BusyError, match=r"r1 is held by tester 3 \(AOI\); run r2 is being filmed; run r3 is reserved"):
         memory.grant("r4")
-    leases.take("r1", "tester 3", "")
+    memory.lease("r1", "tester 3", "")
     with pytest.raises(BusyError, match=r"r1 is held by tester 3; run r2 is being filmed"):
         memory.grant("r4")
-    leases.end("r1", "tester 3")
+    memory.end_lease("r1", "tester 3")
     assert memory.grant("r4").evicted == "r1"
-
-
-def test_the_refusal_distinguishes_held_memory_from_busy_memory() -> None:
-    memory, leases = memory_of(1)
-    memory.grant("r1")
-    memory.use("r1", "stitching")
-    leases.take("r1", "tester", "AOI")
-    assert not memory.held()
-    with pytest.raises(BusyError) as refusal:
-        memory.grant("r2")
-    assert "Wait until a run is stitched" in refusal.value.action
-    memory.use("r1", "finished")
-    memory.keep("r1", 0.0)
-    assert memory.held()
-    with pytest.raises(BusyError) as refusal:
-        memory.grant("r2")
-    assert "end a hold" in refusal.value.action
-
-
-def test_freeing_ends_leases() -> None:
-    memory, leases = memory_of(2)
-    finish(memory, "r1")
-    leases.take("r1", "tester", "AOI")
-    memory.free("r1")
-    memory.free("never was")
-    assert leases.all() == ()
-    assert [bay.use for bay in memory.bays()] == ["free", "free"]
 
 
 class Line(RuleBasedStateMachine):
@@ -179,7 +128,7 @@ class Line(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.memory, self.leases = memory_of(3)
+        self.memory = memory_of(3)
         self.count = 0
         self.needed: set[str] = set()
         self.finished: list[str] = []
@@ -215,10 +164,10 @@ class Line(RuleBasedStateMachine):
     def hold(self, data: st.DataObject, end: bool) -> None:
         run = data.draw(st.sampled_from(self.finished))
         if end:
-            self.leases.end(run, "tester")
+            self.memory.end_lease(run, "tester")
             self.held.discard(run)
         else:
-            self.leases.take(run, "tester", "AOI")
+            self.memory.lease(run, "tester", "AOI")
             self.held.add(run)
 
     @precondition(lambda self: self.finished)
@@ -237,56 +186,32 @@ class Line(RuleBasedStateMachine):
 TestLine = Line.TestCase
 
 
-def test_a_lease_holds_until_its_time_is_over() -> None:
+def test_a_lease_is_renewed_by_its_holder_and_ends_with_its_time() -> None:
     clock = Clock()
-    leases = Leases(10.0, clock)
-    lease = leases.take("r1", "tester 3", "inspection")
+    memory = memory_of(1, clock, lease_s=10.0)
+    memory.lease("r1", "tester", "inspection")
+    clock.now_s += 8
+    lease = memory.lease("r1", "tester", "inspection, still")
     clock.now_s += 9
-    assert leases.of("r1") == (lease,)
-    assert leases.remaining_s(lease) == 1.0
+    assert [(le.purpose, le.expires_in_s) for le in memory.leases()] == [("inspection, still", 1.0)]
     clock.now_s += 1
-    assert leases.of("r1") == ()
-    assert leases.remaining_s(lease) == 0.0
-    assert leases.expire() == (lease,)
-    assert leases.expire() == ()
-
-
-def test_the_same_holder_renews() -> None:
-    clock = Clock()
-    leases = Leases(10.0, clock)
-    leases.take("r1", "tester", "inspection")
-    clock.now_s += 8
-    leases.take("r1", "tester", "inspection, still")
-    clock.now_s += 8
-    assert [lease.purpose for lease in leases.of("r1")] == ["inspection, still"]
-    assert leases.expire() == ()
-
-
-def test_each_holder_has_its_own_and_a_release_ends_all() -> None:
-    leases = Leases(10.0, Clock())
-    leases.take("r2", "a", "x")
-    leases.take("r1", "a", "x")
-    leases.take("r1", "b", "y")
-    assert [(lease.run, lease.holder) for lease in leases.all()] == [("r1", "a"), ("r1", "b"), ("r2", "a")]
-    leases.end("r1", "a")
-    leases.end("r1", "no holder")
-    assert [lease.holder for lease in leases.of("r1")] == ["b"]
-    leases.end_all("r1")
-    assert [lease.run for lease in leases.all()] == ["r2"]
+    assert (memory.leases(), memory.remaining_s(lease)) == ((), 0.0)
+    assert memory.expire() == (lease,)
+    assert memory.expire() == ()
 
 
 def test_the_number_of_holders_of_a_run_is_limited() -> None:
-    leases = Leases(10.0, Clock())
+    memory = memory_of(1)
     for k in range(MAX_HOLDERS):
-        leases.take("r1", f"tester {k}", "")
-    leases.take("r1", "tester 3", "again")
+        memory.lease("r1", f"tester {k}", "")
+    memory.lease("r1", "tester 3", "again")
     with pytest.raises(BusyError, match="has 32 holders, which is the limit: tester 0") as refused:
-        leases.take("r1", "one more", "")
+        memory.lease("r1", "one more", "")
     assert refused.value.code == "too-many-holders"
-    leases.take("r1", f"{OWN}1", "the station's own are not counted")
-    leases.take("r2", "one more", "")
-    leases.end("r1", "tester 0")
-    leases.take("r1", "one more", "")
+    memory.lease("r1", f"{OWN}1", "the station's own are not counted")
+    memory.lease("r2", "one more", "")
+    memory.end_lease("r1", "tester 0")
+    memory.lease("r1", "one more", "")
 
 
 PATIENCE_S = 60.0
@@ -349,7 +274,7 @@ def link(slow: SlowRing) -> Link:
 
 @pytest.fixture
 def grants(slow: SlowRing, link: Link) -> Iterator[BayGrants]:
-    made = BayGrants(slow, link)
+    made = BayGrants(slow.blacken, link)
     made.start()
     yield made
     slow.allowed.release(9)
@@ -359,7 +284,7 @@ def grants(slow: SlowRing, link: Link) -> Iterator[BayGrants]:
 def test_the_caller_goes_on_and_later_commands_wait_until_the_bay_is_black(
     slow: SlowRing, link: Link, grants: BayGrants
 ) -> None:
-    memory = Memory(slow.ring, 2, Leases(60.0))
+    memory = Memory(slow.ring.renew, 2, 60.0)
     slow.film()
     commands: list[Command] = []
     for run in ("r1", "r2"):
@@ -379,7 +304,7 @@ def test_the_caller_goes_on_and_later_commands_wait_until_the_bay_is_black(
 
 
 def test_readers_of_the_run_before_never_get_its_pixels_for_those_of_the_next(slow: SlowRing) -> None:
-    memory = Memory(slow.ring, 1, Leases(60.0))
+    memory = Memory(slow.ring.renew, 1, 60.0)
     before = memory.grant("r1").bay
     slow.film()
     for use in ("filming", "stitching", "finished"):

@@ -12,43 +12,32 @@ import pytest
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.model import BoardType, Calibration, Visibility
-from vaoi_station.runs.control.active_runs import camera_heads
-from vaoi_station.runs.control.line_control import Rearming
 from vaoi_station.runs.run.order import Order, OrderFactory, Orders, StandingOrder
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.reference_store import ReferenceStore
-from vaoi_station.runs.run.run_views import made_with
+from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.store import Store
 
 
-def order_of(desk: OrderFactory, board_type: BoardType, board_id: str) -> Order:
-    return desk(board_type, board_id, None)
-
-
 def make_desk(config: StationConfig, calibration: Calibration, store: Store) -> OrderFactory:
-    heads = camera_heads(config)
-    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
+    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(config.heads))
     return OrderFactory(config, calibration, store, shelf)
 
 
-def test_a_board_that_was_there_first_belongs_to_the_order_before(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
-    desk, orders = make_desk(config, calibration, store), Orders()
-    first, second = order_of(desk, board_type, "b1"), order_of(desk, board_type, "b2")
-    orders.accept(first, None, 10.0)
-    assert orders.take(11.0) is first
-    orders.accept(second, None, 20.0)
-    assert orders.take(19.9) is first
-    assert orders.take(20.1) is second
+@pytest.fixture
+def desk(config: StationConfig, calibration: Calibration, store: Store) -> OrderFactory:
+    return make_desk(config, calibration, store)
 
 
-def test_orders_that_come_before_its_first_pulse_do_not_change_that_of_a_board(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
+@pytest.fixture
+def orders_by_id(progress: Progress) -> dict[str, Order]:
+    return {name: replace(progress.order, board_id=name) for name in "abcd"}
+
+
+def test_a_board_gets_the_order_that_was_in_force_at_its_edge(orders_by_id: dict[str, Order]) -> None:
     """An order that is repeated, corrected or cancelled while a board waits is for the next one."""
-    desk, orders = make_desk(config, calibration, store), Orders()
-    of = {name: order_of(desk, board_type, name) for name in "abcd"}
+    orders, of = Orders(), orders_by_id
+    assert orders.take(0.0) is None
     orders.accept(of["a"], 1, 10.0)
     orders.accept(of["b"], None, 20.0)
     orders.cancel(21.0)
@@ -62,82 +51,36 @@ def test_orders_that_come_before_its_first_pulse_do_not_change_that_of_a_board(
     assert orders.runs_left == 3, "boards of former orders do not count"
     assert orders.take(24.0) is of["d"]
     assert (orders.taken_since_s, orders.runs_left) == (23.0, 2)
-    assert orders.references == set()
+    orders.take(25.0)
+    orders.take(26.0)
+    assert not orders.wants_more
+    orders.cancel(30.0)
+    orders.cancel(31.0)
+    assert orders.shown() is None
+    assert orders.take(29.0) is of["d"], "it was under the barrier when the line was disarmed"
 
 
-def test_a_board_that_waits_longer_than_orders_are_kept_has_no_certain_id(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
-    orders, order = Orders(), order_of(make_desk(config, calibration, store), board_type, "b")
+def test_a_board_that_waits_longer_than_orders_are_kept_has_no_certain_id(orders_by_id: dict[str, Order]) -> None:
+    orders = Orders()
     for n in range(30):
-        orders.accept(order, None, 10.0 + n)
+        orders.accept(orders_by_id["b"], None, 10.0 + n)
     orders.take(10.5)
     assert orders.doubt_of(orders.taken_since_s, 10.5) == "more orders were given while it waited than are kept"
     assert orders.doubt_of(39.0, 45.0) is None
 
 
-def test_an_order_ends_after_its_number_of_runs(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
-    orders = Orders()
-    orders.accept(order_of(make_desk(config, calibration, store), board_type, "b"), 2, 10.0)
-    assert orders.wants_more
-    orders.take(11.0)
-    assert orders.wants_more
-    shown = orders.shown()
-    assert shown is not None
-    assert (shown.board_id, shown.runs_left) == ("b", 1)
-    orders.take(12.0)
-    assert not orders.wants_more
-
-
-def test_a_board_under_the_barrier_when_the_line_is_disarmed_keeps_its_order(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
-    orders, order = Orders(), order_of(make_desk(config, calibration, store), board_type, "b")
-    assert orders.take(0.0) is None
-    orders.accept(order, None, 10.0)
-    orders.cancel(20.0)
-    orders.cancel(21.0)
-    assert not orders.wants_more
-    assert orders.shown() is None
-    assert orders.take(19.0) is order
-
-
-def test_what_was_used_is_kept_with_its_digest(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
-    order = order_of(make_desk(config, calibration, store), board_type, "b")
-    assert BoardType.model_validate_json(store.document(order.board_type_digest)) == board_type
-    kept = Calibration.model_validate_json(store.document(order.calibration_digest))
-    assert len(kept.cameras(camera_heads(config))) == len(order.setup.cameras) == 2
-
-
-def test_a_board_type_with_one_fiducial_is_not_armed(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
+def test_a_board_type_with_one_fiducial_is_not_armed(desk: OrderFactory, board_type: BoardType) -> None:
     """A file in the directory of board types may be older than this rule."""
     with pytest.raises(InputError, match="has 1 fiducial, but must have at least 2"):
-        make_desk(config, calibration, store)(
-            board_type.model_copy(update={"fiducials": board_type.fiducials[:1]}), None, None
-        )
-
-
-def test_an_order_asks_for_what_the_station_asks_for(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
-    heads = camera_heads(config)
-    shelf = ReferenceStore(config.data / "references", store, calibration.cameras(heads))
-    asked = Visibility(in_one_frame=True)
-    desk = OrderFactory(config.model_copy(update={"visibility": asked}), calibration, store, shelf)
-    assert desk(board_type, None, None).setup.visibility == asked
+        desk(board_type.model_copy(update={"fiducials": board_type.fiducials[:1]}), None, None)
 
 
 def test_a_board_type_brings_its_lights_and_its_speed(
     config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
 ) -> None:
     limits = config.line.model_copy(update={"speed_limits_mm_s": (50.0, 200.0)})
-    desk = make_desk(config.model_copy(update={"line": limits}), calibration, store)
+    asked = Visibility(in_one_frame=True)
+    desk = make_desk(config.model_copy(update={"line": limits, "visibility": asked}), calibration, store)
     steps = [{"light": "left"}, {"light": "right"}]
     changed = BoardType.model_validate({**board_type.model_dump(), "program": steps, "line": {"speed_mm_s": 50.0}})
     order = desk(changed, None, None)
@@ -146,37 +89,30 @@ def test_a_board_type_brings_its_lights_and_its_speed(
     assert (order.setup.lights, order.plan.lights) == (("left", "right"),) * 2
     assert order.setup.conveyor_mm_s == order.line.conveyor_mm_s == (0.0, 50.0)
     assert order.setup.trigger_period_s == order.plan.period_s == 2 * config.line.trigger_period_s
-
-
-def test_a_board_type_outside_the_limits_is_not_armed(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
+    assert order.setup.visibility == asked, "that of the station"
     fast = BoardType.model_validate({**board_type.model_dump(), "line": {"speed_mm_s": 500.0}})
     with pytest.raises(InputError, match=r"line\.speed_mm_s is 500\.0, but must be"):
-        make_desk(config, calibration, store)(fast, None, None)
+        desk(fast, None, None)
 
 
 def test_a_draft_is_armed_with_a_warning_and_a_retired_board_type_is_not(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
+    desk: OrderFactory, board_type: BoardType, progress: Progress
 ) -> None:
-    desk = make_desk(config, calibration, store)
-    draft = order_of(desk, board_type.model_copy(update={"state": "draft", "revision": "B"}), "b")
+    draft = desk(board_type.model_copy(update={"state": "draft", "revision": "B"}), "b", None)
     assert [note.code for note in draft.notes] == ["board-type-draft"]
-    made = made_with(draft)
+    progress.order = draft
+    made = detail_of(progress).made_with
+    assert made is not None
     assert (made.board_type_revision, made.board_type_state) == ("B", "draft")
-    approved = order_of(desk, board_type.model_copy(update={"state": "approved"}), "b")
+    approved = desk(board_type.model_copy(update={"state": "approved"}), "b", None)
     assert (approved.notes, approved.draft) == ((), None)
     with pytest.raises(StateError, match="is retired"):
-        order_of(desk, board_type.model_copy(update={"state": "retired"}), "b")
+        desk(board_type.model_copy(update={"state": "retired"}), "b", None)
 
 
-def test_an_order_is_ready_to_be_sent_to_the_workers(
-    config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
-) -> None:
+def test_an_order_is_ready_to_be_sent_to_the_workers(desk: OrderFactory, board_type: BoardType) -> None:
     parts = [board_type.components[0].model_copy(update={"ref": f"R{n}"}) for n in range(3000)]
-    order = order_of(
-        make_desk(config, calibration, store), board_type.model_copy(update={"components": tuple(parts)}), "b"
-    )
+    order = desk(board_type.model_copy(update={"components": tuple(parts)}), "b", None)
     began_s = time.thread_time()
     pickle.dumps(order.setup)
     sent_s = time.thread_time()
@@ -242,19 +178,3 @@ def test_a_record_of_another_version_and_a_finished_order_arm_nothing(
     resumed = standing.resume(lambda _: order.board_type, make)
     assert resumed is not None
     assert resumed.fault is not None
-
-
-def test_the_pauses_between_attempts_to_arm_again_grow_to_a_limit() -> None:
-    now = [0.0]
-    rearming = Rearming(lambda: now[0])
-    due = []
-    for pause_s in (2.0, 4.0, 8.0, 16.0, 30.0, 30.0):
-        rearming.fail("camera c0 is lost", "Check its cable.")
-        now[0] += pause_s - 0.1
-        due.append(rearming.is_due)
-        now[0] += 0.2
-        due.append(rearming.is_due)
-    assert due == [False, True] * 6
-    assert rearming.why is not None
-    assert rearming.why.action == "Check its cable. The station tries again by itself."
-    assert (rearming.succeed(), rearming.succeed(), rearming.is_due) == (True, False, True)

@@ -9,7 +9,6 @@ import pytest
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, VaoiError
 from vaoi_station.model import BoardType, Calibration
-from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.run.reference_store import KEEP, ReferenceStore
 from vaoi_station.runs.states.schemas import ReferenceRecord
 from vaoi_station.store import Database, Store
@@ -17,7 +16,7 @@ from vaoi_station.store import Database, Store
 
 @pytest.fixture
 def references(config: StationConfig, calibration: Calibration, store: Store) -> ReferenceStore:
-    return ReferenceStore(config.data / "references", store, calibration.cameras(camera_heads(config)))
+    return ReferenceStore(config.data / "references", store, calibration.cameras(config.heads))
 
 
 def record_of(run: str) -> ReferenceRecord:

@@ -10,7 +10,7 @@ import pytest
 from vaoi_station.acquisition.pairing.proof import TriggerFinding, TriggerProof, doubts_of
 from vaoi_station.model import Reason, Status, Stitch
 from vaoi_station.model.board_identity import IdentityDocument
-from vaoi_station.runs.run.verdict import conclude, decide_verdict, trigger_reasons
+from vaoi_station.runs.run.verdict import conclude, decide_verdict
 
 REASON = Reason("board-id-differs", "The code states 1, the line was armed with 2.")
 
@@ -46,6 +46,19 @@ def test_reason_of_the_identity_is_stated_once() -> None:
     assert once.reasons == (REASON,)
 
 
+def of_result(status: Status, findings: tuple[TriggerFinding, ...], doubts: tuple[str, ...], **result: Any) -> Any:
+    """Return what `conclude` reads of a run that has ended."""
+    proof = TriggerProof(proven=False, cameras=(), findings=findings) if findings else None
+    doubts = doubts or doubts_of(proof)
+    result["reasons"] = (*result.get("reasons", ()), *doubts)
+    stitch = Stitch(method="auto", image_matrices=(()), cad_matrix=None, row_motion=(), status=status, **result)
+    head, order = SimpleNamespace(doubts=doubts), SimpleNamespace(notes=())
+    recorded = SimpleNamespace(head=head, proof=proof)
+    return SimpleNamespace(
+        stitch=stitch, recorded=recorded, head=head, state="ready", faults=[], frames={}, order=order
+    )
+
+
 def test_trigger_findings_are_reasons_with_camera_and_row() -> None:
     """Ignored triggers are missing frames, which have reasons of their own."""
     findings = (
@@ -53,54 +66,26 @@ def test_trigger_findings_are_reasons_with_camera_and_row() -> None:
         TriggerFinding(camera=0, row=4, kind="extra-frame", text="once more"),
         TriggerFinding(camera=0, row=5, kind="ignored-trigger", text="no answer"),
     )
-    reasons = list(trigger_reasons(TriggerProof(proven=False, cameras=(), findings=findings)))
+    reasons = conclude(of_result(Status.DEGRADED, findings, ())).reasons
     assert [(r.code, r.message) for r in reasons] == [
         ("trigger-runs-freely", "Camera 2: it sends a frame every 33.3 ms. Its frames are not used."),
         ("trigger-extra-frame", "Camera 0, row 4: once more."),
     ]
     assert all(r.action for r in reasons)
-    assert list(trigger_reasons(None)) == []
 
 
 def test_reasons_of_a_result_state_its_codes() -> None:
     finding = TriggerFinding(camera=0, row=4, kind="extra-frame", text="once more")
-    proof = TriggerProof(proven=False, cameras=(), findings=(finding,))
-    reasons = {
-        "reasons": ("too dark", *doubts_of(proof)),
-        "reason_codes": ("no-texture", "trigger-doubtful"),
-    }
-    stitch = Stitch(method="auto", image_matrices=(()), cad_matrix=None, row_motion=(), status=Status.FAILED, **reasons)
-    recorded = SimpleNamespace(head=SimpleNamespace(doubts=doubts_of(proof)), proof=proof)
-    progress: Any = SimpleNamespace(
-        stitch=stitch,
-        recorded=recorded,
-        head=recorded.head,
-        state="ready",
-        faults=[],
-        frames={},
-        order=SimpleNamespace(notes=()),
+    coded = of_result(
+        Status.FAILED, (finding,), (), reasons=("too dark",), reason_codes=("no-texture", "trigger-doubtful")
     )
-    reason, of_proof = conclude(progress).reasons
+    reason, of_proof = conclude(coded).reasons
     assert (reason.code, reason.cause, reason.message) == ("stitch-failed", "no-texture", "too dark")
     assert of_proof.code == "trigger-extra-frame"
-    progress.stitch = stitch.model_copy(update={"reason_codes": ()})
-    reason, _ = conclude(progress).reasons
+    reason, _ = conclude(of_result(Status.FAILED, (finding,), (), reasons=("too dark",))).reasons
     assert reason.cause == "", "results of older versions have no codes"
 
 
 def test_a_doubt_that_no_finding_states_is_shown() -> None:
     doubt = "times, exposures and lights of this run contradict each other and are not used"
-    stitch = Stitch(
-        method="auto", image_matrices=(()), cad_matrix=None, row_motion=(), status=Status.DEGRADED, reasons=(doubt,)
-    )
-    recorded = SimpleNamespace(head=SimpleNamespace(doubts=(doubt,)), proof=None)
-    progress: Any = SimpleNamespace(
-        stitch=stitch,
-        recorded=recorded,
-        head=recorded.head,
-        state="ready",
-        faults=[],
-        frames={},
-        order=SimpleNamespace(notes=()),
-    )
-    assert [reason.message for reason in conclude(progress).reasons] == [doubt]
+    assert [r.message for r in conclude(of_result(Status.DEGRADED, (), (doubt,))).reasons] == [doubt]

@@ -13,7 +13,6 @@ import numpy as np
 from tests.rendering.computed import compute_views
 from tests.runs.conftest import a_board_type, a_calibration, a_config
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
-from vaoi_station.runs.control.active_runs import camera_heads
 from vaoi_station.runs.workers.jobs import ConcludeJob, Job, LinkJob, OpenRun, Reply, RunContext
 from vaoi_station.runs.workers.picture_jobs import RenderJob
 from vaoi_station.runs.workers.pool import WorkerPool
@@ -29,7 +28,7 @@ class Plant:
     def __init__(self, directory: Path) -> None:
         config = a_config(directory)
         self.ring = Ring.create(ring_path(config), RingLayout.of(config))
-        self.cameras = a_calibration().cameras(camera_heads(config))
+        self.cameras = a_calibration().cameras(config.heads)
         line = config.line
         self.setup = StitchSetup(self.cameras, line.conveyor_mm_s, line.trigger_period_s, a_board_type())
         picture = np.random.default_rng(1).integers(0, 255, self.ring.frame(0).shape, dtype=np.uint8)

@@ -64,7 +64,7 @@ def _head_without_measurements(config: StationConfig, finished: Finished, doubts
     return RecordingHead(
         format="vaoi-recording",
         version=1,
-        cameras=tuple(c.head for c in config.cameras),
+        cameras=config.heads,
         rows=record.rows,
         trigger_period_s=record.period_s,
         conveyor_mm_s=record.conveyor_mm_s or config.line.conveyor_mm_s,

@@ -89,7 +89,7 @@ def spawn_launcher(config: StationConfig, ring: Path) -> Launch:
 
 @dataclass
 class _Attempt:
-    """The data about one acquisition process, from its start to its end."""
+    """One acquisition process, from its start to its end."""
 
     process: Process
     pipe: MessagePipe
@@ -115,21 +115,12 @@ class AcquisitionLink:
     """Starts and restarts the acquisition process, and reports its messages and its ends, in a thread of its own."""
 
     def __init__(self, launch: Launch, backoff: Backoff | None = None) -> None:
-        """Prepare a link. The process is not started before `start` is called.
-
-        Args:
-            launch: starts the process and returns it with the station's end of the pipe.
-            backoff: pauses between restarts; None for those of `PACE`.
-        """
-        self._launch = launch
-        self._on_message: Callable[[Report], object] = lambda _: None
-        self._on_end: Callable[[str], object] = lambda _: None
-        self._warm: Callable[[], bool] = lambda: True
+        """Prepare a link. `backoff` has the pauses between restarts; None: those of `PACE`."""
+        self._launch, self._backoff = launch, backoff or Backoff(PACE)
         self._lock = threading.Lock()
         self._attempt: _Attempt | None = None
         self._started = False
         self._restarts = 0
-        self._backoff = backoff or Backoff(PACE)
         self._stopping = threading.Event()
         self.thread = SupervisedThread(self._run, "acquisition-link")
 
@@ -141,12 +132,8 @@ class AcquisitionLink:
     ) -> None:
         """Start the process once `warm` returns True, that is, the workers are ready.
 
-        Until then, however long it takes, the state of the station is "starting", and it accepts no board.
-
-        Args:
-            on_message: gets each message of the process.
-            on_end: gets a description when the process has ended; it is restarted.
-            warm: whether the process may start.
+        Until then, however long it takes, the state of the station is "starting", and it accepts no board. `on_end`
+        gets a description of each end of the process, which is restarted.
         """
         self._on_message, self._on_end, self._warm = on_message, on_end, warm
         # The process ignores SIGTERM (`set_up_process`), which is all that multiprocessing's exit handler sends before

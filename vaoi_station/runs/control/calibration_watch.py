@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from pydantic import ValidationError
 
-from vaoi_station.drift.checks import CameraCheck, KeptBaselines, LampBaseline, RunCheck
+from vaoi_station.drift.checks import KeptBaselines, LampBaseline, RunCheck
 from vaoi_station.drift.lamp_watch import BASELINE_RUNS, DimLamp, find_dim_lamps, only_baselines, with_baselines
 from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
 from vaoi_station.errors import StateError
@@ -28,7 +28,6 @@ HISTORY_RUNS = 50
 """Largest number of runs in the history of each camera."""
 _UNSEEN_RUNS = 5
 """Number of successive runs without evidence of a camera after which the camera's state is `unseen`."""
-CODE = "calibration-drift"
 
 
 class CalibrationWatch:
@@ -43,39 +42,28 @@ class CalibrationWatch:
         self._kept, self._events, self._names = checks, events, tuple(names)
         self.on_checked: Callable[[RunCheck], None] = lambda _check: None
         """Function that receives every check under the calibration in force. It must return at once."""
-        self.digest = digest_of(calibration.model_dump_json())
-        self._created = calibration.created
-        known = [
-            check
-            for text in checks.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
-            if (check := _parsed(text, len(self._names))) is not None
-        ]
+        self.digest, self._created = digest_of(calibration.model_dump_json()), calibration.created
+        documents = checks.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
+        known = [check for text in documents if (check := _parsed(text, len(self._names))) is not None]
         self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
         # A board type may pause for more runs than are evaluated or stored; its baselines stay those of its first runs.
         self._last_of = {check.board_type: check for check in self._kept_baselines()}
         for check in known:
             self._remember(check)
         self._runs = checks.count(self.digest)
-        self._drifts, self._vanished = find_drifts(known), find_vanished_cameras(known)
-        self._dim = find_dim_lamps(known)
+        self._evaluate()
 
     def warnings(self) -> tuple[Reason, ...]:
         """Return one warning per drifted camera, per camera without evidence in the latest runs, and per dim light."""
-        drifted = [Reason(code=CODE, message=self._message(d), action=self._action(d)) for d in self._drifts]
-        dim = (self._dim_reason(lamp) for lamp in self._dim)
-        return (*drifted, *(self._unseen(camera) for camera in self._vanished), *dim)
+        return tuple(self._warnings.values())
 
     def status(self) -> CalibrationStatus:
         """Return the calibration in force, with the displacement and the state of every camera."""
-        return CalibrationStatus(
-            digest=self.digest,
-            created=self._created,
-            runs=self._runs,
-            cameras=tuple(self._camera(i) for i in range(len(self._names))),
-        )
+        cameras = tuple(self._camera(i) for i in range(len(self._names)))
+        return CalibrationStatus(digest=self.digest, created=self._created, runs=self._runs, cameras=cameras)
 
     def checked(self, job: CheckJob, reply: Reply) -> None:
-        """Store a drift check, and publish an event for each drift that begins or ends with it."""
+        """Store a drift check, and publish an event for each warning that begins or ends with it."""
         run, digest = job.run, job.calibration
         if reply.error is not None:
             if not isinstance(reply.error, StateError):  # the station is stopping, which is no trouble
@@ -93,16 +81,30 @@ class CalibrationWatch:
             self._kept.save_baselines(kept.model_dump_json())
         self._runs += 1
         (self._first if len(self._first) < FIRST_CHECKS else self._latest).append(check)
+        before = self._warnings
+        self._evaluate()
+        for key in [key for key in self._warnings if key not in before]:
+            warning = self._warnings[key]
+            self._publish("trouble", warning.message, key, run, code=warning.code, action=warning.action)
+        for what, which in [key for key in before if key not in self._warnings]:
+            if isinstance(which, str):
+                self._publish("calibration", f"{_light(which)} is as bright as before again.", (what, which), run)
+            elif what == "drift":
+                message = f"Camera {self._names[which]} is back at its calibrated position."
+                self._publish("calibration", message, (what, which), run)
+
+    def _publish(self, kind: str, message: str, key: tuple[str, int | str], run: str, **rest: str) -> None:
+        subject = {"camera": self._names[key[1]]} if isinstance(key[1], int) else {}
+        self._events.add(kind, message, run=run, subject=subject, **rest)
+
+    def _evaluate(self) -> None:
         checks = [*self._first, *self._latest]
-        before, gone = self._drifts, self._vanished
-        self._drifts, self._vanished = find_drifts(checks), find_vanished_cameras(checks)
-        for camera in sorted({*self._vanished} - {*gone}):
-            reason = self._unseen(camera)
-            name = {"camera": self._names[camera]}
-            self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action, subject=name)
-        self._publish_changes(before, run)
-        dim, self._dim = self._dim, find_dim_lamps(checks)
-        self._publish_lamps(dim, run)
+        self._drifts = {drift.camera: drift for drift in find_drifts(checks)}
+        self._warnings: dict[tuple[str, int | str], Reason] = {
+            **{("drift", camera): self._drifted(drift) for camera, drift in self._drifts.items()},
+            **{("unseen", camera): self._unseen(camera) for camera in find_vanished_cameras(checks)},
+            **{("dim", lamp.light): self._dim(lamp) for lamp in find_dim_lamps(checks)},
+        }
 
     def _remember(self, check: RunCheck) -> bool:
         """Keep the latest baselines of the check's board type; return whether they have changed."""
@@ -115,37 +117,34 @@ class CalibrationWatch:
         return _baselines_of(now) != _baselines_of(before)
 
     def _kept_baselines(self) -> tuple[RunCheck, ...]:
-        """Return the stored baselines under this calibration."""
         try:
             kept = KeptBaselines.model_validate_json(self._kept.baselines() or "")
         except ValidationError:  # none, or of another version
             return ()
         return kept.types if kept.calibration == self.digest else ()
 
-    def _publish_changes(self, before: tuple[Drift, ...], run: str) -> None:
-        """Publish an event for each new or ended drift. `before` lists the drifts before this check."""
-        known, now = {d.camera for d in before}, {d.camera for d in self._drifts}
-        for d in self._drifts:
-            if d.camera not in known:
-                name = {"camera": self._names[d.camera]}
-                message, action = self._message(d), self._action(d)
-                self._events.add("trouble", message, run=run, code=CODE, action=action, subject=name)
-        for camera in sorted(known - now):
-            message = f"Camera {self._names[camera]} is back at its calibrated position."
-            self._events.add("calibration", message, run=run, subject={"camera": self._names[camera]})
+    def _drifted(self, d: Drift) -> Reason:
+        name, seen = self._names[d.camera], "1 board shows it" if d.runs == 1 else f"{d.runs} boards show it"
+        # Links between two neighbouring cameras show only their relative displacement, not which of the two has moved.
+        instead = "".join(f" (or {self._names[i]} the other way)" for i in d.instead)
+        return Reason(
+            code="calibration-drift",
+            message=f"Camera {name}{instead} is displaced by {d.size_px:.2f} px from its calibration since run "
+            f"{d.since_run} ({d.since_time}); {seen}.",
+            action=f"Call the engineer: check whether camera {name} is loose or was knocked; then calibrate, or adopt "
+            "what `vaoi recalibrate` proposes.",
+        )
 
-    def _publish_lamps(self, before: tuple[DimLamp, ...], run: str) -> None:
-        """Publish an event for each light that has become dim, or is no longer. `before`: as before this check."""
-        known, now = {lamp.light for lamp in before}, {lamp.light for lamp in self._dim}
-        for lamp in self._dim:
-            if lamp.light not in known:
-                reason = self._dim_reason(lamp)
-                self._events.add("trouble", reason.message, run=run, code=reason.code, action=reason.action)
-        for light in sorted(known - now):
-            message = f"{_light(light)} is as bright as before again."
-            self._events.add("calibration", message, run=run)
+    def _unseen(self, camera: int) -> Reason:
+        name = self._names[camera]
+        return Reason(
+            code="calibration-unseen",
+            message=f"The last {VANISHED_RUNS} boards show nothing of camera {name}'s position: it no longer sees what "
+            "its neighbours see.",
+            action=f"Call the engineer: check whether camera {name} was knocked, is covered or out of focus.",
+        )
 
-    def _dim_reason(self, lamp: DimLamp) -> Reason:
+    def _dim(self, lamp: DimLamp) -> Reason:
         cameras = ", ".join(self._names[i] for i in lamp.cameras)
         kind = "camera" if len(lamp.cameras) == 1 else "cameras"
         shown = "1 board shows it" if lamp.runs == 1 else f"{lamp.runs} boards show it"
@@ -159,33 +158,8 @@ class CalibrationWatch:
             "after the repair film new flat fields (`vaoi flatfield`).",
         )
 
-    def _unseen(self, camera: int) -> Reason:
-        name = self._names[camera]
-        return Reason(
-            code="calibration-unseen",
-            message=f"The last {VANISHED_RUNS} boards show nothing of camera {name}'s position: it no longer sees what "
-            "its neighbours see.",
-            action=f"Call the engineer: check whether camera {name} was knocked, is covered or out of focus.",
-        )
-
-    def _message(self, d: Drift) -> str:
-        seen = "1 board shows it" if d.runs == 1 else f"{d.runs} boards show it"
-        # Links between two neighbouring cameras show only their relative displacement, not which of the two has moved.
-        instead = "".join(f" (or {self._names[i]} the other way)" for i in d.instead)
-        return (
-            f"Camera {self._names[d.camera]}{instead} is displaced by {d.size_px:.2f} px from its calibration since "
-            f"run {d.since_run} ({d.since_time}); {seen}."
-        )
-
-    def _action(self, d: Drift) -> str:
-        return (
-            f"Call the engineer: check whether camera {self._names[d.camera]} is loose or was knocked; then calibrate, "
-            "or adopt what `vaoi recalibrate` proposes."
-        )
-
     def _camera(self, i: int) -> CameraCalibration:
-        shown = [*self._first, *self._latest][-HISTORY_RUNS:]
-        drift = next((d for d in self._drifts if d.camera == i), None)
+        shown, drift = [*self._first, *self._latest][-HISTORY_RUNS:], self._drifts.get(i)
         recent = shown[-_UNSEEN_RUNS:]
         state = "unknown" if not recent else "steady" if any(c.cameras[i].seen for c in recent) else "unseen"
         return CameraCalibration(
@@ -193,7 +167,7 @@ class CalibrationWatch:
             name=self._names[i],
             state="drifted" if drift is not None else state,
             drift=None if drift is None else _drift_of(drift),
-            history=tuple(_moment(check, check.cameras[i]) for check in shown),
+            history=tuple(_moment(check, i) for check in shown),
         )
 
 
@@ -207,30 +181,16 @@ def _light(name: str) -> str:
 
 def _drift_of(d: Drift) -> CameraDrift:
     x, y, turn = (round(v, 4) for v in d.displacement_px)
+    size, since = round(d.size_px, 4), d.since_time
     return CameraDrift(
-        size_px=round(d.size_px, 4),
-        x_px=x,
-        y_px=y,
-        turn_px=turn,
-        since_run=d.since_run,
-        since=d.since_time,
-        runs=d.runs,
-        instead=d.instead,
+        size_px=size, x_px=x, y_px=y, turn_px=turn, since_run=d.since_run, since=since, runs=d.runs, instead=d.instead
     )
 
 
-def _moment(check: RunCheck, camera: CameraCheck) -> CameraMoment:
-    return CameraMoment(
-        run=check.run,
-        time=check.time,
-        x_px=camera.x_px,
-        y_px=camera.y_px,
-        turn_px=camera.turn_px,
-        sigma_px=max(camera.sigma_px),
-        rms_px=camera.rms_px,
-        links=camera.links,
-        fiducials=camera.fiducials,
-    )
+def _moment(check: RunCheck, camera: int) -> CameraMoment:
+    seen = check.cameras[camera]
+    same = {key: getattr(seen, key) for key in ("x_px", "y_px", "turn_px", "rms_px", "links", "fiducials")}
+    return CameraMoment(run=check.run, time=check.time, sigma_px=max(seen.sigma_px), **same)
 
 
 def _parsed(text: str, cameras: int) -> RunCheck | None:

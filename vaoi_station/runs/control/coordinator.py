@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.acquisition.ring import Ring
-from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import BoardType, FrameRecord, Reason, Stitch
 from vaoi_station.rendering import ChosenImages, ImageRequest
@@ -28,7 +27,7 @@ from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.pictures import FrameAccess, ViewRequest
 from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
-from vaoi_station.runs.control.teaching import BoardTypeService
+from vaoi_station.runs.control.teaching import BoardTypeRequests
 from vaoi_station.runs.host.processes import GcPolicy
 from vaoi_station.runs.kept_runs import KeptRuns
 from vaoi_station.runs.lighting.trials import Lighting
@@ -42,18 +41,15 @@ from vaoi_station.runs.run.order import Order, Passing
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.runs.states.schemas import (
-    BoardTypeSummary,
     CalibrationStatus,
     ComponentSummary,
     EventRecord,
     ImageFormat,
     LeaseStatus,
     ProcessStatus,
-    ReferenceStatus,
     RunDetail,
     RunSummary,
     StationSnapshot,
-    StitchingMethod,
     Timeline,
 )
 from vaoi_station.store import BoardTypeDirectory
@@ -67,7 +63,7 @@ MakeOrder = Callable[[BoardType, "str | None", "str | None"], Order]
 """Function that checks a board type, and makes an order from it, the board id and the job id."""
 
 
-class StationCoordinator:
+class StationCoordinator(BoardTypeRequests):
     """The station's interface for callers such as the REST service; `station.Station` starts and stops it.
 
     All public methods may be called from any thread. Methods that serve callers raise only `VaoiError`s.
@@ -96,12 +92,13 @@ class StationCoordinator:
             faults: returns one reason for each thread that has ended or hangs, at once.
             show_status: receives the station's state in one line at every tick.
         """
-        self._parts, self._ring = parts, ring
-        self._make_order, self._processes, self._show_status, self.faults = make_order, processes, show_status, faults
+        super().__init__(board_types, references, parts)
+        self._ring, self._make_order, self._processes, self.faults = ring, make_order, processes, faults
+        self._show_status, self._gc_policy = show_status, GcPolicy()
         self._inbox = Inbox(self._tick, after=lambda: renew_permit(self._core, parts, processes, self.faults()))
         self.thread = self._inbox.thread
         """The coordinator's thread."""
-        self._gc_policy, self._core, self.storage = GcPolicy(), Core(parts, self._inbox.post), parts.archive.storage
+        self._core, self.storage = Core(parts, self._inbox.post), parts.archive.storage
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, parts.workers)
         config, events, fields = parts.config, parts.events, parts.config.flat_fields
@@ -116,9 +113,8 @@ class StationCoordinator:
         of_runs = parts.archive.get, access.lease, recorded, access.render
         self.merged = MergedAccess(*of_runs, fields, known)
         self.batches = BatchAccess(*of_runs, self.merged, known, self.kept.shown)
-        self._board_types = BoardTypeService(board_types, references, parts, self._core, self._inbox, access)
         self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core.trial, self._core.devices)
-        self.board_type_history = BoardTypeHistory(board_types, self._board_types.put)
+        self.board_type_history = BoardTypeHistory(board_types, self._put)
 
     # --- reports of processes, in any thread
 
@@ -150,7 +146,7 @@ class StationCoordinator:
     def grace_s(self) -> float:
         """Longest time for which the board that is passing is still filmed if the line is disarmed; 0 without one."""
         plan = self._core.line.plan
-        return plan.grace_s if plan is not None and self._core.runs.filming else 0.0
+        return plan.grace_s if plan is not None and self._core.filming else 0.0
 
     def wind_down(self, timeout_s: float) -> None:
         """Take no more boards, and wait until all unfinished runs have ended or `timeout_s` has passed."""
@@ -195,7 +191,7 @@ class StationCoordinator:
         if runs is not None and runs < 1:
             raise InputError.field("arm", "runs", runs, "at least 1, or absent")
         # An unusable board type is refused here, in the caller's thread, before a board comes.
-        order = self._make_order(self._board_types.get(board_type), board_id, job_id)
+        order = self._make_order(self.board_type(board_type), board_id, job_id)
         order = replace(order, despite_lost_cameras=allow_lost_cameras)
         armed: Future[None] = Future()
         waits = self._inbox.ask(self._core.arm, order, runs, armed, passing)
@@ -204,12 +200,12 @@ class StationCoordinator:
                 self._inbox.wait(armed, lambda: None, ARM_LIMIT_S)
                 break
             except TimeoutError:
-                if self._inbox.ask(self._core.withdraw, armed):
+                if self._inbox.ask(self._core.line.withdraw, armed):
                     message = f"Boards passed without a gap for {ARM_LIMIT_S:.0f} s; the order before stays in force."
                     action = "Arm with passing=after, which takes effect in the next gap."
                     raise StateError(message, action=action) from None
                 if not left:
-                    self._inbox.post(self._core.disarm, Future())
+                    self._inbox.post(self._core.line.disarm, Future())
                     message = f"Cameras and controller were not ready in {ARM_LIMIT_S:.0f} s; the line was disarmed."
                     action = "Check the health of cameras and controller."
                     raise DeviceError(message, action=action, code="arming-failed") from None
@@ -220,7 +216,7 @@ class StationCoordinator:
         disarmed: Future[None] = Future()
         limit_s = ARM_LIMIT_S + self.grace_s
         try:
-            self._inbox.wait(disarmed, lambda: self._core.disarm(disarmed), limit_s)
+            self._inbox.wait(disarmed, lambda: self._core.line.disarm(disarmed), limit_s)
         except TimeoutError:
             message = f"The acquisition process did not disarm within {limit_s:.0f} s."
             raise DeviceError(message, code="disarming-failed") from None
@@ -233,48 +229,6 @@ class StationCoordinator:
     def calibration(self) -> CalibrationStatus:
         """Return the calibration in force, with the displacement of every camera from it in the latest runs."""
         return self._inbox.ask(self._parts.watch.status)
-
-    # --- board types, their references and methods
-
-    def board_types(self) -> tuple[BoardTypeSummary, ...]:
-        """Return a summary of every board type, sorted by name. A file that cannot be used is listed with its fault."""
-        return self._board_types.list()
-
-    def board_type(self, name: str) -> BoardType:
-        """Return the board type with this name; `NotFoundError` if there is none."""
-        return self._board_types.get(name)
-
-    def put_board_type(self, board_type: BoardType) -> bool:
-        """Add or replace a board type, for later runs; return True if the name is new."""
-        return self._board_types.put(board_type)
-
-    def delete_board_type(self, name: str) -> None:
-        """Delete a board type; `StateError` while the line is armed with it."""
-        self._board_types.delete(name)
-
-    def reference(self, board_type: str) -> ReferenceStatus:
-        """Return the reference of a board type; `NotFoundError` if it has none."""
-        return self._board_types.reference(board_type)
-
-    def teach_reference(self, board_type: str, run: str, *, confirm_orientation: bool = False) -> bool:
-        """Make a finished run the reference of its board type, from the next arming on; True if it had none before."""
-        return self._board_types.teach_reference(board_type, run, confirm_orientation=confirm_orientation)
-
-    def forget_reference(self, board_type: str) -> None:
-        """Remove the reference of a board type, from the next arming on; `NotFoundError` if it has no reference."""
-        self._board_types.forget_reference(board_type)
-
-    def sweep_references(self) -> None:
-        """Delete the files of references that are no longer used."""
-        self._board_types.sweep()
-
-    def method(self, board_type: str) -> StitchingMethod:
-        """Return the method by which runs of a board type are stitched."""
-        return self._board_types.method(board_type)
-
-    def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
-        """Set the stitching method of a board type, from the next arming on; None selects the station's method."""
-        return self._board_types.set_method(board_type, method)
 
     # --- runs
 
@@ -314,14 +268,12 @@ class StationCoordinator:
     def hold(self, run: str, holder: str, purpose: str) -> LeaseStatus:
         """Keep the frames of a run in memory for the configured time `lease_s`; the same call again renews the hold.
 
-        Raises:
-            GoneError: the frames are no longer in memory.
-            BusyError: the run has too many holders.
+        GoneError: the frames are no longer in memory. BusyError: the run has too many holders.
         """
         if not holder or holder.startswith(OWN):
             raise InputError.field("hold", "holder", holder, "a name that identifies the holder")
         _, lease = self._frames.take_lease(run, holder, purpose)
-        remaining_s = self._inbox.ask(self._core.leases.remaining_s, lease)
+        remaining_s = self._inbox.ask(self._core.memory.remaining_s, lease)
         return LeaseStatus(run=run, holder=holder, purpose=purpose, expires_in_s=remaining_s)
 
     def end_hold(self, run: str, holder: str) -> None:
@@ -385,16 +337,9 @@ class StationCoordinator:
         self._show_status(status_line(self._core))
 
     def _snapshot(self) -> StationSnapshot:
-        return snapshot_of(
-            self._core,
-            self._parts.config,
-            ring=(self._ring.path, self._ring.layout.file_bytes),
-            processes=self._processes(),
-            faults=self.faults(),
-            archive=self._parts.archive,
-            last_event=self._parts.events.last,
-        )
+        ring = self._ring.path, self._ring.layout.file_bytes
+        return snapshot_of(self._core, self._parts, ring=ring, processes=self._processes(), faults=self.faults())
 
     def _active(self, run: str) -> RunDetail | None:
-        progress = self._core.runs.active.get(run)
+        progress = self._core.active.get(run)
         return detail_of(progress) if progress else None

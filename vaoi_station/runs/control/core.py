@@ -1,7 +1,17 @@
-"""The decisions of the coordinator's thread: how the station reacts to requests, reports of processes and ticks."""
+"""The decisions of the coordinator's thread: how the station reacts to requests, reports of processes and ticks.
+
+| state of a run | what happens | what follows |
+|---|---|---|
+| filming | a pulse, a frame | its owner (`RunOwner`) has the links made that become possible |
+| filming | the last frame is settled | stitching; the owner has the run concluded |
+| filming | the acquisition process ends | as if the last frame was settled, with what had arrived |
+| stitching | the owner answers | the run is done, with a result or without; its calibration is checked |
+| done | all earlier runs have ended | ready, degraded or failed; the archive stores and announces it |
+"""
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,23 +21,23 @@ from typing import assert_never
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError, VaoiError
-from vaoi_station.model import Reason
+from vaoi_station.model import Reason, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
-from vaoi_station.runs.control.active_runs import ActiveRuns, Workers, early_end_reason, salvage_recording
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.line_control import Acquisition, Completion, LineControl
 from vaoi_station.runs.control.readiness import LinePermit
 from vaoi_station.runs.control.reasons import StationStateMachine, sentence
 from vaoi_station.runs.lighting.trials import CameraTrial
 from vaoi_station.runs.run.boards import UNWATCHED, BoardAccount, TriggerWatch
-from vaoi_station.runs.run.memory import BayRing, Leases, Memory
+from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order, Passing, Resumed, StandingOrder
-from vaoi_station.runs.run.progress import Progress
+from vaoi_station.runs.run.progress import WHOLE, Progress
+from vaoi_station.runs.run.verdict import conclude, with_faults
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
-from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, LinkJob, Reply
+from vaoi_station.runs.workers.run_owner import Stitched, Workers
 
 
 @dataclass(frozen=True)
@@ -35,7 +45,8 @@ class Parts:
     """The objects with which the coordinator works, such as the archive and the workers."""
 
     config: StationConfig
-    ring: BayRing
+    renew: Callable[[int], int]
+    """Raises the generation of a bay of the ring, and returns it."""
     acquisition: Acquisition
     workers: Workers
     archive: Archive
@@ -60,41 +71,44 @@ class Core:
 
     def __init__(self, parts: Parts, post: Callable[..., object] = lambda work, *args: work(*args)) -> None:
         """Connect the parts. `post` lets the coordinator's thread call a function with arguments."""
-        self._post = post
-        self._parts, self.watch, self.storage = parts, parts.watch, parts.archive.storage
-        self._config, self._events, self._archive = parts.config, parts.events, parts.archive
+        config, events = parts.config, parts.events
+        self._post, self._parts, self._config, self._events = post, parts, config, events
+        self.watch, self.storage, self._archive = parts.watch, parts.archive.storage, parts.archive
         self.other_warnings = parts.other_warnings
-        self.leases = Leases(parts.config.ring.lease_s)
-        self.memory = Memory(parts.ring, parts.config.ring.runs, self.leases)
-        parts.archive.keep_s = parts.config.ring.keep_s
-        self.machine = StationStateMachine(parts.events)
+        self.memory = Memory(parts.renew, config.ring.runs, config.ring.lease_s)
+        self._archive.keep_s = config.ring.keep_s
+        self.machine = StationStateMachine(events)
         self.line = LineControl(
-            parts.config,
+            config,
             parts.acquisition,
             self.machine,
             self.memory,
             parts.run_ids,
             parts.archive,
-            parts.events,
+            events,
             parts.standing,
         )
         if parts.resumed is not None:
             self.line.resume(parts.resumed)
-        self.boards = BoardAccount(parts.config.line, self.line.orders, parts.events.add)
-        self.runs = ActiveRuns(
-            parts.workers,
-            self._submit,
-            parts.archive,
-            parts.events,
-            lambda run: self.boards.end(run, time.monotonic()),
-        )
-        self.health: messages.Health | None = None
-        self.trigger = TriggerWatch([camera.label for camera in parts.config.cameras])
-        interlocked = parts.config.controller.interlock == "on"
-        self.permit = LinePermit(parts.acquisition.send if interlocked else None, parts.events.add)
+        self.boards = BoardAccount(config.line, self.line.orders, events.add)
+        self.active: dict[str, Progress] = {}
+        """The runs that are filmed or stitched, in the order of their boards."""
+        self.trigger = TriggerWatch([camera.label for camera in config.cameras])
+        interlocked = config.controller.interlock == "on"
+        self.permit = LinePermit(parts.acquisition.send if interlocked else None, events.add)
         self._stopping: list[Completion] = []
         on_evicted = partial(self.line.evicted, room_for="a trial of a camera")
         self.trial = CameraTrial(parts.acquisition, lambda: self.machine.state, self.memory, on_evicted)
+
+    @property
+    def health(self) -> messages.Health | None:
+        """The latest report of the devices; None while there is none."""
+        return self.line.health
+
+    @property
+    def filming(self) -> list[Progress]:
+        """The runs whose board is passing the cameras, oldest first."""
+        return [progress for progress in self.active.values() if progress.state is RunState.FILMING]
 
     # --- requests of callers
 
@@ -109,7 +123,7 @@ class Core:
             self.machine.require(StationStep.ARM)
         later = board_passes and passing == "after"
         completion.add_done_callback(partial(self._report_order, order, later))
-        self.line.arm(order, runs, self.health, completion)
+        self.line.arm(order, runs, completion)
         return 0 if later else 2 if board_passes else 1
 
     def _report_order(self, order: Order, later: bool, completion: Completion) -> None:
@@ -122,23 +136,14 @@ class Core:
             message = f"The order given while a board passed did not take effect: {refusal.message}"
             self._events.add("trouble", message, code=refusal.code, action=refusal.action)
 
-    def withdraw(self, completion: Completion) -> bool:
-        """Withdraw a request to arm that waits until a board has passed. Return False if it does not wait any more."""
-        return self.line.withdraw(completion)
-
-    def disarm(self, completion: Completion) -> None:
-        """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
-        self.line.disarm(completion)
-
     def release(self, run: str, holder: str | None = None) -> None:
         """Give up the frames of a finished run, and end the hold of `holder`; `StateError` if another one holds it."""
-        if run in self.runs.active:
-            raise StateError(
-                f"Run {run} is {self.runs.active[run].state}; its memory is needed.", action="Wait for its result."
-            )
-        if others := [lease for lease in self.leases.of_callers(run) if lease.holder != holder]:
+        if run in self.active:
+            message = f"Run {run} is {self.active[run].state}; its memory is needed."
+            raise StateError(message, action="Wait for its result.")
+        if others := [lease for lease in self.memory.leases_of_callers(run) if lease.holder != holder]:
             names = ", ".join(map(str, others))
-            left_s = max(self.leases.remaining_s(lease) for lease in others)
+            left_s = max(self.memory.remaining_s(lease) for lease in others)
             raise StateError(
                 f"Run {run} is held by {names} for at most another {left_s:.0f} s; nothing was released.",
                 action="Its holder releases it with its name (release?holder=NAME) or ends its hold; or wait.",
@@ -151,7 +156,7 @@ class Core:
 
     def end_lease(self, run: str, holder: str) -> None:
         """End a holder's lease of a run. If the line was blocked for lack of memory, it may continue now."""
-        self.leases.end(run, holder)
+        self.memory.end_lease(run, holder)
         self.line.keep_memory_granted()
 
     def announced(self, run: str, until_s: float) -> None:
@@ -172,37 +177,28 @@ class Core:
 
     def tick(self) -> None:
         """Remove expired leases and troubles, and try to grant memory again. The inbox calls this every tick."""
-        for lease in self.leases.expire():
+        for lease in self.memory.expire():
             self._events.add("lease", f"The hold of {lease} expired.", run=lease.run)
         # In the states FAULTED and ARMING, callers need the reasons to act: reasons stay until the state changes.
         if self.machine.state not in (StationState.FAULTED, StationState.ARMING):
             self.machine.reasons.expire()
-        for run in self.memory.reclaim(self.runs.active):
+        for run in self.memory.reclaim(self.active):
             self._events.add("trouble", "The run ended by a fault; its memory is free again.", run=run, code="store")
-        self.line.tick(self.health)
+        self.line.tick()
         self.line.keep_memory_granted()
         self._archive.tick()
         self.trial.tick()
 
     # --- reports of the workers
 
-    def worker_reply(self, job: LinkJob | ConcludeJob | CheckJob, reply: Reply, at_s: float) -> None:
-        """Give a worker's reply to the run of its job. `at_s` is the time of its arrival by time.monotonic()."""
-        match job:
-            case LinkJob():
-                self._after_runs(self.runs.linked(job, reply, at_s))
-            case ConcludeJob():
-                self._after_runs(self.runs.concluded(job, reply, at_s))
-            case CheckJob():
-                self.watch.checked(job, reply)
-
-    def _submit(self, job: LinkJob | ConcludeJob | CheckJob) -> None:
-        """Queue a job; its reply comes to `worker_reply`."""
-
-        def done(reply: Reply) -> None:
-            self._post(self.worker_reply, job, reply, time.monotonic())
-
-        self._parts.workers.submit(job, done)
+    def stitched(self, run: str, stitched: Stitched) -> None:
+        """Take the answer of a run's owner, and have the calibration checked."""
+        if (progress := self.active.get(run)) is None:
+            return
+        progress.take(stitched)
+        if (check := progress.check_job()) is not None:
+            self._parts.workers.submit(check, lambda reply: self._post(self.watch.checked, check, reply))
+        self._end_in_order()
 
     def worker_ended(self, description: str) -> None:
         """Publish that a worker process has ended. The pool then restarts the process."""
@@ -221,11 +217,16 @@ class Core:
         # The most frequent kinds are tested first: a station of 8 cameras sends hundreds of frames per second.
         match message:
             case messages.FrameSettled():
-                self.runs.settle(message)
+                progress = self.active.get(message.run)
+                if progress is not None and progress.state is RunState.FILMING:
+                    progress.owner.settle(message.frame, message.host_time_s)
             case messages.PulseReported():
-                self.runs.pulse(message)
+                if (progress := self.active.get(message.run)) is not None:
+                    progress.pulses[message.pulse.index] = message.pulse
             case messages.Health():
-                self._on_health(message)
+                for change in readiness.changes(self.health, message, self._config.cameras):
+                    self._events.add("camera", change)
+                self.line.health = message
             case messages.RunStarted():
                 self._on_run_started(message)
             case messages.RunFinished():
@@ -240,7 +241,7 @@ class Core:
             case messages.Armed():
                 self.line.on_armed()
             case messages.Disarmed():
-                self.line.on_disarmed(message, self.health)
+                self.line.on_disarmed(message)
             case messages.Ready():
                 self.line.on_ready()
             case messages.TrialFailed():
@@ -255,9 +256,19 @@ class Core:
         """
         self.machine.add_reason("acquisition-lost", f"{sentence(description)}.", "The station restarts it.")
         self.machine.reasons.mark_outdated()
-        for progress in self.runs.filming:
-            self._salvage(progress)
-        self.health = None
+        lost = Reason(
+            code="acquisition-lost",
+            message="The acquisition process ended while the board was filmed; this is what had arrived.",
+            action="Film the board again if the pictures do not suffice.",
+        )
+        for progress in self.filming:
+            progress.add_fault(lost)
+            if (report := progress.salvaged(self._config)) is not None:
+                self._film(progress, report)
+            else:
+                self.memory.use(progress.run, "stitching")
+                progress.advance(RunStep.FILMED)
+                self.stitched(progress.run, Stitched(None))
         self.trial.acquisition_ended(description)
         self.boards.unwatched(time.monotonic(), f"{description}, and boards may have passed unnoticed")
         self.line.on_acquisition_ended(description)
@@ -269,41 +280,36 @@ class Core:
             return
         bay = self.memory.use(report.run, "filming")
         self.machine.advance_if_allowed(StationStep.BOARD_ARRIVED)
-        progress = Progress.begin(report, bay, order)
-        self.boards.begin(progress, self.line.orders.taken_since_s, edge_known=report.edge_known)
-        self.runs.open(progress)
+        progress = self.active[report.run] = Progress.begin(report, bay, order)
+        self.boards.begin(progress, edge_known=report.edge_known)
+        progress.owner.start(self._parts.workers, lambda done: self._post(self.stitched, report.run, done))
+        self._archive.begin(progress)
+        self._publish(progress, f"A board of type {order.board_type.name!r} is being filmed.")
         # The next board may follow closely and needs memory at once: its bay is granted while the present bay is
         # filled.
         self.line.keep_memory_granted()
 
     def _on_run_finished(self, report: messages.RunFinished) -> None:
-        if report.run not in self.runs.active:
+        progress = self.active.get(report.run)
+        if progress is None or progress.state is not RunState.FILMING:
             return
-        self.memory.use(report.run, "stitching")
-        if (reason := early_end_reason(report)) is not None:
-            self.runs.active[report.run].add_fault(reason)
-        self._watch_trigger(report)
-        self._after_runs(self.runs.filmed(report))
-        if not self.runs.filming:
-            self.machine.advance_if_allowed(StationStep.BOARD_FILMED)
-            self.line.disarm_after_last_run()
-            self.line.board_left(self.health)
-        self.line.keep_memory_granted()
-
-    def _watch_trigger(self, report: messages.RunFinished) -> None:
-        """Publish the warnings about frames in doubt that begin with this run, and those that end with it."""
+        # The reason of a run with too many rows comes from `BoardAccount`.
+        if report.reason not in WHOLE and report.reason != "max-rows":
+            message = f"After row {report.head.rows - 1} nothing more was filmed: {report.reason}."
+            action = "Film the board again if the pictures do not suffice."
+            progress.add_fault(Reason(code="run-cut-short", message=message, action=action))
         begun, ended = self.trigger.add(report)
         for reason in begun:
             self._events.add("trouble", reason.message, run=report.run, code=reason.code, action=reason.action)
         for name in ended:
-            self._events.add(
-                "camera", f"{name[0].upper()}{name[1:]}: its frames match the pulses again.", run=report.run
-            )
-
-    def _on_health(self, report: messages.Health) -> None:
-        for change in readiness.changes(self.health, report, self._config.cameras):
-            self._events.add("camera", change)
-        self.health = report
+            message = f"{name[0].upper()}{name[1:]}: its frames match the pulses again."
+            self._events.add("camera", message, run=report.run)
+        self._film(progress, report)
+        if not self.filming:
+            self.machine.advance_if_allowed(StationStep.BOARD_FILMED)
+            self.line.disarm_after_last_run()
+            self.line.board_left()
+        self.line.keep_memory_granted()
 
     def _on_trouble(self, report: messages.Trouble) -> None:
         reason = self.machine.reasons.trouble(report)
@@ -315,31 +321,37 @@ class Core:
 
     # --- runs
 
-    def _salvage(self, progress: Progress) -> None:
-        """Stitch a run from the frames that had arrived when the acquisition process ended."""
-        reason = Reason(
-            code="acquisition-lost",
-            message="The acquisition process ended while the board was filmed; this is what had arrived.",
-            action="Film the board again if the pictures do not suffice.",
-        )
-        progress.add_fault(reason)
+    def _film(self, progress: Progress, report: messages.RunFinished) -> None:
+        """Take the final report of a run, after which its owner has it concluded."""
         self.memory.use(progress.run, "stitching")
-        report = salvage_recording(progress, self._config)
-        if report is not None:
-            self._after_runs(self.runs.filmed(report))
-        else:
-            progress.advance(RunStep.FILMED)
-            self._after_runs(self.runs.give_up(progress, reason))
+        progress.film(report)
+        self._publish(progress, f"{report.head.rows} rows were filmed.")
 
-    def _after_runs(self, ended: list[Progress]) -> None:
-        """Allow eviction of ended runs, grant memory to the next board, and complete requests to stop."""
-        for progress in ended:
+    def _end_in_order(self) -> None:
+        """End each run that is done and before which all runs have ended."""
+        # Callers use runs/next and expect boards in the order in which they passed.
+        for progress in [*itertools.takewhile(lambda earlier: earlier.stitched is not None, self.active.values())]:
+            self.boards.end(progress, time.monotonic())
+            if progress.result is not None:
+                progress.result = with_faults(progress.result, progress.faults)
+            verdict = conclude(progress).status
+            if progress.stitch is None or verdict is Status.FAILED:
+                progress.advance(RunStep.NOT_STITCHED)
+            else:
+                progress.advance(RunStep.STITCHED if verdict is Status.OK else RunStep.STITCHED_WEAKLY)
+            del self.active[progress.run]
+            self._parts.workers.close_run(progress.run)
+            self._archive.finish(progress)
             self.memory.use(progress.run, "finished")
             self.line.keep_memory_granted()
             self._complete_stop_if_drained()
 
     def _complete_stop_if_drained(self) -> None:
-        if not self.runs.active:
+        if not self.active:
             for completion in self._stopping:
                 completion.set_result(None)
             self._stopping = []
+
+    def _publish(self, progress: Progress, message: str) -> None:
+        board = {"board": progress.order.board_id} if progress.order.board_id else {}
+        self._events.add("run", message, state=progress.state, run=progress.run, subject=board)

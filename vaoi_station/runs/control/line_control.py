@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 from typing import NamedTuple, Protocol
@@ -52,44 +51,12 @@ class Acquisition(Protocol):
         """Give up the commands that were not sent yet, because the process has ended."""
 
 
-class WaitingRequest(NamedTuple):
+class _Request(NamedTuple):
     """A request to arm; `runs` is the number of boards to film, None for no limit."""
 
     order: Order
     runs: int | None
     completion: Completion
-
-
-class Rearming:
-    """When the station tries again to arm the line by itself, and why it could not so far. Used by one thread."""
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._pace = Backoff(PACE, clock)
-        self.why: Reason | None = None
-        """Why the line is not armed again after a restart or a fault; None if it was not armed before, or was armed or
-        disarmed since."""
-
-    @property
-    def is_due(self) -> bool:
-        """Whether the next attempt may begin."""
-        return self._pace.remaining_s() == 0
-
-    def wait(self, why: str, action: str) -> None:
-        """Record what must end before the next attempt."""
-        message = f"The line was armed before and could not be armed again: {why}"
-        action = f"{action} The station tries again by itself.".strip()
-        self.why = Reason(code="not-armed-again", message=message, action=action)
-
-    def fail(self, why: str, action: str) -> None:
-        """Record that an attempt failed. The next one is due after a pause."""
-        self.wait(why, action)
-        self._pace.record_failure()
-
-    def succeed(self) -> bool:
-        """Record that the line is armed. Return whether something was against it before."""
-        self._pace.reset()
-        before, self.why = self.why, None
-        return before is not None
 
 
 class LineControl:
@@ -113,28 +80,32 @@ class LineControl:
     ) -> None:
         self._config, self._acquisition, self._machine = config, acquisition, machine
         self._memory, self._run_ids, self._archive, self._events = memory, run_ids, archive, events
-        self.orders = Orders()
-        self._standing, self._rearming = standing, Rearming()
+        self._standing, self.orders = standing, Orders()
+        self.health: messages.Health | None = None
+        """The latest report of the devices; None while there is none."""
         self._granted: dict[str, int] = {}
         """Numbers of the bays that the cameras hold for coming runs, by run id."""
         self._arming: list[Completion] = []
         self._disarming: list[Completion] = []
-        self._after_board: list[WaitingRequest] = []
+        self._after_board: list[_Request] = []
         """Requests that wait until the board that passes, which keeps the order before, has left."""
-        self._after_disarm: list[WaitingRequest] = []
+        self._after_disarm: list[_Request] = []
         """Requests that wait until the line is disarmed, because the Disarm under way would undo them."""
         self._disarm_sent = False
         self.plan: TriggerPlan | None = None
         """The trigger plan of the newest Arm command."""
         self.times_blocked = 0
         """Number of times that the armed line had no memory for the next board."""
+        self._rearm_pace = Backoff(PACE)
+        self._not_armed_again: Reason | None = None
+        """Why the line is not armed again after a restart or a fault."""
 
     # --- requests
 
     def resume(self, resumed: Resumed) -> None:
         """Put the order from before the restart in force; the line is armed as soon as the devices are open."""
         if resumed.order is None:
-            self._rearming.why = fault = resumed.fault
+            self._not_armed_again = fault = resumed.fault
             if fault is not None:
                 self._events.add("trouble", fault.message, code=fault.code, action=fault.action)
             return
@@ -145,34 +116,34 @@ class LineControl:
         message = f"Armed again for board type {resumed.order.board_type.name!r}, as before the restart."
         self._events.add("armed", message, code="armed-again")
 
-    def arm(self, order: Order, runs: int | None, health: messages.Health | None, completion: Completion) -> None:
-        """Arm the line for an order. The completion is set once the line is armed, or carries the refusal.
+    def arm(self, order: Order, runs: int | None, completion: Completion) -> None:
+        """Arm the line for an order and a number of boards (None: no limit).
 
-        `runs` is the number of boards to film; None for no limit.
+        The completion is set once the line is armed, or carries the refusal.
         """
-        request = WaitingRequest(order, runs, completion)
-        if self._disarm_sent and self._machine.state in _ARMED_STATES:
+        request, state = _Request(order, runs, completion), self._machine.state
+        if self._disarm_sent and state in _ARMED_STATES:
             self._after_disarm.append(request)
             return
-        if self._machine.state is StationState.FILMING:
+        if state is StationState.FILMING:
             self._after_board.append(request)
             return
         try:
-            if self._machine.state in _WITH_PLAN and self._plan_of(order) != self.plan:
-                self._require_cameras(order, health)
+            if state in _WITH_PLAN and self._plan_of(order) != self.plan:
+                self._require_cameras(order)
                 # Cameras and controller take another plan only when they are disarmed. If they end meanwhile, the order
                 # in force is armed again.
                 self._after_disarm.append(request)
                 self._send_disarm()
                 return
-            if self._machine.state is StationState.BLOCKED:
+            if state is StationState.BLOCKED:
                 self._grant()
                 self._machine.reasons.drop("ring-full")
                 self._machine.advance(StationStep.MEMORY_FREED)
             self._machine.require(StationStep.ARM)
-            self._require_cameras(order, health)
+            self._require_cameras(order)
             # Memory is granted before the cameras are armed, so that a full ring refuses the caller at once.
-            if self._machine.state is StationState.IDLE:
+            if state is StationState.IDLE:
                 self._grant()
         except (StateError, BusyError, DeviceError) as refusal:
             completion.set_exception(refusal)
@@ -194,10 +165,10 @@ class LineControl:
         waited, self._after_board = len(kept) < len(self._after_board), kept
         return waited
 
-    def board_left(self, health: messages.Health | None) -> None:
+    def board_left(self) -> None:
         """Serve the requests to arm that waited until the boards at the barrier had passed."""
         waiting, self._after_board = self._after_board, []
-        self._serve(waiting, health)
+        self._serve(waiting)
 
     @property
     def next_order(self) -> ArmedWith | None:
@@ -248,21 +219,23 @@ class LineControl:
         if self._machine.state is StationState.ARMING and not self._disarm_sent:
             self._machine.reasons.clear()
             self._machine.advance(StationStep.ARMED)
-            if self._rearming.succeed():
+            self._rearm_pace.reset()
+            if self._not_armed_again is not None:
+                self._not_armed_again = None
                 self._events.add("armed", "Armed again: what was against it is over.", code="armed-again")
             for completion in self._arming:
                 completion.set_result(None)
             self._arming = []
             self.keep_memory_granted()
 
-    def on_disarmed(self, report: messages.Disarmed, health: messages.Health | None) -> None:
+    def on_disarmed(self, report: messages.Disarmed) -> None:
         """Handle the report that the line is disarmed: take unused memory back, and complete the requests."""
         for grant in report.unused:
             self._memory.free(grant.run)
             self._granted.pop(grant.run, None)
         self._machine.reasons.drop("ring-full")
         self._machine.advance_if_allowed(StationStep.DISARMED)
-        self._close_requests(StateError("The line was disarmed before it was armed."), health)
+        self._close_requests(StateError("The line was disarmed before it was armed."))
 
     def on_trouble(self, trouble: messages.Trouble) -> None:
         """Handle a trouble during arming: refuse the waiting requests to arm, or try again later without a caller."""
@@ -273,7 +246,8 @@ class LineControl:
             self._keep_order()
         else:
             # No caller waits: the station itself is arming the line again. The order stays in force.
-            self._rearming.fail(trouble.message, trouble.action)
+            self._note_not_armed(trouble.message, trouble.action)
+            self._rearm_pace.record_failure()
         for completion in self._arming:
             message = f"Arming failed: {trouble.message}"
             completion.set_exception(DeviceError(message, action=trouble.action, code=trouble.code))
@@ -283,18 +257,18 @@ class LineControl:
 
     def on_acquisition_ended(self, description: str) -> None:
         """Take back all granted memory, to which no process can write now, and refuse the waiting requests to arm."""
+        self.health = None
         self._acquisition.forget()
         for run in self._granted:
             self._memory.free(run)
         self._granted.clear()
         self._machine.advance_if_allowed(StationStep.FAULT)
-        refusal = DeviceError(f"Arming failed: {description}.", action="The station retries automatically.")
-        self._close_requests(refusal, None)
+        self._close_requests(DeviceError(f"Arming failed: {description}.", action="The station retries automatically."))
 
     def take_grant(self, run: str, barrier_s: float) -> Order | None:
-        """Consume the grant of a run that has started; return its order, None if no memory was granted to the run.
+        """Consume the grant of a run whose board met the barrier at `barrier_s`; return its order.
 
-        `barrier_s` is the time at which the board interrupted the barrier.
+        None if no memory was granted to the run.
         """
         granted = self._granted.pop(run, None)
         order = self.orders.take(barrier_s)
@@ -351,7 +325,7 @@ class LineControl:
             )
         short = self._memory.warning() if self._machine.state in _TAKING_BOARDS else None
         draft = order.draft if order is not None else None
-        return tuple(warning for warning in (self._rearming.why, short, draft, doubt) if warning is not None)
+        return tuple(warning for warning in (self._not_armed_again, short, draft, doubt) if warning is not None)
 
     def evicted(self, run: str, room_for: str = "the next board") -> None:
         """Record that the frames of a finished run were given up for the next board, or for something else."""
@@ -362,27 +336,32 @@ class LineControl:
             _log.warning("The eviction of run %s was not recorded: %s", run, error.message)
         self._events.add("run", f"Frames evicted to make room for {room_for}.", state=RunState.GONE, run=run)
 
-    def tick(self, health: messages.Health | None) -> None:
+    def tick(self) -> None:
         """Arm the line again for an order that was not cancelled, when memory and cameras allow it."""
         order = self.orders.order
         if order is None or not self.orders.wants_more or self._machine.state is not StationState.IDLE:
             return
         try:
-            self._require_cameras(order, health)
+            self._require_cameras(order)
         except DeviceError as refusal:
-            self._rearming.wait(refusal.message, refusal.action)
+            self._note_not_armed(refusal.message, refusal.action)
             return
-        if self._rearming.is_due:
+        if self._rearm_pace.remaining_s() == 0:
             self._rearm()
 
-    def _require_cameras(self, order: Order, health: messages.Health | None) -> None:
+    def _note_not_armed(self, why: str, action: str) -> None:
+        message = f"The line was armed before and could not be armed again: {why}"
+        action = f"{action} The station tries again by itself.".strip()
+        self._not_armed_again = Reason(code="not-armed-again", message=message, action=action)
+
+    def _require_cameras(self, order: Order) -> None:
         """Raise DeviceError if a camera is lost that the order needs."""
         if not order.despite_lost_cameras:
-            readiness.require(health, self._config.cameras)
+            readiness.require(self.health, self._config.cameras)
 
     def _keep_order(self) -> None:
         """Store the order in force for the next start of the station; without an order, delete the stored one."""
-        self._rearming.why = None
+        self._not_armed_again = None
         if self._standing is not None:
             self._standing.keep(self.orders.order, self.orders.runs_left)
 
@@ -423,7 +402,7 @@ class LineControl:
             self._disarm_sent = True
             self._acquisition.send(messages.Disarm())
 
-    def _close_requests(self, refusal: StateError | DeviceError, health: messages.Health | None) -> None:
+    def _close_requests(self, refusal: VaoiError) -> None:
         """Finish the requests of callers now that the line is disarmed, and serve those that waited for it."""
         self._disarm_sent = False
         arming, disarming = self._arming, self._disarming
@@ -434,16 +413,15 @@ class LineControl:
             completion.set_result(None)
         waiting = [*self._after_board, *self._after_disarm]
         self._after_board, self._after_disarm = [], []
-        self._serve(waiting, health)
+        self._serve(waiting)
 
-    def _serve(self, waiting: list[WaitingRequest], health: messages.Health | None) -> None:
+    def _serve(self, waiting: list[_Request]) -> None:
         """Arm for the newest of the requests that waited, on whose completion that of the others depends."""
-        if not waiting:
-            return
-        *replaced, newest = waiting
-        for request in replaced:
-            newest.completion.add_done_callback(partial(_follow, request.completion))
-        self.arm(newest.order, newest.runs, health, newest.completion)
+        if waiting:
+            *replaced, newest = waiting
+            for request in replaced:
+                newest.completion.add_done_callback(partial(_follow, request.completion))
+            self.arm(*newest)
 
 
 def _follow(other: Completion, done: Completion) -> None:

@@ -1,4 +1,4 @@
-"""Pixels of a run, for callers in any thread: copies of frames, and temporary images that a worker renders.
+"""Pixels of a run, for callers in any thread: copies of frames, and temporary images.
 
 The memory of the ring may be given to the next board at any time. Therefore every access holds a lease while it reads
 pixels. Of a run that is no longer in memory, frames are read from its recording, if one is kept.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
@@ -15,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring import Ring
@@ -24,18 +26,26 @@ from vaoi_station.model import FrameRecord
 from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, Measures, View, measure
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
-from vaoi_station.runs.control.active_runs import Workers
 from vaoi_station.runs.control.core import Core
-from vaoi_station.runs.control.small_pictures import SmallPictures
 from vaoi_station.runs.run.inbox import Inbox
 from vaoi_station.runs.run.memory import OWN, Bay, Lease
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.runs.workers.jobs import PictureJob, Priority, Reply
 from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
+from vaoi_station.runs.workers.run_owner import Workers
+from vaoi_station.runs.workers.worker import perform_with_frames
 
 SMALL_PX = 400_000
 """Largest number of pixels of a picture that a worker makes between two links: it takes no longer than these."""
+SEATS = 2
+"""Largest number of pictures that the station process renders at a time; workers render the others."""
+LARGEST_PX = 1_000_000
+"""Largest number of pixels of a picture that the station process renders: some 25 × 25 mm at 40 px/mm, in 10 ms.
+
+While the limit was 400,000 px, the largest components of a board, which are one in a hundred, waited 40 ms for a worker
+that measured heights of the board before.
+"""
 RENDER_LIMIT_S = 60.0
 """Longest wait of a caller for a picture that a worker makes."""
 FETCHING_S = 1.0
@@ -50,6 +60,56 @@ class ViewRequest(NamedTuple):
     images: ImageRequest
 
 
+class SmallPictures:
+    """Renders small pictures straight from the ring, in the threads of their callers.
+
+    By a worker, a picture of one to ten milliseconds would take a lease, the queues and two pipes besides, and the wait
+    for what all workers have under way. OpenCV and compiled loops release the GIL: the coordinator's thread goes on.
+    """
+
+    def __init__(self, ring: Ring) -> None:
+        self._ring = ring
+        self._seats = threading.BoundedSemaphore(SEATS)
+        self.loaded = threading.Event()
+        """Set when the compiled functions are loaded; until then, workers render all pictures."""
+
+    def start(self) -> None:
+        """Load the compiled functions in a thread of their own."""
+        threading.Thread(target=self._load, name="small-pictures", daemon=True).start()
+
+    def render(self, job: RenderJob | TileJob) -> bytes | None:
+        """Return the encoded picture of a job with its place in the ring; None if a worker has to render it.
+
+        A worker renders what is large, what no caller waits for, and HDR. No lease is needed: the generation of the bay
+        is checked after the pixels were read, as in workers.
+        """
+        if not _is_small(job) or not self.loaded.is_set() or not self._seats.acquire(blocking=False):
+            return None
+        try:
+            picture: bytes = perform_with_frames(job, self._ring)
+            return picture
+        except GoneError:
+            return None  # the frame may be in a recording, which the caller looks up
+        finally:
+            self._seats.release()
+
+    def _load(self) -> None:
+        from vaoi_station.geometry.shifting import shift
+        from vaoi_station.rendering import frame_pairs
+
+        frame = np.zeros((4, 4), np.uint8)
+        frame.flags.writeable = False
+        shift(frame, np.eye(3)[None], 1, np.empty(4, np.uint8), np.array([[0, 2, 2, 2]]), True)
+        frame_pairs.load()
+        self.loaded.set()
+
+
+def _is_small(job: RenderJob | TileJob) -> bool:
+    if isinstance(job, RenderJob):
+        return job.file is None and job.minus is None and job.view.width * job.view.height <= LARGEST_PX
+    return job.format is not None and not job.spec.hdr and job.spec.width * job.spec.height <= LARGEST_PX
+
+
 class FrameAccess:
     """Reads frames and temporary images of runs; each access takes a lease. Methods may be called from any thread."""
 
@@ -57,21 +117,17 @@ class FrameAccess:
         self._inbox, self._core, self._ring = inbox, core, ring
         self._archive, self._workers = archive, workers
         self.small = SmallPictures(ring)
-        """The pictures that the station process renders itself."""
         self.recorded: Callable[[str, int, int], Path | None] = lambda _run, _camera, _row: None
-        """Function that returns the file of a frame (run, camera, row) in the run's recording; None if no recording of
-        the run is kept. It raises GoneError if the recording does not have the frame."""
+        """Returns the file of a frame (run, camera, row) in the run's recording; None if there is no recording.
+
+        Raises GoneError if the recording does not have the frame.
+        """
         self.heights: Callable[[str], Mapping[str, tuple[float, float]] | None] = lambda _run: None
-        """Function that returns the measured heights of a run by address, with their standard deviations, mm."""
+        """Returns the measured heights of a run by address, with their standard deviations, mm."""
         self._uses, self._fetched_s = itertools.count(1), -math.inf
 
     def render(self, job: PictureJob, name: str) -> Any:
-        """Have a worker perform a job, wait for its reply, and return its value: of most jobs an encoded picture.
-
-        Raises:
-            DeviceError: no worker has made `name` within `RENDER_LIMIT_S`.
-            VaoiError: the worker refused the job.
-        """
+        """Have a worker perform a job, and return the value of its reply; `DeviceError` after `RENDER_LIMIT_S`."""
         # The reply goes from the pool's thread to this one: it need not wait in the inbox behind messages about frames.
         answer: Future[Reply] = Future()
         self._workers.submit(job, answer.set_result)
@@ -129,27 +185,16 @@ class FrameAccess:
         return recorded
 
     def images(self, detail: RunDetail, ref: str, wanted: ImageRequest) -> ChosenImages:
-        """Choose the images of a component, and measure their frames if the request asks for it.
-
-        Raises GoneError if the choice depends on pixels that are no longer available.
-        """
-        return component_views.images_of_component(
-            self._archive.get(detail.id),
-            ref,
-            wanted,
-            self._measured_by(detail, optional=not wanted.needs_pixels),
-            self._heights(detail.id, wanted),
-        )
+        """Choose the images of a component; GoneError if that depends on pixels that are no longer available."""
+        measure = self._measured_by(detail, optional=not wanted.needs_pixels)
+        heights = self._heights(detail.id, wanted)
+        return component_views.images_of_component(self._archive.get(detail.id), ref, wanted, measure, heights)
 
     def _heights(self, run: str, wanted: ImageRequest) -> Mapping[str, tuple[float, float]] | None:
-        """Return the measured heights of a run if images on the tops of bodies are requested."""
         return self.heights(run) if wanted.framing.plane == "top" else None
 
     def _measured_by(self, detail: RunDetail, optional: bool = False) -> Callable[[View], Measures | None]:
-        """Return a function that measures the frame of a view.
-
-        If measures are optional, it returns None for a frame that is no longer available; else it raises GoneError.
-        """
+        """Return a function that measures the frame of a view: None, or GoneError, if it is no longer available."""
 
         def measured(view: View) -> Measures | None:
             try:
@@ -175,7 +220,7 @@ class FrameAccess:
 
     def busy(self) -> bool:
         """Return whether a board is being filmed or stitched."""
-        return bool(self._core.runs.active)
+        return bool(self._core.active)
 
     def note_fetch(self) -> None:
         """Note that a caller fetches a picture, a frame or a tile now."""
@@ -200,18 +245,13 @@ class FrameAccess:
             self._inbox.post(self._core.end_lease, run, holder)
 
     def take_lease(self, run: str, holder: str, purpose: str) -> tuple[Bay, Lease]:
-        """Begin or renew a lease; return the run's bay and the lease.
-
-        Raises:
-            NotFoundError: the run is unknown.
-            GoneError: the frames of the run are no longer in memory.
-            BusyError: the run has too many holders.
-        """
+        """Begin or renew a lease; return the run's bay and the lease. BusyError if the run has too many holders."""
 
         def take() -> tuple[Bay, Lease]:
-            if not self._core.memory.has(run) and run not in self._core.runs.active:
+            memory = self._core.memory
+            if not memory.has(run) and run not in self._core.active:
                 self._archive.get(run)  # This raises NotFoundError: a run that is unknown must not be reported as gone.
-            return self._core.memory.bay(run), self._core.leases.take(run, holder, purpose)
+            return memory.bay(run), memory.lease(run, holder, purpose)
 
         return self._inbox.ask(take)
 
@@ -223,10 +263,7 @@ def _job(
     place: tuple[int, int],
     files: Sequence[Path | None] = (),
 ) -> RenderJob:
-    """Make the job that renders an image from frames in a bay of the ring, or from files of its frames.
-
-    `place` is number and generation of the bay.
-    """
+    """Make the job that renders an image from frames in a bay (number, generation), or from files of its frames."""
     record = finished.frame_records[choice.view.camera, choice.view.row]
     assert record.slot is not None, "views are of whole frames"
     minus = None if choice.minus is None else _job(finished, choice.minus, format, place, files[1:])
@@ -239,12 +276,7 @@ def _job(
 
 
 def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:
-    """Return the record of a frame.
-
-    Raises:
-        StateError: the frame may still arrive.
-        NotFoundError: the run has no such frame.
-    """
+    """Return the record of a frame; StateError if it may still arrive, NotFoundError if there is no such frame."""
     for frame in detail.frames:
         if (frame.camera, frame.row) == (camera, row):
             return frame

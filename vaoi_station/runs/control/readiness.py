@@ -51,25 +51,41 @@ class LineFacts:
     """The trouble because of which results are not kept on disk at present, also one that does not pass by itself."""
 
 
+def _reason(code: str, message: str, action: str) -> Reason:
+    return Reason(code=code, message=message, action=action)
+
+
 _BY_STATE = {
-    StationState.STARTING: Reason(code="line-not-armed", message="The station is starting.", action="Wait."),
-    StationState.IDLE: Reason(code="line-not-armed", message="The line is not armed.", action="Arm it."),
-    StationState.ARMING: Reason(code="line-not-armed", message="The line is being armed.", action="Wait a moment."),
-    StationState.FAULTED: Reason(code="line-not-armed", message="The acquisition process is lost.", action="Wait."),
-    StationState.STOPPING: Reason(code="line-not-armed", message="The station is stopping.", action="Start it."),
-    StationState.FILMING: Reason(code="line-filming", message="A board is being filmed.", action="Wait until it left."),
-    StationState.BLOCKED: Reason(code="ring-full", message="No memory is free.", action="Wait, or release a run."),
+    StationState.STARTING: _reason("line-not-armed", "The station is starting.", "Wait."),
+    StationState.IDLE: _reason("line-not-armed", "The line is not armed.", "Arm it."),
+    StationState.ARMING: _reason("line-not-armed", "The line is being armed.", "Wait a moment."),
+    StationState.FAULTED: _reason("line-not-armed", "The acquisition process is lost.", "Wait."),
+    StationState.STOPPING: _reason("line-not-armed", "The station is stopping.", "Start it."),
+    StationState.FILMING: _reason("line-filming", "A board is being filmed.", "Wait until it left."),
+    StationState.BLOCKED: _reason("ring-full", "No memory is free.", "Wait, or release a run."),
 }
-_PASSING = Reason(code="line-filming", message="A board is in the barrier.", action="Wait until it left.")
-_STOPPED = Reason(
-    code="belt-stopped",
-    message="A board is in the barrier or under the cameras, and the belt does not move.",
-    action="Start the belt. If it runs, check its encoder and the cable (vaoi doctor); disarm to end the run.",
+_DISARMING = _reason("line-not-armed", "The line is being disarmed.", "Arm again.")
+_UNREPORTED = _reason("line-not-armed", "Cameras and controller have not reported yet.", "Wait a moment.")
+_SILENT = _reason(
+    "devices-silent",
+    "Cameras and controller have not reported for some seconds.",
+    "Wait: the station restarts the process.",
 )
-_STANDING = Reason(
-    code="board-in-barrier",
-    message="A board has been in the light barrier since before the line was armed: it is not filmed.",
-    action="Take it out and let it in again. If there is none, clean and align the barrier (vaoi doctor).",
+_NO_CONTROLLER = _reason(
+    "controller-not-ready",
+    "The controller does not reply, or has switched its outputs off.",
+    "Check its power and its cable.",
+)
+_PASSING = _reason("line-filming", "A board is in the barrier.", "Wait until it left.")
+_STOPPED = _reason(
+    "belt-stopped",
+    "A board is in the barrier or under the cameras, and the belt does not move.",
+    "Start the belt. If it runs, check its encoder and the cable (vaoi doctor); disarm to end the run.",
+)
+_STANDING = _reason(
+    "board-in-barrier",
+    "A board has been in the light barrier since before the line was armed: it is not filmed.",
+    "Take it out and let it in again. If there is none, clean and align the barrier (vaoi doctor).",
 )
 EXPECTED = frozenset({"line-not-armed", "line-filming", "belt-stopped"})
 """Codes with which a board must wait although nothing is wrong."""
@@ -80,34 +96,27 @@ def held_back(facts: LineFacts, cameras: Sequence[CameraConfig]) -> tuple[Reason
 
     The page, `/readyz`, `line_ready` of REST and the output "line ready" all follow this function.
     """
-    found: list[Reason] = []
-    stopped = facts.health is not None and facts.health.belt_stopped
-    if facts.state is StationState.FILMING and stopped:
-        found.append(_STOPPED)
-    elif facts.state is not StationState.ARMED:
-        found.append(_BY_STATE[facts.state])
-    elif not facts.expects_board:
-        found.append(Reason(code="line-not-armed", message="The line is being disarmed.", action="Arm again."))
-    elif facts.health is None:
-        message = "Cameras and controller have not reported yet."
-        found.append(Reason(code="line-not-armed", message=message, action="Wait a moment."))
-    elif facts.now_s - facts.health.host_time_s > HEALTH_OLD_S:
-        message = "Cameras and controller have not reported for some seconds."
-        found.append(Reason(code="devices-silent", message=message, action="Wait: the station restarts the process."))
-    elif not facts.health.controller_ready:
-        message = "The controller does not reply, or has switched its outputs off."
-        found.append(Reason(code="controller-not-ready", message=message, action="Check its power and its cable."))
-    elif facts.health.standing:
-        found.append(_STANDING)
-    elif facts.health.passing:
-        # The station's state is FILMING only from the first pulse on, and no longer after a run was given up.
-        found.append(_STOPPED if stopped else _PASSING)
-    if not facts.without_cameras:
-        found += reasons(facts.health, cameras)
-    if facts.storage is not None:
-        found.append(facts.storage)
-    found += [reason for reason in facts.reasons if reason.code in _HOLDING]
-    return tuple(found)
+    lost = () if facts.without_cameras else reasons(facts.health, cameras)
+    others = (reason for reason in facts.reasons if reason.code in _HOLDING)
+    found = (_held_by_line(facts), *lost, facts.storage, *others)
+    return tuple(reason for reason in found if reason is not None)
+
+
+def _held_by_line(facts: LineFacts) -> Reason | None:
+    health = facts.health
+    stopped = health is not None and health.belt_stopped
+    if facts.state is not StationState.ARMED:
+        return _STOPPED if facts.state is StationState.FILMING and stopped else _BY_STATE[facts.state]
+    if health is None or not facts.expects_board:
+        return _UNREPORTED if facts.expects_board else _DISARMING
+    if facts.now_s - health.host_time_s > HEALTH_OLD_S:
+        return _SILENT
+    if not health.controller_ready:
+        return _NO_CONTROLLER
+    if health.standing:
+        return _STANDING
+    # The station's state is FILMING only from the first pulse on, and no longer after a run was given up.
+    return (_STOPPED if stopped else _PASSING) if health.passing else None
 
 
 def disconnected(health: Health | None) -> tuple[int, ...]:
@@ -146,10 +155,7 @@ def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig])
 
 
 def not_connected(label: str, why: str) -> str:
-    """Return the message that a camera is not connected, with the cause `why`.
-
-    A driver's message may begin with the camera's name. It is removed there, so that the name appears only once.
-    """
+    """Return the message that a camera is not connected; `why` may begin with the camera's name, as of a driver."""
     return f"{sentence(label)} is not connected. {sentence(why.removeprefix(f'{label}: '))}".strip()
 
 
@@ -160,12 +166,7 @@ class LinePermit:
     """
 
     def __init__(self, send: Callable[[PermitBoard], None] | None, publish: Callable[..., Any]) -> None:
-        """Begin without a permit.
-
-        Args:
-            send: sends a command to the acquisition process; None if the output is not used.
-            publish: function that writes an event, with the signature of `EventLog.add`.
-        """
+        """Begin without a permit; `send` is None if the output is not used, `publish` is like `EventLog.add`."""
         self._send, self._publish = send, publish
         self._number = 0
         self._ready = False
@@ -174,12 +175,9 @@ class LinePermit:
         self._troubles: tuple[str, ...] = ()
 
     def update(self, held: Sequence[Reason], reports: int, now_s: float) -> None:
-        """Give, renew or withdraw the permit.
+        """Give, renew or withdraw the permit; `held` is why the next board must wait, empty if it may come.
 
-        Args:
-            held: why the next board must wait; empty if it may come.
-            reports: count of boards without a run so far. If it has changed, a board may have used the permit.
-            now_s: the present time by time.monotonic().
+        `reports` counts boards without a run so far: if it has changed, a board may have used the permit.
         """
         ready = not held
         fresh = ready and (not self._ready or reports != self._reports)

@@ -41,18 +41,14 @@ class Reasons:
         return before != reason
 
     def mark_outdated(self) -> None:
-        """Mark all present troubles as outdated. The next reported trouble then replaces them.
-
-        Until then, the old cause is all that the operator can act on.
-        """
+        """Let the next reported trouble replace all present ones; until then the operator can act on them only."""
         self._outdated = set(self._reported_s)
 
     def trouble(self, report: Trouble) -> Reason | None:
         """Add the trouble of a device as a reason, and return the reason; None if the trouble is present already."""
         key = f"{report.code}: {report.message}"
         for old in self._outdated - {key}:
-            del self._reported_s[old]
-            self._reasons.pop(old, None)
+            self._forget(old)
         self._outdated = set()
         self._reported_s[key] = self._clock()
         if key in self._reasons:
@@ -74,13 +70,16 @@ class Reasons:
         """Remove the troubles that have not been reported again for `TROUBLE_S`."""
         now_s = self._clock()
         for key in [key for key, at_s in self._reported_s.items() if now_s - at_s > TROUBLE_S]:
-            del self._reported_s[key]
-            self._outdated.discard(key)
-            self._reasons.pop(key, None)
+            self._forget(key)
 
     def all(self) -> tuple[Reason, ...]:
         """Return all present reasons and troubles, the oldest first."""
         return tuple(self._reasons.values())
+
+    def _forget(self, key: str) -> None:
+        del self._reported_s[key]
+        self._outdated.discard(key)
+        self._reasons.pop(key, None)
 
 
 class StationStateMachine:

@@ -21,7 +21,6 @@ from vaoi_station.runs.states.schemas import (
     STARTING,
     WAITING,
     CameraStatus,
-    LeaseStatus,
     LineOutputStatus,
     ProcessStatus,
     Retention,
@@ -36,26 +35,14 @@ _COMPILE_NOTE = "After an installation or an update they compile for a minute or
 
 def snapshot_of(
     core: Core,
-    config: StationConfig,
+    parts: Parts,
     *,
     ring: tuple[Path, int],
     processes: tuple[ProcessStatus, ...],
     faults: tuple[Reason, ...],
-    archive: Archive,
-    last_event: int,
 ) -> StationSnapshot:
-    """Build the snapshot of the station. Call this function in the coordinator's thread.
-
-    Args:
-        core: the present state of the station.
-        config: configuration of the station.
-        ring: path and size in bytes of the ring.
-        processes: states of all processes.
-        faults: reasons for the threads that have ended or hang.
-        archive: the finished runs.
-        last_event: number of the newest event.
-    """
-    filming, cameras = core.runs.filming, _cameras(core, config)
+    """Build the snapshot of the station, in the coordinator's thread. `ring`: path and size, bytes, of the ring."""
+    config, filming, cameras = parts.config, core.filming, _cameras(core, parts.config)
     held = line_held(core, config, lambda: processes, faults)
     output, order = core.health.line_output if core.health else None, core.line.orders.order
     return StationSnapshot(
@@ -68,7 +55,7 @@ def snapshot_of(
             *core.watch.warnings(),
             *core.line.warnings(),
             *core.storage.warnings(),
-            *address_warnings(config),
+            *_address_warnings(config),
             *flat_field_warnings(config, order.setup.lights if order is not None else ()),
             *worker_warnings(processes),
             *core.other_warnings(),
@@ -83,20 +70,12 @@ def snapshot_of(
         line_output=None if output is None else LineOutputStatus(high=output.high, why=output.why),
         controller=core.health.controller if core.health else "",
         processes=processes,
-        ring=RingStatus(
-            path=str(ring[0]),
-            size_bytes=ring[1],
-            bays=core.memory.bays(),
-            leases=tuple(
-                LeaseStatus(run=le.run, holder=le.holder, purpose=le.purpose, expires_in_s=core.leases.remaining_s(le))
-                for le in core.leases.all()
-            ),
-        ),
+        ring=RingStatus(path=str(ring[0]), size_bytes=ring[1], bays=core.memory.bays(), leases=core.memory.leases()),
         versions=versions(),
         retention=_retention(config),
-        last_run=_last_run(archive),
+        last_run=_last_run(parts.archive),
         filming=filming[0].run if filming else None,
-        last_event=last_event,
+        last_event=parts.events.last,
         boards_missed=core.boards.missed,
         times_blocked=core.line.times_blocked,
     )
@@ -135,7 +114,7 @@ def renew_permit(
 
 def status_line(core: Core) -> str:
     """Return state, order, runs under way and first reason in one line. Call it in the coordinator's thread."""
-    order, runs = core.line.orders.shown(), len(core.runs.active)
+    order, runs = core.line.orders.shown(), len(core.active)
     parts = [f"{core.machine.state}{f' for board type {order.board_type!r}' if order else ''}"]
     if runs:
         parts.append(f"{runs} run{'' if runs == 1 else 's'} under way")
@@ -144,8 +123,7 @@ def status_line(core: Core) -> str:
     return "; ".join(parts)
 
 
-def address_warnings(config: StationConfig) -> tuple[Reason, ...]:
-    """Return a warning while no interface has the address at which the service listens, else none."""
+def _address_warnings(config: StationConfig) -> tuple[Reason, ...]:
     host = config.api.host
     if is_present(host):
         return ()
@@ -165,18 +143,14 @@ def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
     if not away:
         return ()
     still = f"{away} of {len(workers)} workers {'is' if away == 1 else 'are'} still starting"
-    unopened = any(process.doing == WAITING for process in processes)
     progress = next((f" ({worker.progress})" for worker in workers if worker.progress), "")
-    effect = (
-        "Cameras are not opened yet, and boards are not filmed"
-        if unopened
-        else "Results of boards that pass meanwhile come late"
-    )
+    effect = "Results of boards that pass meanwhile come late"
+    if any(process.doing == WAITING for process in processes):
+        effect = "Cameras are not opened yet, and boards are not filmed"
     return (Reason(code="workers-starting", message=f"{effect}: {still}{progress}.", action=_COMPILE_NOTE),)
 
 
 def _last_run(archive: Archive) -> str | None:
-    """Return the id of the run that was announced last; None before the first."""
     # Callers must learn of a database that cannot be read, so that must not end their request.
     with suppress(DeviceError):
         latest = archive.latest()
@@ -185,8 +159,9 @@ def _last_run(archive: Archive) -> str | None:
 
 
 def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
+    health = core.health
     # No health report yet: the acquisition process is opening the devices, or has ended.
-    if core.health is None:
+    if health is None:
         waiting = core.machine.state in (StationState.STARTING, StationState.FAULTED)
         message = "not open yet" if waiting else "no report yet"
         return tuple(
@@ -201,38 +176,31 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
             temperature_c=seen.temperature_c,
             delivered=seen.delivered,
             incomplete=seen.incomplete,
-            last_frame_age_s=None
-            if seen.last_frame_s is None
-            else max(core.health.host_time_s - seen.last_frame_s, 0.0),
+            last_frame_age_s=None if seen.last_frame_s is None else max(health.host_time_s - seen.last_frame_s, 0.0),
             next_try=None if seen.next_try_s is None else utc_of_host(seen.next_try_s),
             counters=dict(seen.counters),
         )
-        for k, seen in enumerate(core.health.cameras)
-    )
-
-
-def _results_kept(config: StationConfig) -> str:
-    keep = config.keep
-    return (
-        f"Results and records of the newest {keep.results} runs with verdict ok are kept in {config.data} for "
-        f"{keep.days:g} days, of {keep.doubtful_results} others for {keep.doubtful_days:g} days, of pinned runs "
-        f"without limit; summaries of {keep.runs} runs for {keep.run_days:g} days; all within "
-        f"{keep.database_gb:g} GB."
+        for k, seen in enumerate(health.cameras)
     )
 
 
 def _retention(config: StationConfig) -> Retention:
-    runs = config.ring.runs
+    runs, keep, keep_s = config.ring.runs, config.keep, config.ring.keep_s
     return Retention(
         runs_in_memory=runs,
         lease_s=config.ring.lease_s,
-        keep_s=config.ring.keep_s,
+        keep_s=keep_s,
         frames=(
             f"Frames of at most {runs} runs are in memory. A finished run keeps its frames while a caller holds it, "
-            f"and for {config.ring.keep_s:g} s after it was announced. While the line is armed, one place is kept for "
+            f"and for {keep_s:g} s after it was announced. While the line is armed, one place is kept for "
             "the next board: the oldest other finished run is evicted; if there is none, the line is blocked. "
             "A restart of the station loses all frames."
         ),
-        results=_results_kept(config),
+        results=(
+            f"Results and records of the newest {keep.results} runs with verdict ok are kept in {config.data} for "
+            f"{keep.days:g} days, of {keep.doubtful_results} others for {keep.doubtful_days:g} days, of pinned runs "
+            f"without limit; summaries of {keep.runs} runs for {keep.run_days:g} days; all within "
+            f"{keep.database_gb:g} GB."
+        ),
         events=f"The last {EVENTS_KEPT} events are kept, also over restarts.",
     )

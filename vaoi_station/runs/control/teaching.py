@@ -32,13 +32,7 @@ Pixels = Callable[[int], Image]
 
 
 def board_type_summary(stem: str, board_type: BoardType | None, fault: VaoiError | None) -> BoardTypeSummary:
-    """Build one entry of the list of board types.
-
-    Args:
-        stem: name of the file without suffix.
-        board_type: content of the file; None if the file cannot be used.
-        fault: why the file cannot be used.
-    """
+    """Build one entry of the list, of a file `stem`.json; its board type is None if it cannot be used."""
     if board_type is None:
         assert fault is not None
         return BoardTypeSummary(name=stem, fault=Reason.of(fault))
@@ -53,29 +47,23 @@ def board_type_summary(stem: str, board_type: BoardType | None, fault: VaoiError
     )
 
 
-class BoardTypeService:
-    """Serves the requests about board types, their references and methods. Changes are published as events.
+class BoardTypeRequests:
+    """The part of the coordinator that serves requests about board types, their references and methods.
 
-    Methods may be called from any thread except the coordinator's.
+    Changes are published as events. Methods may be called from any thread except the coordinator's.
     """
 
-    def __init__(
-        self,
-        directory: BoardTypeDirectory,
-        references: ReferenceStore,
-        parts: Parts,
-        core: Core,
-        inbox: Inbox,
-        frames: FrameAccess,
-    ) -> None:
-        self._directory, self._references, self._method = directory, references, parts.config.method
-        self._archive, self._events = parts.archive, parts.events
-        self._core, self._inbox, self._frames = core, inbox, frames
+    _inbox: Inbox
+    _core: Core
+    _frames: FrameAccess
+
+    def __init__(self, directory: BoardTypeDirectory, references: ReferenceStore, parts: Parts) -> None:
+        self._parts, self._directory, self._references = parts, directory, references
         self._changing, self._teaching = threading.Lock(), threading.Lock()
         self._summaries: dict[Path, tuple[tuple[int, ...], BoardTypeSummary]] = {}
         """For each file: its modification time, size and inode when it was read, and its entry in the list."""
 
-    def list(self) -> tuple[BoardTypeSummary, ...]:
+    def board_types(self) -> tuple[BoardTypeSummary, ...]:
         """Return a summary of every board type, sorted by name. A file that cannot be used is listed with its fault."""
         # A file is read again only if it has changed: reading many large files takes seconds.
         known, found = self._summaries, {}
@@ -93,15 +81,18 @@ class BoardTypeService:
         self._summaries = found
         return tuple(summary for _, summary in found.values())
 
-    def get(self, name: str) -> BoardType:
+    def board_type(self, name: str) -> BoardType:
         """Return the board type with this name; `NotFoundError` if there is none."""
         return self._directory.get(name)
 
-    def put(self, board_type: BoardType, source: str = "") -> bool:
-        """Add or replace a board type; return True if the name is new. `InputError` if no run could place it.
+    def put_board_type(self, board_type: BoardType) -> bool:
+        """Add or replace a board type, for later runs; return True if the name is new.
 
-        `source` says in the event by what it was replaced.
+        `InputError` if no run could place it.
         """
+        return self._put(board_type)
+
+    def _put(self, board_type: BoardType, source: str = "") -> bool:
         refuse_unplaceable(board_type, "body")
         with self._changing:
             new = self._directory.put(board_type)
@@ -109,10 +100,10 @@ class BoardTypeService:
         # An armed line keeps the board type it was armed with: the CAD data must not change within a batch.
         later = " The change applies from the next arming on." if armed and armed.board_type == board_type.name else ""
         action = "added" if new else "replaced"
-        self._events.add("board-type", f"Board type {board_type.name!r} was {action}{source}.{later}")
+        self._parts.events.add("board-type", f"Board type {board_type.name!r} was {action}{source}.{later}")
         return new
 
-    def delete(self, name: str) -> None:
+    def delete_board_type(self, name: str) -> None:
         """Delete a board type with its reference and method; `StateError` while the line is armed with it."""
         armed = self._inbox.ask(self._core.line.orders.shown)
         if armed is not None and armed.board_type == name:
@@ -121,12 +112,12 @@ class BoardTypeService:
             self._directory.delete(name)
             self._references.drop(name)
             self._references.set_method(name, None)
-        self.sweep()
-        self._events.add("board-type", f"Board type {name!r} was deleted.")
+        self.sweep_references()
+        self._parts.events.add("board-type", f"Board type {name!r} was deleted.")
 
     def reference(self, board_type: str) -> ReferenceStatus:
         """Return the reference of a board type and whether it is usable; `NotFoundError` if there is no reference."""
-        known = self.get(board_type)
+        known = self.board_type(board_type)
         record, fault = self._references.record(known.name), None
         if record is None:
             raise _no_reference(board_type)
@@ -142,14 +133,13 @@ class BoardTypeService:
         With `confirm_orientation`, a person has confirmed that the board lies as the board type expects it.
 
         Raises:
-            NotFoundError: there is no such run or board type.
             InputError: the run shows another board type, or the board type has changed since the run.
             StateError: the run has no result yet, or its verdict is not ok.
             GoneError: the frames of the run are no longer in memory.
             DeviceError: the disk refuses the files.
         """
-        known, finished, store = self.get(board_type), self._archive.get(run), self._references
-        calibration = self._archive.calibration_of(finished)
+        known, finished, store = self.board_type(board_type), self._parts.archive.get(run), self._references
+        calibration = self._parts.archive.calibration_of(finished)
         with self._frames.lease(run, "taught as the reference") as bay:
             stitch = with_confirmed_orientation(finished.result) if confirm_orientation else finished.result
             _check(known.name, finished, stitch)
@@ -162,36 +152,36 @@ class BoardTypeService:
                 new = not store.has(known.name)
                 store.keep(known.name, _record_of(path, finished))
                 store.open(known)  # It is read now and cached, so that arming does not wait for the disk.
-        self.sweep()
-        self._events.add("reference", f"Run {run} is now the reference of board type {board_type!r}.", run=run)
+        self.sweep_references()
+        self._parts.events.add("reference", f"Run {run} is now the reference of board type {board_type!r}.", run=run)
         return new
 
     def forget_reference(self, board_type: str) -> None:
         """Remove the reference of a board type; `NotFoundError` if there is no reference."""
-        if not self._references.has(self.get(board_type).name):
+        if not self._references.has(self.board_type(board_type).name):
             raise _no_reference(board_type)
         self._references.drop(board_type)
-        self.sweep()
-        self._events.add("reference", f"The reference of board type {board_type!r} was removed.")
+        self.sweep_references()
+        self._parts.events.add("reference", f"The reference of board type {board_type!r} was removed.")
 
     def method(self, board_type: str) -> StitchingMethod:
         """Return the method by which runs of a board type are stitched."""
-        own = self._references.method(self.get(board_type).name)
-        return StitchingMethod(method=own or self._method, chosen="board-type" if own else "station")
+        own = self._references.method(self.board_type(board_type).name)
+        return StitchingMethod(method=own or self._parts.config.method, chosen="board-type" if own else "station")
 
     def set_method(self, board_type: str, method: MethodName | None) -> StitchingMethod:
         """Set the stitching method of a board type; None selects the station's method."""
-        self._references.set_method(self.get(board_type).name, method)
+        self._references.set_method(self.board_type(board_type).name, method)
         return self.method(board_type)
 
-    def sweep(self) -> None:
+    def sweep_references(self) -> None:
         """Delete the files of references that are used by no board type, no unfinished run and no order.
 
-        This method is called after every change, and also periodically, because orders and runs end later.
+        Also called periodically, because orders and runs end later.
         """
 
         def in_use() -> set[str]:
-            under_way = {p.order.reference.run for p in self._core.runs.active.values() if p.order.reference}
+            under_way = {p.order.reference.run for p in self._core.active.values() if p.order.reference}
             return under_way | self._core.line.orders.references
 
         with self._teaching:

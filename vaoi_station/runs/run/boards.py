@@ -24,7 +24,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, Reason, RecordingHead, Stitch
-from vaoi_station.runs.run.order import Order, Orders
+from vaoi_station.runs.run.order import Orders
 from vaoi_station.runs.run.progress import Progress
 
 UNWATCHED = frozenset({"controller-safe", "controller-reset", "events-lost"})
@@ -52,13 +52,7 @@ class BoardAccount:
     """Counts the boards that were missed, and decides which board ids are certain. Used by the coordinator's thread."""
 
     def __init__(self, line: Line, orders: Orders, publish: Callable[..., Any]) -> None:
-        """Begin without a missed board.
-
-        Args:
-            line: geometry and speed of the line.
-            orders: the orders in force, whose board ids become uncertain.
-            publish: function that writes an event, with the signature of `EventLog.add`.
-        """
+        """Begin without a missed board; `publish` has the signature of `EventLog.add`."""
         self._line, self._orders, self._publish = line, orders, publish
         self.missed = 0
         """Count of boards that passed and were not filmed as a run."""
@@ -69,38 +63,33 @@ class BoardAccount:
         """Count a board that passed without a run; `action` is what the user can do."""
         self.reports += 1
         message = f"A board passed and was not filmed: {report.reason}"
-        self._miss(1, (report.host_time_s, now_s), Reason(code="board-missed", message=message, action=action))
+        self._miss(1, report.host_time_s, now_s, Reason(code="board-missed", message=message, action=action))
 
     def passage_missed(self, report: MissedPassage, now_s: float) -> None:
-        """Count the boards that followed a missed board within the same passage.
-
-        The missed board itself was counted when it came.
-        """
+        """Count the boards that followed a missed board, which was counted when it came, within the same passage."""
         order = self._orders.order
         if order is None or len(report.interruptions) == 0:
             return
         line = order.line or self._line
-        limit_mm = limit_of(order.board_type, line, None)
         end_s = max(c if c is not None else b for b, c in report.interruptions)
         way = way_of_edges(line, report.interruptions, report.ways_mm)
-        passage = measure_passage(report.interruptions, end_s, way, limit_mm)
+        passage = measure_passage(report.interruptions, end_s, way, limit_of(order.board_type, line, None))
         if passage.boards > 1:
             message = f"{_boards(passage.boards - 1)} followed a missed board too closely and passed as well."
-            edge_s = report.host_time_s + passage.leading_s[-1]
             reason = Reason(code="boards-too-close", message=message, action=_keep_apart(line))
-            self._miss(passage.boards - 1, (edge_s, now_s), reason)
+            self._miss(passage.boards - 1, report.host_time_s + passage.leading_s[-1], now_s, reason)
 
     def unwatched(self, now_s: float, why: str) -> None:
         """Record that boards may have passed without a report until now."""
         self.reports += 1
         self._orders.doubt_since_last(now_s, why)
 
-    def begin(self, progress: Progress, armed_s: float, *, edge_known: bool = True) -> None:
+    def begin(self, progress: Progress, *, edge_known: bool = True) -> None:
         """Record since when the order of a new run was in force, and whether its board id is certain by now.
 
         `edge_known` is whether the controller reported when the board interrupted the barrier.
         """
-        progress.armed_s = armed_s
+        progress.armed_s = self._orders.taken_since_s
         if not edge_known:
             progress.add_fault(EDGE_LOST)
             progress.doubt_id("the report of the edge at which the board met the barrier was lost")
@@ -111,83 +100,53 @@ class BoardAccount:
 
         Runs end in the order of their boards, so that everything about earlier boards is known here.
         """
-        recorded = progress.recorded
+        recorded, order = progress.recorded, progress.order
         self._check_id(progress)
         if recorded is None:
             return
-        passage = self._passage(progress, recorded)
+        line = order.line or self._line
+        of_barrier = recorded.interruptions
+        passage = _passage(progress, recorded, line)
         if passage is not None and passage.boards > 1:
-            reason = self._too_close(progress.order, passage)
+            lengths = ", ".join(f"{length:.0f}" for length in passage.lengths_mm)
+            gaps = f" with {', '.join(f'{gap:.0f}' for gap in passage.gaps_mm)} mm between" if passage.gaps_mm else ""
+            message = (
+                f"{_boards(passage.boards)} passed in this run: the barrier was interrupted over {lengths} mm{gaps}, "
+                f"but a board of type {order.board_type.name!r} is at most {passage.limit_mm:.0f} mm long there."
+            )
+            reason = Reason(code="boards-too-close", message=message, action=_keep_apart(line))
             progress.add_fault(reason)
             # The pictures may show either board, so the id may be that of the wrong one.
             progress.doubt_id("several boards passed in this run")
-            edge_s = _host_s(progress, recorded, passage.leading_s[-1])
-            self._miss(passage.boards - 1, (edge_s, now_s), reason, progress.run)
+            edge_s = progress.barrier_s + passage.leading_s[-1] - of_barrier[0][0]
+            self._miss(passage.boards - 1, edge_s, now_s, reason, progress.run)
         if recorded.reason == "max-rows":
-            progress.add_fault(self._too_long(progress.order, recorded))
-            if recorded.interruptions and recorded.interruptions[-1][1] is None:
+            is_open = bool(of_barrier) and of_barrier[-1][1] is None
+            what = "the barrier was still interrupted" if is_open else "its tail was not over"
+            message = (
+                f"The run ended after {recorded.head.rows} rows, the most that line.longest_board_mm = "
+                f"{line.longest_board_mm:g} allows, while {what}: the rest was not filmed."
+            )
+            action = (
+                "Check whether the board or the belt was stuck, another board followed, or the barrier is dirty; "
+                "else raise line.longest_board_mm."
+            )
+            progress.add_fault(Reason(code="run-too-long", message=message, action=action))
+            if is_open:
                 # What is still in the barrier may be another board that touches the first one.
-                edge_s = _host_s(progress, recorded, recorded.interruptions[-1][0])
+                edge_s = progress.barrier_s + of_barrier[-1][0] - of_barrier[0][0]
                 self._orders.doubt(edge_s, now_s, "the barrier was still interrupted when the run before ended")
-
-    def _passage(self, progress: Progress, recorded: RunFinished) -> Passage | None:
-        # A run that was cut short has a fault already, and the length of its last interruption is unknown.
-        known = [i for i in recorded.interruptions if i[1] is not None or recorded.reason == "max-rows"]
-        if not known:
-            return None
-        times_s = recorded.head.row_times_s()
-        stitch = progress.stitch
-        line = progress.order.line or self._line
-        limit_mm = limit_of(progress.order.board_type, line, stitch)
-        end_s = float(times_s[-1])
-        if recorded.head.belt_mm is None:
-            way = way_of(line, stitch, times_s)
-        else:
-            way = way_by_encoder(line, recorded.head, recorded.interruptions[0][0])
-        return measure_passage(tuple(known), end_s, way, limit_mm)
 
     def _check_id(self, progress: Progress) -> None:
         if (why := self._orders.doubt_of(progress.armed_s, progress.barrier_s)) is not None:
             progress.doubt_id(why)
 
-    def _miss(self, count: int, times_s: tuple[float, float], reason: Reason, run: str | None = None) -> None:
-        """Count missed boards; `times_s` are the host times of the last board's edge and of now."""
+    def _miss(self, count: int, edge_s: float, now_s: float, reason: Reason, run: str | None = None) -> None:
+        """Count missed boards; `edge_s` is the host time of the last one's edge."""
         self.missed += count
         self._publish("board-missed", reason.message, run=run, code=reason.code, action=reason.action)
         # This is published now: an order that comes later was given by a caller who could know of it.
-        self._orders.doubt(*times_s, "a board had passed without a run of its own before")
-
-    def _too_close(self, order: Order, passage: Passage) -> Reason:
-        lengths = ", ".join(f"{length:.0f}" for length in passage.lengths_mm)
-        gaps = f" with {', '.join(f'{gap:.0f}' for gap in passage.gaps_mm)} mm between" if passage.gaps_mm else ""
-        return Reason(
-            code="boards-too-close",
-            message=(
-                f"{_boards(passage.boards)} passed in this run: the barrier was interrupted over {lengths} mm{gaps}, "
-                f"but a board of type {order.board_type.name!r} is at most {passage.limit_mm:.0f} mm long there."
-            ),
-            action=_keep_apart(order.line or self._line),
-        )
-
-    def _too_long(self, order: Order, recorded: RunFinished) -> Reason:
-        open_ = bool(recorded.interruptions) and recorded.interruptions[-1][1] is None
-        what = "the barrier was still interrupted" if open_ else "its tail was not over"
-        return Reason(
-            code="run-too-long",
-            message=(
-                f"The run ended after {recorded.head.rows} rows, the most that line.longest_board_mm = "
-                f"{(order.line or self._line).longest_board_mm:g} allows, while {what}: the rest was not filmed."
-            ),
-            action=(
-                "Check whether the board or the belt was stuck, another board followed, or the barrier is dirty; "
-                "else raise line.longest_board_mm."
-            ),
-        )
-
-
-def _host_s(progress: Progress, recorded: RunFinished, time_s: float) -> float:
-    """Return the host time of an edge whose time is relative to row 0."""
-    return progress.barrier_s + time_s - recorded.interruptions[0][0]
+        self._orders.doubt(edge_s, now_s, "a board had passed without a run of its own before")
 
 
 def _keep_apart(line: Line) -> str:
@@ -216,14 +175,24 @@ class Passage(NamedTuple):
     """Greatest length of one board in the barrier, mm."""
 
 
-def measure_passage(interruptions: tuple[Interruption, ...], end_s: float, way: PositionMm, limit_mm: float) -> Passage:
-    """Count the boards of a run.
+def _passage(progress: Progress, recorded: RunFinished, line: Line) -> Passage | None:
+    # A run that was cut short has a fault already, and the length of its last interruption is unknown.
+    known = tuple(i for i in recorded.interruptions if i[1] is not None or recorded.reason == "max-rows")
+    if not known:
+        return None
+    times_s, stitch = recorded.head.row_times_s(), progress.stitch
+    if recorded.head.belt_mm is None:
+        way = way_of(line, stitch, times_s)
+    else:
+        way = way_by_encoder(line, recorded.head, recorded.interruptions[0][0])
+    return measure_passage(known, float(times_s[-1]), way, limit_of(progress.order.board_type, line, stitch))
 
-    Args:
-        interruptions: interruptions of the barrier, s since row 0, not empty.
-        end_s: time of the end of the run, up to which an open interruption is known to last.
-        way: distance that the belt has moved, over time.
-        limit_mm: greatest length of one board in the barrier.
+
+def measure_passage(interruptions: tuple[Interruption, ...], end_s: float, way: PositionMm, limit_mm: float) -> Passage:
+    """Count the boards of a run, by interruptions of the barrier in s since row 0; one at least.
+
+    `end_s` is the end of the run, up to which an open interruption is known to last; `limit_mm` the greatest length of
+    one board in the barrier.
     """
     spans = [(way(b), way(max(end_s, b) if c is None else c)) for b, c in interruptions]
     boards, leading, start_mm = 0, [], -math.inf
@@ -245,12 +214,9 @@ def measure_passage(interruptions: tuple[Interruption, ...], end_s: float, way: 
 
 
 def limit_of(board_type: BoardType, line: Line, stitch: Stitch | None) -> float:
-    """Return the greatest length that one board, or its carrier, has in the barrier, in mm.
+    """Return the greatest length, mm, that one board or its carrier has in the barrier.
 
-    Args:
-        board_type: gives the extent of the board.
-        line: direction of the motion, expected rotation, carrier.
-        stitch: the result, which gives the rotation on the belt; None to use the expected rotation.
+    The result gives the rotation on the belt; without one it is the expected rotation.
     """
     low, high = board_type.extent()
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
@@ -266,13 +232,7 @@ def limit_of(board_type: BoardType, line: Line, stitch: Stitch | None) -> float:
 
 
 def way_of(line: Line, stitch: Stitch | None, times_s: Floats) -> PositionMm:
-    """Return the belt's distance over time: as measured from the pictures; without a result, at the nominal speed.
-
-    Args:
-        line: nominal velocity.
-        stitch: the result with the motion of every row.
-        times_s: times of the rows, (rows,), s since row 0.
-    """
+    """Return the belt's distance over time: as measured from the pictures; without a result, at the nominal speed."""
     nominal_mm_s = line.speed_mm_s
     if stitch is None or len(stitch.row_motion) < 2 or len(stitch.row_motion) != len(times_s):
         return lambda time_s: nominal_mm_s * time_s
@@ -291,10 +251,7 @@ def way_of(line: Line, stitch: Stitch | None, times_s: Floats) -> PositionMm:
 def way_by_encoder(line: Line, head: RecordingHead, edge_s: float) -> PositionMm:
     """Return the belt's distance over time by its encoder, whatever the belt's speed was and however long it stood.
 
-    Args:
-        line: nominal velocity; the distance from the edge of the barrier to row 0.
-        head: times of the rows, and the belt's way at each.
-        edge_s: time at which the run began by an interruption of the barrier, s since row 0.
+    `edge_s`, since row 0, is the time at which the run began by an interruption of the barrier.
     """
     times_s, ways_mm = list(head.row_times_s()), list(head.belt_mm or ())
     row_mm = line.trigger_period_s * line.speed_mm_s
@@ -313,13 +270,7 @@ def way_by_encoder(line: Line, head: RecordingHead, edge_s: float) -> PositionMm
 def way_of_edges(
     line: Line, interruptions: tuple[Interruption, ...], ways_mm: tuple[Interruption, ...] | None
 ) -> PositionMm:
-    """Return the belt's distance over time by the encoder at each edge; without an encoder, at the nominal speed.
-
-    Args:
-        line: nominal velocity.
-        interruptions: interruptions of the barrier.
-        ways_mm: the belt's way at the edges of each of them.
-    """
+    """Return the belt's distance over time by the encoder at each edge; without an encoder, at the nominal speed."""
     if ways_mm is None:
         return lambda time_s: line.speed_mm_s * time_s
     edges = zip(itertools.chain(*interruptions), itertools.chain(*ways_mm), strict=True)
@@ -331,13 +282,6 @@ def way_of_edges(
 def _direction(line: Line) -> Floats:
     velocity = np.array(line.conveyor_mm_s)
     return np.asarray(velocity / np.hypot(*velocity))
-
-
-class TriggerChanges(NamedTuple):
-    """The warnings that begin with a run, and the names of the cameras whose warnings end with it."""
-
-    begun: tuple[Reason, ...]
-    ended: tuple[str, ...]
 
 
 class TriggerWatch:
@@ -355,26 +299,24 @@ class TriggerWatch:
         """Return one warning for each camera whose frames were in doubt in the newest run that it took part in."""
         return tuple(self._warnings[camera] for camera in sorted(self._warnings))
 
-    def add(self, report: RunFinished) -> TriggerChanges:
-        """Update the warnings with the proof of a finished run."""
-        if report.proof is None:
-            return TriggerChanges((), ())
+    def add(self, report: RunFinished) -> tuple[list[Reason], list[str]]:
+        """Add a run; return the warnings that begin with it, and the names of the cameras whose warnings end."""
+        begun: list[Reason] = []
+        ended: list[str] = []
         found: dict[int, TriggerFinding] = {}
         for finding in doubtful(report.proof):
             found.setdefault(finding.camera, finding)
-        begun, ended = [], []
-        for proof in report.proof.cameras:
-            camera, before = proof.camera, self._warnings.pop(proof.camera, None)
-            if camera in found:
-                self._warnings[camera] = self._warning(report.run, found[camera])
-                if before is None or before.code != self._warnings[camera].code:
-                    begun.append(self._warnings[camera])
+        for proof in report.proof.cameras if report.proof is not None else ():
+            before = self._warnings.get(proof.camera)
+            if proof.camera in found:
+                warning = self._warnings[proof.camera] = self._warning(report.run, found[proof.camera])
+                if before is None or before.code != warning.code:
+                    begun.append(warning)
+            # A run without a frame of the camera shows nothing new about its trigger.
             elif before is not None and proof.frames:
-                ended.append(self._names[camera])
-            elif before is not None:
-                # A run without a frame of the camera shows nothing new about its trigger.
-                self._warnings[camera] = before
-        return TriggerChanges(tuple(begun), tuple(ended))
+                del self._warnings[proof.camera]
+                ended.append(self._names[proof.camera])
+        return begun, ended
 
     def _warning(self, run: str, finding: TriggerFinding) -> Reason:
         where = self._names[finding.camera] + ("" if finding.row is None else f", row {finding.row}")

@@ -68,17 +68,16 @@ class Inbox:
         if self._closed.is_set():
             raise _stopping()
         self._messages.put(do)
-        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s if timeout_s is not None else float("inf")
         while True:
-            left_s = None if deadline_s is None else deadline_s - time.monotonic()
             try:
                 # Wait in steps of 1 s, and check for the end of the thread after each: if close() ran just before the
                 # put above, the message is never executed and no answer comes.
-                return answer.result(1.0 if left_s is None else min(max(left_s, 0.0), 1.0))
+                return answer.result(min(max(deadline_s - time.monotonic(), 0.0), 1.0))
             except TimeoutError:
                 if self._closed.is_set() and not answer.done():
                     raise _stopping() from None
-                if deadline_s is not None and time.monotonic() >= deadline_s:
+                if time.monotonic() >= deadline_s:
                     raise
 
     def close(self) -> None:

@@ -14,14 +14,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, GoneError
 from vaoi_station.model import Reason
-from vaoi_station.runs.states.schemas import BayStatus
+from vaoi_station.runs.states.schemas import BayStatus, LeaseStatus
 from vaoi_station.supervised_thread import SupervisedThread
 
 Use = Literal["free", "granted", "filming", "stitching", "finished"]
@@ -48,79 +48,7 @@ class Lease:
     expires_s: float
 
     def __str__(self) -> str:
-        """Return the holder for messages, with the purpose if one was stated."""
         return f"{self.holder} ({self.purpose})" if self.purpose else self.holder
-
-
-class Leases:
-    """The leases of all runs. A lease that is not renewed expires, so that a crashed holder cannot block the line."""
-
-    def __init__(self, lease_s: float, clock: Callable[[], float] = time.monotonic) -> None:
-        self.lease_s = lease_s
-        self._clock = clock
-        self._leases: dict[tuple[str, str], Lease] = {}
-
-    def take(self, run: str, holder: str, purpose: str) -> Lease:
-        """Begin or renew a lease; `BusyError` if the run has `MAX_HOLDERS` other holders."""
-        others = [lease.holder for lease in self.of_callers(run) if lease.holder != holder]
-        if len(others) >= MAX_HOLDERS and not holder.startswith(OWN):
-            raise BusyError(
-                f"Run {run} has {len(others)} holders, which is the limit: {', '.join(others[:3])} …",
-                action="Renew a hold under the name it was taken by, and end those that are not needed.",
-                code="too-many-holders",
-            )
-        lease = Lease(run, holder, purpose, self._clock() + self.lease_s)
-        # An earlier lease of the same holder is replaced: a renewal does not add a second lease.
-        self._leases[run, holder] = lease
-        return lease
-
-    def end(self, run: str, holder: str) -> None:
-        """End the lease of a holder. Nothing happens if there is no such lease."""
-        self._leases.pop((run, holder), None)
-
-    def end_all(self, run: str) -> None:
-        """End all leases of a run whose memory is given up."""
-        self._leases = {key: lease for key, lease in self._leases.items() if lease.run != run}
-
-    def of(self, run: str) -> tuple[Lease, ...]:
-        """Return the leases of one run that have not expired."""
-        return tuple(lease for lease in self.all() if lease.run == run)
-
-    def of_callers(self, run: str) -> tuple[Lease, ...]:
-        """Return the leases of one run that callers hold, without the short ones of the station itself."""
-        return tuple(lease for lease in self.of(run) if not lease.holder.startswith(OWN))
-
-    def all(self) -> tuple[Lease, ...]:
-        """Return all leases that have not expired, sorted by the age of their runs, oldest first."""
-        now = self._clock()
-        return tuple(sorted((le for le in self._leases.values() if le.expires_s > now), key=lambda le: le.run))
-
-    def expire(self) -> tuple[Lease, ...]:
-        """Remove the leases that have expired, and return them."""
-        now = self._clock()
-        # An expired lease has no effect even before this call, because `all` skips it.
-        over = tuple(lease for lease in self._leases.values() if lease.expires_s <= now)
-        for lease in over:
-            del self._leases[lease.run, lease.holder]
-        return over
-
-    def remaining_s(self, lease: Lease) -> float:
-        """Return the time until a lease expires; 0 if it has expired."""
-        return max(0.0, lease.expires_s - self._clock())
-
-
-class BayRing(Protocol):
-    """The ring."""
-
-    def renew(self, bay: int) -> int:
-        """Raise the generation of a bay, and return it."""
-
-
-class Blackening(Protocol):
-    """The ring."""
-
-    def blacken(self, bay: int) -> None:
-        """Set all pixels of a bay to zero."""
 
 
 @dataclass(frozen=True)
@@ -150,8 +78,7 @@ class FrameSource(Protocol):
         """Return a function that copies the frame in a slot; it raises GoneError once the bay has another run."""
 
 
-@dataclass(frozen=True)
-class GrantedBay:
+class GrantedBay(NamedTuple):
     """A bay that was granted to a coming run, and the run that was evicted for it (None if the bay was free)."""
 
     bay: Bay
@@ -159,18 +86,75 @@ class GrantedBay:
 
 
 class Memory:
-    """The bays of the ring and the runs that use them. Used by the coordinator's thread only."""
+    """The bays, the runs that use them, and their leases. Used by the coordinator's thread only.
 
-    def __init__(self, ring: BayRing, bays: int, leases: Leases, clock: Callable[[], float] = time.monotonic) -> None:
-        self._ring = ring
-        self._leases = leases
-        self._clock = clock
+    A lease that is not renewed expires, so that a crashed holder cannot block the line.
+    """
+
+    def __init__(
+        self, renew: Callable[[int], int], bays: int, lease_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Begin with free bays; `renew` raises the generation of a bay and returns it."""
+        self._renew, self.lease_s, self._clock = renew, lease_s, clock
         self._bays = [Bay(k) for k in range(bays)]
+        self._leases: dict[tuple[str, str], Lease] = {}
         self._finished = 0
+
+    # --- leases
+
+    def lease(self, run: str, holder: str, purpose: str) -> Lease:
+        """Begin or renew a lease; `BusyError` if the run has `MAX_HOLDERS` other holders."""
+        others = [lease.holder for lease in self.leases_of_callers(run) if lease.holder != holder]
+        if len(others) >= MAX_HOLDERS and not holder.startswith(OWN):
+            raise BusyError(
+                f"Run {run} has {len(others)} holders, which is the limit: {', '.join(others[:3])} …",
+                action="Renew a hold under the name it was taken by, and end those that are not needed.",
+                code="too-many-holders",
+            )
+        self._leases[run, holder] = Lease(run, holder, purpose, self._clock() + self.lease_s)
+        return self._leases[run, holder]
+
+    def end_lease(self, run: str, holder: str) -> None:
+        """End the lease of a holder. Nothing happens if there is no such lease."""
+        self._leases.pop((run, holder), None)
+
+    def leases(self) -> tuple[LeaseStatus, ...]:
+        """Return the leases that have not expired, by the age of their runs, for `GET station` and the page."""
+        present = sorted(self._present(), key=lambda lease: lease.run)
+        return tuple(
+            LeaseStatus(run=le.run, holder=le.holder, purpose=le.purpose, expires_in_s=self.remaining_s(le))
+            for le in present
+        )
+
+    def leases_of_callers(self, run: str | None) -> tuple[Lease, ...]:
+        """Return the leases of one run that callers hold, without the short ones of the station itself."""
+        return tuple(lease for lease in self._present(run) if not lease.holder.startswith(OWN))
+
+    def expire(self) -> tuple[Lease, ...]:
+        """Remove the leases that have expired, and return them; they had no effect any more."""
+        over = tuple(lease for lease in self._leases.values() if lease.expires_s <= self._clock())
+        for lease in over:
+            self.end_lease(lease.run, lease.holder)
+        return over
+
+    def remaining_s(self, lease: Lease) -> float:
+        """Return the time until a lease expires; 0 if it has expired."""
+        return max(0.0, lease.expires_s - self._clock())
+
+    def _present(self, run: str | None = None) -> list[Lease]:
+        now_s = self._clock()
+        return [le for le in self._leases.values() if le.expires_s > now_s and run in (None, le.run)]
+
+    # --- bays
 
     def grant(self, run: str) -> GrantedBay:
         """Grant a bay to a coming run; `BusyError`, which names the use of every bay, if none is available."""
-        bay = self._next_bay()
+        bay = next((bay for bay in self._bays if bay.use == "free"), None)
+        if bay is None and (idle := self._evictable()):
+            # The order in which runs finished counts, not that in which they began: a run that waited for late frames
+            # has the newer result. Readers notice by the generation that pixels are gone. So a picture that is being
+            # made need not keep a board waiting: a caller that may only read could otherwise stop the line.
+            bay = min(idle, key=lambda b: (bool(self._present(b.run)), b.finished))
         if bay is None:
             raise BusyError(
                 f"The memory for all {len(self._bays)} runs is in use: {self.holders()}.",
@@ -179,25 +163,20 @@ class Memory:
             )
         # The generation is raised, by which readers of the evicted run detect that its pixels are gone. They are set to
         # zero by `BayGrants`, not in this thread.
-        evicted = bay.run
-        granted = Bay(bay.number, "granted", run, self._ring.renew(bay.number))
-        self._bays[bay.number] = granted
-        if evicted is not None:
-            self._leases.end_all(evicted)
-        return GrantedBay(granted, evicted)
+        granted = self._bays[bay.number] = Bay(bay.number, "granted", run, self._renew(bay.number))
+        self._end_leases(bay.run)
+        return GrantedBay(granted, bay.run)
 
     def available(self) -> int:
         """Return the count of bays that could be granted: free ones, and those whose runs may be evicted."""
-        free = sum(bay.use == "free" for bay in self._bays)
-        return free + len(self._evictable())
+        return sum(bay.use == "free" for bay in self._bays) + len(self._evictable())
 
     def use(self, run: str, use: Use) -> Bay:
         """Change the use of a run's bay, and return the bay. Raise GoneError if the run has no bay."""
         bay = self.bay(run)
-        if use == "finished":
-            self._finished += 1
-        self._bays[bay.number] = replace(bay, use=use, finished=self._finished)
-        return self._bays[bay.number]
+        self._finished += use == "finished"
+        changed = self._bays[bay.number] = replace(bay, use=use, finished=self._finished)
+        return changed
 
     def keep(self, run: str, until_s: float) -> None:
         """Record that a finished run was announced, and keep its frames until a host time. No effect without a bay."""
@@ -210,18 +189,18 @@ class Memory:
         for bay in self._bays:
             if bay.run == run:
                 self._bays[bay.number] = Bay(bay.number, generation=bay.generation)
-                self._leases.end_all(run)
+                self._end_leases(run)
 
     def reclaim(self, active: Collection[str]) -> tuple[str, ...]:
         """Free the bays that are filmed or stitched for runs that are not active, and return these runs.
 
         A fault at the end of a run, such as a result that cannot be stored, would otherwise keep its bay for ever.
         """
-        lost = [bay.run for bay in self._bays if bay.use in ("filming", "stitching") and bay.run not in active]
+        used = [bay.run for bay in self._bays if bay.use in ("filming", "stitching") and bay.run is not None]
+        lost = tuple(run for run in used if run not in active)
         for run in lost:
-            if run is not None:
-                self.free(run)
-        return tuple(run for run in lost if run is not None)
+            self.free(run)
+        return lost
 
     def bay(self, run: str) -> Bay:
         """Return the bay of a run. Raise GoneError if the run no longer has a bay."""
@@ -240,7 +219,7 @@ class Memory:
 
     def held(self) -> bool:
         """Return whether a caller holds a finished run, so that its memory is not available for the next board."""
-        return any(bay.use == "finished" and bay.run and self._leases.of_callers(bay.run) for bay in self._bays)
+        return any(bay.use == "finished" and self._held(bay) for bay in self._bays)
 
     def kept(self) -> bool:
         """Return whether a finished run is still kept for the callers to whom it was announced."""
@@ -248,7 +227,7 @@ class Memory:
 
     def warning(self) -> Reason | None:
         """Return a warning if callers hold so much memory that boards have to wait for each other; else None."""
-        left = sum(not (bay.run and self._leases.of_callers(bay.run)) for bay in self._bays)
+        left = sum(not self._held(bay) for bay in self._bays)
         # Boards that follow one another need at least two bays: one is filmed while callers read the one before.
         if left >= min(2, len(self._bays)):
             return None
@@ -267,8 +246,7 @@ class Memory:
         """Return a phrase for messages that names the run and the use of every bay."""
         parts = []
         for bay in self._bays:
-            leases = self._leases.of_callers(bay.run) if bay.run else ()
-            who = ", ".join(map(str, leases))
+            who = ", ".join(map(str, self.leases_of_callers(bay.run))) if bay.run else ""
             parts.append(f"run {bay.run} is {f'held by {who}' if who else self._in_words(bay)}")
         return "; ".join(parts)
 
@@ -287,32 +265,22 @@ class Memory:
             return "Release a run, or wait until it is no longer kept; increase [ring] runs or lower [ring] keep_s."
         return "Wait until a run is stitched; increase [ring] runs or workers to avoid this."
 
-    def _next_bay(self) -> Bay | None:
-        free = [bay for bay in self._bays if bay.use == "free"]
-        if free:
-            return free[0]
-        idle = self._evictable()
-        return min(idle, key=lambda found: found[:2])[2] if idle else None
+    def _held(self, bay: Bay) -> bool:
+        return bay.run is not None and bool(self.leases_of_callers(bay.run))
 
-    def _evictable(self) -> list[tuple[bool, int, Bay]]:
-        """Return the bays of runs that may be evicted, as (whether a picture is being made, rank, bay)."""
-        # The order in which runs finished counts, not the order in which they began: a run that waited for late frames
-        # has the newer result.
+    def _end_leases(self, run: str | None) -> None:
+        self._leases = {key: lease for key, lease in self._leases.items() if lease.run != run}
+
+    def _evictable(self) -> list[Bay]:
         now_s = self._clock()
-        # Readers notice by the generation that pixels are gone. So a picture that is being made need not keep a board
-        # waiting: a caller that may only read could otherwise stop the line with pictures of every run.
-        return [
-            (bool(self._leases.of(b.run)), b.finished, b)
-            for b in self._bays
-            if b.use == "finished" and b.run and b.kept_until_s <= now_s and not self._leases.of_callers(b.run)
-        ]
+        return [b for b in self._bays if b.use == "finished" and b.kept_until_s <= now_s and not self._held(b)]
 
 
 class Commands(Protocol):
-    """The link to the acquisition process."""
+    """Takes commands for the acquisition process."""
 
     def send(self, command: messages.Command) -> None:
-        """Send a command to the acquisition process, without waiting for its effect."""
+        """Send a command, without waiting for its effect."""
 
 
 class BayGrants:
@@ -323,8 +291,9 @@ class BayGrants:
     it may be free for long: a camera that was late may still write to a slot of a run that is over (`SlotQueue`).
     """
 
-    def __init__(self, ring: Blackening, link: Commands) -> None:
-        self._ring, self._link = ring, link
+    def __init__(self, blacken: Callable[[int], object], link: Commands) -> None:
+        """Prepare the thread; `blacken` sets all pixels of a bay to zero."""
+        self._blacken, self._link = blacken, link
         self._changed = threading.Condition()
         self._waiting: deque[messages.Command] = deque()
         """Commands in their order. The first stays here until it was sent."""
@@ -362,7 +331,7 @@ class BayGrants:
     def _run(self) -> None:
         while (command := self._next()) is not None:
             if (bay := _bay(command)) is not None:
-                self._ring.blacken(bay)
+                self._blacken(bay)
             with self._changed:
                 # It was given up meanwhile if it is not the first one any more.
                 if self._waiting and self._waiting[0] is command:

@@ -28,6 +28,7 @@ from vaoi_station.store import Store
 from vaoi_station.store.documents import KeyedTexts
 
 _KEY = "armed"
+_NEVER_S = float("-inf")
 _MOST_FORMER = 16
 """Number of former orders that are kept for boards that have interrupted the barrier, but have no pulse yet."""
 Passing = Literal["wait", "after", "refuse"]
@@ -82,19 +83,17 @@ class Order:
         )
 
 
-class Doubt(NamedTuple):
+class _Doubt(NamedTuple):
     """A board that may have passed without a run."""
 
     edge_s: float
-    """Host time at which the board interrupted the barrier.
-
-    If that time is not known, it is the earliest time at which the board may have done so."""
+    """Host time at which the board interrupted the barrier; if it is not known, the earliest possible one."""
     published_s: float
     """Host time at which callers could first know of the board."""
     why: str
 
 
-class FormerOrder(NamedTuple):
+class _FormerOrder(NamedTuple):
     """An order that was in force before the present one; None: no order was in force."""
 
     order: Order | None
@@ -105,38 +104,38 @@ class FormerOrder(NamedTuple):
 class Orders:
     """The order in force, and those before it, which still apply to boards at the barrier before the change.
 
-    `runs_left` is the number of boards still to be filmed (None: no limit). `since_s` is the time since which the order
-    is in force, by time.monotonic().
+    Times are host times by time.monotonic().
     """
 
     order: Order | None = None
     runs_left: int | None = None
-    since_s: float = field(default=float("-inf"))
-    taken_since_s: float = float("-inf")
+    """Number of boards still to be filmed; None: no limit."""
+    since_s: float = _NEVER_S
+    taken_since_s: float = _NEVER_S
     """Time since which the order that was taken last has been in force."""
     resumed: bool = False
     """Whether the order was in force before a restart of the station, and no caller has armed since."""
-    _former: deque[FormerOrder] = field(default_factory=lambda: deque(maxlen=_MOST_FORMER))
+    _former: deque[_FormerOrder] = field(default_factory=lambda: deque(maxlen=_MOST_FORMER))
     """From the oldest to the newest, those that a board may still need whose first pulse was not fired yet."""
-    _edge_s: float = float("-inf")
+    _edge_s: float = _NEVER_S
     """Time at which the latest board that has a run interrupted the barrier."""
-    _doubts: deque[Doubt] = field(default_factory=lambda: deque(maxlen=64))
+    _doubts: deque[_Doubt] = field(default_factory=lambda: deque(maxlen=64))
 
     def accept(self, order: Order, runs: int | None, now_s: float) -> None:
         """Put an order in force for the boards that interrupt the barrier after `now_s`; `runs` limits their number."""
-        self._put_aside()
+        self._former.append(_FormerOrder(self.order, self.since_s))
         self.order, self.runs_left, self.since_s, self.resumed = order, runs, now_s, False
 
     def take(self, barrier_s: float) -> Order | None:
         """Return the order of a board that interrupted the barrier at `barrier_s`, and count the board."""
         self._edge_s = max(self._edge_s, barrier_s)
         # The time at the barrier decides: until the first pulse, orders may be accepted that are for later boards.
-        every = [*self._former, FormerOrder(self.order, self.since_s)]
+        every = [*self._former, _FormerOrder(self.order, self.since_s)]
         latest = max((n for n, one in enumerate(every) if one.since_s <= barrier_s), default=0)
         # A board that came while no order was in force belongs to the order before, else to the next one.
         found = next((n for n in (*range(latest, -1, -1), *range(latest, len(every))) if every[n].order), latest)
         if len(self._former) == _MOST_FORMER and barrier_s < every[0].since_s:
-            self.doubt(float("-inf"), every[found].since_s, "more orders were given while it waited than are kept")
+            self.doubt(_NEVER_S, every[found].since_s, "more orders were given while it waited than are kept")
         # Boards come in the order of their edges: no later one needs the orders before this one.
         for _ in range(found):
             self._former.popleft()
@@ -149,12 +148,8 @@ class Orders:
     def cancel(self, now_s: float) -> None:
         """End the order in force. A board that interrupted the barrier before `now_s` keeps the order."""
         if self.order is not None:
-            self._put_aside()
+            self._former.append(_FormerOrder(self.order, self.since_s))
             self.order, self.runs_left, self.since_s = None, None, now_s
-
-    def _put_aside(self) -> None:
-        """Keep the present order for boards that interrupted the barrier while it was in force."""
-        self._former.append(FormerOrder(self.order, self.since_s))
 
     def doubt_since_last(self, now_s: float, why: str) -> None:
         """Record that boards may have passed without a run since the latest board that has one, until now.
@@ -165,17 +160,10 @@ class Orders:
 
     def doubt(self, edge_s: float, published_s: float, why: str) -> None:
         """Record that a board may have passed without a run, and when callers could first know of it."""
-        self._doubts.append(Doubt(edge_s, published_s, why))
+        self._doubts.append(_Doubt(edge_s, published_s, why))
 
     def doubt_of(self, since_s: float, barrier_s: float) -> str | None:
-        """Return the cause if an order's board id may belong to another board than the given one.
-
-        None if it is certain.
-
-        Args:
-            since_s: time since which the order was in force.
-            barrier_s: time at which the board met the barrier.
-        """
+        """Return why the id of an order may belong to another board than the one at `barrier_s`; None if certain."""
         # An order counts boards from the time at which it was accepted, or until which its caller knew all missed
         # boards. A board that passed unnoticed may have been the one for which the order was given.
         why = (d.why for d in reversed(self._doubts) if d.edge_s < barrier_s and since_s <= d.published_s)
@@ -183,10 +171,7 @@ class Orders:
 
     @property
     def present_doubt(self) -> str | None:
-        """Return the cause if the armed board id may belong to another board than the next.
-
-        None if it is certain, or none is armed.
-        """
+        """Why the armed board id may belong to another board than the next; None if certain, or none is armed."""
         if self.order is None or self.order.board_id is None:
             return None
         return self.doubt_of(self.since_s, float("inf"))
@@ -221,26 +206,17 @@ class OrderFactory:
         references: ReferenceStore,
         lights: tuple[str, ...] = (),
     ) -> None:
-        """Prepare the parts that all orders of a station share.
-
-        Args:
-            config: the station.
-            calibration: the calibration in force.
-            store: keeps the documents that runs refer to.
-            references: references and methods of the board types.
-            lights: names of the lights of the rows without a light program, in turn; empty if they are not known.
-        """
+        """Prepare orders; `lights` are those of rows without a light program, in turn; empty if not known."""
         self._config, self._lights = config, lights
         self._store, self._references = store, references
-        self._cameras = calibration.cameras(tuple(camera.head for camera in config.cameras))
+        self._cameras = calibration.cameras(config.heads)
         self._calibration_digest = store.keep_document("calibration", calibration.model_dump_json(), utc())
 
     def __call__(self, board_type: BoardType, board_id: str | None, job_id: str | None) -> Order:
         """Make the order for a board type.
 
         Raises:
-            InputError: the board type has too few fiducials to be placed, or its light program, speed or lengths do not
-                fit the station.
+            InputError: the board type cannot be placed, or its lights, speed or lengths do not fit the station.
             StateError: the board type is retired, or the method needs a reference that is missing or unusable.
         """
         if board_type.state == "retired":
@@ -269,20 +245,18 @@ class OrderFactory:
         )
         # Packed here, in the thread of the caller who arms, and not when the first board is filmed.
         _ = setup.packed
-        # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
-        digest = self._store.keep_document("board-type", board_type.model_dump_json(), utc())
-        present = self._store.configurations.present
         order = Order(
             board_type=board_type,
             board_id=board_id,
             job_id=job_id,
             setup=setup,
-            board_type_digest=digest,
+            # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
+            board_type_digest=self._store.keep_document("board-type", board_type.model_dump_json(), utc()),
             calibration_digest=self._calibration_digest,
             filmed_digest=board_type.filmed_digest(),
             reference=reference,
             notes=notes,
-            configuration_digest=present,
+            configuration_digest=self._store.configurations.present,
             plan=plan,
             line=line,
         )
@@ -291,11 +265,7 @@ class OrderFactory:
     def _reference(
         self, board_type: BoardType, method: MethodName
     ) -> tuple[StoredReference | None, tuple[Reason, ...]]:
-        """Return the reference of a board type, and reasons that its runs must show.
-
-        Without a usable reference, the first value is None. If there is a reference that is not usable, a reason says
-        why. If the method needs a reference, `StateError` is raised in both cases.
-        """
+        """Return the reference of a board type, or None and why it is not usable; `StateError` if it is needed."""
         if not METHODS[method].reference:
             return None, ()
         try:
@@ -328,7 +298,7 @@ class _Armed(BaseModel):
 
 @dataclass(frozen=True)
 class Resumed:
-    """The order that was in force before a restart, ready to be armed again, or the reason why it cannot be."""
+    """The order that was in force before a restart, ready to be armed again, or why it cannot be."""
 
     order: Order | None
     runs: int | None
@@ -367,15 +337,12 @@ class StandingOrder:
         try:
             armed = _Armed.model_validate_json(document)
             order = make_order(get_board_type(armed.board_type), armed.board_id, armed.job_id)
-        except ValidationError:
-            return Resumed(None, None, _fault("the order cannot be read", "Arm the line."))
-        except VaoiError as error:
-            return Resumed(None, None, _fault(error.message, f"{error.action} Then arm the line.".strip()))
+        except (ValidationError, VaoiError) as error:
+            why, action = "the order cannot be read", "Arm the line."
+            if isinstance(error, VaoiError):
+                why, action = error.message, f"{error.action} Then arm the line.".strip()
+            message = f"The line was armed before the restart and is not armed now: {why}"
+            return Resumed(None, None, Reason(code="not-armed-again", message=message, action=action))
         if armed.runs == 0:
             return None
         return Resumed(replace(order, despite_lost_cameras=armed.allow_lost_cameras), armed.runs)
-
-
-def _fault(why: str, action: str) -> Reason:
-    message = f"The line was armed before the restart and is not armed now: {why}"
-    return Reason(code="not-armed-again", message=message, action=action)

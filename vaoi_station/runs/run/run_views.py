@@ -18,7 +18,6 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.verdict import conclude
 from vaoi_station.runs.states.run_ids import utc, utc_of_host
 from vaoi_station.runs.states.schemas import (
-    BarrierTiming,
     BeltSpeed,
     Interruption,
     MadeWith,
@@ -32,6 +31,7 @@ from vaoi_station.runs.states.schemas import (
     Versions,
 )
 from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
+from vaoi_station.runs.workers.run_owner import Stitched
 from vaoi_station.stitching.expectation import StitchTerms
 from vaoi_station.version import __version__
 
@@ -44,10 +44,10 @@ def versions() -> Versions:
 
 def detail_of(progress: Progress) -> RunDetail:
     """Build the document of a run, which contains everything except its matrices."""
-    order, recorded = progress.order, progress.recorded
+    order, recorded, stitch = progress.order, progress.recorded, progress.stitch
     frames = tuple(progress.frames[key] for key in sorted(progress.frames))
-    verdicts = [frame.verdict for frame in frames]
-    finished, verdict = progress.state in FINISHED, conclude(progress)
+    verdicts, verdict = [frame.verdict for frame in frames], conclude(progress)
+    unseen = stitch.quality.get("unseen", {}) if stitch else {}
     return RunDetail(
         id=progress.run,
         board_type=order.board_type.name,
@@ -56,7 +56,7 @@ def detail_of(progress: Progress) -> RunDetail:
         state=progress.state,
         verdict=verdict.status,
         started=utc_of_host(progress.barrier_s),
-        finished=utc() if finished else None,
+        finished=utc() if progress.state in FINISHED else None,
         rows=recorded.head.rows if recorded else 1 + max(progress.pulses, default=-1),
         cameras=len(order.setup.cameras),
         counts=VerdictCounts(
@@ -71,24 +71,21 @@ def detail_of(progress: Progress) -> RunDetail:
         frames_available=progress.state in IN_MEMORY,
         frames=frames,
         ended=recorded.reason if recorded else "",
-        interruptions=tuple(Interruption(blocked_s=b, clear_s=c) for b, c in recorded.interruptions)
-        if recorded
-        else (),
+        interruptions=_interruptions(recorded.interruptions) if recorded else (),
         strays=recorded.unassigned if recorded else 0,
         proof=recorded.proof if recorded else None,
         software=versions(),
         calibration=order.calibration_digest,
-        made_with=made_with(order),
+        made_with=_made_with(order),
         bay=progress.context.bay,
         generation=progress.context.generation,
-        unseen=unseen_of(progress.stitch),
-        skipped_boards=(progress.stitch.skipped_boards or ()) if progress.stitch else (),
+        unseen=tuple(Unseen(address=address, **figures) for address, figures in unseen.items()),
+        skipped_boards=(stitch.skipped_boards or ()) if stitch else (),
         stored=False,  # Set by the archive, which has this information.
     )
 
 
-def made_with(order: Order) -> MadeWith:
-    """Return the documents with which the runs of an order are made, and the present state of the clock."""
+def _made_with(order: Order) -> MadeWith:
     clock, reference, setup = clock_state(), order.reference, order.setup
     return MadeWith(
         configuration=order.configuration_digest,
@@ -106,12 +103,6 @@ def made_with(order: Order) -> MadeWith:
     )
 
 
-def unseen_of(stitch: Stitch | None) -> tuple[Unseen, ...]:
-    """Return the components that the good frames show too little of, from the quality figures of a result."""
-    found = stitch.quality.get("unseen", {}) if stitch else {}
-    return tuple(Unseen(address=address, **figures) for address, figures in found.items())
-
-
 def summary_of(detail: RunDetail) -> RunSummary:
     """Return the summary of a run: a part of the fields of its document."""
     return RunSummary(**{key: getattr(detail, key) for key in RunSummary.model_fields})
@@ -119,26 +110,27 @@ def summary_of(detail: RunDetail) -> RunSummary:
 
 def timeline_of(progress: Progress) -> Timeline:
     """Build the timeline of a run. Its times are in seconds since the board interrupted the barrier."""
-    zero = progress.barrier_s
-    rows, barrier = _controller_times(progress)
+    zero, recorded, stitched = progress.barrier_s, progress.recorded, progress.stitched or Stitched(None)
+    of_barrier = recorded.interruptions if recorded else ()
     return Timeline(
-        frames_settled_s=tuple((*key, at - zero) for key, at in sorted(progress.settled_s.items())),
-        tasks=tuple(progress.timings),
-        last_frame_s=(progress.recorded.last_frame_host_s if progress.recorded else zero) - zero,
-        ready_s=None if progress.ready_s is None else progress.ready_s - zero,
-        rows=rows,
-        barrier=barrier,
+        frames_settled_s=tuple((*key, at - zero) for key, at in sorted(progress.owner.settled_s.items())),
+        tasks=stitched.timings,
+        last_frame_s=(recorded.last_frame_host_s if recorded else zero) - zero,
+        ready_s=None if stitched.ready_s is None else stitched.ready_s - zero,
+        rows=_row_timings(progress, of_barrier[0][0]) if of_barrier else (),
+        barrier=_interruptions(of_barrier, of_barrier[0][0]) if of_barrier else (),
     )
 
 
-def _controller_times(progress: Progress) -> tuple[tuple[RowTiming, ...], tuple[BarrierTiming, ...]]:
-    """Return pulses and interruptions of a run since its first interruption; none if that was not reported."""
-    recorded, plan = progress.recorded, progress.order.plan
-    if recorded is None or not recorded.interruptions:
-        return (), ()
-    head, zero = recorded.head, recorded.interruptions[0][0]
+def _interruptions(times_s: tuple[tuple[float, float | None], ...], zero: float = 0.0) -> tuple[Interruption, ...]:
+    return tuple(Interruption(blocked_s=b - zero, clear_s=None if c is None else c - zero) for b, c in times_s)
+
+
+def _row_timings(progress: Progress, zero: float) -> tuple[RowTiming, ...]:
+    """Return pulse and light of every row; `zero` is the first interruption of the barrier."""
+    head, plan, rows = progress.head, progress.order.plan, []
+    assert head is not None, "there are interruptions"
     times_s = head.row_times_s()
-    rows = []
     for row, time_s in enumerate(times_s.tolist()):
         step = row_of(plan.program, row) if plan is not None else None
         shutters = (
@@ -153,20 +145,13 @@ def _controller_times(progress: Progress) -> tuple[tuple[RowTiming, ...], tuple[
                 exposure_us=max(shutters),
             )
         )
-    barrier = tuple(
-        BarrierTiming(blocked_s=b - zero, clear_s=None if c is None else c - zero) for b, c in recorded.interruptions
-    )
-    return tuple(rows), barrier
+    return tuple(rows)
 
 
 def belt_speed(stitch: Stitch, times_s: Floats, nominal_mm_s: tuple[float, float], about_mm: Floats) -> BeltSpeed:
-    """Estimate the belt speed: fit a constant velocity to the positions of one point of the board, one per row.
+    """Fit a constant velocity to the positions of one point of the board, one per row.
 
-    Args:
-        stitch: result with the row motions.
-        times_s: times of the rows, (rows,), as `RecordingHead.motion_times_s` gives them.
-        nominal_mm_s: nominal velocity of the belt.
-        about_mm: position of the point in row 0, (2,), tester coordinates.
+    `times_s` are those of `RecordingHead.motion_times_s`; `about_mm` is the point in row 0, (2,), tester coordinates.
     """
     positions_mm = np.array([apply(m, about_mm) for m in stitch.row_motion])
     # With centred times, the slope of the fitted line does not depend on its offset: two sums replace a solver.
@@ -194,12 +179,12 @@ def _belt(progress: Progress) -> BeltSpeed | None:
 def _timings(progress: Progress) -> Timings | None:
     if progress.recorded is None:
         return None
-    last_s, ready_s = progress.recorded.last_frame_host_s, progress.ready_s
+    last_s, done = progress.recorded.last_frame_host_s, progress.stitched or Stitched(None)
     return Timings(
         filming_s=last_s - progress.barrier_s,
-        ready_after_last_frame_ms=None if ready_s is None else (ready_s - last_s) * 1e3,
-        links_ms=sum(t.worker_ms for t in progress.timings),
-        conclude_ms=progress.conclude_ms,
-        links=len(progress.timings),
-        links_while_filming=sum(t.done_s + progress.barrier_s < last_s for t in progress.timings),
+        ready_after_last_frame_ms=None if done.ready_s is None else (done.ready_s - last_s) * 1e3,
+        links_ms=sum(t.worker_ms for t in done.timings),
+        conclude_ms=done.conclude_ms,
+        links=len(done.timings),
+        links_while_filming=sum(t.done_s + progress.barrier_s < last_s for t in done.timings),
     )

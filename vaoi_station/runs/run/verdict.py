@@ -23,10 +23,9 @@ D = TypeVar("D", bound=RunSummary)
 
 
 class RunVerdict(NamedTuple):
-    """The verdict of a run with its reasons, and notes that do not lower it."""
+    """The verdict of a run, None while there is no result, with its reasons and notes that do not lower it."""
 
     status: Status | None
-    """None while there is no result."""
     reasons: tuple[Reason, ...]
 
 
@@ -37,13 +36,9 @@ def decide_verdict(
     doubted: bool = False,
     identity: IdentityDocument | None = None,
 ) -> RunVerdict:
-    """Decide the verdict of a run that has ended.
+    """Decide the verdict of a run that has ended, from that of its result (None: it has none).
 
-    Args:
-        result: verdict of its result, or of the run before its identity was known; None: it has no result.
-        reasons: what is known of result, frames, faults and doubts.
-        doubted: whether faults of the line, or doubts about its frames, are among the reasons.
-        identity: which board it shows; None: not known, or not asked for.
+    `doubted`: whether faults of the line, or doubts about its frames, are among the reasons.
     """
     against = identity.degrading if identity is not None else ()
     status = Status.FAILED if result is None else result
@@ -62,10 +57,7 @@ def conclude(progress: Progress) -> RunVerdict:
 
 
 def identified(document: D, before: RunVerdict, identity: IdentityDocument | None) -> D:
-    """Return the document of a run with the verdict that the identity of its board leaves.
-
-    `before` is the verdict without the identity. A run without identity stays as it is.
-    """
+    """Return the document of a run with the verdict that the identity of its board leaves; `before` is without it."""
     if identity is None:
         return document
     verdict = before if before.status is None else decide_verdict(before.status, before.reasons, identity=identity)
@@ -83,7 +75,7 @@ def with_faults(result: Concluded, faults: list[Reason]) -> Concluded:
         return result
     whole = Stitch.model_validate_json(result.document)
     changes = {
-        "status": decide_verdict(whole.status, (), doubted=True).status,
+        "status": Status.DEGRADED,
         "reasons": (*whole.reasons, *(fault.message for fault in faults)),
         "reason_codes": (*whole.reason_codes, *(fault.code for fault in faults)),
     }
@@ -91,7 +83,7 @@ def with_faults(result: Concluded, faults: list[Reason]) -> Concluded:
     return Concluded(slim, stitch_text(whole.model_copy(update=changes)))
 
 
-def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
+def _trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
     """Yield a reason for each finding of the trigger proof that is a doubt; others only explain missing frames."""
     for f in doubtful(proof):
         where = f"Camera {f.camera}" if f.row is None else f"Camera {f.camera}, row {f.row}"
@@ -102,7 +94,6 @@ def trigger_reasons(proof: TriggerProof | None) -> Iterator[Reason]:
 
 
 def _reasons(progress: Progress) -> Iterator[Reason]:
-    """Yield the reasons of a run: of its result, of missing and incomplete frames, of the proof, and its faults."""
     stitch, proof = progress.stitch, progress.recorded.proof if progress.recorded else None
     # Doubts of the proof and faults of the run are reasons of the result too. Here they have codes and actions.
     known = {*doubts_of(proof), *(fault.message for fault in progress.faults)}
@@ -115,5 +106,5 @@ def _reasons(progress: Progress) -> Iterator[Reason]:
     for verdict, cause in sorted({(f.verdict, f.cause) for f in bad}):
         where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))
         yield Reason(code=f"frames-{verdict}", message=f"Frames (camera, row) {where} are {verdict}: {cause}.")
-    yield from trigger_reasons(proof)
+    yield from _trigger_reasons(proof)
     yield from progress.faults

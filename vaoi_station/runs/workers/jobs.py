@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from numpy.typing import NDArray
 
-from vaoi_station.errors import VaoiError
+from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.steps import Steps, completed
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
@@ -22,6 +22,12 @@ from vaoi_station.stitching.work import StitchSetup
 
 ReadSlot = Callable[[int], NDArray[Any]]
 """Function that returns the pixels of a slot of the ring, which are not copied."""
+
+
+class WorkerLostError(InternalError):
+    """A job was given up, because two workers have ended while they performed it."""
+
+    code = "worker-lost"
 
 
 class Priority(IntEnum):
@@ -63,7 +69,6 @@ class LinkJob:
     """Camera of the new frame, by which the worker is chosen: neighbouring cameras share one."""
     tasks: tuple[Task, ...]
     slots: Mapping[FrameKey, int]
-    """Slots of the frames that the tasks read."""
     priority: ClassVar[Priority] = Priority.LINK
 
     @property
@@ -78,14 +83,16 @@ class LinkJob:
 
 @dataclass(frozen=True)
 class ConcludeJob:
-    """Compute the result of a run from its evidence and its frames; the reply's value is a `Concluded`."""
+    """Compute the result of a run from the evidence of `tasks`; the reply's value is a `Concluded`.
+
+    The worker performs the tasks whose evidence was lost with a worker.
+    """
 
     context: RunContext
     head: RecordingHead
     slots: Mapping[FrameKey, int]
     """Slots of the usable frames."""
     tasks: tuple[Task, ...]
-    """The tasks whose evidence the result uses; the worker performs those whose evidence was lost with a worker."""
     priority: ClassVar[Priority] = Priority.CONCLUDE
 
     @property
@@ -103,7 +110,7 @@ class CheckJob:
 
     run: str
     time: str
-    """Time at which the check was requested (UTC); it is stored with the check."""
+    """UTC time of the request; it is stored with the check."""
     board_type: str
     """Digest of the run's board type."""
     calibration: str
@@ -122,7 +129,6 @@ class PictureJob(ABC):
     bay: int
     generation: int
     priority: Priority = field(default=Priority.RENDER, kw_only=True)
-    """`SMALL_RENDER` for a picture that takes no longer than a link."""
     repeatable: ClassVar[bool] = True
     """Whether an idle worker repeats the job when it is overdue."""
     longest_s: ClassVar[float | None] = None
@@ -167,12 +173,11 @@ class Concluded:
 
 @dataclass(frozen=True)
 class Reply:
-    """The outcome of a job: a value or an error."""
+    """The outcome of a job: a value or an error, and the time that the worker took."""
 
     value: Any
     error: VaoiError | None
     worker_s: float
-    """Time that the worker took for the job."""
 
     @classmethod
     def refused(cls, error: VaoiError) -> Reply:
@@ -209,12 +214,12 @@ class OpenRun:
     reference: Path | None = None
     """Directory of the reference that `setup` uses; None if it uses no reference."""
     owned: bool = False
-    """Whether this worker owns the run: it takes over the evidence of the others at once, and concludes the run."""
+    """Whether this worker will conclude the run: it takes over the evidence of the others at once."""
 
 
 @dataclass(frozen=True)
 class CloseRun:
-    """Instruct a worker to forget a run's evidence and prepared frames."""
+    """Make a worker forget a run's evidence and prepared frames."""
 
     run: str
 
