@@ -1,4 +1,4 @@
-"""The decisions of the coordinator's thread, called directly: messages, answers of owners, releases and the stop."""
+"""The decisions of the coordinator's thread, called directly: messages, answers of stitchers, releases and the stop."""
 
 from __future__ import annotations
 

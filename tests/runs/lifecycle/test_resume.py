@@ -31,7 +31,7 @@ def restarted(rig: Any, resumed: Resumed | None) -> tuple[Core, Line]:
     standing = StandingOrder(rig.store.standing)
     core = Core(
         Parts(
-            parts.config, rig.ring, line, parts.workers, parts.archive, parts.events, parts.run_ids, parts.watch,
+            parts.config, rig.ring.renew, line, parts.workers, parts.archive, parts.events, parts.run_ids, parts.watch,
             standing, resumed,
         )
     )  # fmt: skip

@@ -21,7 +21,7 @@ from vaoi_station.runs.run.order import Orders
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.runs.workers.jobs import Concluded
-from vaoi_station.runs.workers.run_owner import RunOwner
+from vaoi_station.runs.workers.run_stitcher import RunStitcher
 
 LIMIT_MM = 65.5
 """That of a board of 55 mm."""
@@ -170,8 +170,8 @@ def test_the_next_run_does_not_get_the_id_that_was_armed_before_the_second_board
     assert (shown.board_id, shown.board_id_certain) == ("SN-2", False)
     order = books.orders.take(58.0)
     assert order is not None
-    owner = RunOwner(books.progress.owner.opening, 58.0)
-    third = replace(books.progress, order=order, owner=owner, faults=[], id_doubted=False)
+    stitcher = RunStitcher(books.progress.stitcher.opening, 58.0)
+    third = replace(books.progress, order=order, stitcher=stitcher, faults=[], id_doubted=False)
     books.account.begin(third)
     assert third.board_id is None
     assert third.faults[0].code == "board-id-uncertain"

@@ -273,7 +273,7 @@ def test_a_conclusion_never_waits_behind_pictures(
         else:
             hall.add(hall.link(k % 3) if step == "link" else hall.picture())
         begun = [hall.choose(worker) for worker in range(count) if hall.workers[worker].idle]
-        late = [worker.job for worker in hall.workers if worker.job and worker.job.job.priority > Priority.LINK]
+        late = [worker.job for worker in hall.workers if worker.job and worker.job.priority > Priority.LINK]
         assert len(late) < count or not any(isinstance(job, RenderJob | CheckJob) for job in begun)
 
 

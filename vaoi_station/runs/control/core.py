@@ -2,10 +2,10 @@
 
 | state of a run | what happens | what follows |
 |---|---|---|
-| filming | a pulse, a frame | its owner (`RunOwner`) has the links made that become possible |
-| filming | the last frame is settled | stitching; the owner has the run concluded |
+| filming | a pulse, a frame | its `RunStitcher` asks for the links that become possible |
+| filming | the last frame is settled | stitching; the stitcher has the run concluded |
 | filming | the acquisition process ends | as if the last frame was settled, with what had arrived |
-| stitching | the owner answers | the run is done, with a result or without; its calibration is checked |
+| stitching | the stitcher answers | the run is done, with a result or without; its calibration is checked |
 | done | all earlier runs have ended | ready, degraded or failed; the archive stores and announces it |
 """
 
@@ -37,7 +37,7 @@ from vaoi_station.runs.run.progress import WHOLE, Progress
 from vaoi_station.runs.run.verdict import conclude, with_faults
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
-from vaoi_station.runs.workers.run_owner import Stitched, Workers
+from vaoi_station.runs.workers.run_stitcher import Stitched, Workers
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class Core:
     # --- reports of the workers
 
     def stitched(self, run: str, stitched: Stitched) -> None:
-        """Take the answer of a run's owner, and have the calibration checked."""
+        """Take the answer of a run's stitcher, and have the calibration checked."""
         if (progress := self.active.get(run)) is None:
             return
         progress.take(stitched)
@@ -219,7 +219,7 @@ class Core:
             case messages.FrameSettled():
                 progress = self.active.get(message.run)
                 if progress is not None and progress.state is RunState.FILMING:
-                    progress.owner.settle(message.frame, message.host_time_s)
+                    progress.stitcher.settle(message.frame, message.host_time_s)
             case messages.PulseReported():
                 if (progress := self.active.get(message.run)) is not None:
                     progress.pulses[message.pulse.index] = message.pulse
@@ -282,7 +282,7 @@ class Core:
         self.machine.advance_if_allowed(StationStep.BOARD_ARRIVED)
         progress = self.active[report.run] = Progress.begin(report, bay, order)
         self.boards.begin(progress, edge_known=report.edge_known)
-        progress.owner.start(self._parts.workers, lambda done: self._post(self.stitched, report.run, done))
+        progress.stitcher.start(self._parts.workers, lambda done: self._post(self.stitched, report.run, done))
         self._archive.begin(progress)
         self._publish(progress, f"A board of type {order.board_type.name!r} is being filmed.")
         # The next board may follow closely and needs memory at once: its bay is granted while the present bay is
@@ -322,7 +322,7 @@ class Core:
     # --- runs
 
     def _film(self, progress: Progress, report: messages.RunFinished) -> None:
-        """Take the final report of a run, after which its owner has it concluded."""
+        """Take the final report of a run, after which its stitcher has it concluded."""
         self.memory.use(progress.run, "stitching")
         progress.film(report)
         self._publish(progress, f"{report.head.rows} rows were filmed.")

@@ -33,7 +33,7 @@ from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.runs.workers.jobs import PictureJob, Priority, Reply
 from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
-from vaoi_station.runs.workers.run_owner import Workers
+from vaoi_station.runs.workers.run_stitcher import Workers
 from vaoi_station.runs.workers.worker import perform_with_frames
 
 SMALL_PX = 400_000

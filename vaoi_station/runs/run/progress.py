@@ -14,7 +14,7 @@ from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.tables import RUN, RunState, RunStep
 from vaoi_station.runs.workers.jobs import CheckJob, Concluded, OpenRun, RunContext
-from vaoi_station.runs.workers.run_owner import RunOwner, Stitched
+from vaoi_station.runs.workers.run_stitcher import RunStitcher, Stitched
 from vaoi_station.stitching.matching.evidence import FrameKey
 
 WHOLE = frozenset({"clear", "single"})
@@ -28,7 +28,7 @@ class Progress:
     """A run that has not ended. Times in s are host times by time.monotonic()."""
 
     order: Order
-    owner: RunOwner
+    stitcher: RunStitcher
     state: RunState = RUN.start
     recorded: RunFinished | None = None
     """The final report of the acquisition process; None while filming."""
@@ -39,7 +39,7 @@ class Progress:
     faults: list[Reason] = field(default_factory=list)
     """Reasons why the run is degraded or failed, other than missing or incomplete frames."""
     stitched: Stitched | None = None
-    """The answer of the owner; None until the run only waits for earlier ones to end."""
+    """The answer of the stitcher; None until the run only waits for earlier ones to end."""
     result: Concluded | None = None
 
     @classmethod
@@ -48,12 +48,12 @@ class Progress:
         reference = order.reference.directory if order.reference else None
         opening = OpenRun(RunContext(report.run, bay.number, bay.generation), order.setup, reference)
         belt = order.plan.belt if order.plan is not None else None
-        return cls(order, RunOwner(opening, report.host_time_s, None if belt is None else belt.row_mm))
+        return cls(order, RunStitcher(opening, report.host_time_s, None if belt is None else belt.row_mm))
 
     @property
     def context(self) -> RunContext:
         """The id of the run, with the number of its bay and the generation of the bay."""
-        return self.owner.opening.context
+        return self.stitcher.opening.context
 
     @property
     def run(self) -> str:
@@ -63,17 +63,17 @@ class Progress:
     @property
     def barrier_s(self) -> float:
         """Time at which the board interrupted the barrier."""
-        return self.owner.barrier_s
+        return self.stitcher.barrier_s
 
     @property
     def pulses(self) -> dict[int, Pulse]:
         """The reported pulses by row."""
-        return self.owner.pulses
+        return self.stitcher.pulses
 
     @property
     def frames(self) -> dict[FrameKey, FrameRecord]:
         """The settled frames by camera and row."""
-        return self.owner.frames
+        return self.stitcher.frames
 
     @property
     def head(self) -> RecordingHead | None:
@@ -95,13 +95,13 @@ class Progress:
         self.state = RUN.next(self.state, event)
 
     def film(self, report: RunFinished) -> None:
-        """Take the final report of the acquisition process, and let the owner conclude the run."""
+        """Take the final report of the acquisition process, and let the stitcher have the run concluded."""
         self.advance(RunStep.FILMED)
         self.recorded = report
-        self.owner.film(report.head, report.frames)
+        self.stitcher.film(report.head, report.frames)
 
     def take(self, stitched: Stitched) -> None:
-        """Take the answer of the owner; its errors become faults."""
+        """Take the answer of the stitcher; its errors become faults."""
         self.stitched, self.result = stitched, stitched.result
         for error in stitched.errors:
             self.add_fault(Reason.of(error))
@@ -171,6 +171,6 @@ class Progress:
             gains=tuple(row.gains for row in filmed) or None,
             lights=lights if any(lights) else None,
         )
-        settled_s = [at_s for key, at_s in self.owner.settled_s.items() if key in self.owner.present]
+        settled_s = [at_s for key, at_s in self.stitcher.settled_s.items() if key in self.stitcher.present]
         last_s = max(settled_s, default=self.barrier_s)
         return RunFinished(self.run, self.context.bay, head, frames, last_s, "acquisition lost")

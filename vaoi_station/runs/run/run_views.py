@@ -18,6 +18,7 @@ from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.verdict import conclude
 from vaoi_station.runs.states.run_ids import utc, utc_of_host
 from vaoi_station.runs.states.schemas import (
+    BarrierTiming,
     BeltSpeed,
     Interruption,
     MadeWith,
@@ -31,7 +32,7 @@ from vaoi_station.runs.states.schemas import (
     Versions,
 )
 from vaoi_station.runs.states.tables import FINISHED, IN_MEMORY
-from vaoi_station.runs.workers.run_owner import Stitched
+from vaoi_station.runs.workers.run_stitcher import Stitched
 from vaoi_station.stitching.expectation import StitchTerms
 from vaoi_station.version import __version__
 
@@ -71,7 +72,9 @@ def detail_of(progress: Progress) -> RunDetail:
         frames_available=progress.state in IN_MEMORY,
         frames=frames,
         ended=recorded.reason if recorded else "",
-        interruptions=_interruptions(recorded.interruptions) if recorded else (),
+        interruptions=tuple(Interruption(blocked_s=b, clear_s=c) for b, c in recorded.interruptions)
+        if recorded
+        else (),
         strays=recorded.unassigned if recorded else 0,
         proof=recorded.proof if recorded else None,
         software=versions(),
@@ -112,18 +115,17 @@ def timeline_of(progress: Progress) -> Timeline:
     """Build the timeline of a run. Its times are in seconds since the board interrupted the barrier."""
     zero, recorded, stitched = progress.barrier_s, progress.recorded, progress.stitched or Stitched(None)
     of_barrier = recorded.interruptions if recorded else ()
+    first_s = of_barrier[0][0] if of_barrier else 0.0
     return Timeline(
-        frames_settled_s=tuple((*key, at - zero) for key, at in sorted(progress.owner.settled_s.items())),
+        frames_settled_s=tuple((*key, at - zero) for key, at in sorted(progress.stitcher.settled_s.items())),
         tasks=stitched.timings,
         last_frame_s=(recorded.last_frame_host_s if recorded else zero) - zero,
         ready_s=None if stitched.ready_s is None else stitched.ready_s - zero,
-        rows=_row_timings(progress, of_barrier[0][0]) if of_barrier else (),
-        barrier=_interruptions(of_barrier, of_barrier[0][0]) if of_barrier else (),
+        rows=_row_timings(progress, first_s) if of_barrier else (),
+        barrier=tuple(
+            BarrierTiming(blocked_s=b - first_s, clear_s=None if c is None else c - first_s) for b, c in of_barrier
+        ),
     )
-
-
-def _interruptions(times_s: tuple[tuple[float, float | None], ...], zero: float = 0.0) -> tuple[Interruption, ...]:
-    return tuple(Interruption(blocked_s=b - zero, clear_s=None if c is None else c - zero) for b, c in times_s)
 
 
 def _row_timings(progress: Progress, zero: float) -> tuple[RowTiming, ...]:

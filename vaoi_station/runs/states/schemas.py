@@ -391,7 +391,7 @@ class RunSummary(Strict):
 
 
 class Interruption(Strict):
-    """An interruption of the barrier in controller time, s: since row 0, in a timeline since the run's first one."""
+    """One interruption of the light barrier; times are in seconds since row 0, by the controller's clock."""
 
     blocked_s: float
     clear_s: float | None = None
@@ -510,6 +510,10 @@ class RowTiming(Strict):
     """Longest exposure of a camera in this row: for how long its shutter is open."""
 
 
+class BarrierTiming(Interruption):
+    """One interruption of the light barrier, since the first one of the run, by the controller's clock."""
+
+
 class Timeline(Strict):
     """Times of the steps of a run, in seconds since the board interrupted the barrier.
 
@@ -523,8 +527,8 @@ class Timeline(Strict):
     ready_s: float | None
     rows: tuple[RowTiming, ...] = ()
     """Every row; empty in runs of earlier versions, and where the controller reports no interruptions."""
-    barrier: tuple[Interruption, ...] = ()
-    """The interruptions of the light barrier since the first one of the run; empty likewise."""
+    barrier: tuple[BarrierTiming, ...] = ()
+    """The interruptions of the light barrier; empty likewise."""
 
 
 class ReferenceRecord(Strict):

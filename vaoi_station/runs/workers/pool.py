@@ -24,7 +24,7 @@ from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path
 
-from vaoi_station.errors import InternalError, StateError, VaoiError
+from vaoi_station.errors import StateError, VaoiError
 from vaoi_station.runs.host.message_pipe import MessagePipe, PipeEndedError, wait_for
 from vaoi_station.runs.states.schemas import ProcessStatus
 from vaoi_station.runs.workers.fork_server_link import END_S, ChildProcess, ForkServerLink, describe_silence
@@ -40,6 +40,7 @@ from vaoi_station.runs.workers.jobs import (
     PictureJob,
     Ping,
     Reply,
+    WorkerLostError,
     WorkerReady,
 )
 from vaoi_station.runs.workers.queues import JobQueues, Queued, Worker
@@ -111,17 +112,14 @@ class WorkerPool:
 
         It is not called for a link job or conclusion that still waits when its run is closed.
         """
+        refusal: VaoiError | None = StateError("The station is stopping; its workers take no more jobs.")
         with self._lock:
-            refusal = self._refusal(job)
-            if refusal is None and self._queues.add(Queued(job, done)):
+            if not self._stopping and (refusal := self._queues.refusal(job)) is None:
+                self._queues.add(Queued(job, done))
                 self._dispatch()
                 return
-        done(Reply.refused(refusal or StateError(f"{job} comes after the run was closed.")))
-
-    def _refusal(self, job: Job) -> VaoiError | None:
-        if self._stopping:
-            return StateError("The station is stopping; its workers take no more jobs.")
-        return self._queues.refusal(job)
+        assert refusal is not None
+        done(Reply.refused(refusal))
 
     def open_run(self, opening: OpenRun) -> None:
         """Announce a run, before its first job is submitted. Its owner takes over evidence from now on."""
@@ -215,7 +213,7 @@ class WorkerPool:
                 self._dispatch()
 
     def _absent(self) -> list[Worker]:
-        """Return the workers that have neither a process nor the request for one, if the fork server can fork."""
+        """Return the workers without a process or a request for one, if the fork server can fork."""
         return [w for w in self._workers if w.pipe is None] if self.fork_server.ready else []
 
     def _pause_s(self) -> float:
@@ -259,7 +257,8 @@ class WorkerPool:
             messages = worker.pipe.receive()
         except PipeEndedError:
             # A worker without its pipe is useless. After it was killed, `_supervise` reaps it.
-            self._kill(worker)
+            if worker.process is not None:
+                worker.process.kill()
             return
         for message in messages:
             worker.seen_s, worker.pinged_s = time.monotonic(), None
@@ -301,7 +300,7 @@ class WorkerPool:
         if worker.process is None or worker.pipe is None:
             return
         if not worker.process.has_ended():
-            self._check_liveness(worker)
+            self._check_liveness(worker, worker.process)
             return
         now_s = time.monotonic()
         worker.ended_s = worker.ended_s or now_s
@@ -310,7 +309,7 @@ class WorkerPool:
             self._receive(worker)
             self._reap(worker)
 
-    def _check_liveness(self, worker: Worker) -> None:
+    def _check_liveness(self, worker: Worker, process: ChildProcess) -> None:
         """Ping an idle worker, and kill a worker that exceeds its time limit."""
         now_s = time.monotonic()
         with self._lock:
@@ -318,19 +317,15 @@ class WorkerPool:
             # Another worker that began later has done all of it. So this worker does not merely wait for a busy
             # computer.
             outrun = worker.ready and busy and all(queued.answered for queued in worker.jobs)
-            longest_s = (worker.job.longest_s if worker.job else None) or JOB_LIMIT_S
+            longest_s = (worker.job.longest_s if isinstance(worker.job, PictureJob) else None) or JOB_LIMIT_S
         since_s = worker.since_s if busy else worker.pinged_s
         limit_s = REPEATED_LIMIT_S if outrun else longest_s
         if since_s is not None and now_s - since_s > limit_s:
             worker.silent_s = limit_s
-            self._kill(worker)
+            process.kill()
         elif not busy and worker.pinged_s is None and now_s - (worker.seen_s or now_s) > PING_INTERVAL_S:
             worker.pinged_s = now_s
             self._send(worker, Ping())
-
-    def _kill(self, worker: Worker) -> None:
-        if worker.process is not None:
-            worker.process.kill()
 
     def _reap(self, worker: Worker) -> None:
         """Collect a worker that has died, put its jobs back into the queues, and schedule its replacement."""
@@ -363,7 +358,7 @@ class WorkerPool:
         if given_up is not None:
             fault = f"{given_up.job} was given up after {given_up.deaths} attempt(s); its worker {how}."
             action = "Ask once more. If it fails again, report it with a support bundle (vaoi bundle)."
-            given_up.done(Reply.refused(InternalError(fault, action=action, code="worker-lost")))
+            given_up.done(Reply.refused(WorkerLostError(fault, action=action)))
 
     def _end(self, worker: Worker) -> None:
         """Kill a worker's process if it still runs, wait for its end, close its handles, and forget what it held."""

@@ -11,11 +11,11 @@ from __future__ import annotations
 import itertools
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from vaoi_station.backoff import Backoff
-from vaoi_station.errors import BusyError
+from vaoi_station.errors import BusyError, StateError, VaoiError
 from vaoi_station.runs.host.message_pipe import MessagePipe
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
@@ -57,7 +57,6 @@ class Queued:
 
     job: Job
     done: Callable[[Reply], object]
-    """Function that gets the reply."""
     number: int = 0
     """Number that names the job in messages."""
     position: int = 0
@@ -75,11 +74,6 @@ class Queued:
         able = self.job.repeatable if isinstance(self.job, PictureJob) else not isinstance(self.job, CheckJob)
         return able and not self.answered
 
-    @property
-    def longest_s(self) -> float | None:
-        """Longest time for the job; None: the limit of all jobs."""
-        return self.job.longest_s if isinstance(self.job, PictureJob) else None
-
 
 @dataclass
 class Worker:
@@ -89,27 +83,27 @@ class Worker:
     process: ChildProcess | None = None
     pipe: MessagePipe | None = None
     """The station's end of the pipe to the process; it exists from the time at which the process is requested."""
-    ended_s: float | None = None
-    """Time at which the end of the process was noticed, by time.monotonic(); None while it runs."""
     ready: bool = False
     jobs: deque[Queued] = field(default_factory=deque)
-    """Jobs that were given to the worker: the job under way, and possibly the next one."""
-    since_s: float = 0.0
-    """Time at which the job under way was started, or the process if there was no job, by time.monotonic()."""
+    """The job under way, and possibly the next one."""
     opened: set[str] = field(default_factory=set)
     """Ids of the runs whose set-up was sent to the worker."""
     restarts: int = 0
     backoff: Backoff = field(default_factory=lambda: Backoff(RESTART_POLICY))
+    since_s: float = 0.0
+    """Time at which the job under way was started, or the process if there was no job, by time.monotonic()."""
     seen_s: float | None = None
-    """Time of the worker's latest message; None before the first message."""
+    """Time of the latest message; None before the first one."""
     pinged_s: float | None = None
     """Time of a ping that was not answered yet; None if there is none."""
+    ended_s: float | None = None
+    """Time at which the end of the process was noticed; None while it runs."""
+    silent_s: float | None = None
+    """Time without a reply after which the station has killed the process; None if it has not."""
     overdue: bool = False
     """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
     linked_last: bool = False
     """Whether the last job that was chosen for it is a link."""
-    silent_s: float | None = None
-    """Time without a reply after which the station has killed the process; None if it has not."""
 
     @property
     def idle(self) -> bool:
@@ -117,9 +111,9 @@ class Worker:
         return self.ready and not self.jobs
 
     @property
-    def job(self) -> Queued | None:
+    def job(self) -> Job | None:
         """The job under way; None if the worker has no job."""
-        return self.jobs[0] if self.jobs else None
+        return self.jobs[0].job if self.jobs else None
 
     def status(self, progress: str) -> ProcessStatus:
         """Return the state of the worker, for `GET station` and the page; `progress` is that of the fork server."""
@@ -129,7 +123,7 @@ class Worker:
             alive=self.process is not None and self.ended_s is None,
             restarts=self.restarts,
             heartbeat_age_s=None if self.seen_s is None else time.monotonic() - self.seen_s,
-            doing=str(self.job.job) if self.job else "idle" if self.ready else STARTING,
+            doing=str(self.job) if self.job else "idle" if self.ready else STARTING,
             progress="" if self.ready else progress,
             next_try=None if self.backoff.due_s is None else utc_of_host(self.backoff.due_s),
         )
@@ -141,7 +135,7 @@ class Worker:
         return self.pinged_s + PING_OVERDUE_S if self.ready and self.pinged_s is not None else None
 
     def update(self, now_s: float) -> None:
-        """Set `overdue` to whether the worker is overdue at a time by time.monotonic()."""
+        """Set whether the worker is overdue at a time by time.monotonic()."""
         due_s = self.due_s()
         self.overdue = due_s is not None and now_s >= due_s
 
@@ -165,8 +159,10 @@ class JobQueues:
         """Return the number of waiting jobs of one priority."""
         return sum(map(len, self._queues[priority].values()))
 
-    def refusal(self, job: Job) -> BusyError | None:
-        """Return why a job is not taken: too many pictures wait. None if it is taken."""
+    def refusal(self, job: Job) -> VaoiError | None:
+        """Return why a job is not taken: its run is not open, or too many pictures wait. None if it is taken."""
+        if self._is_closed(job):
+            return StateError(f"{job} comes after the run was closed.")
         if job.priority not in _SINGLE or sum(map(self.waiting, _SINGLE)) < MAX_PICTURES:
             return None
         return BusyError(
@@ -175,13 +171,10 @@ class JobQueues:
             code="pictures-busy",
         )
 
-    def add(self, queued: Queued) -> bool:
-        """Append a job to its queue. Return False if the job is of a run that is not open."""
-        if self._is_closed(queued.job):
-            return False
+    def add(self, queued: Queued) -> None:
+        """Append a job to its queue."""
         queued.number = queued.position = next(self._numbers)
         self._queue_of(queued).append(queued)
-        return True
 
     def put_back(self, queued: Queued) -> None:
         """Put a job whose worker has died at the front of its queue, unless its run was closed meanwhile."""
@@ -190,7 +183,7 @@ class JobQueues:
             self._queue_of(queued).appendleft(queued)
 
     def pause(self, queued: Queued, worker: Worker) -> None:
-        """Queue a stepped job that is to go on in its worker: before younger ones like it, after what waits already."""
+        """Queue a stepped job that goes on in its worker: before younger ones like it, after what waits already."""
         queued.began, queued.position = worker.index, next(self._numbers)
         self._queue_of(queued).appendleft(queued)
 
@@ -235,10 +228,9 @@ class JobQueues:
         return left
 
     def next_link(self, worker: Worker) -> Queued | None:
-        """Take a second link job out of its queue for a worker that performs a link job.
+        """Take a second link out of its queue for a worker that performs one, so that it need not wait for the pool.
 
-        With a second job, the worker need not wait for the pool between the two. Return None if no job is suitable, and
-        while a conclude job or a small picture waits, which is to go to the next free worker.
+        None if no job is suitable, and while a conclusion or a small picture waits, which goes to the next free worker.
         """
         sooner = self.waiting(Priority.CONCLUDE) or self.waiting(Priority.SMALL_RENDER)
         if worker.jobs[0].job.priority is not Priority.LINK or sooner:
@@ -266,23 +258,19 @@ class JobQueues:
                 return None
             if priority >= Priority.CHECK and not self.may_begin(worker, priority):
                 continue
-            mine = min((homes[h] for h in (None, worker.index) if homes[h]), key=_front, default=None)
-            chosen = mine or min(self._of_others(homes, worker), key=_front, default=None)
-            if chosen:
+            mine = [homes[home] for home in (None, worker.index) if homes[home]]
+            if chosen := min(mine or self._of_others(homes, worker), key=_front, default=None):
                 worker.linked_last = priority is Priority.LINK
                 return chosen.popleft()
         return None
 
     def overdue(self, idle: Worker) -> Queued | None:
         """Return a job of an overdue worker that no other worker has, for an idle one; None if there is none."""
-        candidates = (
-            q
-            for worker in self._workers
-            if worker.overdue
-            for q in worker.jobs
-            if q.repeatable and (not isinstance(q.job, PictureJob) or self.may_begin(idle, q.job.priority))
-        )
-        return next((q for q in candidates if sum(q in w.jobs for w in self._workers) == 1), None)
+        for queued in (queued for worker in self._workers if worker.overdue for queued in worker.jobs):
+            may_begin = not isinstance(queued.job, PictureJob) or self.may_begin(idle, queued.job.priority)
+            if queued.repeatable and may_begin and sum(queued in w.jobs for w in self._workers) == 1:
+                return queued
+        return None
 
     def may_begin(self, worker: Worker, priority: Priority = Priority.RENDER) -> bool:
         """Return whether a worker may begin a picture or check: another sound one must stay free of them.
@@ -308,11 +296,10 @@ class JobQueues:
         homes = self._queues[Priority.CHECK].items()
         return any(q and h is not None and self._workers[h].ready and not self._workers[h].overdue for h, q in homes)
 
-    def _of_others(self, homes: defaultdict[int | None, deque[Queued]], worker: Worker) -> Iterator[deque[Queued]]:
-        """Yield the queues of other workers from which a worker may take a job."""
-        for home, queue in homes.items():
-            if home is not None and home != worker.index and queue and self._may_take(queue, home):
-                yield queue
+    def _of_others(self, homes: Mapping[int | None, deque[Queued]], worker: Worker) -> list[deque[Queued]]:
+        """Return the queues of other workers from which a worker may take a job."""
+        others = ((home, queue) for home, queue in homes.items() if home not in (None, worker.index) and queue)
+        return [queue for home, queue in others if home is not None and self._may_take(queue, home)]
 
     def _is_closed(self, job: Job) -> bool:
         return isinstance(job, LinkJob | ConcludeJob) and job.run not in self.runs
@@ -351,7 +338,7 @@ class JobQueues:
         away = not own.ready or own.overdue
         # Pictures that are not small, checks and heights take longer than a link, up to seconds: no frame of the next
         # board waits for them, least of all its last one.
-        longer = own.job is not None and own.job.job.priority > Priority.SMALL_RENDER
+        longer = own.job is not None and own.job.priority > Priority.SMALL_RENDER
         match job:
             case ConcludeJob():
                 # Another worker must read all evidence first: that is shorter than a picture or a check, but not than

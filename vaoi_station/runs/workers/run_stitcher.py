@@ -1,4 +1,4 @@
-"""The owner of a run: it takes frames as they settle, asks the workers for their links, and answers once.
+"""What stitches a run: it takes frames as they settle, asks the workers for their links, and answers once.
 
 The coordinator's thread reports pulses and frames. The replies of the workers come in the pool's thread, which requests
 the conclusion with the last of them; so neither links nor the conclusion wait for the coordinator.
@@ -50,7 +50,7 @@ class Workers(Protocol):
 
 @dataclass(frozen=True)
 class Stitched:
-    """The answer of an owner."""
+    """The answer of a stitcher."""
 
     result: Concluded | None
     """None if no result is possible; then `errors` say why."""
@@ -61,7 +61,7 @@ class Stitched:
     """Time at which the result came, by time.monotonic()."""
 
 
-class RunOwner:
+class RunStitcher:
     """Has one run stitched. Times in s are host times by time.monotonic()."""
 
     def __init__(self, opening: OpenRun, barrier_s: float, row_mm: float | None = None) -> None:
