@@ -46,16 +46,6 @@ def test_a_short_success_does_not_shorten_the_pauses(backoff: Backoff, clock: Cl
     assert pauses == [0.5, 1, 2, 4, 6]
 
 
-def test_a_long_success_resets_the_pauses(backoff: Backoff, clock: Clock) -> None:
-    for _ in range(5):
-        backoff.record_failure()
-    backoff.record_success()
-    clock.now_s += 30.0
-    assert backoff.record_failure() == 0.5
-    clock.now_s += 1000.0
-    assert backoff.record_failure() == 1.0, "time without a success does not count"
-
-
 def test_the_time_of_the_next_attempt_is_known(backoff: Backoff, clock: Clock) -> None:
     due: list[float | None] = [backoff.due_s]
     assert backoff.remaining_s() == 0
@@ -68,11 +58,3 @@ def test_the_time_of_the_next_attempt_is_known(backoff: Backoff, clock: Clock) -
     backoff.start_attempt()
     due.append(backoff.due_s)
     assert due == [None, 100.5, None]
-
-
-def test_a_reset_makes_the_next_attempt_due_now(backoff: Backoff) -> None:
-    for _ in range(5):
-        backoff.record_failure()
-    backoff.reset()
-    assert backoff.remaining_s() == 0
-    assert backoff.record_failure() == 0.5

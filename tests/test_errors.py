@@ -41,11 +41,6 @@ def test_every_class_has_a_separate_code() -> None:
     }
 
 
-def test_a_code_of_one_error_does_not_change_its_class() -> None:
-    assert InputError("a", code="special").code == "special"
-    assert InputError("b").code == "invalid-input"
-
-
 def test_a_field_error_names_file_key_value_and_limit() -> None:
     error = InputError.field(Path("board.json"), "unit", "cm", "'mm', 'inch' or 'mil'", "Convert the file.")
     assert str(error) == "board.json: unit is 'cm', but must be 'mm', 'inch' or 'mil'. Convert the file."
@@ -55,7 +50,3 @@ def test_long_values_are_cut() -> None:
     text = str(InputError.field("request", "name", "x" * 500, "shorter"))
     assert len(text) < 130
     assert "…" in text
-
-
-def test_a_message_without_action_has_no_trailing_space() -> None:
-    assert str(VaoiError("broken.")) == "broken."

@@ -25,12 +25,6 @@ def test_rows_cover_the_longest_board_and_the_tail() -> None:
     assert line.rows_of_longest_board == 7
 
 
-@pytest.mark.parametrize("key", ["speed_limits_mm_s", "rail_limits_mm"])
-def test_limits_begin_with_the_lower_one(key: str) -> None:
-    with pytest.raises(ValidationError, match=f"{key} is .200.0, 100.0., but must begin with the lower limit"):
-        Line(**VALID, **{key: (200.0, 100.0)})
-
-
 ENCODER: dict[str, Any] = {**VALID, "pacing": "encoder", "encoder": {"counts_per_mm": 20.0}}
 
 

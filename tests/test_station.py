@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +19,7 @@ from vaoi_station.model import Calibration
 from vaoi_station.runs.host.service import PASSING
 from vaoi_station.runs.states.schemas import StationSnapshot
 from vaoi_station.runs.workers.fork_server_link import ForkServerLink
-from vaoi_station.station import DATABASE, Station, serve
+from vaoi_station.station import DATABASE, Station
 
 
 def calibration(cameras: int) -> Calibration:
@@ -112,18 +110,6 @@ def test_ring_of_another_station_is_not_taken(config: StationConfig) -> None:
     assert remaining_files(config) == []
 
 
-def test_port_in_use_is_refused(config: StationConfig) -> None:
-    refused = pytest.raises(DeviceError, match=r"cannot listen on 127\.0\.0\.1 port")
-    with socket.create_server(("127.0.0.1", 0)) as other, refused:
-        serve(config, other.getsockname()[1])
-    assert remaining_files(config) == []
-
-
-def test_stopped_station_refuses_requests(config: StationConfig) -> None:
-    with pytest.raises(StateError, match="not running"):
-        _ = Station(config).coordinator
-
-
 def test_missing_recordings_leave_the_station_faulted_with_the_reason(config: StationConfig) -> None:
     with Station(config) as station:
         seen, troubles = 0, list[str]()
@@ -183,15 +169,3 @@ def test_without_ready_workers_no_camera_is_opened_and_no_board_accepted(
             held.undo()
             until(started, lambda snapshot: snapshot.state != "starting")
             assert started.coordinator.snapshot().warnings == ()
-
-
-@pytest.mark.timeout(2 * COMPILED_S)
-def test_the_first_start_shows_how_far_it_is(
-    config: StationConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With an empty cache the workers compile every inner loop."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
-    with Station(config) as started:
-        shown = until(started, lambda snapshot: "inner loops are compiled" in str(snapshot.warnings))
-        assert shown.state == "starting"
-        assert re.fullmatch(r"\d+ of \d+ inner loops are compiled", shown.processes[1].progress)

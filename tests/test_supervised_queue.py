@@ -28,11 +28,6 @@ def test_items_are_served_in_order_and_the_start_comes_first() -> None:
     assert queue.thread.has_ended
 
 
-def test_the_oldest_item_gives_way_and_is_returned() -> None:
-    queue = SupervisedQueue[str](lambda _: None, "work", 2)
-    assert [queue.put(item) for item in "abcd"] == [None, None, "a", "b"]
-
-
 def test_an_item_may_take_any_time_without_a_fault_and_sees_the_end() -> None:
     begun, ended = threading.Event(), threading.Event()
 

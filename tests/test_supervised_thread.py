@@ -21,14 +21,6 @@ def kill(thread: threading.Thread) -> None:
     ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(SystemExit))
 
 
-def test_a_thread_that_ends_by_an_error_is_a_fault() -> None:
-    thread = SupervisedThread(lambda: 1 / 0, "work")
-    assert thread.fault() is None, "a thread that was not started is none"
-    thread.start()
-    thread.join(PATIENCE_S)
-    assert str(thread.fault()) == "Thread 'work' has ended (ZeroDivisionError: division by zero)."
-
-
 def test_a_thread_that_is_killed_or_returns_is_a_fault() -> None:
     release = threading.Event()
 
@@ -47,16 +39,6 @@ def test_a_thread_that_is_killed_or_returns_is_a_fault() -> None:
         "Thread 'killed' has ended (SystemExit).",
         "Thread 'returned' has ended without an error.",
     ]
-
-
-def test_an_end_that_was_asked_for_is_no_fault() -> None:
-    thread = SupervisedThread(lambda: None, "work")
-    thread.start()
-    thread.join(PATIENCE_S)
-    ended = [thread.has_ended]
-    thread.expect_end()
-    assert [*ended, thread.has_ended] == [False, True], "only an end that was asked for"
-    assert thread.fault() is None
 
 
 @pytest.mark.parametrize("resting", [False, True])

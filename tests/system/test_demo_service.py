@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.demo.waiting import wait_until_idle
-from vaoi_station.errors import BusyError, NotFoundError, StateError
+from vaoi_station.errors import BusyError
 from vaoi_station.simulation import Twin
 
 TIMEOUT_S = 150.0
@@ -79,24 +77,6 @@ def problem(client: Client, method: str, path: str, **query: Any) -> dict[str, A
     return content
 
 
-def test_arming_again_while_a_board_passes_is_refused_and_the_board_is_filmed(client: Client) -> None:
-    begun = arm_until_filming(client, job_id="board 0")
-    refusal, job = None, "board 0"
-    for attempt in range(1, 50):
-        try:
-            client.post("/station/arm", board_type="small", job_id=f"board {attempt}", passing="refuse")
-        except StateError as refused:
-            refusal = refused
-            break
-        # The board had passed before the request arrived, so the order was replaced: try with the next board.
-        job = f"board {attempt}"
-        begun = until(client, "run", "filming", after=client.get("/station")["last_event"])
-    assert refusal is not None
-    assert (refusal.code, refusal.message) == ("wrong-state", "The station is filming; arm is not possible now.")
-    run = result_of(client, begun)
-    assert (run["verdict"], run["job_id"], run["counts"]["missing"]) == ("ok", job, 0)
-
-
 def test_the_calls_for_labview_work_over_a_bare_connection(client: Client) -> None:
     with bare_connection(client.address) as connection:
         answers = make_plain_calls(connection, "small")
@@ -105,29 +85,6 @@ def test_the_calls_for_labview_work_over_a_bare_connection(client: Client) -> No
     [raw] = [a for call, a in answers.items() if call.endswith("format=raw")]
     assert len(raw.body) == int(raw.headers["x-image-width"]) * int(raw.headers["x-image-height"])
     assert any(a.body.startswith(b"\x89PNG") for a in answers.values())
-
-
-def test_unknown_board_type_is_refused(client: Client) -> None:
-    refusal = problem(client, "POST", "/station/arm", board_type="absent")
-    assert (refusal["status"], refusal["code"]) == (404, "unknown-board-type")
-    assert "'absent'" in refusal["detail"]
-    assert client.get("/station")["state"] == "idle"
-    with pytest.raises(NotFoundError, match="absent"):
-        client.post("/station/arm", board_type="absent")
-
-
-def test_killed_worker_is_restarted_and_the_run_is_complete(client: Client) -> None:
-    begun = arm_until_filming(client)
-    [killed] = [p["pid"] for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
-    os.kill(killed, signal.SIGKILL)
-    run = result_of(client, begun)
-    counts = {"ok": 12, "incomplete": 0, "missing": 0, "unproven": 0}
-    assert (run["verdict"], run["counts"]) == ("ok", counts), run["reasons"]
-    matrices = client.get(f"/runs/{run['id']}/matrices")
-    assert matrices["status"] == "ok"
-    [after] = [p for p in client.get("/station")["processes"] if p["name"] == "worker 1"]
-    assert after["restarts"] == 1
-    assert after["pid"] != killed
 
 
 def test_arming_is_refused_with_the_holders_names_if_all_bays_are_held(client: Client) -> None:

@@ -107,29 +107,6 @@ def test_the_acquisition_process_killed_while_a_board_passes(coordinator: Statio
     assert [reason.code for reason in again.reasons] == ["board-id-uncertain"]
 
 
-def test_full_ring_loses_no_frame_that_was_taken(coordinator: StationCoordinator) -> None:
-    seen, run = arm_until_filming(coordinator)
-    coordinator.hold(run, "tester", "AOI")
-    runs = [run]
-    while len(runs) < 3:
-        seen, run = next_filming(coordinator, seen)
-        coordinator.hold(run, "tester", "AOI")
-        runs.append(run)
-    until_state(coordinator, "blocked")
-    missed = coordinator.snapshot().boards_missed
-    after = coordinator.snapshot().last_event
-    while coordinator.snapshot().boards_missed <= missed:
-        records = coordinator.events(after, TIMEOUT_S)
-        assert records
-        after = records[-1].number
-    assert all(coordinator.frame(run, 0, 0)[0].any() for run in runs)
-    coordinator.end_hold(runs[0], "tester")
-    until_state(coordinator, "armed")
-    assert coordinator.next_run(runs[-1], TIMEOUT_S) is not None
-    for run in runs[1:]:
-        coordinator.end_hold(run, "tester")
-
-
 def test_a_full_memory_holds_boards_back_and_none_is_missed(
     twin_config: StationConfig,
     run_station: Callable[[StationConfig], StationCoordinator],

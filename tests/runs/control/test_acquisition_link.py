@@ -56,16 +56,6 @@ def link(unstarted: AcquisitionLink, peer: Any, events: Recorded) -> Acquisition
     return unstarted
 
 
-def test_commands_are_sent_and_messages_reported(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
-    link.send(Disarm())
-    peer.expect(Disarm)
-    peer.report(Ready(3))
-    assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
-    status = link.status()
-    assert status.alive
-    assert status.heartbeat_age_s is not None
-
-
 def test_status_states_that_the_first_start_waits_for_the_workers(
     unstarted: AcquisitionLink, peer: Any, events: Recorded
 ) -> None:
@@ -96,14 +86,6 @@ def test_an_unexpected_end_is_reported_and_followed_by_a_restart(
     peer.report(Ready(3))
     assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
     assert link.status().restarts == 1
-
-
-def test_messages_sent_before_the_end_are_delivered(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
-    for n in range(50):
-        peer.report(Ready(n))
-    peer.die()
-    events.ends.get(timeout=PATIENCE_S)
-    assert events.messages.qsize() == 50
 
 
 class RecordedBackoff(Backoff):

@@ -10,7 +10,7 @@ import pytest
 
 from tests.runs.conftest import ScriptedWorkers
 from vaoi_station.acquisition.process import messages
-from vaoi_station.drift.checks import LampBaseline, LampCheck
+from vaoi_station.drift.checks import LampCheck
 from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control import calibration_watch
@@ -134,18 +134,6 @@ def test_a_board_type_that_pauses_keeps_its_baseline(
     assert "50% of the brightness" in warning.message
 
 
-def test_the_board_types_that_paused_longest_are_forgotten(
-    store: Store, calibration: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(calibration_watch, "MOST_TYPES", 2)
-    watch = CalibrationWatch(store.checks, EventLog(store), calibration, ["a", "b"])
-    baseline = LampBaseline(brightness=0.3, scatter=0.01, grey=60.0, points=900.0)
-    lamp = LampCheck(camera=0, light="left", exposure=200.0, grey=60.0, points=900, baseline=baseline)
-    for name in ("a", "b", "a", "c"):
-        watch._remember(ScriptedWorkers().check("r").model_copy(update={"lamps": (lamp,), "board_type": name}))
-    assert list(watch._last_of) == ["a", "c"]
-
-
 @pytest.mark.parametrize("change", [{"cameras": ()}, {"rivals": (2,)}, {"cameras": "all but one"}, {"lamps": "of 3"}])
 def test_a_stored_check_of_other_cameras_is_left_out(rig: Any, calibration: Any, change: dict[str, Any]) -> None:
     """A damaged row would otherwise end every start."""
@@ -162,22 +150,6 @@ def test_a_stored_check_of_other_cameras_is_left_out(rig: Any, calibration: Any,
     ).result(10)
     again = CalibrationWatch(rig.store.checks, EventLog(rig.store), calibration, ["a", "b"])
     assert [camera.state for camera in again.status().cameras] == ["unknown", "unknown"]
-
-
-def test_another_calibration_begins_anew(rig: Any, calibration: Any) -> None:
-    rig.workers.displacement_px = 3.0
-    film(rig, film(rig, rig.arm()))
-    corrected = calibration.model_copy(update={"created": "2026-01-02T00:00:00Z"})
-    anew = CalibrationWatch(rig.store.checks, EventLog(rig.store), corrected, ["a", "b"])
-    assert (anew.warnings(), anew.status().runs) == ((), 0)
-
-
-def test_every_conclusion_is_followed_by_a_check_with_its_digests(rig: Any) -> None:
-    grant = rig.arm()
-    rig.board(grant)
-    rig.wait_for(lambda: rig.coordinator.calibration().runs == 1, "the check")
-    (job,) = (job for job in rig.workers.done if isinstance(job, CheckJob))
-    assert (job.run, job.calibration) == (grant.run, rig.coordinator.calibration().digest)
 
 
 def test_a_check_of_another_calibration_is_kept_and_changes_nothing(rig: Any) -> None:

@@ -13,7 +13,6 @@ from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import NotFoundError, StateError
 from vaoi_station.model import BoardType, Status, Verdict
 from vaoi_station.runs.control import reasons
-from vaoi_station.runs.workers.jobs import ConcludeJob, LinkJob
 
 
 def test_a_board_passes(rig: Any) -> None:
@@ -32,36 +31,6 @@ def test_a_board_passes(rig: Any) -> None:
     assert rig.coordinator.stitch(grant.run).status is Status.OK
     assert rig.coordinator.next_run(None, 0.0) is None
     assert rig.workers.closed == [grant.run]
-
-
-def test_links_are_requested_as_soon_as_both_frames_are_there(rig: Any) -> None:
-    rig.workers.keep = True
-    grant = rig.arm()
-    rig.begin(grant)
-    rig.row(grant, 0)
-    rig.row(grant, 1)
-    rig.wait_run(grant.run, lambda run: run.counts.ok == 4, "four frames")
-    asked = {(t.kind, t.a, t.b) for j in rig.workers.kept for t in j.tasks}
-    assert {("rows", (0, 0), (0, 1)), ("rows", (1, 0), (1, 1)), ("neighbours", (0, 0), (1, 0))} <= asked
-    assert rig.coordinator.run(grant.run).state == "filming"
-    with pytest.raises(StateError, match="no result yet"):
-        rig.coordinator.stitch(grant.run)
-
-
-def test_a_run_is_concluded_when_the_last_link_is_there_and_not_before(rig: Any) -> None:
-    rig.workers.keep = True
-    grant = rig.arm()
-    rig.board(grant, rows=2)
-    rig.wait_run(grant.run, lambda run: run.state == "stitching", "the run to be stitched")
-    *links, last = rig.workers.kept
-    assert all(isinstance(job, LinkJob) for job in rig.workers.kept)
-    rig.workers.keep = False
-    for job in links:
-        rig.workers.perform(job)
-    assert rig.coordinator.run(grant.run).state == "stitching"
-    assert not any(isinstance(job, ConcludeJob) for job in rig.workers.done)
-    rig.workers.perform(last)
-    assert rig.result_of(grant.run).state == "ready"
 
 
 def test_lost_frames_are_named_and_bridged(rig: Any) -> None:
@@ -133,39 +102,7 @@ def test_a_run_that_begins_before_the_last_has_settled(rig: Any) -> None:
     rig.until("armed")
 
 
-def test_runs_end_in_the_order_their_boards_came(rig: Any) -> None:
-    rig.workers.keep = True
-    first = rig.arm()
-    rig.board(first, rows=1)
-    second = rig.peer.expect(messages.Grant)
-    rig.board(second, rows=1)
-    rig.wait_run(second.run, lambda run: run.state == "stitching", "the second board")
-    waiting, rig.workers.kept = rig.workers.kept, []
-    rig.workers.keep = False
-    for job in waiting:
-        if job.run == second.run:
-            rig.workers.perform(job)
-    assert rig.coordinator.run(second.run).state == "stitching"
-    for job in waiting:
-        if job.run == first.run:
-            rig.workers.perform(job)
-    rig.result_of(second.run)
-    assert rig.coordinator.next_run(first.run, 0.0).id == second.run
-
-
 # --- ids, and how long they hold
-
-
-def test_a_new_order_while_armed_is_for_the_boards_that_come_from_then_on(rig: Any) -> None:
-    grant = rig.arm(board_id="b 1")
-    before_s = time.monotonic()
-    rig.coordinator.arm("small", "b 2")
-    rig.begin(grant, at_s=before_s)
-    rig.finish(grant, rig.row(grant, 0))
-    assert rig.result_of(grant.run).board_id == "b 1"
-    second = rig.peer.expect(messages.Grant)
-    rig.board(second)
-    assert rig.result_of(second.run).board_id == "b 2"
 
 
 def test_armed_for_one_run_the_line_disarms_automatically(rig: Any) -> None:
@@ -176,33 +113,6 @@ def test_armed_for_one_run_the_line_disarms_automatically(rig: Any) -> None:
     rig.until("idle")
     assert rig.result_of(grant.run).state == "ready"
     assert rig.coordinator.snapshot().armed_with is None
-
-
-def test_arming_while_the_line_disarms_waits_for_that(rig: Any) -> None:
-    grant = rig.arm(runs=1)
-    rig.board(grant)
-    rig.peer.expect(messages.Disarm)
-    again = threading.Thread(target=rig.coordinator.arm, args=("small", "next"))
-    again.start()
-    rig.peer.report(messages.Disarmed(()))
-    rig.peer.expect(messages.Grant)
-    rig.peer.expect(messages.Arm)
-    rig.peer.report(messages.Armed())
-    again.join(20)
-    assert rig.coordinator.snapshot().armed_with.board_id == "next"
-
-
-def test_disarming_gives_the_unused_memory_back(rig: Any) -> None:
-    grant = rig.arm()
-    caller = threading.Thread(target=rig.coordinator.disarm)
-    caller.start()
-    rig.peer.expect(messages.Disarm)
-    rig.peer.report(messages.Disarmed((grant,)))
-    caller.join(20)
-    snapshot = rig.coordinator.snapshot()
-    assert snapshot.state == "idle"
-    assert {bay.use for bay in snapshot.ring.bays} == {"free"}
-    assert rig.coordinator.disarm().state == "idle"
 
 
 # --- board types, health, the end
@@ -225,14 +135,6 @@ def test_board_types_are_taught_listed_and_forgotten(rig: Any, board_type: Board
     rig.coordinator.delete_board_type("other/board")
     with pytest.raises(NotFoundError):
         rig.coordinator.board_type("other/board")
-
-
-def test_a_board_keeps_the_type_it_was_filmed_with(rig: Any, board_type: BoardType) -> None:
-    grant = rig.arm()
-    rig.board(grant)
-    rig.result_of(grant.run)
-    rig.coordinator.put_board_type(board_type.model_copy(update={"components": ()}))
-    assert len(rig.coordinator.components(grant.run)) == 1
 
 
 def test_health_is_shown(rig: Any) -> None:
@@ -279,13 +181,6 @@ def test_the_end_waits_for_the_run_under_way(rig: Any) -> None:
     assert rig.result_of(grant.run).state == "ready"
     with pytest.raises(StateError, match="stopping"):
         rig.coordinator.arm("small")
-
-
-def test_a_wind_down_does_not_wait_for_ever(rig: Any) -> None:
-    rig.begin(rig.arm())
-    rig.until("filming")
-    rig.coordinator.wind_down(0.05)
-    assert rig.coordinator.snapshot().state == "stopping"
 
 
 def test_an_armed_line_keeps_its_board_type_when_it_is_replaced(rig: Any) -> None:

@@ -43,12 +43,6 @@ def test_a_camera_is_named_once(name: str, expected: str) -> None:
     assert readiness.not_connected(label, "") == expected[: expected.index(".") + 1]
 
 
-def test_without_a_health_report_no_camera_counts_as_lost() -> None:
-    assert readiness.disconnected(None) == ()
-    assert readiness.reasons(None, CAMERAS) == ()
-    readiness.require(None, CAMERAS)
-
-
 def test_every_disconnected_camera_has_a_reason_with_an_action() -> None:
     assert readiness.disconnected(health(False, True)) == (0,)
     both = readiness.reasons(health(False, False), CAMERAS)
@@ -62,14 +56,6 @@ def test_arming_is_refused_with_the_names_and_the_way_to_allow_it() -> None:
         readiness.require(health(False, False), CAMERAS)
     assert refusal.value.code == "camera-lost"
     assert "allow_lost_cameras" in refusal.value.action
-
-
-def test_only_changes_are_reported() -> None:
-    lost = ("Camera right is lost: boards would be filmed without it.",)
-    assert readiness.changes(None, health(True, False), CAMERAS) == lost
-    assert readiness.changes(health(True, False), health(True, False), CAMERAS) == ()
-    swapped = readiness.changes(health(True, False), health(False, True), CAMERAS)
-    assert swapped == ("Camera left is lost: boards would be filmed without it.", "Camera right is ready again.")
 
 
 READY = readiness.LineFacts(StationState.ARMED, True, health(True, True), False, (), 1.5)
@@ -99,10 +85,6 @@ def test_every_present_trouble_of_the_storage_holds_boards_back_and_what_is_over
     assert codes(reasons=(Reason(code="database-damaged", message="It was set aside."),)) == []
 
 
-def test_a_board_without_memory_waits() -> None:
-    assert codes(expects_board=False) == ["line-not-armed"]
-
-
 def test_devices_that_have_not_reported_count_as_not_ready() -> None:
     assert codes(health=None) == ["line-not-armed"]
     assert codes(now_s=1.1 + readiness.HEALTH_OLD_S) == ["devices-silent"]
@@ -120,11 +102,6 @@ def test_a_board_in_the_barrier_holds_the_next_one_back_before_its_first_pulse_t
     for state in (StationState.ARMED, StationState.FILMING):
         (reason,) = readiness.held_back(replace(READY, state=state, health=stopped), CAMERAS)
         assert (reason.code, "the belt does not move" in reason.message) == ("belt-stopped", True)
-
-
-@pytest.mark.parametrize("code", ["not-armed-again", "workers-starting", "thread-lost"])
-def test_troubles_of_workers_and_threads_hold_boards_back(code: str) -> None:
-    assert codes(reasons=(Reason(code=code, message="so it is", action="do it"),)) == [code]
 
 
 def test_warnings_that_leave_the_next_board_whole_do_not_hold_it_back() -> None:
@@ -168,22 +145,6 @@ def test_each_board_has_another_number() -> None:
     bench.permit.update((), 0, 0.2)
     bench.permit.update((), 1, 0.21)
     assert [permit.number if permit else None for permit in bench.sent] == [1, None, 2, 3]
-
-
-def test_numbers_begin_again_at_one() -> None:
-    """0 is the firmware's test of the output."""
-    bench = Bench()
-    for reports in range(0x10001):
-        bench.permit.update((), reports, 0.0)
-    numbers = [permit.number for permit in bench.sent if permit]
-    assert (min(numbers), max(numbers), numbers[-2:]) == (1, 0xFFFF, [1, 2])
-
-
-def test_nothing_is_sent_without_an_interlock() -> None:
-    bench = Bench(used=False)
-    bench.permit.update((), 0, 0.0)
-    bench.permit.update(HELD, 0, 0.1)
-    assert bench.sent == []
 
 
 def test_what_holds_boards_back_is_published_once() -> None:

@@ -8,7 +8,7 @@ from vaoi_station.acquisition.process.messages import Trouble
 from vaoi_station.errors import StateError
 from vaoi_station.model import Reason
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.control.reasons import TROUBLE_S, Reasons, StationStateMachine, sentence
+from vaoi_station.runs.control.reasons import TROUBLE_S, Reasons, StationStateMachine
 from vaoi_station.runs.states.tables import StationState, StationStep
 from vaoi_station.store import Store
 
@@ -60,12 +60,6 @@ def test_of_devices_that_are_opened_again_only_the_last_trouble_is_shown() -> No
     assert [reason.message for reason in reasons.all()] == ["No gain"]
 
 
-def test_sentences_begin_with_a_capital_letter_and_names_stay_as_they_are() -> None:
-    assert sentence("camera left: is closed.") == "Camera left: is closed."
-    for name in ("station.toml: order is 3", "/dev/null cannot be used", "c1: is closed.", "", "Fine."):
-        assert sentence(name) == name
-
-
 @pytest.fixture
 def events(store: Store) -> EventLog:
     return EventLog(store)
@@ -74,15 +68,6 @@ def events(store: Store) -> EventLog:
 @pytest.fixture
 def machine(events: EventLog) -> StationStateMachine:
     return StationStateMachine(events)
-
-
-def test_a_change_of_state_is_an_event_and_a_step_without_change_is_none(
-    machine: StationStateMachine, events: EventLog
-) -> None:
-    for step in (StationStep.READY, StationStep.ARM, StationStep.ARMED, StationStep.ARM):
-        machine.advance(step)
-    assert machine.state is StationState.ARMED
-    assert [e.state for e in events.read(0, 0.0, 10)] == ["idle", "arming", "armed"]
 
 
 def test_an_illegal_event_changes_nothing(machine: StationStateMachine, events: EventLog) -> None:
@@ -99,10 +84,3 @@ def test_a_refusal_names_state_reason_and_action(machine: StationStateMachine) -
     with pytest.raises(StateError, match=r"is starting \(There is no serial port\.\); arm is not possible") as refusal:
         machine.require(StationStep.ARM)
     assert refusal.value.action.startswith("Wait")
-
-
-def test_a_reason_is_published_when_it_is_new(machine: StationStateMachine, events: EventLog) -> None:
-    for action in ("Plug it in.", "Plug it in.", "Replace it."):
-        machine.add_reason("port-absent", "There is no serial port.", action)
-    assert [e.action for e in events.read(0, 0.0, 10)] == ["Plug it in.", "Replace it."]
-    assert [r.action for r in machine.reasons.all()] == ["Replace it."]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,15 +107,6 @@ def test_a_person_settles_an_ambiguous_orientation_once(rig: Any, make_stitch: C
     assert (kept_result["status"], kept_result["quality"]["orientation"]) == ("ok", "confirmed")
 
 
-def test_a_board_type_that_no_run_can_place_is_refused(rig: Any, board_type: BoardType) -> None:
-    one = board_type.model_copy(update={"name": "one-mark", "fiducials": board_type.fiducials[:1]})
-    with pytest.raises(InputError, match="'one-mark' has 1 fiducial, but must have at least 2") as refused:
-        rig.coordinator.put_board_type(one)
-    assert refused.value.code == "too-few-fiducials"
-    with pytest.raises(NotFoundError):
-        rig.coordinator.board_type("one-mark")
-
-
 def test_what_cannot_be_taught_is_refused_and_nothing_is_kept(rig: Any, board_type: BoardType) -> None:
     run = filmed(rig)
     rig.coordinator.put_board_type(board_type.model_copy(update={"name": "other"}))
@@ -136,18 +126,6 @@ def test_what_cannot_be_taught_is_refused_and_nothing_is_kept(rig: Any, board_ty
         rig.coordinator.reference("small")
     with pytest.raises(NotFoundError, match="has no reference"):
         rig.coordinator.forget_reference("small")
-
-
-def test_a_run_of_a_board_type_that_was_changed_since_is_refused(rig: Any, board_type: BoardType) -> None:
-    run = filmed(rig)
-    moved = board_type.fiducials[0].model_copy(update={"x": 6.0})
-    rig.coordinator.put_board_type(board_type.model_copy(update={"fiducials": (moved, board_type.fiducials[1])}))
-    with pytest.raises(InputError, match="had other fiducials"):
-        rig.coordinator.teach_reference("small", run)
-    with pytest.raises(NotFoundError):
-        rig.coordinator.reference("small")
-    rig.coordinator.put_board_type(board_type)
-    assert rig.coordinator.teach_reference("small", run)
 
 
 def test_a_board_type_that_is_changed_later_is_stitched_without_its_reference(rig: Any, board_type: BoardType) -> None:
@@ -174,14 +152,6 @@ def test_a_method_that_needs_a_reference_is_not_armed_without_one(rig: Any) -> N
     assert refused.value.code == "no-reference"
     rig.coordinator.set_method("small", None)
     rig.arm()
-
-
-def test_a_method_of_other_evidence_leaves_the_reference_alone(rig: Any) -> None:
-    taught(rig)
-    rig.coordinator.set_method("small", "features")
-    rig.arm()
-    armed = rig.coordinator.snapshot().armed_with
-    assert (armed.method, armed.reference) == ("features", None)
 
 
 def test_a_reference_that_was_replaced_goes_when_no_order_needs_it(rig: Any) -> None:
@@ -214,27 +184,6 @@ def test_a_run_keeps_what_it_was_made_with(rig: Any) -> None:
     assert (before.reference, before.reference_digest, before.method) == (None, None, "auto")
 
 
-def test_the_files_of_a_forgotten_reference_are_removed(rig: Any) -> None:
-    run = taught(rig)
-    filmed(rig)
-    rig.coordinator.forget_reference("small")
-    assert kept(rig) == {run}, "the last order's boards may still come"
-    filmed(rig)
-    filmed(rig)
-    rig.coordinator.sweep_references()
-    assert kept(rig) == set()
-
-
-def test_a_board_type_takes_its_reference_with_it(rig: Any, board_type: BoardType) -> None:
-    taught(rig)
-    rig.coordinator.set_method("small", "reference")
-    rig.coordinator.delete_board_type("small")
-    rig.coordinator.put_board_type(board_type)
-    assert rig.coordinator.method("small").chosen == "station"
-    with pytest.raises(NotFoundError):
-        rig.coordinator.reference("small")
-
-
 def test_a_disk_that_refuses_changes_nothing(rig: Any) -> None:
     run = filmed(rig)
     (rig.config.data / "references").write_text("in the way")
@@ -243,12 +192,3 @@ def test_a_disk_that_refuses_changes_nothing(rig: Any) -> None:
     assert "Check space" in refused.value.action
     with pytest.raises(NotFoundError):
         rig.coordinator.reference("small")
-
-
-def test_damaged_reference_files_make_it_unusable(rig: Any, make_rig: Callable[..., Any], tmp_path: Path) -> None:
-    run = taught(rig)
-    (rig.config.data / "references" / run / "result.json").write_text("{")
-    rig.coordinator._references._opened.clear()  # as after a restart
-    status = rig.coordinator.reference("small")
-    assert not status.usable
-    assert "result.json" in status.fault.message

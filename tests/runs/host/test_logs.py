@@ -22,11 +22,9 @@ from vaoi_station.runs.host.logs import (
     WINDOW_S,
     JournalHandler,
     JsonLines,
-    PriorityPrefix,
     RepeatLimit,
     configure_logging,
     is_journal,
-    priority,
 )
 
 
@@ -127,15 +125,6 @@ def test_without_a_journal_the_line_goes_to_stdout(tmp_path: Path, capsys: pytes
     assert second == "<3>two"
 
 
-@pytest.mark.parametrize(
-    ("level", "expected"),
-    [(logging.DEBUG, 7), (logging.INFO, 6), (logging.WARNING, 4), (logging.ERROR, 3), (logging.CRITICAL, 2)],
-)
-def test_priorities_are_those_of_syslog(level: int, expected: int) -> None:
-    assert priority(level) == expected
-    assert PriorityPrefix(logging.Formatter()).format(record("x", level)) == f"<{expected}>x"
-
-
 def test_only_the_journals_own_stream_counts(tmp_path: Path) -> None:
     with (tmp_path / "out").open("w") as out:
         found = os.fstat(out.fileno())
@@ -193,28 +182,8 @@ def test_warnings_that_differ_in_values_only_are_limited_too() -> None:
     assert len([text for text in seen if text]) == SAME_TEMPLATE
 
 
-def test_events_of_boards_are_not_limited() -> None:
-    limit = RepeatLimit(Clock())
-    assert all(logged(limit, "run %s", n, level=logging.INFO) for n in range(5000))
-
-
 def test_memory_is_bounded() -> None:
     limit = RepeatLimit(Clock())
     for n in range(3 * logs.MOST_KEYS):
         logged(limit, "run %s", n, level=logging.INFO)
     assert len(limit._texts) <= logs.MOST_KEYS
-
-
-def test_texts_that_never_come_again_do_not_pile_up() -> None:
-    """Every board has texts of its own: the station would grow over its first thousand boards."""
-    clock = Clock()
-    limit = RepeatLimit(clock)
-    for _ in range(SAME_TEXT + 3):
-        logged(limit, "too many open files")
-    for n in range(500):
-        clock.now_s += 1.0
-        logged(limit, "run %s", n, level=logging.INFO)
-    assert len(limit._texts) <= WINDOW_S + 2
-    text = logged(limit, "too many open files")
-    assert text is not None
-    assert "3 more" in text, "what was dropped is still stated"

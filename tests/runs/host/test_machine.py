@@ -17,11 +17,6 @@ def test_addresses_of_this_machine_and_names_are_present(host: str) -> None:
     assert is_present(host)
 
 
-@pytest.mark.parametrize("host", ["192.0.2.77", "2001:db8::77"])
-def test_addresses_for_documentation_are_not(host: str) -> None:
-    assert not is_present(host)
-
-
 def test_the_offset_is_that_of_the_present_time_zone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the present one also if it was set while the program ran, as `timedatectl set-timezone` does."""
     monkeypatch.setenv("TZ", "Asia/Kolkata")
@@ -70,10 +65,6 @@ def test_the_mount_that_is_seen_counts(tmp_path: Path) -> None:
     assert mount_view(place, mounts) == MountView(mount_read_only=True, disk_read_only=False)
     assert mount_view(Path("/"), mounts) == MountView(mount_read_only=False, disk_read_only=False)
     assert mount_view(place, tmp_path / "absent") is None
-
-
-def test_this_machine_can_be_asked(tmp_path: Path) -> None:
-    assert mount_view(tmp_path) == MountView(mount_read_only=False, disk_read_only=False)
 
 
 def test_a_service_starts_again_when_the_disk_is_writable_and_nothing_is_lost(tmp_path: Path) -> None:

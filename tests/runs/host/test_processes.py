@@ -23,7 +23,6 @@ from vaoi_station.runs.host.processes import (
     LONGEST_S,
     GcPolicy,
     keep_freed_memory,
-    no_collections,
     set_up_process,
 )
 
@@ -81,13 +80,6 @@ def test_a_full_collection_waits_until_no_board_is_processed(policy: GcPolicy, c
     assert knot() is None
 
 
-def test_a_line_without_pauses_is_collected_after_the_longest_time(policy: GcPolicy, clock: Clock) -> None:
-    knot = old_knot()
-    clock.now_s += LONGEST_S
-    policy.tick(busy=True)
-    assert knot() is None
-
-
 def test_the_interpreter_runs_no_full_collection(policy: GcPolicy) -> None:
     collections = gc.get_stats()[2]["collections"]
     kept = [[k] for k in range(400_000)]
@@ -127,18 +119,6 @@ def test_pages_of_the_heap_of_a_thread_go_back() -> None:
 
 
 @pytest.mark.usefixtures("_nothing_frozen")
-def test_stopping_restores_the_settings() -> None:
-    before = gc.get_threshold()
-    policy = GcPolicy()
-    policy.start()
-    assert gc.get_freeze_count() > 0
-    policy.stop()
-    policy.tick(busy=False)
-    assert gc.get_threshold() == before
-    assert gc.get_freeze_count() == 0
-
-
-@pytest.mark.usefixtures("_nothing_frozen")
 def test_objects_that_the_program_has_excluded_stay_excluded() -> None:
     gc.freeze()
     frozen = gc.get_freeze_count()
@@ -148,17 +128,6 @@ def test_objects_that_the_program_has_excluded_stay_excluded() -> None:
     policy.stop()
     assert 0 < gc.get_freeze_count() <= frozen
     assert len(kept) == 1000
-
-
-@pytest.mark.parametrize("automatic", [False, True])
-def test_nothing_is_collected_while_a_process_builds_its_parts(automatic: bool) -> None:
-    (gc.enable if automatic else gc.disable)()
-    try:
-        with no_collections():
-            during = gc.isenabled()
-        assert (during, gc.isenabled()) == (False, automatic)
-    finally:
-        gc.enable()
 
 
 FAULTS = """
@@ -187,16 +156,6 @@ def test_freed_memory_is_used_again_without_page_faults() -> None:
     with keep_freed_memory():
         kept = faults()
     assert kept < 100 < as_it_is
-
-
-@pytest.mark.parametrize("before", [None, "glibc.malloc.check=0"])
-def test_the_environment_is_restored(monkeypatch: pytest.MonkeyPatch, before: str | None) -> None:
-    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
-    if before is not None:
-        monkeypatch.setenv("GLIBC_TUNABLES", before)
-    with keep_freed_memory():
-        assert os.environ["GLIBC_TUNABLES"].startswith(before or "glibc.malloc.hugetlb=1")
-    assert os.environ.get("GLIBC_TUNABLES") == before
 
 
 SETTINGS = """

@@ -44,33 +44,6 @@ def test_a_request_of_a_thread_ends_the_wait() -> None:
         asking.join()
 
 
-def test_other_signals_do_not_end_the_wait() -> None:
-    before = signal.signal(signal.SIGUSR1, lambda *_: None)
-    try:
-        with StopRequest() as stop:
-            os.kill(os.getpid(), signal.SIGUSR1)
-            os.kill(os.getpid(), signal.SIGTERM)
-            assert stop.wait() == "SIGTERM"
-    finally:
-        signal.signal(signal.SIGUSR1, before)
-
-
-def test_repeated_and_late_requests_have_no_effect() -> None:
-    with StopRequest() as stop:
-        for _ in range(100_000):  # more than a socket holds
-            stop.request()
-        assert stop.wait() == ""
-    stop.request()
-
-
-def test_handlers_are_restored() -> None:
-    before = [signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGINT)]
-    with StopRequest():
-        assert signal.getsignal(signal.SIGTERM) not in before
-    assert [signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGINT)] == before
-    assert signal.set_wakeup_fd(-1) == -1
-
-
 AT_ANY_MOMENT = """
 import random, signal
 from vaoi_station.runs.host import service as stopping
@@ -186,18 +159,6 @@ def test_the_end_of_the_supervisor_is_a_fault_as_well(watched: Watched) -> None:
     assert [fault.thread for fault in watched.supervisor.faults()] == ["supervisor"]
 
 
-def test_a_supervisor_that_was_stopped_reports_nothing(watched: Watched) -> None:
-    watched.supervisor.stop()
-    watched.release.set()
-    watched.thread.join(PATIENCE_S)
-    assert watched.faults == []
-
-
-def test_without_systemd_nothing_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    assert notify("READY=1") is False
-
-
 @pytest.mark.parametrize("abstract", [False, True])
 def test_messages_arrive(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, abstract: bool) -> None:
     address = f"@vaoi-test-{tmp_path.name}" if abstract else str(tmp_path / "notify")
@@ -209,11 +170,6 @@ def test_messages_arrive(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, abstra
         notify_watchdog()
         assert systemd.recv(100) == b"READY=1"
         assert systemd.recv(100) == b"WATCHDOG=1"
-
-
-def test_a_missing_socket_is_no_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "missing"))
-    assert notify("READY=1") is False
 
 
 def test_a_status_is_sent_when_it_changes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -26,14 +26,6 @@ def test_answers_come_from_one_thread(inbox: Inbox) -> None:
     assert names == {"coordinator"}
 
 
-def test_order_is_kept(inbox: Inbox) -> None:
-    seen: list[int] = []
-    for n in range(100):
-        inbox.post(seen.append, n)
-    inbox.ask(lambda: None)
-    assert seen == list(range(100))
-
-
 def test_refusals_reach_the_caller(inbox: Inbox) -> None:
     def refuse() -> None:
         raise NotFoundError("no such thing")
@@ -48,11 +40,6 @@ def test_internal_faults_are_raised_and_do_not_end_the_thread(inbox: Inbox, capl
     inbox.post(lambda: 1 / 0)
     assert inbox.ask(lambda: "alive") == "alive"
     assert caplog.text.count("ZeroDivisionError") >= 1
-
-
-def test_the_coordinator_does_not_wait_for_itself(inbox: Inbox) -> None:
-    with pytest.raises(InternalError, match="cannot wait for itself"):
-        inbox.ask(lambda: inbox.ask(lambda: None))
 
 
 def test_an_answer_that_does_not_come_in_time(inbox: Inbox) -> None:
@@ -83,11 +70,3 @@ def test_a_caller_that_waits_at_the_end_is_refused(inbox: Inbox) -> None:
     inbox.close()
     waiter.join(10)
     assert len(reported) == 1
-
-
-def test_it_ticks_when_nothing_happens() -> None:
-    ticked = threading.Event()
-    ticking = Inbox(ticked.set, tick_s=0.01)
-    ticking.start()
-    assert ticked.wait(10)
-    ticking.close()

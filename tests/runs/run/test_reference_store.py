@@ -43,14 +43,6 @@ def test_records_are_kept_replaced_and_dropped(references: ReferenceStore) -> No
     assert references.record("small") is None
 
 
-def test_methods_are_set_and_removed(references: ReferenceStore) -> None:
-    assert references.method("small") is None
-    references.set_method("small", "reference")
-    assert references.method("small") == "reference"
-    references.set_method("small", None)
-    assert references.method("small") is None
-
-
 def test_a_board_type_without_reference_opens_none_and_damaged_files_are_refused(
     references: ReferenceStore, board_type: BoardType
 ) -> None:

@@ -16,7 +16,6 @@ from vaoi_station.runs.run.run_views import (
     belt_speed,
     detail_of,
     timeline_of,
-    versions,
 )
 from vaoi_station.runs.workers.jobs import Concluded
 
@@ -76,7 +75,3 @@ def test_pulses_and_barrier_count_from_the_first_interruption(
     assert found.barrier[1].clear_s is None
     progress.recorded = RunFinished("r1", 1, head, (), 51.0, "clear")
     assert timeline_of(progress).rows == (), "the barrier was not reported"
-
-
-def test_versions_name_what_computed() -> None:
-    assert versions().opencv[0] in "45"

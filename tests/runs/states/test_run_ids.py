@@ -14,19 +14,12 @@ from vaoi_station.runs.states.run_ids import (
     FIRST,
     LAST,
     RunIds,
-    assigned_s,
-    earliest_id,
     in_utc,
     is_run_id,
     last_midnight,
     utc,
     utc_of_host,
 )
-
-
-def test_times_are_rfc_3339_in_utc() -> None:
-    assert utc(datetime(2026, 11, 3, 14, 1, 2, 345678, tzinfo=UTC)) == "2026-11-03T14:01:02.345Z"
-    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", utc())
 
 
 def test_times_of_callers_are_converted_wherever_utc_has_them() -> None:
@@ -77,16 +70,6 @@ def test_ids_rise_whatever_the_clock_does(clock_ms: list[int]) -> None:
             given_out.append(ids.next())
     assert given_out == sorted(set(given_out))
     assert all(re.fullmatch(r"[0-9a-hjkmnp-tv-z]{10}-[0-9a-hjkmnp-tv-z]{6}", name) for name in given_out)
-
-
-def test_ids_continue_after_a_restart(monkeypatch: pytest.MonkeyPatch) -> None:
-    last = RunIds().next()
-    monkeypatch.setattr(time, "time_ns", lambda: 0)
-    assert RunIds(last).next() > last
-
-
-def test_the_time_of_an_id_is_read_from_it() -> None:
-    assert assigned_s(earliest_id(1_700_000_000.0) + "-abcdef") == 1_700_000_000.0
 
 
 def test_the_form_of_a_run_id_is_recognised() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import resource
 import signal
-import subprocess
 from collections.abc import Iterator
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -20,7 +19,7 @@ from vaoi_station.benchmarks.process_usage import cpu_s
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.runs.states.schemas import STARTING
 from vaoi_station.runs.workers import fork_server_link as module
-from vaoi_station.runs.workers.fork_server_link import ChildProcess, ForkServerLink
+from vaoi_station.runs.workers.fork_server_link import ForkServerLink
 from vaoi_station.runs.workers.jobs import CloseRun, Concluded, Numbered, Ping, WorkerReady
 
 Pipe_: TypeAlias = "Connection[Any, Any]"
@@ -102,12 +101,6 @@ def test_the_signal_that_ended_a_worker_is_its_exit_code(served: Served, ring: s
     assert not Path(f"/proc/{process.pid}").exists(), "the fork server has reaped it"
 
 
-def test_a_worker_that_cannot_open_the_ring_has_an_exit_code(served: Served, tmp_path: Path) -> None:
-    process, pipe = served.started(str(tmp_path / "absent.ring"))
-    assert served.code(process) == 1
-    pipe.close()
-
-
 def test_a_worker_that_cannot_be_forked_is_reported(served: Served, ring: str) -> None:
     """The limits are those of the server: it has no room for the worker's pipe, and then for nothing else."""
     for room, why in ((0, "the fork server has too many open files"), (1, "Too many open files")):
@@ -185,24 +178,3 @@ def test_a_server_that_cannot_be_started_is_tried_again() -> None:
     assert (status.name, status.pid, status.alive, status.doing) == ("fork server", None, False, STARTING)
     assert status.next_try is not None
     link.stop()
-
-
-def test_a_server_that_still_starts_is_ended_at_once() -> None:
-    served = Served()
-    served.until(lambda: served.link.status().pid is not None)
-    process = served.link._process
-    assert process is not None
-    served.link.stop()
-    assert process.exit_code == -signal.SIGKILL
-
-
-def test_a_process_is_watched_and_killed_by_its_pidfd() -> None:
-    with subprocess.Popen(["sleep", "1000"]) as started:
-        process = ChildProcess(started.pid, os.pidfd_open(started.pid))
-        assert not process.has_ended()
-        process.kill()
-        assert process.has_ended(60.0)
-        assert started.wait() == -signal.SIGKILL
-        process.kill()  # nothing is left to kill
-        assert process.exit_code is None, "only its parent knows it"
-        process.close()

@@ -22,7 +22,6 @@ from tests.identity.conftest import DATAMATRIX
 from tests.identity.conftest import film as coded
 from tests.mosaic.conftest import Film, Filmed, board, film
 from tests.runs.merging.finished_board import Merging, even_fields
-from vaoi_station.errors import NotFoundError
 from vaoi_station.files.images import decode, write_image
 from vaoi_station.heights.estimates import combine_parts
 from vaoi_station.model import BoardType
@@ -159,13 +158,6 @@ def test_slices_can_be_sent_to_a_worker_and_continue(monkeypatch: pytest.MonkeyP
     assert slices[0].worker_s > 0
 
 
-def test_a_frame_without_a_slot_is_missing() -> None:
-    filmed = coded((DATAMATRIX,))
-    job = IdentityJob("r1", 0, 1, filmed.board_type, filmed.stitch, filmed.cameras, {})
-    done = job.perform(lambda _slot: pytest.fail("no frame is there"))
-    assert (done.reading.codes, len(done.reading.unread_places), done.progress.ended) == ((), 1, True)
-
-
 def job(**options: object) -> MergeJob:
     shown = view(0, 0, (12.0, 9.0))
     frames = tuple(MergedFrame(shown, Taken(exposure), FRAME, slot) for slot, exposure in enumerate((100.0, 10.0)))
@@ -180,18 +172,6 @@ def test_frames_of_the_ring_are_merged() -> None:
     np.testing.assert_allclose(value, 6.0, rtol=1e-5)
     sigma = np.load(io.BytesIO(job(sigma=True).perform(pixels.__getitem__)))
     assert 0 < sigma.max() < 1
-
-
-def test_frames_of_a_recording_are_read_from_their_files(tmp_path: Path) -> None:
-    write_image(tmp_path / "a.png", np.full(FRAME[::-1], 40, np.uint8))
-    frames = tuple(f._replace(file=tmp_path / "a.png", taken=Taken(10.0)) for f in job().frames)
-    merged = MergeJob("r1", 0, 0, 0, job().view, "npy", frames=frames, file=tmp_path / "a.png")
-    np.testing.assert_allclose(np.load(io.BytesIO(merged.perform(lambda _: np.zeros(0)))), 4.0, rtol=1e-5)
-
-
-def test_absent_flat_fields_are_named(tmp_path: Path) -> None:
-    with pytest.raises(NotFoundError, match=r"flatfield\.json: there is no such file"):
-        job(flat_fields=tmp_path / "none").perform(lambda _: np.zeros(FRAME[::-1], np.uint8))
 
 
 def test_levels_follow_from_the_ring_and_from_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,13 +224,6 @@ def decoded(content: bytes) -> Any:
     return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
 
 
-def test_a_plan_takes_one_worker_only(board: Filmed) -> None:
-    """It takes seconds for some hundred frames: another worker would have to begin anew."""
-    base, choice = board.base, choose_frames(board.taken)
-    job = PlanJob("r", 0, 1, {}, choice, board.cameras, board.stitch, board.board_type, base, base)
-    assert not job.repeatable
-
-
 def test_plan_and_tile_travel_to_a_worker_and_back(board: Filmed) -> None:
     pixels = tile(board, None)
     png = decoded(tile(board, "png"))
@@ -267,11 +240,3 @@ def test_hdr_is_shown_by_its_logarithm(film: Film) -> None:
     assert (np.isfinite(radiance) == (shown > 0)).all()
     tones = displayed(np.array([[1, 10, 100, np.nan]], np.float32), (1.0, 100.0))
     assert tones.tolist() == [[1, 128, 255, 0]]
-
-
-def test_tile_that_no_frame_shows_is_black(board: Filmed) -> None:
-    plan, _ = planned(board)
-    spec = TileRenderer(plan, board.projector, board.base).spec((0, 0, 64, 64))
-    content = TileJob("r", 0, 1, {}, spec, plan.tone, "png").perform(lambda slot: board.frames[0, 0])
-    assert isinstance(content, bytes)
-    assert (decoded(content) == 0).all()

@@ -7,7 +7,6 @@ import dataclasses
 import os
 import signal
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +17,13 @@ from tests.runs.workers.plant import BoardPlant, Pending, Plant, conclusion, num
 from tests.runs.workers.served import few_files
 from vaoi_station.benchmarks.process_usage import cpu_s
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.errors import BusyError, GoneError, InternalError, StateError
+from vaoi_station.errors import BusyError, InternalError, StateError
 from vaoi_station.runs.workers import fork_server_link
 from vaoi_station.runs.workers import pool as module
 from vaoi_station.runs.workers import queues as queues_module
-from vaoi_station.runs.workers.jobs import ConcludeJob, LinkJob, PictureJob, Priority, SteppedJob
+from vaoi_station.runs.workers.jobs import ConcludeJob, PictureJob, Priority, SteppedJob
 from vaoi_station.runs.workers.queues import MAX_PICTURES
 from vaoi_station.steps import Steps
-
-
-def test_links_and_pictures_are_made(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
-    answer = plant.submit(plant.link()).get()
-    assert answer.error is None, answer.error
-    assert answer.worker_s > answer.value[0] > 0
-    picture = plant.submit(plant.picture(make_stitch, make_head(3))).get()
-    assert picture.value[:4] == b"\x89PNG"
 
 
 def test_frames_of_one_camera_go_to_one_worker(plant: Plant) -> None:
@@ -84,26 +75,6 @@ def test_a_job_that_ends_two_workers_is_given_up(plant: Plant) -> None:
     assert plant.submit(plant.link()).get().error is None
 
 
-def ages_s(plant: Plant) -> list[float]:
-    return [float(w.heartbeat_age_s or 0.0) for w in plant.pool.status()]
-
-
-def test_an_idle_worker_answers_pings(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "PING_INTERVAL_S", 0.05)
-    plant.all_idle()
-    seen: list[list[float]] = []
-
-    def renewed() -> bool:
-        seen.append(ages_s(plant))
-        return all(any(b[k] < a[k] for a, b in pairwise(seen)) for k in (0, 1))
-
-    plant.until(renewed)
-    before = plant.complete
-    seen.clear()
-    plant.until(renewed)
-    assert plant.complete == before, "readiness is reported once, not with every reply to a ping"
-
-
 def test_a_worker_that_hangs_is_replaced(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
     plant.all_idle()
     monkeypatch.setattr(module, "PING_INTERVAL_S", 0.05)
@@ -153,14 +124,6 @@ def test_a_check_whose_worker_has_died_is_refused(board_plant: BoardPlant, ring_
     assert board_plant.submit(ring_board.link(ring_board.tasks[0])).get().error is None
 
 
-def test_only_the_given_tasks_are_in_the_result(plant: Plant, make_head: Any) -> None:
-    jobs = [plant.link(0, row) for row in range(2)]
-    assert all(plant.submit(job).get().error is None for job in jobs)
-    for chosen, rows in ((jobs, [[0, 0], [0, 1]]), (jobs[:1], [[0, 0]])):
-        result = numbers(plant.submit(conclusion(plant, make_head(3), chosen)).get())
-        assert [u["a"] for u in result["quality"]["unlinked"]] == rows
-
-
 def test_a_conclusion_whose_worker_dies_is_repeated_by_another(plant: Plant, make_head: Any) -> None:
     plant.all_idle()
     jobs = [plant.link(camera) for camera in (0, 1)]
@@ -172,34 +135,6 @@ def test_a_conclusion_whose_worker_dies_is_repeated_by_another(plant: Plant, mak
     assert "the conclusion of run r1" in plant.pool.status()[1].doing
     os.kill(plant.pid(1), signal.SIGKILL)
     assert numbers(pending.get()) == numbers(plant.submit(job).get())
-
-
-def test_frames_of_a_later_board_are_refused(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
-    plant.ring.claim(0)
-    for job in (plant.link(), plant.picture(make_stitch, make_head(3))):
-        assert isinstance(plant.submit(job).get().error, GoneError)
-
-
-def test_a_failed_job_is_an_internal_error_and_the_worker_survives(plant: Plant) -> None:
-    broken = LinkJob(plant.context, 0, plant.link().tasks, {})
-    answer = plant.submit(broken).get()
-    assert isinstance(answer.error, InternalError)
-    assert "is not there" in answer.error.message
-    assert plant.submit(plant.link()).get().error is None
-    assert plant.restarts == [0, 0]
-
-
-def test_waiting_links_of_a_closed_run_are_dropped(plant: Plant) -> None:
-    plant.all_idle()
-    for worker in (0, 1):
-        os.kill(plant.pid(worker), signal.SIGSTOP)
-    pending = [plant.submit(plant.link(0, 0)) for _ in range(5)]
-    plant.pool.close_run("r1")
-    for worker in (0, 1):
-        os.kill(plant.pid(worker), signal.SIGCONT)
-    assert pending[0].get().error is None
-    plant.all_idle()
-    assert sum(len(p.answers) for p in pending) < len(pending)
 
 
 def test_stopping_reports_every_job_and_leaves_no_process(tmp_path: Path) -> None:
@@ -289,11 +224,6 @@ def test_a_paused_job_begins_anew_when_its_worker_dies(plant: Plant, walk: Pendi
     plant.until(lambda: len(plant.lost) == 1)
     plant.ring.frame(0)[0, 0] = 1
     assert walk.get().value != victim
-
-
-def test_a_paused_job_ends_when_its_frames_are_overwritten(plant: Plant, walk: Pending) -> None:
-    plant.next_context()
-    assert isinstance(walk.get().error, GoneError)
 
 
 def test_the_job_of_a_worker_that_hangs_is_repeated_at_once(plant: Plant) -> None:

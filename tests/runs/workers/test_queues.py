@@ -85,12 +85,6 @@ def test_one_waiting_job_is_left_to_its_worker_and_a_second_one_is_not(hall: Hal
     assert hall.choose(1) == hall.link(0, 0)
 
 
-def test_jobs_of_a_worker_that_is_not_ready_go_to_others(hall: Hall) -> None:
-    hall.workers[0].ready = False
-    hall.add(hall.link(0))
-    assert hall.choose(2) == hall.link(0)
-
-
 def test_urgent_jobs_are_chosen_first(hall: Hall) -> None:
     conclusion = hall.board.conclusion()
     hall.add(hall.picture(), hall.link(2), conclusion)
@@ -114,12 +108,6 @@ def test_a_conclusion_does_not_wait_for_a_picture_or_a_check(hall: Hall, busy_wi
     assert isinstance(hall.choose(0), ConcludeJob)
 
 
-def test_a_conclusion_waits_for_links_of_its_worker(hall: Hall) -> None:
-    hall.workers[2].jobs = deque([queued(hall.link(2))])
-    hall.add(hall.board.conclusion())
-    assert hall.choose(0) is None
-
-
 def test_links_of_the_next_board_do_not_wait_for_a_check(hall: Hall) -> None:
     hall.workers[2].jobs = deque([queued(CHECK)])
     hall.add(hall.link(2, 0))
@@ -139,14 +127,6 @@ def test_a_busy_worker_gets_its_next_link_if_the_run_is_open_there(hall: Hall) -
     assert hall.queues.next_link(worker) is None
 
 
-def test_no_second_job_while_a_conclusion_waits(hall: Hall) -> None:
-    worker = hall.workers[0]
-    worker.jobs.append(queued(hall.link(0)))
-    worker.opened.add("r1")
-    hall.add(hall.link(0, 1), hall.board.conclusion())
-    assert hall.queues.next_link(worker) is None
-
-
 def test_closing_a_run_drops_its_links_and_keeps_its_check_and_pictures(hall: Hall) -> None:
     hall.queues.runs["r2"] = OpenRun(replace(hall.board.context, run="r2"), hall.board.setup)
     hall.add(hall.link(0), hall.link(0, run="r2"), hall.picture(), CHECK)
@@ -161,12 +141,6 @@ def test_a_job_of_a_closed_run_is_not_put_back(hall: Hall) -> None:
     hall.queues.forget(job.run)
     hall.queues.put_back(queued(job, deaths=1))
     assert hall.queues.emptied() == []
-
-
-def test_a_job_that_is_put_back_is_the_next_one(hall: Hall) -> None:
-    hall.add(hall.link(0, 1))
-    hall.queues.put_back(queued(hall.link(0, 0), deaths=1))
-    assert hall.choose(0) == hall.link(0, 0)
 
 
 @settings(max_examples=60, deadline=None)
@@ -191,13 +165,6 @@ def test_every_job_is_given_out_exactly_once(
     assert {job.priority for job in chosen} <= {Priority.LINK, Priority.RENDER}
 
 
-def test_a_picture_leaves_one_worker_free_for_a_conclusion(hall: Hall) -> None:
-    hall.add(*(hall.picture() for _ in range(5)))
-    assert [hall.choose(k) is not None for k in (2, 1, 0)] == [False, True, True], "the one with the evidence"
-    hall.add(hall.board.conclusion())
-    assert isinstance(hall.choose(2), ConcludeJob)
-
-
 def test_the_last_frame_of_a_board_does_not_wait_for_a_large_picture(hall: Hall) -> None:
     hall.add(hall.picture())
     assert hall.choose(0) == hall.picture()
@@ -220,21 +187,6 @@ def test_small_pictures_and_links_take_turns_on_the_workers_that_do_not_conclude
     for _ in range(3):
         assert isinstance(hall.choose(1), LinkJob)
         hall.workers[1].jobs.clear()
-
-
-def test_a_small_picture_never_delays_a_conclusion_or_waits_for_large_ones(hall: Hall) -> None:
-    small = replace(hall.picture(), priority=Priority.SMALL_RENDER)
-    hall.add(hall.picture(), hall.picture(), small)
-    assert hall.choose(0) == small
-    hall.workers[0].jobs.clear()
-    hall.add(small, hall.board.conclusion())
-    assert isinstance(hall.choose(2), ConcludeJob)
-
-
-def test_a_worker_that_does_not_answer_is_not_the_one_left_free(hall: Hall) -> None:
-    hall.workers[0].overdue = True
-    hall.add(hall.picture(), hall.picture())
-    assert [hall.choose(k) is not None for k in (2, 1)] == [False, True]
 
 
 def test_the_only_sound_worker_renders_too(ring_board: RingBoard) -> None:
@@ -291,19 +243,6 @@ def test_a_job_in_spare_time_is_as_urgent_as_pictures_while_a_caller_waits_for_i
     assert chosen == [spare, later, other]
 
 
-def test_no_job_is_urgent_once_its_callers_have_gone(hall: Hall) -> None:
-    hall.queues.runs.clear()
-    spare = replace(hall.picture(), priority=Priority.HEIGHTS)
-    for callers in (1, 1, -1):
-        hall.queues.hasten(RenderJob, "r1", callers)
-    hall.add(spare, hall.picture())
-    assert hall.choose(0) == spare, "one of two still waits"
-    hall.workers[0].jobs.clear()
-    hall.queues.hasten(RenderJob, "r1", -1)
-    hall.add(spare)
-    assert [hall.choose(0), hall.queues.waiting(Priority.HEIGHTS)] == [hall.picture(), 1]
-
-
 def test_spare_time_begins_no_job_while_a_caller_waits(ring_board: RingBoard) -> None:
     """The second of two workers is to go on with a job of seconds, for which the first one must be free of pictures."""
     hall = Hall(ring_board, 2)
@@ -333,12 +272,6 @@ def test_parts_of_batches_come_after_pictures_and_take_every_worker_while_no_run
     assert [hall.choose(k) for k in (1, 2)] == [part_of_a_batch()] * 2
 
 
-def test_parts_of_batches_leave_one_worker_free_while_a_run_is_open(hall: Hall) -> None:
-    hall.add(part_of_a_batch(), part_of_a_batch(), part_of_a_batch())
-    assert [hall.choose(k) for k in (0, 1)] == [part_of_a_batch()] * 2
-    assert hall.choose(2) is None
-
-
 def test_a_worker_is_overdue_when_its_job_or_its_reply_to_a_ping_takes_much_longer_than_usual(hall: Hall) -> None:
     worker = Worker(0, ready=True, jobs=deque([queued(hall.link(0))]), since_s=10.0)
     assert worker.due_s() == 10.0 + OVERDUE_S[Priority.LINK]
@@ -348,12 +281,6 @@ def test_a_worker_is_overdue_when_its_job_or_its_reply_to_a_ping_takes_much_long
     assert Worker(0, ready=True).due_s() is None
     assert Worker(0, ready=True, pinged_s=10.0).due_s() == 10.0 + PING_OVERDUE_S
     assert Worker(0, since_s=0.0).due_s() is None, "a worker that starts is not overdue"
-
-
-def test_links_are_repeated_and_checks_and_answered_jobs_are_not(hall: Hall) -> None:
-    link, answered = queued(hall.link(0)), queued(hall.link(0))
-    answered.answered = True
-    assert [q.repeatable for q in (link, answered, queued(CHECK), queued(LongJob("r1", 0, 1)))] == [True] + 3 * [False]
 
 
 def test_a_check_goes_to_the_worker_that_has_concluded_and_leaves_another_one_free(hall: Hall) -> None:
@@ -366,12 +293,6 @@ def test_a_check_goes_to_the_worker_that_has_concluded_and_leaves_another_one_fr
     hall.workers[2].jobs.append(queued(hall.picture()))
     hall.add(CHECK)
     assert hall.choose(1) is None
-
-
-def test_pictures_do_not_wait_for_the_check_of_a_worker_that_hangs(hall: Hall) -> None:
-    hall.workers[2].overdue = True
-    hall.add(CHECK, hall.picture())
-    assert hall.choose(0) == hall.picture()
 
 
 def test_no_picture_is_begun_beside_a_conclusion_unless_another_worker_is_free(ring_board: RingBoard) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.rendering.computed import compute_views
 from tests.runs.workers.conftest import CHECK, RingBoard
@@ -22,13 +20,11 @@ from vaoi_station.drift.checks import RunCheck
 from vaoi_station.drift.lamps import is_comparable
 from vaoi_station.errors import GoneError, InternalError
 from vaoi_station.files.images import write_image
-from vaoi_station.model import Status
-from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers import evidence_log
 from vaoi_station.runs.workers import worker as module
 from vaoi_station.runs.workers.evidence_log import EvidenceLog, shared_memory
 from vaoi_station.runs.workers.jobs import CloseRun, Job, Numbered, Reply
-from vaoi_station.runs.workers.picture_jobs import RenderJob, encode
+from vaoi_station.runs.workers.picture_jobs import RenderJob
 from vaoi_station.runs.workers.worker import WorkerRuntime
 from vaoi_station.stitching.work import TaskRunner
 
@@ -131,12 +127,6 @@ def test_a_record_that_is_not_whole_is_not_read(monkeypatch: pytest.MonkeyPatch)
     assert list(reader.new_records()) == [("whole", 2, [])]
 
 
-def test_only_the_given_tasks_are_used(runtime: WorkerRuntime, ring_board: RingBoard, expected: Any) -> None:
-    only(runtime, ring_board.link(*ring_board.tasks))
-    assert matrices(only(runtime, ring_board.conclusion(ring_board.tasks[3:]))) != expected
-    assert only(runtime, ring_board.conclusion(())).value.without_components.status is Status.FAILED
-
-
 def test_a_check_equals_one_made_offline(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
     only(runtime, ring_board.conclusion())
     assert runtime.reply(CloseRun("r1")) is None
@@ -188,13 +178,6 @@ def render_jobs(runtime: WorkerRuntime, ring_board: RingBoard) -> list[RenderJob
     ]
 
 
-def test_a_picture_is_rendered_from_its_slot(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
-    job = render_jobs(runtime, ring_board)[0]
-    assert decoded(only(runtime, job).value).shape[:2] == (job.view.height, job.view.width)
-    stale = dataclasses.replace(job, generation=job.generation + 1)
-    assert isinstance(only(runtime, stale).error, GoneError)
-
-
 def test_a_picture_from_a_recording_equals_that_from_the_ring(
     runtime: WorkerRuntime, ring_board: RingBoard, tmp_path: Path
 ) -> None:
@@ -209,33 +192,11 @@ def test_a_picture_from_a_recording_equals_that_from_the_ring(
 def test_a_difference_is_made_from_two_slots(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
     a, b = render_jobs(runtime, ring_board)[:2]
     same = dataclasses.replace(a, minus=a)
+
+    def decoded(content: bytes) -> Any:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+
     assert (decoded(only(runtime, same).value) == 128).all()
     pictures = [decoded(only(runtime, job).value).astype(float) for job in (a, b)]
     halved = decoded(only(runtime, dataclasses.replace(a, minus=b, ratio=0.5)).value)
     assert np.abs(halved - (128 + (pictures[0] - 0.5 * pictures[1]) / 2)).max() <= 0.5
-
-
-def decoded(content: bytes) -> NDArray[Any]:
-    return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED))
-
-
-@pytest.mark.parametrize("format", ["png", "tiff", "npy"])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_lossless_formats_keep_every_pixel(format: ImageFormat, dtype: type) -> None:
-    image: NDArray[Any] = np.arange(35, dtype=dtype).reshape(5, 7) * 3
-    content = encode(image, format)
-    back = np.load(io.BytesIO(content)) if format == "npy" else decoded(content)
-    assert back.dtype == dtype
-    assert np.array_equal(back, image)
-
-
-def test_jpeg_is_close_to_the_picture() -> None:
-    image = np.full((64, 64), 120, np.uint8)
-    back = decoded(encode(image, "jpeg"))
-    assert np.abs(back.astype(int) - image).max() <= 2
-
-
-def test_colours_of_npy_are_red_green_blue() -> None:
-    blue = np.zeros((2, 3, 3), np.uint8)
-    blue[..., 0] = 9  # OpenCV's first channel
-    assert np.load(io.BytesIO(encode(blue, "npy")))[0, 0].tolist() == [0, 0, 9]
