@@ -11,8 +11,8 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -36,7 +36,7 @@ from vaoi_station.runs.control.core import Parts
 from vaoi_station.runs.handover.handover import Handover
 from vaoi_station.runs.host.machine import RemountWatch
 from vaoi_station.runs.host.processes import no_collections
-from vaoi_station.runs.host.service import StartWait, StatusNotice, StopRequest, Supervisor, notify, notify_watchdog
+from vaoi_station.runs.host.service import StatusNotice, StopRequest, Supervisor, notify, until_started
 from vaoi_station.runs.run.memory import BayGrants
 from vaoi_station.runs.run.order import OrderFactory, StandingOrder
 from vaoi_station.runs.run.reference_store import ReferenceStore
@@ -62,39 +62,6 @@ EXIT_FAULT = 4
 DATABASE, REFERENCES = "station.db", "references"
 
 
-class Outlets:
-    """What a station hands on to others: events to a broker, finished runs to an archive."""
-
-    def __init__(self, config: StationConfig, events: EventLog, archive: Archive) -> None:
-        self._coordinator: StationCoordinator | None = None
-        self.publisher = Publisher.of(config, events, self._state)
-        self._handover = None
-        if config.archive is not None:
-            # A run that is not stored yet is on the belt or with the workers.
-            self._handover = Handover(config.archive, config.name, events, lambda: archive.count_at_risk() > 0)
-
-    def reasons(self) -> tuple[Reason, ...]:
-        """Return a warning while the broker is lost, and one while the archive takes no runs."""
-        return tuple(reason for part in (self.publisher, self._handover) if part for reason in part.reasons())
-
-    @contextmanager
-    def running(self, watch: Callable[[SupervisedThread], None], coordinator: StationCoordinator) -> Iterator[None]:
-        """Serve both while a `with` block runs, with threads that `watch` supervises."""
-        with ExitStack() as parts:
-            if (handover := self._handover) is not None:
-                parts.enter_context(handover.running(coordinator.kept.recordings))
-                coordinator.kept.archive_status = handover.status
-                watch(handover.thread)
-            if self.publisher is not None:
-                self._coordinator = coordinator
-                parts.enter_context(self.publisher.running(watch))
-            yield
-
-    def _state(self) -> str:
-        assert self._coordinator is not None, "the publisher runs"
-        return str(self._coordinator.snapshot().state)
-
-
 class Station:
     """All processes and threads of the station except the web server; a context manager that starts and stops them."""
 
@@ -109,19 +76,18 @@ class Station:
 
         Args:
             config: the station.
-            launch: the function that starts the acquisition process; None starts the real one.
-            on_fault: called after a thread of the station has ended or hangs, and an event was written. Because no run
-                can end without this thread, a service exits here and is started again.
+            launch: starts the acquisition process; None starts the real one.
+            on_fault: called after a thread has ended or hangs, and an event was written. Because no run can end without
+                this thread, a service exits here and is started again.
             remount: the watch over the mount of the data directory; None: nothing starts the process again.
         """
         self.config = config
         self._launch, self._on_fault, self._remount = launch, on_fault, remount
+        self._parts, self._wound_down = ExitStack(), False
         self._supervisor: Supervisor | None = None
+        self._coordinator: StationCoordinator | None = None
         self.publisher: Publisher | None = None
         """What publishes the events of the running station to a broker; None without one."""
-        self._parts = ExitStack()
-        self._coordinator: StationCoordinator | None = None
-        self._wound_down = False
 
     @property
     def coordinator(self) -> StationCoordinator:
@@ -135,8 +101,7 @@ class Station:
         config = self.config
         with ExitStack() as parts:
             calibration, uncalibrated = _calibration(config)
-            database = Database(config.data / DATABASE)
-            store = Store(database)
+            store = Store(database := Database(config.data / DATABASE))
             parts.callback(store.close)
             store.configurations.begin(config.model_dump_json(), utc())
             ring = parts.enter_context(Ring.create(ring_path(config), RingLayout.of(config)))
@@ -147,21 +112,23 @@ class Station:
             grants = BayGrants(ring.blacken, link)
             archive = Archive(store, events)
             watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras])
-            cameras = calibration.cameras(config.heads)
+            cameras, board_types = calibration.cameras(config.heads), BoardTypeDirectory(config.board_types)
             shelf = ReferenceStore(config.data / REFERENCES, store, cameras)
             shelf.sweep()
             housekeeping = _housekeeping(config, store, events)
-            board_types = BoardTypeDirectory(config.board_types)
             make_order: MakeOrder = (
                 partial(_refuse_order, uncalibrated)
                 if uncalibrated
                 else OrderFactory(config, calibration, store, shelf, row_lights(config))
             )
+            missing = () if uncalibrated is None else (Reason.of(uncalibrated),)
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)
-            run_ids = RunIds(store.newest_run())
-            outlets = Outlets(config, events, archive)
-            supervisor = Supervisor(notify_watchdog, lambda faults: self._report(events, faults))
+            # What a station hands on to others: events to a broker, finished runs to an archive.
+            publisher = Publisher.of(config, events, lambda: str(coordinator.snapshot().state))
+            handover = _handover(config, events, archive)
+            receivers = [receiver for receiver in (publisher, handover) if receiver is not None]
+            supervisor = Supervisor(lambda: notify("WATCHDOG=1"), lambda faults: self._report(events, faults))
             coordinator = StationCoordinator(
                 Parts(
                     config,
@@ -170,11 +137,11 @@ class Station:
                     workers,
                     archive,
                     events,
-                    run_ids,
+                    RunIds(store.newest_run()),
                     watch,
                     standing,
                     resumed,
-                    partial(_other_warnings, outlets, uncalibrated),
+                    lambda: (*missing, *(reason for receiver in receivers for reason in receiver.reasons())),
                     tuple(camera.px_per_mm for camera in cameras),
                 ),
                 ring,
@@ -189,24 +156,24 @@ class Station:
                 housekeeping.add(lambda: remount.check(archive.count_at_risk()), REMOUNT_S, code="storage-read-only")
             housekeeping.add(coordinator.sweep_references, RETENTION_S, code="retention")
             housekeeping.add(coordinator.kept.tend, RETENTION_S, code="retention")
-            # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator, which
-            # thus receives the last reports of both.
-            parts.callback(coordinator.close)
-            coordinator.start()
-            # It blackens memory of the ring, which is closed last.
-            parts.callback(grants.stop)
-            grants.start()
-            parts.callback(workers.stop)
-            workers.start(coordinator.worker_ended, coordinator.workers_ready)
-            parts.callback(link.stop)
-            link.start(coordinator.acquisition_message, coordinator.acquisition_ended, workers.warm)
-            parts.callback(housekeeping.stop)
-            housekeeping.start()
+            for begin, end in (
+                (coordinator.start, coordinator.close),
+                (grants.start, grants.stop),
+                (partial(workers.start, coordinator.worker_ended, coordinator.workers_ready), workers.stop),
+                (
+                    partial(link.start, coordinator.acquisition_message, coordinator.acquisition_ended, workers.warm),
+                    link.stop,
+                ),
+                (housekeeping.start, housekeeping.stop),
+            ):
+                # The exit stack calls in reverse order: the link stops first, then the workers, then the coordinator,
+                # which thus receives the last reports of both.
+                parts.callback(end)
+                begin()
             if ring.lock_note:
                 events.add("trouble", ring.lock_note, code="ring-not-locked")
-            supervisor.watch(database.thread, coordinator.thread, workers.thread, link.thread, housekeeping.thread)
             supervisor.watch(
-                grants.thread,
+                *(part.thread for part in (database, coordinator, grants, workers, link, housekeeping)),
                 coordinator.kept.recordings.thread,
                 coordinator.kept.identities.queue.thread,
                 coordinator.heights.queue.thread,
@@ -215,8 +182,13 @@ class Station:
             parts.callback(supervisor.stop)
             supervisor.start()
             # Broker and archive come last, and go first: the line waits for none of them.
-            parts.enter_context(outlets.running(supervisor.watch, coordinator))
-            self._supervisor, self.publisher = supervisor, outlets.publisher
+            if handover is not None:
+                parts.enter_context(handover.running(coordinator.kept.recordings))
+                coordinator.kept.archive_status = handover.status
+                supervisor.watch(handover.thread)
+            if publisher is not None:
+                parts.enter_context(publisher.running(supervisor.watch))
+            self._supervisor, self.publisher = supervisor, publisher
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     def watch(self, thread: SupervisedThread) -> None:
@@ -278,12 +250,12 @@ def _calibration(config: StationConfig) -> tuple[Calibration, StateError | None]
     )
 
 
-def _other_warnings(outlets: Outlets, uncalibrated: StateError | None) -> tuple[Reason, ...]:
-    """Return the warnings of parts that the coordinator does not know."""
-    if uncalibrated is None:
-        return outlets.reasons()
-    missing = Reason(code=uncalibrated.code, message=uncalibrated.message, action=uncalibrated.action)
-    return (missing, *outlets.reasons())
+def _handover(config: StationConfig, events: EventLog, archive: Archive) -> Handover | None:
+    """Return what hands finished runs to the archive of the plant; None without one."""
+    if config.archive is None:
+        return None
+    # A run that is not stored yet is on the belt or with the workers.
+    return Handover(config.archive, config.name, events, lambda: archive.count_at_risk() > 0)
 
 
 def _refuse_order(refusal: StateError, *_: object) -> NoReturn:
@@ -322,13 +294,13 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
     address, names = (api.host, api.port if port is None else port), (api.host, *api.names)
     tls = None if api.certificate is None else CertificateFiles(api.certificate, api.private_key)
     with StopRequest() as stop, ExitStack() as parts:
-        wait, remount = StartWait(stop), RemountWatch(config.data, stop.request)
-        socket_ = wait.until_started(lambda: open_listener(*address, "[api]"))
+        remount = RemountWatch(config.data, stop.request)
+        socket_ = until_started(stop, lambda: open_listener(*address, "[api]"))
         if socket_ is None:
             return
         parts.enter_context(socket_)
         with WaitingPage(socket_, names, tls, api.root_path) as page:
-            station = wait.until_started(lambda: _started(config, remount), page.report)
+            station = until_started(stop, lambda: _started(config, remount), page.report)
         if station is None:
             return
         parts.callback(station.stop)

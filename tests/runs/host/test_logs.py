@@ -106,7 +106,7 @@ def parsed(datagram: bytes) -> dict[str, str]:
 
 def test_record_has_priority_and_fields(journal: Receiver) -> None:
     received, path = journal
-    handler = JournalHandler("vaoi", str(path))
+    handler = JournalHandler(str(path))
     handler.handle(record("camera left: no frames\nsecond = line", run="r1", board="B7", camera="left", code=""))
     fields = parsed(received.recv(1 << 16))
     handler.close()
@@ -117,7 +117,7 @@ def test_record_has_priority_and_fields(journal: Receiver) -> None:
 
 
 def test_without_a_journal_the_line_goes_to_stdout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    handler = JournalHandler("vaoi", str(tmp_path / "none"))
+    handler = JournalHandler(str(tmp_path / "none"))
     handler.handle(record("one\ntwo", logging.ERROR))
     handler.close()
     first, second = capsys.readouterr().out.splitlines()

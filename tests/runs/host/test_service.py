@@ -19,12 +19,11 @@ from vaoi_station.errors import DeviceError, InputError, VaoiError
 from vaoi_station.runs.host import service as module
 from vaoi_station.runs.host.service import (
     PASSING,
-    StartWait,
     StatusNotice,
     StopRequest,
     Supervisor,
     notify,
-    notify_watchdog,
+    until_started,
 )
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -78,7 +77,7 @@ def test_a_cause_that_passes_is_waited_for_and_reported(code: str) -> None:
         return "started"
 
     with StopRequest() as stop:
-        assert StartWait(stop).until_started(start, reported.append) == "started"
+        assert until_started(stop, start, reported.append) == "started"
     assert reported == faults
 
 
@@ -87,7 +86,7 @@ def test_a_cause_that_does_not_pass_ends_the_start_at_once() -> None:
         raise InputError("station.toml: a typing error")
 
     with StopRequest() as stop, pytest.raises(InputError, match="typing error"):
-        StartWait(stop).until_started(start, lambda _: pytest.fail("nothing to wait for"))
+        until_started(stop, start, lambda _: pytest.fail("nothing to wait for"))
 
 
 def test_a_request_to_stop_ends_the_wait() -> None:
@@ -95,7 +94,7 @@ def test_a_request_to_stop_ends_the_wait() -> None:
         raise DeviceError("full", code="storage-full")
 
     with StopRequest() as stop:
-        assert StartWait(stop).until_started(start, lambda _: stop.request()) is None
+        assert until_started(stop, start, lambda _: stop.request()) is None
 
 
 PATIENCE_S = 10.0
@@ -167,7 +166,7 @@ def test_messages_arrive(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, abstra
         systemd.settimeout(10)
         monkeypatch.setenv("NOTIFY_SOCKET", address)
         assert notify("READY=1")
-        notify_watchdog()
+        notify("WATCHDOG=1")
         assert systemd.recv(100) == b"READY=1"
         assert systemd.recv(100) == b"WATCHDOG=1"
 

@@ -15,10 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import islice
 
-IDENTIFIER = "vaoi"
-"""Name of the program in the journal."""
 TEXT = "%(levelname)s %(processName)s %(name)s: %(message)s"
 JSON_VARIABLE = "VAOI_LOG_JSON"
 """Environment variable that selects JSON if it is not empty; child processes inherit it."""
@@ -34,8 +31,6 @@ WINDOW_S = 60.0
 SAME_TEXT, SAME_TEMPLATE = 5, 100
 """Largest numbers of records within `WINDOW_S` that are logged: of the same text, and of warnings that differ only in
 their values."""
-ENDED_AT_ONCE = 8
-"""Number of the oldest windows that are examined with each record, so that those that have ended do not pile up."""
 MOST_KEYS = 2000
 """Largest number of windows in memory; beyond it, the oldest windows are closed first."""
 
@@ -43,29 +38,25 @@ MOST_KEYS = 2000
 def configure_logging(as_json: bool | None = None) -> None:
     """Configure logging to standard output, as JSON or as text. None selects the format of the parent process.
 
-    If standard output is systemd's journal, records have a priority. Text is sent with fields, by the journal's own
-    protocol. JSON is written as lines with a prefix.
+    If standard output is systemd's journal, text is sent with fields, by the journal's own protocol; JSON is written as
+    lines with the priority as a prefix.
     """
     if as_json is not None:
         os.environ[JSON_VARIABLE] = "1" if as_json else ""
-    logging.basicConfig(level=logging.INFO, handlers=[_handler(bool(os.environ.get(JSON_VARIABLE)))])
-
-
-def _handler(as_json: bool) -> logging.Handler:
-    journal = is_journal(os.environ, 1)
+    as_json, journal = bool(os.environ.get(JSON_VARIABLE)), is_journal(os.environ, 1)
     handler: logging.Handler
     if journal and not as_json:
-        handler = JournalHandler(IDENTIFIER)
+        handler = JournalHandler()
     else:
         # Standard output and not a file, because systemd and containers collect and rotate it.
         handler = logging.StreamHandler(sys.stdout)
         formatter = JsonLines() if as_json else logging.Formatter(TEXT)
         handler.setFormatter(PriorityPrefix(formatter) if journal else formatter)
     handler.addFilter(RepeatLimit())
-    return handler
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
-def priority(level: int) -> int:
+def _priority(level: int) -> int:
     """Return the syslog priority for a logging level of Python: 2 critical, 3 error, 4 warning, 6 info, 7 debug."""
     return next((number for least, number in _PRIORITIES if level >= least), 7)
 
@@ -82,7 +73,7 @@ def is_journal(environment: Mapping[str, str], descriptor: int) -> bool:
 
 def with_priority(text: str, level: int) -> str:
     """Return a text with the priority in front of every line, as sd-daemon(3) describes it: `<4>`."""
-    return "\n".join(f"<{priority(level)}>{line}" for line in text.splitlines())
+    return "\n".join(f"<{_priority(level)}>{line}" for line in text.splitlines())
 
 
 def _fields_of(record: logging.LogRecord) -> dict[str, str]:
@@ -122,9 +113,9 @@ class PriorityPrefix(logging.Formatter):
 class JournalHandler(logging.Handler):
     """Handler that sends each record to the journal with its fields. If this fails, it writes a line to stdout."""
 
-    def __init__(self, identifier: str, path: str = SOCKET) -> None:
+    def __init__(self, path: str = SOCKET) -> None:
         super().__init__()
-        self._identifier, self._path = identifier, path
+        self._path = path
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         # A journal that does not read must not stop the station: after this time, the line goes to stdout.
         self._socket.settimeout(1.0)
@@ -133,26 +124,23 @@ class JournalHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Send one log record to the journal."""
-        try:
-            self._socket.sendto(self._datagram(record), self._path)
-        except OSError:
-            self._otherwise.handle(record)
-
-    def _datagram(self, record: logging.LogRecord) -> bytes:
         message = record.getMessage()
         if record.exc_info:
             message += "\n" + logging.Formatter().formatException(record.exc_info)
         fields = {
             "MESSAGE": message,
-            "PRIORITY": str(priority(record.levelno)),
-            "SYSLOG_IDENTIFIER": self._identifier,
+            "PRIORITY": str(_priority(record.levelno)),
+            "SYSLOG_IDENTIFIER": "vaoi",
             "VAOI_PROCESS": str(record.processName),
             "VAOI_LOGGER": record.name.removeprefix("vaoi_station."),
             "CODE_FILE": record.pathname,
             "CODE_LINE": str(record.lineno),
+            **{f"VAOI_{name.upper()}": value for name, value in _fields_of(record).items()},
         }
-        fields |= {f"VAOI_{name.upper()}": value for name, value in _fields_of(record).items()}
-        return b"".join(_journal_field(name, value) for name, value in fields.items())
+        try:
+            self._socket.sendto(b"".join(_journal_field(name, value) for name, value in fields.items()), self._path)
+        except OSError:
+            self._otherwise.handle(record)
 
     def close(self) -> None:
         """Close the socket to the journal."""
@@ -166,9 +154,6 @@ def _journal_field(name: str, value: str) -> bytes:
         return b"%s=%s\n" % (name.encode(), data)
     # In front of a value with line breaks stands its length: 64 bits, least significant byte first.
     return b"%s\n%s%s\n" % (name.encode(), len(data).to_bytes(8, "little"), data)
-
-
-_Key = tuple[str, int, str]
 
 
 @dataclass
@@ -190,18 +175,15 @@ class RepeatLimit(logging.Filter):
         super().__init__()
         self._clock, self._lock = clock, threading.Lock()
         # Two tables, so that many different texts do not close the window of their common template.
-        self._texts: dict[_Key, _Window] = {}
-        self._templates: dict[_Key, _Window] = {}
+        self._texts: dict[tuple[str, int, str], _Window] = {}
+        self._templates: dict[tuple[str, int, str], _Window] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return False for a record over a limit."""
-        text = (record.name, record.levelno, record.getMessage())
-        template = (record.name, record.levelno, str(record.msg))
         with self._lock:
-            now_s = self._clock()
-            dropped, is_open = _count(self._texts, text, now_s, SAME_TEXT)
+            dropped, is_open = self._count(self._texts, record, record.getMessage(), SAME_TEXT)
             if record.levelno >= logging.WARNING:
-                more, also = _count(self._templates, template, now_s, SAME_TEMPLATE)
+                more, also = self._count(self._templates, record, str(record.msg), SAME_TEMPLATE)
                 # The same record must not be counted as dropped for both reasons.
                 dropped, is_open = max(dropped, more), is_open and also
         if is_open and dropped:
@@ -209,20 +191,18 @@ class RepeatLimit(logging.Filter):
             record.args = None
         return is_open
 
-
-def _count(windows: dict[_Key, _Window], key: _Key, now_s: float, limit: int) -> tuple[int, bool]:
-    """Count a record; return how many the previous window dropped, and whether this record is within the limit."""
-    # Most texts name a run and never come again. A window that has dropped records stays: it is to state their number.
-    for old in list(islice(windows, ENDED_AT_ONCE)):
-        if old != key and not windows[old].dropped and now_s - windows[old].since_s >= WINDOW_S:
-            del windows[old]
-    window, dropped = windows.get(key), 0
-    if window is None or now_s - window.since_s >= WINDOW_S:
-        dropped = window.dropped if window else 0
-        windows.pop(key, None)  # A new entry goes to the end, because entries are ordered by age.
-        if len(windows) >= MOST_KEYS:
-            del windows[next(iter(windows))]
-        window = windows[key] = _Window(now_s)
-    window.count += 1
-    window.dropped += window.count > limit
-    return dropped, window.count <= limit
+    def _count(
+        self, windows: dict[tuple[str, int, str], _Window], record: logging.LogRecord, text: str, limit: int
+    ) -> tuple[int, bool]:
+        """Count a record; return how many the window before dropped, and whether this one is within the limit."""
+        key, now_s, dropped = (record.name, record.levelno, text), self._clock(), 0
+        window = windows.get(key)
+        if window is None or now_s - window.since_s >= WINDOW_S:
+            dropped = window.dropped if window else 0
+            windows.pop(key, None)  # A new entry goes to the end, because entries are ordered by age.
+            if len(windows) >= MOST_KEYS:
+                del windows[next(iter(windows))]
+            window = windows[key] = _Window(now_s)
+        window.count += 1
+        window.dropped += window.count > limit
+        return dropped, window.count <= limit

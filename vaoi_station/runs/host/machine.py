@@ -57,7 +57,7 @@ class _Timex(ctypes.Structure):
     """The beginning of the C structure `struct timex`. The rest of it is not read."""
 
     _fields_ = [
-        ("modes", ctypes.c_uint),
+        ("modes", ctypes.c_uint),  # 0: the call changes nothing, and needs no privilege
         ("offset", ctypes.c_long),
         ("frequency", ctypes.c_long),
         ("maxerror", ctypes.c_long),
@@ -75,10 +75,7 @@ def clock_state() -> ClockState:
 
 
 def _kernel_state() -> tuple[bool | None, float | None]:
-    """Read the clock's state from the kernel: whether it is synchronised, and its largest error in s; None if unknown.
-
-    The call changes nothing: with modes 0 it needs no privilege.
-    """
+    """Return whether the kernel's clock is synchronised, and its largest error in s; None if unknown."""
     timex = _Timex()
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))

@@ -60,11 +60,6 @@ def notify(state: str) -> bool:
     return True
 
 
-def notify_watchdog() -> None:
-    """Report to systemd's watchdog that the station is alive."""
-    notify("WATCHDOG=1")
-
-
 class StatusNotice:
     """Sends systemd the line that `systemctl status` shows, after each change. Used by one thread."""
 
@@ -83,10 +78,9 @@ class StopRequest:
     On exit it restores the previous signal handlers.
     """
 
-    # A `threading.Event` that is set by a signal handler can deadlock: the handler runs in the waiting main thread,
-    # possibly while `wait` holds the event's lock. A flag that is checked before each wait can miss a signal that comes
-    # between check and wait. Therefore the interpreter writes each signal number to a socket (`signal.set_wakeup_fd`),
-    # and `wait` reads from this socket.
+    # A `threading.Event` that a signal handler sets can deadlock: the handler runs in the main thread, possibly while
+    # `wait` holds the event's lock. A flag can miss a signal between its check and the wait. Therefore the interpreter
+    # writes each signal number to a socket (`signal.set_wakeup_fd`), and `wait` reads from this socket.
 
     def __init__(self) -> None:
         self._here, self._there = socket.socketpair()
@@ -130,51 +124,38 @@ class StopRequest:
 
 
 def _ignore_signal(_number: int, _frame: FrameType | None) -> None:
-    """Do nothing. This handler replaces the default action of the signal, which would end the process.
+    """Replace the default action of the signal, which would end the process; its number is in the socket already."""
 
-    The interpreter has already written the signal number into the socket.
+
+def until_started(
+    stop: StopRequest, start: Callable[[], T], report: Callable[[VaoiError], None] = lambda _: None
+) -> T | None:
+    """Try to start something until it succeeds, and return what `start` returns; None if a stop was requested first.
+
+    Without this, the service would end and be started again, and systemd might give up after some attempts. `start`
+    has undone its changes if it raises an error; `report` gets the error of every attempt whose cause may pass.
+
+    Raises:
+        VaoiError: the cause does not pass.
     """
-
-
-class StartWait:
-    """Tries to start something until it succeeds, or fails for a cause that does not pass.
-
-    Without this, the service would end and be started again, and systemd might give up after some attempts.
-    """
-
-    def __init__(self, stop: StopRequest) -> None:
-        """Prepare to wait until the start succeeds, or until `stop` is requested."""
-        self._stop = stop
-        self._status = StatusNotice()
-
-    def until_started(self, start: Callable[[], T], report: Callable[[VaoiError], None] = lambda _: None) -> T | None:
-        """Return what `start` returns; None if a stop was requested first.
-
-        Args:
-            start: makes one attempt. If it raises an error, it has undone its changes.
-            report: function that is called with the error of every attempt whose cause may pass.
-
-        Raises:
-            VaoiError: the cause does not pass.
-        """
-        pause_s, logged = FIRST_PAUSE_S, ""
-        while True:
-            try:
-                return start()
-            except VaoiError as error:
-                if error.code not in PASSING:
-                    raise
-                if error.message != logged:
-                    logged = error.message
-                    _log.warning("waiting: %s", error)
-                report(error)
-                self._status(f"waiting: {error}")
-            # The service runs, although it does not film yet: so the command that started it need not wait.
-            notify("READY=1")
-            notify_watchdog()
-            if self._stop.wait(pause_s) is not None:
-                return None
-            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+    pause_s, logged, show_status = FIRST_PAUSE_S, "", StatusNotice()
+    while True:
+        try:
+            return start()
+        except VaoiError as error:
+            if error.code not in PASSING:
+                raise
+            if error.message != logged:
+                logged = error.message
+                _log.warning("waiting: %s", error)
+            report(error)
+            show_status(f"waiting: {error}")
+        # The service runs, although it does not film yet: so the command that started it need not wait.
+        notify("READY=1")
+        notify("WATCHDOG=1")
+        if stop.wait(pause_s) is not None:
+            return None
+        pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
 
 class Supervisor:
@@ -184,12 +165,7 @@ class Supervisor:
     """
 
     def __init__(self, alive: Callable[[], object], on_faults: Callable[[Sequence[ThreadFault]], object]) -> None:
-        """Begin without threads.
-
-        Args:
-            alive: called after every check in which all threads were alive, to reset a watchdog.
-            on_faults: called with new faults.
-        """
+        """Begin without threads; `alive` is called after every check without a fault, `on_faults` with new ones."""
         self._alive, self._on_faults = alive, on_faults
         self._watched: tuple[SupervisedThread, ...] = ()
         self._reported: set[str] = set()
