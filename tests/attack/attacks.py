@@ -93,39 +93,14 @@ def ask(target: Target, stop: threading.Event, requests: Callable[[], bytes], pa
             s.recv(65536)
 
 
-def half_heads(target: Target, stop: threading.Event) -> None:
-    """Send half a head on each of 1,100 connections."""
-    hold(target, stop, b"GET / HTTP/1.1\r\nHost: localhost\r\n", 1100)
+def held(sent: bytes, most: int, drip: bytes = b"") -> Attack:
+    """Return an attack that holds connections on which it has sent something; RUN stands for the run in memory."""
+    return lambda target, stop: hold(target, stop, sent.replace(b"RUN", target.run.encode()), most, drip)
 
 
-def slow_heads(target: Target, stop: threading.Event) -> None:
-    """Send heads byte by byte."""
-    hold(target, stop, b"GET / HTTP/1.1\r\nHost: localhost\r\nX-", 200, b"a")
-
-
-def slow_bodies(target: Target, stop: threading.Event) -> None:
-    """Announce large board types and send them byte by byte."""
-    hold(target, stop, post("PUT", "/api/v1/board-types/slow", b"{", 8_000_000), 200, b" ")
-
-
-def unread_answers(target: Target, stop: threading.Event) -> None:
-    """Ask for whole frames and read nothing."""
-    hold(target, stop, get(f"/api/v1/runs/{target.run}/frames/0/1?format=raw"), 80)
-
-
-def reconnections(target: Target, stop: threading.Event) -> None:
-    """Ask for whole frames, read nothing, and close each connection soon, so that few are open at a time."""
-    hold(target, stop, get(f"/api/v1/runs/{target.run}/frames/0/1?format=raw"), 20)
-
-
-def event_streams(target: Target, stop: threading.Event) -> None:
-    """Open event streams and read nothing."""
-    hold(target, stop, get("/api/v1/events?after=0"), 256)
-
-
-def long_polls(target: Target, stop: threading.Event) -> None:
-    """Wait for the next run on many connections."""
-    hold(target, stop, get("/api/v1/runs/next?timeout=60"), 256)
+def asked(sent: bytes) -> Attack:
+    """Return an attack that sends one request again and again; RUN stands for the run in memory."""
+    return lambda target, stop: ask(target, stop, lambda: sent.replace(b"RUN", target.run.encode()))
 
 
 def large_board_types(target: Target, stop: threading.Event) -> None:
@@ -163,11 +138,6 @@ def overwritten_board_types(target: Target, stop: threading.Event) -> None:
     ask(target, stop, requests)
 
 
-def pictures(target: Target, stop: threading.Event) -> None:
-    """Ask for large pictures as fast as they come."""
-    ask(target, stop, lambda: get(f"/api/v1/runs/{target.run}/components/U1/images/0?px_per_mm=200"))
-
-
 def newest_runs(target: Target) -> list[str]:
     """Return the ids of the newest runs; their frames are in memory."""
     with suppress(OSError, ValueError), connect(target, get("/api/v1/runs?limit=3", "Connection: close\r\n")) as s:
@@ -201,11 +171,6 @@ def planned_boards(target: Target, stop: threading.Event) -> None:
                     s.recv(65536)
 
 
-def pictures_without_a_key(target: Target, stop: threading.Event) -> None:
-    """Ask for large pictures from outside, without a key."""
-    ask(target, stop, lambda: get(f"/api/v1/runs/{target.run}/components/U1/images/0?px_per_mm=500", OUTSIDE))
-
-
 def guessed_keys(target: Target, stop: threading.Event) -> None:
     """Guess keys, in requests and in the login of the page."""
 
@@ -216,61 +181,6 @@ def guessed_keys(target: Target, stop: threading.Event) -> None:
         return post("POST", "/api/v1/session", json.dumps({"key": key}).encode())
 
     ask(target, stop, requests)
-
-
-def unread_trends(target: Target, stop: threading.Event) -> None:
-    """Ask for the figures of ten years with as many times as permitted, and read nothing."""
-    hold(target, stop, get("/api/v1/trends?points=2000&since=2017-01-01T00:00:00Z"), 80)
-
-
-def examinations(target: Target, stop: threading.Event) -> None:
-    """Ask for the findings of the doctor on many connections."""
-    hold(target, stop, get("/api/v1/doctor"), 256)
-
-
-def camera_frames(target: Target, stop: threading.Event) -> None:
-    """Ask for the figures of a camera's newest frame on many connections."""
-    hold(target, stop, get("/api/v1/cameras/0/frame"), 80)
-
-
-def kept_pictures(target: Target, stop: threading.Event) -> None:
-    """Ask for the kept picture of a board on many connections, and read nothing."""
-    hold(target, stop, get(f"/api/v1/runs/{target.run}/mosaics/kept.jpg"), 80)
-
-
-def searches(target: Target, stop: threading.Event) -> None:
-    """Search all runs for a reason that none has, which reads the whole history, on many connections."""
-    hold(target, stop, get("/api/v1/runs?limit=500&reason=of-no-run&since=2017-01-01T00:00:00Z"), 80)
-
-
-def component_lists(target: Target, stop: threading.Event) -> None:
-    """Ask for all components of a run with all of their views, and read nothing."""
-    hold(target, stop, get(f"/api/v1/runs/{target.run}/components"), 80)
-
-
-def public_documents(target: Target, stop: threading.Event) -> None:
-    """Ask from outside for documents that need no key, and read nothing."""
-    hold(target, stop, get("/api/v1/openapi.json", OUTSIDE), 256)
-
-
-def health_checks(target: Target, stop: threading.Event) -> None:
-    """Ask from outside whether the station is ready, as fast as it answers."""
-    ask(target, stop, lambda: get("/readyz", OUTSIDE))
-
-
-def unread_batches(target: Target, stop: threading.Event) -> None:
-    """Ask for the pictures of all components in one archive, and read nothing."""
-    hold(target, stop, get(f"/api/v1/runs/{target.run}/images?container=zip"), 80)
-
-
-def board_checks(target: Target, stop: threading.Event) -> None:
-    """Ask for the check of a board type by a run's pictures, drawn over them, on many connections."""
-    hold(target, stop, get(f"/api/v1/runs/{target.run}/board-check/picture"), 80)
-
-
-def slow_uploads(target: Target, stop: threading.Event) -> None:
-    """Announce large files of board data and send them byte by byte."""
-    hold(target, stop, post("POST", PREVIEWS + "b.txt", b"#", 50_000_000), 200, b" ")
 
 
 def uploads_that_grow(target: Target, stop: threading.Event) -> None:
@@ -289,36 +199,38 @@ def many_uploads(target: Target, stop: threading.Event) -> None:
     ask(target, stop, lambda: post("POST", PREVIEWS + "b.csv", body))
 
 
+_WHOLE_FRAME = get("/api/v1/runs/RUN/frames/0/1?format=raw")
 ATTACKS: dict[str, Attack] = {
-    attack.__name__: attack
-    for attack in (
-        half_heads,
-        slow_heads,
-        slow_bodies,
-        unread_answers,
-        reconnections,
-        event_streams,
-        long_polls,
-        large_board_types,
-        overwritten_board_types,
-        pictures,
-        pictures_of_every_run,
-        files_of_boards,
-        planned_boards,
-        pictures_without_a_key,
-        guessed_keys,
-        unread_trends,
-        examinations,
-        camera_frames,
-        kept_pictures,
-        searches,
-        component_lists,
-        public_documents,
-        health_checks,
-        unread_batches,
-        board_checks,
-        slow_uploads,
-        uploads_that_grow,
-        many_uploads,
-    )
+    # Half a head on each of 1,100 connections; then heads, bodies and uploads byte by byte.
+    "half_heads": held(b"GET / HTTP/1.1\r\nHost: localhost\r\n", 1100),
+    "slow_heads": held(b"GET / HTTP/1.1\r\nHost: localhost\r\nX-", 200, b"a"),
+    "slow_bodies": held(post("PUT", "/api/v1/board-types/slow", b"{", 8_000_000), 200, b" "),
+    "slow_uploads": held(post("POST", PREVIEWS + "b.txt", b"#", 50_000_000), 200, b" "),
+    # Answers that are not read; few connections at a time are closed soon.
+    "unread_answers": held(_WHOLE_FRAME, 80),
+    "reconnections": held(_WHOLE_FRAME, 20),
+    "event_streams": held(get("/api/v1/events?after=0"), 256),
+    "long_polls": held(get("/api/v1/runs/next?timeout=60"), 256),
+    "unread_trends": held(get("/api/v1/trends?points=2000&since=2017-01-01T00:00:00Z"), 80),
+    "examinations": held(get("/api/v1/doctor"), 256),
+    "camera_frames": held(get("/api/v1/cameras/0/frame"), 80),
+    "kept_pictures": held(get("/api/v1/runs/RUN/mosaics/kept.jpg"), 80),
+    # A search for a reason that no run has reads the whole history.
+    "searches": held(get("/api/v1/runs?limit=500&reason=of-no-run&since=2017-01-01T00:00:00Z"), 80),
+    "component_lists": held(get("/api/v1/runs/RUN/components"), 80),
+    "public_documents": held(get("/api/v1/openapi.json", OUTSIDE), 256),
+    "unread_batches": held(get("/api/v1/runs/RUN/images?container=zip"), 80),
+    "board_checks": held(get("/api/v1/runs/RUN/board-check/picture"), 80),
+    # Requests as fast as they are answered.
+    "pictures": asked(get("/api/v1/runs/RUN/components/U1/images/0?px_per_mm=200")),
+    "pictures_without_a_key": asked(get("/api/v1/runs/RUN/components/U1/images/0?px_per_mm=500", OUTSIDE)),
+    "health_checks": asked(get("/readyz", OUTSIDE)),
+    "large_board_types": large_board_types,
+    "overwritten_board_types": overwritten_board_types,
+    "pictures_of_every_run": pictures_of_every_run,
+    "files_of_boards": files_of_boards,
+    "planned_boards": planned_boards,
+    "guessed_keys": guessed_keys,
+    "uploads_that_grow": uploads_that_grow,
+    "many_uploads": many_uploads,
 }

@@ -3,6 +3,14 @@
 A worker that is forked has all modules and all machine code at once, and shares their memory with the others. A process
 that forks must have one thread only: a lock that another thread holds would stay locked in the child for ever. Why not
 `multiprocessing.forkserver`: docs/decisions/0016.
+
+| message to the server | reply | with |
+|---|---|---|
+| `memory`, the first one | | the file with the workers' evidence |
+| `fork`, index, ring's path | `forked`, index, pid; or `not-forked`, index, why | its end of its pipe; a pidfd |
+| `ping` | `ready` | |
+| | `starting`, inner loops compiled, of how many: once a second until `ready` | |
+| | `ended`, pid, exit code (negative for a signal) | |
 """
 
 from __future__ import annotations
@@ -17,7 +25,6 @@ import socket
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -35,63 +42,7 @@ _LONGEST_BYTES = 1 << 16
 """Longest message; it has a path and a few numbers."""
 
 
-@dataclass(frozen=True)
-class Fork:
-    """Ask for a worker. The worker's end of its pipe belongs to the message."""
-
-    index: int
-    ring: str
-    """Path of the ring."""
-
-
-@dataclass(frozen=True)
-class Memory:
-    """Give the file in memory with the workers' evidence, which belongs to the message: the first one to a server."""
-
-
-@dataclass(frozen=True)
-class Ping:
-    """Ask the fork server to reply with `ServerReady`, as a check of its liveness."""
-
-
-@dataclass(frozen=True)
-class ServerStarting:
-    """Report how many inner loops are compiled, of how many; sent once a second until `ServerReady`."""
-
-    compiled: int
-    of: int
-
-
-@dataclass(frozen=True)
-class ServerReady:
-    """Report that the fork server can fork; sent after its warm-up, and in reply to each `Ping`."""
-
-
-@dataclass(frozen=True)
-class Forked:
-    """Report that a worker runs. A pidfd of its process belongs to the message."""
-
-    index: int
-    pid: int
-
-
-@dataclass(frozen=True)
-class NotForked:
-    """Report that a worker could not be started, and why."""
-
-    index: int
-    why: str
-
-
-@dataclass(frozen=True)
-class WorkerEnded:
-    """Report the exit code of a worker that has ended; negative for the number of a signal."""
-
-    pid: int
-    code: int
-
-
-def send(to: socket.socket, message: object, *descriptors: int) -> None:
+def send(to: socket.socket, message: tuple[object, ...], *descriptors: int) -> None:
     """Send a message with copies of file descriptors; OSError if the other side has ended, or does not read."""
     socket.send_fds(to, [pickle.dumps(message)], descriptors)
 
@@ -134,7 +85,7 @@ def run_fork_server(control: socket.socket, workers: int) -> None:
     # The station may end without a message. This process must not continue without it.
     with control, suppress(ConnectionError):
         match receive(control):
-            case Memory(), [file]:
+            case ("memory",), [file]:
                 server = _Server(control, workers, shared_memory(workers, file))
                 os.close(file)
             case _:
@@ -145,7 +96,7 @@ def run_fork_server(control: socket.socket, workers: int) -> None:
         # the memory that all workers share.
         gc.collect()
         gc.freeze()
-        send(control, ServerReady())
+        send(control, ("ready",))
         server.serve()
     for pid in server.children.values():
         os.waitpid(pid, 0)
@@ -158,7 +109,7 @@ def _progress_sent(control: socket.socket) -> Iterator[None]:
 
     def report(*_: object) -> None:
         with suppress(OSError):  # The station has ended. This is noticed at the end of the warm-up.
-            send(control, ServerStarting(*progress()))
+            send(control, ("starting", *progress()))
 
     # A timer, because a thread may exist in the kernel for some time after it was joined.
     signal.signal(signal.SIGALRM, report)
@@ -183,26 +134,26 @@ class _Server:
             for pidfd in self.children.keys() & set(ready):
                 pid = self.children.pop(pidfd)
                 os.close(pidfd)
-                send(self._control, WorkerEnded(pid, os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
+                send(self._control, ("ended", pid, os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
             if self._control not in ready:
                 continue
             match receive(self._control):
                 case None:
                     return
-                case Ping(), _:
-                    send(self._control, ServerReady())
-                case Fork() as request, [pipe]:
-                    outcome, descriptors = self._started(request, pipe)
+                case ("ping",), _:
+                    send(self._control, ("ready",))
+                case ("fork", index, ring), [pipe]:
+                    outcome, descriptors = self._started(index, ring, pipe)
                     # Before the report, so that the worker alone has its end of the pipe when it is reported.
                     os.close(pipe)
                     send(self._control, outcome, *descriptors)
-                case Fork() as request, _:
-                    send(self._control, NotForked(request.index, "the fork server has too many open files"))
+                case ("fork", index, _), _:
+                    send(self._control, ("not-forked", index, "the fork server has too many open files"))
 
-    def _started(self, request: Fork, pipe: int) -> tuple[Forked | NotForked, list[int]]:
+    def _started(self, index: int, ring: str, pipe: int) -> tuple[tuple[object, ...], list[int]]:
         """Fork a worker, and return the report of it with its pidfd, or of why there is none."""
         try:
-            pid = self._forked(request, pipe)
+            pid = self._forked(index, ring, pipe)
             try:
                 pidfd = os.pidfd_open(pid)
             except OSError:
@@ -211,11 +162,11 @@ class _Server:
                 raise
         except OSError as fault:
             # There is too little memory, or there are too many processes or files. This may pass.
-            return NotForked(request.index, str(fault)), []
+            return ("not-forked", index, str(fault)), []
         self.children[pidfd] = pid
-        return Forked(request.index, pid), [pidfd]
+        return ("forked", index, pid), [pidfd]
 
-    def _forked(self, request: Fork, pipe: int) -> int:
+    def _forked(self, index: int, ring: str, pipe: int) -> int:
         """Fork a worker, and return its pid. In the worker, this function does not return."""
         if others := _other_threads():
             raise OSError(f"the fork server has other threads: {', '.join(others)}")
@@ -225,10 +176,10 @@ class _Server:
                 stream.flush()
         pid = os.fork()
         if not pid:
-            self._work(request, pipe, (self._control.fileno(), *self.children))
+            self._work(index, ring, pipe, (self._control.fileno(), *self.children))
         return pid
 
-    def _work(self, request: Fork, pipe: int, foreign: Iterable[int]) -> NoReturn:
+    def _work(self, index: int, ring: str, pipe: int, foreign: Iterable[int]) -> NoReturn:
         """Be the worker, and end the process: what lies below on its stack is the fork server's.
 
         `foreign`: file descriptors that must be open in the fork server alone, so that its end is noticed.
@@ -239,10 +190,10 @@ class _Server:
 
             for descriptor in foreign:
                 os.close(descriptor)
-            name = f"vaoi-worker-{request.index}"
+            name = f"vaoi-worker-{index}"
             multiprocessing.current_process().name = name
             set_process_title(name, arguments=True)
-            run_worker(Connection(pipe), request.ring, request.index, self._logs, self._workers)
+            run_worker(Connection(pipe), ring, index, self._logs, self._workers)
             code = 0
         except Exception:  # noqa: BLE001  any error ends the worker, which the pool replaces
             _log.critical("the worker has ended", exc_info=True)

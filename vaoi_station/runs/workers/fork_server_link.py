@@ -12,25 +12,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from multiprocessing.context import SpawnProcess
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.runs.host.processes import keep_freed_memory
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
-from vaoi_station.runs.workers.fork_server import (
-    Fork,
-    Forked,
-    Memory,
-    NotForked,
-    Ping,
-    ServerReady,
-    ServerStarting,
-    WorkerEnded,
-    receive,
-    run_fork_server,
-    send,
-)
+from vaoi_station.runs.workers.fork_server import receive, run_fork_server, send
 
 _log = logging.getLogger(__name__)
 
@@ -150,7 +138,7 @@ class ForkServerLink:
         """
         if self._control is None:
             raise BrokenPipeError("the fork server has ended")
-        self._send(Fork(index, ring), pipe)
+        self._send(("fork", index, ring), pipe)
         self._requested.add(index)
 
     def outcomes(self) -> Iterator[Outcome]:
@@ -199,7 +187,7 @@ class ForkServerLink:
                 assert spawned.pid is not None, "it was started"
                 self._process = ChildProcess(spawned.pid, os.pidfd_open(spawned.pid))
                 with suppress(OSError):  # It has ended already, which its pidfd shows.
-                    send(here, Memory(), self._memory)
+                    send(here, ("memory",), self._memory)
             except OSError:
                 here.close()
                 raise
@@ -210,7 +198,7 @@ class ForkServerLink:
             return
         self._spawned, self._control, self._unanswered_s = spawned, here, time.monotonic()
 
-    def _send(self, message: Fork | Ping, *descriptors: int) -> None:
+    def _send(self, message: tuple[object, ...], *descriptors: int) -> None:
         assert self._control is not None
         send(self._control, message, *descriptors)
         self._unanswered_s = self._unanswered_s or time.monotonic()
@@ -222,31 +210,30 @@ class ForkServerLink:
                 self._seen_s = time.monotonic()
                 yield from self._handle(*received)
 
-    def _handle(self, message: object, descriptors: list[int]) -> Iterator[Outcome]:
+    def _handle(self, message: tuple[Any, ...], descriptors: list[int]) -> Iterator[Outcome]:
         # The limit of a start is for all of it, however often its progress is reported.
-        if not isinstance(message, ServerStarting):
+        if message[0] != "starting":
             self._unanswered_s = None
         match message:
-            case ServerStarting():
-                self.progress = f"{message.compiled} of {message.of} inner loops are compiled"
-            case ServerReady():
+            case "starting", compiled, of:
+                self.progress = f"{compiled} of {of} inner loops are compiled"
+            case ("ready",):
                 self.ready, self.progress = True, ""
                 self._backoff.record_success()
-            case Forked():
-                self._requested.discard(message.index)
+            case "forked", index, pid:
+                self._requested.discard(index)
                 if descriptors:
-                    worker = ChildProcess(message.pid, descriptors[0])
-                    self._workers[message.pid] = worker
-                    yield message.index, worker
+                    worker = self._workers[pid] = ChildProcess(pid, descriptors[0])
+                    yield index, worker
                 else:
                     # Without its pipe, which the pool closes now, the worker ends.
-                    yield message.index, "the station has too many open files"
-            case NotForked():
-                self._requested.discard(message.index)
-                yield message.index, message.why
-            case WorkerEnded():
-                if (ended := self._workers.pop(message.pid, None)) is not None:
-                    ended.exit_code = message.code
+                    yield index, "the station has too many open files"
+            case "not-forked", index, why:
+                self._requested.discard(index)
+                yield index, why
+            case "ended", pid, code:
+                if (ended := self._workers.pop(pid, None)) is not None:
+                    ended.exit_code = code
 
     def _check_liveness(self, process: ChildProcess) -> None:
         """Ping the fork server, and kill it when it exceeds its time limit."""
@@ -258,7 +245,7 @@ class ForkServerLink:
                 process.kill()
         elif now_s - (self._seen_s or now_s) > PING_INTERVAL_S:
             with suppress(OSError):  # It has ended just now.
-                self._send(Ping())
+                self._send(("ping",))
 
     def _ended(self, process: ChildProcess) -> Iterator[Outcome]:
         """Collect a fork server that has ended, and schedule its restart. Its workers go on."""

@@ -129,10 +129,15 @@ class PictureJob(ABC):
     bay: int
     generation: int
     priority: Priority = field(default=Priority.RENDER, kw_only=True)
+    what: ClassVar[str] = "a picture"
+    """What the job makes, in messages."""
     repeatable: ClassVar[bool] = True
     """Whether an idle worker repeats the job when it is overdue."""
     longest_s: ClassVar[float | None] = None
     """Longest time for the job; None: the limit of all jobs."""
+
+    def __str__(self) -> str:
+        return f"{self.what} of run {self.run}"
 
     @property
     def recorded(self) -> bool:

@@ -213,6 +213,7 @@ class LevelFrame(NamedTuple):
 class RowLevelsJob(PictureJob):
     """Estimate the brightness of the rows of a run; the reply's value is (m,) factors."""
 
+    what: ClassVar[str] = "the brightness of the rows"
     frames: tuple[LevelFrame, ...]
     board_type: BoardType
     stitch: Stitch
@@ -234,9 +235,6 @@ class RowLevelsJob(PictureJob):
         most = MOST_DECODED if self.recorded else math.inf
         return row_levels(taken, self.board_type, self.stitch, self.cameras, fields, pixels, most)
 
-    def __str__(self) -> str:
-        return f"the brightness of the rows of run {self.run}"
-
 
 # --- the whole board
 
@@ -255,6 +253,7 @@ class PlannedPicture(NamedTuple):
 class PlanJob(SteppedJob):
     """Plan the mosaic of a run; the reply's value is a `PlannedPicture`. Of some hundred frames it takes seconds."""
 
+    what: ClassVar[str] = "the plan of a mosaic"
     slots: Slots
     choice: FrameChoice
     cameras: tuple[Camera, ...]
@@ -292,9 +291,6 @@ class PlanJob(SteppedJob):
         picture = yield from _whole(TileRenderer(plan, projector, self.grid.reduced(reduction)), frames)
         return PlannedPicture(plan, reduction, picture)
 
-    def __str__(self) -> str:
-        return f"the plan of a mosaic of run {self.run}"
-
 
 @dataclass(frozen=True)
 class TileJob(PictureJob):
@@ -303,6 +299,7 @@ class TileJob(PictureJob):
     Pixels are None if no frame shows any of the tile; an encoded picture is black there.
     """
 
+    what: ClassVar[str] = "a tile of the mosaic"
     slots: Slots
     """Slots of the frames that the tile needs."""
     spec: TileSpec
@@ -321,9 +318,6 @@ class TileJob(PictureJob):
         elif self.spec.hdr:
             picture = displayed(picture, self.tone)
         return encode_jpeg(picture) if self.format == "jpg" else encode_png(picture)
-
-    def __str__(self) -> str:
-        return f"a tile of the mosaic of run {self.run}"
 
 
 def _whole(renderer: TileRenderer, frames: Frames) -> Steps[NDArray[Any] | None]:
@@ -361,6 +355,7 @@ class HeightsJob(PictureJob):
     The reply's value is a dict of `PartMeasure`s by address: those of the first components of `board_type`.
     """
 
+    what: ClassVar[str] = "heights of components"
     board_type: BoardType
     """The board type with the components of this slice only, so that the message is small."""
     stitch: Stitch
@@ -390,14 +385,12 @@ class HeightsJob(PictureJob):
                 break
         return measures
 
-    def __str__(self) -> str:
-        return f"heights of components of run {self.run}"
-
 
 @dataclass(frozen=True)
 class CombineHeightsJob(PictureJob):
     """Combine the measured components of a run; the reply's value is the document of their heights (JSON)."""
 
+    what: ClassVar[str] = "the table of heights"
     board_type: BoardType
     stitch: Stitch
     parts: Mapping[str, PartMeasure]
@@ -408,9 +401,6 @@ class CombineHeightsJob(PictureJob):
         # Fields without a value are left out of replies.
         entries = {ref: {k: v for k, v in entry.items() if v is not None} for ref, entry in document.items()}
         return json.dumps({"heights": entries}).encode()
-
-    def __str__(self) -> str:
-        return f"the table of heights of run {self.run}"
 
 
 class IdentitySlice(NamedTuple):
@@ -430,6 +420,7 @@ class IdentityJob(PictureJob):
     The reply's value is an `IdentitySlice`.
     """
 
+    what: ClassVar[str] = "the codes"
     board_type: BoardType
     """The board type without its components, so that the message is small."""
     stitch: Stitch
@@ -446,9 +437,6 @@ class IdentityJob(PictureJob):
         reader = CodeReader(self.board_type, pictures)
         progress = reader.work(self.progress, lambda: time.monotonic() - began_s < SLICE_S)
         return IdentitySlice(progress, reader.reading(progress), time.monotonic() - began_s)
-
-    def __str__(self) -> str:
-        return f"the codes of run {self.run}"
 
 
 class CheckedBoard(NamedTuple):

@@ -51,7 +51,7 @@ from vaoi_station.runs.workers.jobs import (
 from vaoi_station.steps import Steps
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.work import StitchSetup, TaskRunner
+from vaoi_station.stitching.work import TaskRunner
 
 T = TypeVar("T")
 ReadFrame = Callable[[int, int], "NDArray[Any] | None"]
@@ -69,7 +69,7 @@ def run_worker(connection: Connection[Any, Any], ring_path: str, index: int, log
     """Perform jobs until the station sends None or closes the pipe. `logs` are those of all `workers`."""
     with connection, WorkerRuntime(ring_path, index, [EvidenceLog(logs, k) for k in range(workers)]) as runtime:
         try:
-            connection.send(runtime.ready())
+            connection.send(WorkerReady(os.getpid()))
             while True:
                 while runtime.owns_runs and not connection.poll(GATHER_S):
                     runtime.gather()
@@ -86,10 +86,8 @@ def run_worker(connection: Connection[Any, Any], ring_path: str, index: int, log
 
 @dataclass
 class _OpenedRun:
-    context: RunContext
-    setup: StitchSetup
+    opening: OpenRun
     runner: TaskRunner
-    owned: bool
     slots: dict[FrameKey, int]
     frame: ReadFrame
     evidence: dict[Task, Evidence] = field(default_factory=dict)
@@ -124,20 +122,16 @@ class WorkerRuntime:
         self._paused.clear()
         self._ring.close()
 
-    def ready(self) -> WorkerReady:
-        """Return the message by which this worker reports that it is ready."""
-        return WorkerReady(os.getpid())
-
     @property
     def owns_runs(self) -> bool:
         """Whether the evidence of other workers is needed."""
-        return any(opened.owned for opened in self._runs.values())
+        return any(opened.opening.owned for opened in self._runs.values())
 
     def reply(self, message: object) -> Reply | WorkerReady | None:
         """Act on one message of the station, and return the reply; `OpenRun` and `CloseRun` have none."""
         match message:
             case Ping():
-                return self.ready()
+                return WorkerReady(os.getpid())
             case OpenRun():
                 self._open(message)
             case CloseRun():
@@ -167,7 +161,7 @@ class WorkerRuntime:
         for log in self._logs:
             for run, generation, found in log.new_records():
                 opened = self._runs.get(run)
-                if opened is not None and opened.context.generation == generation:
+                if opened is not None and opened.opening.context.generation == generation:
                     for evidence in found:
                         opened.add(evidence)
 
@@ -181,9 +175,7 @@ class WorkerRuntime:
             return None if slot is None else self._ring.frame(slot)
 
         runner = TaskRunner(opening.setup, frame, self._reference_of(opening.reference))
-        self._runs[opening.context.run] = _OpenedRun(
-            opening.context, opening.setup, runner, opening.owned, slots, frame
-        )
+        self._runs[opening.context.run] = _OpenedRun(opening, runner, slots, frame)
 
     def _reference_of(self, directory: Path | None) -> ReadFrame | None:
         """Return a function that reads a frame (camera, row) of a reference; None without a reference."""
@@ -228,7 +220,7 @@ class WorkerRuntime:
         opened.evidence.update((evidence.task, evidence) for evidence in found)
         # Also what the owner itself finds: another worker needs it if the owner dies.
         self._log.write((job.run, job.context.generation, found))
-        if opened.owned:
+        if opened.opening.owned:
             self.gather()
         return tuple(times_s)
 
@@ -255,10 +247,9 @@ class WorkerRuntime:
         if check.run not in self._concluded:
             raise InternalError(f"{check} is not possible: the worker that concluded the run has ended.")
         opened, findings, stitch, head = self._concluded.pop(check.run)
+        board_type, context = opened.opening.setup.board_type, opened.opening.context
         try:
-            lamps = self._guarded(
-                opened.context, lambda: measure_lamps(stitch, opened.setup.board_type, head, opened.frame)
-            )
+            lamps = self._guarded(context, lambda: measure_lamps(stitch, board_type, head, opened.frame))
         except GoneError:
             lamps = ()  # the memory of the frames has a later run meanwhile
         return check_run(check.run, check.time, check.board_type, findings, lamps)
