@@ -35,7 +35,6 @@ class VaoiError(Exception):
 
 
 def _rebuild(cls: type[VaoiError], message: str, action: str, code: str) -> VaoiError:
-    """Create a pickled error again from its parts."""
     return cls(message, action=action, code=code)
 
 

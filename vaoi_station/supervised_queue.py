@@ -70,7 +70,6 @@ class SupervisedQueue(Generic[T]):
             self.thread.join(_END_S)
 
     def _run(self) -> None:
-        """Serve the waiting items until the queue is stopped."""
         if self._begin is not None:
             self._begin()
         while not self._stop.is_set():

@@ -89,8 +89,6 @@ def spawn_launcher(config: StationConfig, ring: Path) -> Launch:
 
 @dataclass
 class _Attempt:
-    """One acquisition process, from its start to its end."""
-
     process: Process
     pipe: MessagePipe
     last_message_s: float

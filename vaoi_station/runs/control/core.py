@@ -322,7 +322,6 @@ class Core:
     # --- runs
 
     def _film(self, progress: Progress, report: messages.RunFinished) -> None:
-        """Take the final report of a run, after which its stitcher has it concluded."""
         self.memory.use(progress.run, "stitching")
         progress.film(report)
         self._publish(progress, f"{report.head.rows} rows were filmed.")

@@ -355,18 +355,15 @@ class LineControl:
         self._not_armed_again = Reason(code="not-armed-again", message=message, action=action)
 
     def _require_cameras(self, order: Order) -> None:
-        """Raise DeviceError if a camera is lost that the order needs."""
         if not order.despite_lost_cameras:
             readiness.require(self.health, self._config.cameras)
 
     def _keep_order(self) -> None:
-        """Store the order in force for the next start of the station; without an order, delete the stored one."""
         self._not_armed_again = None
         if self._standing is not None:
             self._standing.keep(self.orders.order, self.orders.runs_left)
 
     def _grant(self) -> None:
-        """Grant a bay for a coming run, unless the cameras hold one. Raise BusyError if no bay is free."""
         if self._granted:
             return
         granted = self._memory.grant(run := self._run_ids.next())
@@ -425,7 +422,6 @@ class LineControl:
 
 
 def _follow(other: Completion, done: Completion) -> None:
-    """Complete a request as another one was completed."""
     if (refusal := done.exception()) is None:
         other.set_result(None)
     else:

@@ -194,8 +194,6 @@ class FrameAccess:
         return self.heights(run) if wanted.framing.plane == "top" else None
 
     def _measured_by(self, detail: RunDetail, optional: bool = False) -> Callable[[View], Measures | None]:
-        """Return a function that measures the frame of a view: None, or GoneError, if it is no longer available."""
-
         def measured(view: View) -> Measures | None:
             try:
                 return measure(view, self.frame(detail, view.camera, view.row, False)[0])

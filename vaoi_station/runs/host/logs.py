@@ -158,8 +158,6 @@ def _journal_field(name: str, value: str) -> bytes:
 
 @dataclass
 class _Window:
-    """The count of records with one key since the time at which the window began."""
-
     since_s: float
     count: int = 0
     dropped: int = 0

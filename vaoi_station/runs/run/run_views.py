@@ -129,7 +129,6 @@ def timeline_of(progress: Progress) -> Timeline:
 
 
 def _row_timings(progress: Progress, zero: float) -> tuple[RowTiming, ...]:
-    """Return pulse and light of every row; `zero` is the first interruption of the barrier."""
     head, plan, rows = progress.head, progress.order.plan, []
     assert head is not None, "there are interruptions"
     times_s = head.row_times_s()

@@ -29,23 +29,19 @@ class Decision(Strict):
 
     choice: Choice
     name: str
-    """Name of the person."""
     reason: str
     decided: str
-    """Time of the decision, RFC 3339 in UTC."""
 
 
 class RunCounts(Strict):
     """Numbers of boards since a time, by verdict."""
 
     since: str
-    """RFC 3339 in UTC."""
     ok: int
     degraded: int
     failed: int
     """Runs with the verdict failed, and runs that ended without a result."""
     missed: int
-    """Boards that passed without a run, and were noticed."""
     complete: bool = True
     """False: since then more than 20,000 boards have come, of which the newest are counted."""
 
@@ -73,7 +69,6 @@ class MadeWith(Strict):
     board_type: str
     """Digest of the board type as it was when the line was armed."""
     board_type_revision: str | None = None
-    """The revision that the board type stated."""
     board_type_state: BoardTypeState | None = None
     method: MethodName
     reference: str | None = None
@@ -94,20 +89,15 @@ class Origin(Strict):
     """Where an imported run was filmed. Such a run is not announced: it is no board of this line."""
 
     station: str
-    """Name of the station that filmed it."""
     exported: str
-    """Time of the export, UTC."""
     imported: str
-    """Time of the import into this station's history, UTC."""
 
 
 class SetAsideFile(Strict):
     """A damaged, deleted or replaced database, of which a file was set aside beside the present one."""
 
     file: str
-    """Name of the file in the data directory."""
     code: str
-    """Code of the warning about it."""
     acknowledged: bool
     """Whether an administrator has acknowledged it, so that the station no longer warns."""
 
@@ -119,15 +109,12 @@ class ArchiveStatus(Strict):
     waiting: int
     """Number of runs that wait for it on the station's disk."""
     adding: str | None
-    """Id of the run that is being added; None if none is."""
     added: int
-    """Number of runs since the start that are in the archive."""
     dropped: int
     """Number of runs since the start whose recordings were deleted before the archive took them."""
     refused: int
     """Number of runs since the start that could not be added for a reason of their own."""
     problem: str
-    """Why the archive takes no runs at present; empty if it does."""
 
 
 class ArmedWith(Strict):
@@ -140,11 +127,9 @@ class ArmedWith(Strict):
     """Number of runs until the station disarms; None: it stays armed."""
     method: MethodName = "auto"
     reference: str | None = None
-    """Id of the run against which boards are placed."""
     board_id_certain: bool = True
     """Whether `board_id` belongs to the next board. If not, a board may have passed without a run: arm again."""
     resumed: bool = False
-    """Whether the order was in force before a restart and was taken up again by itself."""
 
 
 class CameraStatus(Strict):
@@ -183,7 +168,6 @@ class ProcessStatus(Strict):
     progress: str = ""
     """How far the start of the fork server has come, for which workers wait; empty if unknown, and afterwards."""
     next_try: str | None = None
-    """Time of the next start of the process; None while the process runs or is being started."""
 
 
 class LeaseStatus(Strict):
@@ -222,22 +206,18 @@ class Retention(Strict):
     lease_s: float
     """Time after which a hold ends unless it is renewed."""
     keep_s: float = 0.0
-    """Time from the announcement of a run during which its frames are not evicted."""
     frames: str
     results: str
     events: str
     recordings: int = 0
-    """Number of runs whose frames are kept on disk as recordings."""
     recordings_bytes: int = 0
     recordings_late: int = 0
     """Number of runs since the start whose memory was needed before their frames were on disk."""
     recordings_refused: int = 0
     """Number of runs since the start whose frames were not kept because of the quota, the disk or a fault."""
     mosaics: int = 0
-    """Number of runs of which a small picture of the whole board is kept."""
     mosaics_bytes: int = 0
     archive: ArchiveStatus | None = None
-    """The archive to which runs are handed; None if none is configured."""
 
 
 class Versions(Strict):
@@ -254,7 +234,6 @@ class LineOutputStatus(Strict):
     high: bool
     """Whether the output lets a conveyor bring the next board."""
     why: str = ""
-    """Why the output is low; empty if it is high."""
 
 
 class StationSnapshot(Strict):
@@ -264,7 +243,6 @@ class StationSnapshot(Strict):
     state: StationState
     since: str
     reasons: tuple[Reason, ...]
-    """Reasons for the present state."""
     warnings: tuple[Reason, ...] = ()
     """Conditions that do not prevent filming but need attention."""
     set_aside: tuple[SetAsideFile, ...] = ()
@@ -278,7 +256,6 @@ class StationSnapshot(Strict):
     line_ready: bool = False
     """Whether the next board may come: it would be filmed by all cameras, and its result kept on disk."""
     line_held: tuple[Reason, ...] = ()
-    """Why the next board must wait; empty exactly if `line_ready` is True."""
     line_output: LineOutputStatus | None = None
     """The controller's output "line ready", which a conveyor obeys; None if it is not used or there is none."""
     controller: str
@@ -287,14 +264,10 @@ class StationSnapshot(Strict):
     versions: Versions
     retention: Retention
     last_run: str | None
-    """Id of the run that finished last; None if no run has finished yet."""
     filming: str | None
-    """Id of the run that is being filmed; None if no board is passing."""
     last_event: int
-    """Number of the newest event; 0 if there is no event yet."""
     boards_missed: int
     times_blocked: int = 0
-    """How often the armed line had no memory for the next board since the station was started."""
 
 
 class BoardTypeSummary(Strict):
@@ -302,7 +275,6 @@ class BoardTypeSummary(Strict):
 
     name: str
     revision: str | None = None
-    """Revision of the product's data, as its owner names it."""
     state: str = "approved"
     side: str = "top"
     unit: str = "mm"
@@ -326,24 +298,18 @@ class BeltSpeed(Strict):
     nominal_mm_s: tuple[float, float]
     measured_mm_s: tuple[float, float]
     ratio: float
-    """Measured speed divided by nominal speed."""
 
 
 class Timings(Strict):
     """Durations of the steps of a run, by the host's clock."""
 
     filming_s: float
-    """Time from the board's arrival at the barrier to the arrival of the last frame."""
     ready_after_last_frame_ms: float | None
     """Time from the arrival of the last frame to the finished matrices; None without matrices."""
     links_ms: float
-    """Total time that the workers took for the tasks of the run."""
     conclude_ms: float
-    """Time that a worker took for the adjustment and the CAD mapping."""
     links: int
-    """Number of tasks that the workers performed for the run."""
     links_while_filming: int
-    """Number of these tasks that were done before the last frame arrived."""
 
 
 class RunSummary(Strict):
@@ -372,15 +338,10 @@ class RunSummary(Strict):
     forgotten: bool = False
     """Whether only this summary is kept; requests for the run are refused with 410 `run-forgotten`."""
     pinned: bool = False
-    """Whether the run is kept until a caller unpins it."""
     recording: bool = False
-    """Whether its frames are kept on disk as a recording."""
     decision: Decision | None = None
-    """What a person has decided about its pictures; None if there is no decision."""
     identity: IdentitySummary | None = None
-    """Which board the run shows by its code; None if boards of its type have no codes."""
     origin: Origin | None = None
-    """The station that filmed an imported run; None for runs of this station."""
     figures: dict[str, float] | None = None
     """Its figures by their names in `trends`, those of a part as `seam_px:0-1`; None if not asked for or not known."""
 
@@ -419,12 +380,10 @@ class RunDetail(RunSummary):
     """Why the pulses ended: "clear" (the board has left), "max-rows" (more rows were due), …; "" while filming."""
     interruptions: tuple[Interruption, ...] = ()
     strays: int
-    """Number of frames that could not be assigned to a pulse."""
     proof: TriggerProof | None = None
     """Check that every frame belongs to its pulse, with its evidence and its findings; None while filming."""
     software: Versions
     calibration: str
-    """Digest of the calibration with which the run was stitched."""
     made_with: MadeWith | None = None
     """What else the run was made with; None for runs of earlier versions."""
     bay: int | None = None
@@ -432,9 +391,7 @@ class RunDetail(RunSummary):
     generation: int | None = None
     """Generation of that bay for this run; while the bay's table has another one, its pixels are of another run."""
     unseen: tuple[Unseen, ...] = ()
-    """Components that the good frames show too little of; the run is then not ok."""
     skipped_boards: tuple[str, ...] = ()
-    """Positions of the boards of a panel that are crossed out; their components are not demanded."""
 
 
 class ComponentSummary(Strict):
@@ -444,7 +401,6 @@ class ComponentSummary(Strict):
     ref: str
     panel: str | int | None
     center_mm: tuple[float, float]
-    """CAD position of the component's centre in mm."""
     width_mm: float
     height_mm: float
     rotation_deg: float
@@ -453,17 +409,13 @@ class ComponentSummary(Strict):
     views: int
     """Number of frames that show at least half of the component."""
     coverage: float | None = None
-    """Share of the footprint that the good frames show together; None without a CAD mapping."""
     in_one_frame: bool | None = None
-    """Whether one good frame shows the whole footprint; None without a CAD mapping."""
     unseen: bool = False
     """Whether the good frames show less of the component than the board type or the station asks for."""
     skipped: bool = False
-    """Whether its board on the panel is crossed out, so that it is not demanded."""
     sigma_px: float | None = None
     """Standard deviation of the component's position in its worst view; None if it is not known."""
     sigma_mm: float | None = None
-    """The same on the board."""
     footprint: tuple[tuple[float, float], ...] = ()
     """Corners of the footprint, going round, in CAD coordinates (unit of the board type)."""
 
@@ -503,7 +455,6 @@ class RowTiming(Strict):
     pulse_s: float
     """Time of the pulse since the board interrupted the barrier, by the controller's clock."""
     light: str = ""
-    """Name of the light; empty if lights have no names."""
     led_us: float | None = None
     """On-time of the LEDs by the light program; None if they shine for the whole exposure, or without a program."""
     exposure_us: float
@@ -521,14 +472,12 @@ class Timeline(Strict):
     """
 
     frames_settled_s: tuple[tuple[int, int, float], ...]
-    """(camera, row, time) of every settled frame."""
     tasks: tuple[TaskTiming, ...]
     last_frame_s: float
     ready_s: float | None
     rows: tuple[RowTiming, ...] = ()
     """Every row; empty in runs of earlier versions, and where the controller reports no interruptions."""
     barrier: tuple[BarrierTiming, ...] = ()
-    """The interruptions of the light barrier; empty likewise."""
 
 
 class ReferenceRecord(Strict):
@@ -537,7 +486,6 @@ class ReferenceRecord(Strict):
     run: str
     taught: str
     calibration: str
-    """Digest of the calibration with which the run was filmed."""
     cameras: int
     rows: int
     frames: int
@@ -553,7 +501,6 @@ class ReferenceStatus(ReferenceRecord):
     board_type: str
     usable: bool
     fault: Reason | None = None
-    """Reason why the reference is not usable; None if it is usable."""
 
 
 class StitchingMethod(Strict):
@@ -573,10 +520,8 @@ class CameraDrift(Strict):
     y_px: float
     turn_px: float
     since_run: str
-    """Id of the first run that shows the displacement."""
     since: str
     runs: int
-    """Number of runs that show the displacement."""
     instead: tuple[int, ...] = ()
     """Indices of cameras that may have moved instead of this one; pictures of boards cannot show which has moved."""
 
@@ -590,7 +535,6 @@ class CameraMoment(Strict):
     y_px: float
     turn_px: float
     sigma_px: float
-    """The largest of the standard deviations of x, y and turn."""
     rms_px: float | None = None
     """Root mean square residual of the camera's links to its neighbours and of its fiducials; None without both."""
     links: int
@@ -607,7 +551,6 @@ class CameraCalibration(Strict):
     checked."""
     drift: CameraDrift | None = None
     history: tuple[CameraMoment, ...] = ()
-    """The camera in each of the latest runs, oldest first."""
 
 
 class CalibrationStatus(Strict):
@@ -617,7 +560,6 @@ class CalibrationStatus(Strict):
     """Digest of the calibration's content; the documents of runs refer to the calibration by it."""
     created: str | None = None
     runs: int
-    """Number of runs that were checked against this calibration."""
     cameras: tuple[CameraCalibration, ...]
 
 
@@ -685,21 +627,16 @@ class OverlayLinks(Strict):
     """The links of two frames."""
 
     a: tuple[int, int]
-    """Camera and row of the first frame."""
     b: tuple[int, int]
     found: int
     used: int
     """Number of links that have weight in the adjustment."""
     at: Point | None = None
-    """Mean place of the used links; None without any."""
     residual: Point | None = None
     """Mean residual of the used links: from the point in the first frame to where the second one predicts it."""
     residual_px: float | None = None
-    """Length of the mean residual."""
     rms_px: float | None = None
-    """Root mean square of the residuals of single links."""
     why: str = ""
-    """Why there are no links; empty if there are."""
 
 
 class OverlayFiducial(Strict):
@@ -709,9 +646,7 @@ class OverlayFiducial(Strict):
     at: Point
     diameter: float
     sightings: int
-    """Number of frames in which it was found."""
     residual: Point | None = None
-    """Mean residual; None if it was not found."""
     residual_px: float | None = None
 
 
@@ -719,11 +654,9 @@ class RunOverlay(Strict):
     """What is drawn over the mosaics of a run."""
 
     unit: str
-    """Unit of the board type, of all places and residuals."""
     px_per_mm: float
     """Mean resolution of the cameras, to which px refer."""
     outline: tuple[Point, ...] = ()
-    """Outline of the board: a polygon; empty if the board type has none."""
     frames: tuple[OverlayFrame, ...]
     links: tuple[OverlayLinks, ...]
     """Pairs of frames that were searched for links; empty in runs of earlier versions but for those without links."""

@@ -104,7 +104,6 @@ def run_fork_server(control: socket.socket, workers: int) -> None:
 
 @contextmanager
 def _progress_sent(control: socket.socket) -> Iterator[None]:
-    """Report the progress of the warm-up while the context lasts."""
     from vaoi_station.compiled import progress
 
     def report(*_: object) -> None:
@@ -151,7 +150,6 @@ class _Server:
                     send(self._control, ("not-forked", index, "the fork server has too many open files"))
 
     def _started(self, index: int, ring: str, pipe: int) -> tuple[tuple[object, ...], list[int]]:
-        """Fork a worker, and return the report of it with its pidfd, or of why there is none."""
         try:
             pid = self._forked(index, ring, pipe)
             try:

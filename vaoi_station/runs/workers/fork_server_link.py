@@ -236,7 +236,6 @@ class ForkServerLink:
                     ended.exit_code = code
 
     def _check_liveness(self, process: ChildProcess) -> None:
-        """Ping the fork server, and kill it when it exceeds its time limit."""
         now_s = time.monotonic()
         limit_s = REPLY_LIMIT_S if self.ready else START_LIMIT_S
         if self._unanswered_s is not None:

@@ -66,8 +66,6 @@ Frames in memory are not decoded, and only the windows that are compared are rea
 
 
 def _reader(slots: Slots, frame: ReadSlot) -> Callable[[int, int], NDArray[Any] | None]:
-    """Return a function that reads the frame of a camera and row; it returns None for one without a slot."""
-
     def read(camera: int, row: int) -> NDArray[Any] | None:
         slot = slots.get((camera, row))
         return None if slot is None else frame(slot)
@@ -321,7 +319,6 @@ class TileJob(PictureJob):
 
 
 def _whole(renderer: TileRenderer, frames: Frames) -> Steps[NDArray[Any] | None]:
-    """Render a small mosaic as a whole; None if no frame shows any of it."""
     width, height = renderer.grid.width, renderer.grid.height
     whole = None
     for y, x in np.ndindex(-(-height // _BLOCK_PX), -(-width // _BLOCK_PX)):

@@ -213,11 +213,9 @@ class WorkerPool:
                 self._dispatch()
 
     def _absent(self) -> list[Worker]:
-        """Return the workers without a process or a request for one, if the fork server can fork."""
         return [w for w in self._workers if w.pipe is None] if self.fork_server.ready else []
 
     def _pause_s(self) -> float:
-        """Return the time until the next liveness check, restart or overdue job, s."""
         now_s = time.monotonic()
         restarts_s = [self.fork_server.pause_s(), *(w.backoff.remaining_s() for w in self._absent())]
         with self._lock:
@@ -225,7 +223,6 @@ class WorkerPool:
         return max(min([CHECK_PERIOD_S, *restarts_s, *due_s]), 0.0)
 
     def _start(self, worker: Worker) -> None:
-        """Request a process for a worker of the fork server."""
         worker.backoff.start_attempt()
         try:
             here, there = Pipe()
@@ -239,7 +236,6 @@ class WorkerPool:
             worker.pipe, worker.since_s = MessagePipe(here), time.monotonic()
 
     def _complete_start(self, worker: Worker, outcome: ChildProcess | str) -> None:
-        """Take over the process of a worker, or report why it was not started."""
         if isinstance(outcome, ChildProcess):
             with self._lock:
                 worker.process = outcome
@@ -250,7 +246,6 @@ class WorkerPool:
         self._report_end(f"Worker {worker.index} could not be started ({outcome}); it is tried again.")
 
     def _receive(self, worker: Worker) -> None:
-        """Handle the messages that have arrived from a worker, and send messages that its pipe had no room for."""
         assert worker.pipe is not None
         worker.pipe.flush()
         try:
@@ -296,7 +291,6 @@ class WorkerPool:
             queued.done(reply)
 
     def _supervise(self, worker: Worker) -> None:
-        """Reap a worker that has died, and kill a worker that hangs."""
         if worker.process is None or worker.pipe is None:
             return
         if not worker.process.has_ended():
@@ -310,7 +304,6 @@ class WorkerPool:
             self._reap(worker)
 
     def _check_liveness(self, worker: Worker, process: ChildProcess) -> None:
-        """Ping an idle worker, and kill a worker that exceeds its time limit."""
         now_s = time.monotonic()
         with self._lock:
             busy = bool(worker.jobs) or not worker.ready
@@ -382,7 +375,6 @@ class WorkerPool:
     # --- giving jobs, under the lock
 
     def _dispatch(self) -> None:
-        """Give each idle worker a job if one waits, and each worker that performs a link job a second link job."""
         now_s = time.monotonic()
         for worker in self._workers:
             worker.update(now_s)

@@ -292,12 +292,10 @@ class JobQueues:
         return not others or any(all(_is_short(q.job) for q in other.jobs) for other in others)
 
     def _check_is_next(self) -> bool:
-        """Return whether a check waits for a worker that answers."""
         homes = self._queues[Priority.CHECK].items()
         return any(q and h is not None and self._workers[h].ready and not self._workers[h].overdue for h, q in homes)
 
     def _of_others(self, homes: Mapping[int | None, deque[Queued]], worker: Worker) -> list[deque[Queued]]:
-        """Return the queues of other workers from which a worker may take a job."""
         others = ((home, queue) for home, queue in homes.items() if home not in (None, worker.index) and queue)
         return [queue for home, queue in others if home is not None and self._may_take(queue, home)]
 

@@ -136,7 +136,6 @@ class RunStitcher:
         return all_tasks(self.present, times_s, self.opening.setup)
 
     def _jobs_for(self, camera: int, tasks: Iterable[Task]) -> list[LinkJob]:
-        """Return one job for all given tasks that were not requested yet; none if all were."""
         with self._lock:
             new = tuple(task for task in tasks if task not in self._requested_s)
             for task in new:
@@ -162,7 +161,6 @@ class RunStitcher:
         self._conclude_if_complete()
 
     def _conclude_if_complete(self) -> None:
-        """Request the conclusion with the last evidence; or answer that no result is possible."""
         with self._lock:
             if self._head is None or self._concluding:
                 return

@@ -61,7 +61,6 @@ def compile_all() -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its standard input ends, that is when the parent process has ended."""
     while os.read(0, 1024):
         continue
     os._exit(ORPHANED)

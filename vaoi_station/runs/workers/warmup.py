@@ -61,7 +61,6 @@ def warm_up_from_the_end() -> None:
 
 
 def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.uint8]) -> list[Callable[[], object]]:
-    """Return what calls the functions that are compiled for pictures and heights of a stitched run."""
     board_type = setup.board_type
     assert board_type is not None, "the synthetic board has a board type"
     return [
@@ -71,7 +70,6 @@ def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.
 
 
 def _true_stitch(setup: StitchSetup) -> Stitch:
-    """Return the matrices with which the frames were cut out of the picture."""
     motion = [np.array([[1, 0, 0], [0, 1, _STEP_MM * row], [0, 0, 1.0]]) for row in range(_ROWS)]
     return Stitch(
         method="auto",
@@ -83,12 +81,10 @@ def _true_stitch(setup: StitchSetup) -> Stitch:
 
 
 def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
-    """Call the functions that are compiled for marks of other shapes; the marks of the synthetic board are round."""
     locate_mark(picture, np.array(picture.shape[::-1]) / 2.0, "square", _MARK_MM * _PX_PER_MM)
 
 
 def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: NDArray[np.uint8]) -> None:
-    """Call the functions that are compiled for the plan of a mosaic."""
     taken = [TakenFrame(camera, row, 1.0) for camera in range(_CAMERAS) for row in range(_ROWS)]
     completed(
         make_plan(

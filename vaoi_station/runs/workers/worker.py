@@ -178,7 +178,6 @@ class WorkerRuntime:
         self._runs[opening.context.run] = _OpenedRun(opening, runner, slots, frame)
 
     def _reference_of(self, directory: Path | None) -> ReadFrame | None:
-        """Return a function that reads a frame (camera, row) of a reference; None without a reference."""
         if directory is None:
             return None
 
@@ -278,7 +277,6 @@ def _guarded(ring: Ring, bay: int, generation: int, work: Callable[[], T]) -> T:
 
 
 def _reply_to(job: object, work: Callable[[], Any]) -> Reply:
-    """Call the function that performs a job, and return the reply, with the time taken. Errors become replies too."""
     began_s = time.monotonic()
     try:
         value, error = work(), None
