@@ -107,7 +107,7 @@ FINE = ImageRequest.of({"px_per_mm": 277})
 
 @pytest.fixture
 def run(rig: Any) -> str:
-    """A finished run with pixels; the station process has loaded what it renders with."""
+    """A finished run with pixels."""
     grant = rig.arm()
     rig.board(grant)
     rig.result_of(grant.run)
@@ -115,7 +115,6 @@ def run(rig: Any) -> str:
     for frame in rig.coordinator.run(grant.run).frames:
         memory = rig.ring.memory(frame.slot)
         memory[:] = random.integers(0, 256, memory.shape)
-    assert rig.coordinator._frames.small.loaded.wait(60)
     return str(grant.run)
 
 
@@ -124,11 +123,11 @@ def jobs(rig: Any) -> list[RenderJob]:
 
 
 @pytest.mark.parametrize("format", ["png", "jpeg", "tiff", "npy"])
-def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any) -> None:
+def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     own = rig.coordinator.image(run, "U1", 0, format=format)
     assert jobs(rig) == []
-    rig.coordinator._frames.small.loaded.clear()
-    assert rig.coordinator.image(run, "U1", 0, format=format) == b"picture", "until it is loaded, workers render"
+    monkeypatch.setattr(pictures, "LARGEST_PX", 0)
+    assert rig.coordinator.image(run, "U1", 0, format=format) == b"picture", "workers render what is large"
     [job] = jobs(rig)
     with WorkerRuntime(str(rig.ring.path), 0, [EvidenceLog(shared_memory(1), 0)]) as worker:
         reply = worker.reply(Numbered(1, job))
@@ -157,10 +156,10 @@ def tile_of(rig: Any, run: str, **changes: Any) -> TileJob:
 
 
 def test_tiles_that_take_long_are_left_to_workers(rig: Any, run: str) -> None:
-    small, spec = rig.coordinator._frames.small, tile_of(rig, run).spec
-    assert small.render(tile_of(rig, run, spec=replace(spec, hdr=True))) is None
-    assert small.render(tile_of(rig, run, spec=replace(spec, width=LARGEST_PX))) is None
-    assert small.render(tile_of(rig, run, format=None)) is None, "a file of the whole board is made of these"
+    small, spec = rig.coordinator._frames, tile_of(rig, run).spec
+    assert small.render_here(tile_of(rig, run, spec=replace(spec, hdr=True))) is None
+    assert small.render_here(tile_of(rig, run, spec=replace(spec, width=LARGEST_PX))) is None
+    assert small.render_here(tile_of(rig, run, format=None)) is None, "a file of the whole board is made of these"
 
 
 def test_tiles_are_left_to_workers_while_a_board_passes(rig: Any, run: str) -> None:
@@ -193,8 +192,10 @@ def test_memory_that_a_later_board_has_is_left_to_the_ordinary_way(rig: Any, run
     assert rig.coordinator.image(run, "U1", 0) == b"picture", "a worker finds out by itself, or reads a recording"
 
 
-def test_each_of_two_callers_gets_its_own_reply_whatever_their_order(rig: Any, run: str) -> None:
-    rig.coordinator._frames.small.loaded.clear()
+def test_each_of_two_callers_gets_its_own_reply_whatever_their_order(
+    rig: Any, run: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pictures, "LARGEST_PX", 0)
     rig.workers.keep = True
     with ThreadPoolExecutor(2) as callers:
         waiting = [callers.submit(rig.coordinator.image, run, "U1", k) for k in (0, 0)]
@@ -207,7 +208,7 @@ def test_each_of_two_callers_gets_its_own_reply_whatever_their_order(rig: Any, r
 def test_a_refusal_of_the_worker_is_raised_and_a_late_reply_ignored(
     rig: Any, run: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig.coordinator._frames.small.loaded.clear()
+    monkeypatch.setattr(pictures, "LARGEST_PX", 0)
     monkeypatch.setattr(rig.workers, "submit", lambda job, done: done(Reply.refused(GoneError("it is gone"))))
     with pytest.raises(GoneError, match="it is gone"):
         rig.coordinator.image(run, "U1", 0)

@@ -16,7 +16,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.acquisition.ring import Ring
@@ -60,63 +59,13 @@ class ViewRequest(NamedTuple):
     images: ImageRequest
 
 
-class SmallPictures:
-    """Renders small pictures straight from the ring, in the threads of their callers.
-
-    By a worker, a picture of one to ten milliseconds would take a lease, the queues and two pipes besides, and the wait
-    for what all workers have under way. OpenCV and compiled loops release the GIL: the coordinator's thread goes on.
-    """
-
-    def __init__(self, ring: Ring) -> None:
-        self._ring = ring
-        self._seats = threading.BoundedSemaphore(SEATS)
-        self.loaded = threading.Event()
-        """Set when the compiled functions are loaded; until then, workers render all pictures."""
-
-    def start(self) -> None:
-        """Load the compiled functions in a thread of their own."""
-        threading.Thread(target=self._load, name="small-pictures", daemon=True).start()
-
-    def render(self, job: RenderJob | TileJob) -> bytes | None:
-        """Return the encoded picture of a job with its place in the ring; None if a worker has to render it.
-
-        A worker renders what is large, what no caller waits for, and HDR. No lease is needed: the generation of the bay
-        is checked after the pixels were read, as in workers.
-        """
-        if not _is_small(job) or not self.loaded.is_set() or not self._seats.acquire(blocking=False):
-            return None
-        try:
-            picture: bytes = perform_with_frames(job, self._ring)
-            return picture
-        except GoneError:
-            return None  # the frame may be in a recording, which the caller looks up
-        finally:
-            self._seats.release()
-
-    def _load(self) -> None:
-        from vaoi_station.geometry.shifting import shift
-        from vaoi_station.rendering import frame_pairs
-
-        frame = np.zeros((4, 4), np.uint8)
-        frame.flags.writeable = False
-        shift(frame, np.eye(3)[None], 1, np.empty(4, np.uint8), np.array([[0, 2, 2, 2]]), True)
-        frame_pairs.load()
-        self.loaded.set()
-
-
-def _is_small(job: RenderJob | TileJob) -> bool:
-    if isinstance(job, RenderJob):
-        return job.file is None and job.minus is None and job.view.width * job.view.height <= LARGEST_PX
-    return job.format is not None and not job.spec.hdr and job.spec.width * job.spec.height <= LARGEST_PX
-
-
 class FrameAccess:
     """Reads frames and temporary images of runs; each access takes a lease. Methods may be called from any thread."""
 
     def __init__(self, inbox: Inbox, core: Core, ring: Ring, archive: Archive, workers: Workers) -> None:
         self._inbox, self._core, self._ring = inbox, core, ring
         self._archive, self._workers = archive, workers
-        self.small = SmallPictures(ring)
+        self._seats = threading.BoundedSemaphore(SEATS)
         self.recorded: Callable[[str, int, int], Path | None] = lambda _run, _camera, _row: None
         """Returns the file of a frame (run, camera, row) in the run's recording; None if there is no recording.
 
@@ -141,6 +90,28 @@ class FrameAccess:
         if reply.error is not None:
             raise reply.error
         return reply.value
+
+    def render_here(self, job: RenderJob | TileJob) -> bytes | None:
+        """Return the small picture of a job, rendered from the ring in this thread; None if a worker has to render it.
+
+        By a worker, a picture of one to ten milliseconds would take a lease, the queues and two pipes besides, and the
+        wait for what all workers have under way. OpenCV releases the GIL, so that the coordinator's thread goes on.
+        Workers render what is large, what no caller waits for, and HDR. No lease is needed: the generation of the bay
+        is checked after the pixels were read, as in workers.
+        """
+        if isinstance(job, RenderJob):
+            small, size = job.file is None and job.minus is None, job.view.width * job.view.height
+        else:
+            small, size = job.format is not None and not job.spec.hdr, job.spec.width * job.spec.height
+        if not small or size > LARGEST_PX or not self._seats.acquire(blocking=False):
+            return None
+        try:
+            picture: bytes = perform_with_frames(job, self._ring)
+            return picture
+        except GoneError:
+            return None  # the frame may be in a recording, which the caller looks up
+        finally:
+            self._seats.release()
 
     def frame(
         self, detail: RunDetail, camera: int, row: int, allow_incomplete: bool
@@ -167,7 +138,7 @@ class FrameAccess:
         measure, heights = self._measured_by(detail), self._heights(detail.id, wanted.images)
         choice = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure, heights)
         if detail.bay is not None and detail.generation is not None and detail.frames_available:
-            own = self.small.render(_job(finished, choice, format, (detail.bay, detail.generation)))
+            own = self.render_here(_job(finished, choice, format, (detail.bay, detail.generation)))
             if own is not None:
                 return own
         try:
@@ -209,7 +180,7 @@ class FrameAccess:
 
         Callers of tiles come in numbers. Rendered beside the workers, tiles of eight callers delayed matrices by 0.1 s.
         """
-        return None if self.busy() else self.small.render(job)
+        return None if self.busy() else self.render_here(job)
 
     def bay_of(self, run: str) -> Bay:
         """Return the bay of a run, without a lease. Raise GoneError if the frames are no longer in memory."""
