@@ -21,8 +21,6 @@ from vaoi_station.station import Station
 from vaoi_station.stitching.recordings.opening import open_run
 from vaoi_station.stitching.work import stitch_frames
 
-TIMEOUT_S = 150.0
-
 
 def used(stitch: Stitch) -> dict[str, int]:
     return {kind: count["used"] for kind, count in stitch.quality["links"].items() if count["used"]}

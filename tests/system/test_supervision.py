@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.system.conftest import until_state
-from tests.system.test_faults import arm_until_filming, pid_of, result_of, wait_for_event
+from tests.system.test_faults import arm_until_filming, pid_of, result_of
 from tests.system.test_service import as_toml
 from tests.test_supervised_thread import kill
 from vaoi_station import station as station_module
@@ -225,17 +225,3 @@ def test_no_board_is_lost_without_the_fork_server(
                 seen = records[-1].number
         assert "The fork server" in ended[0]
         coordinator.disarm()
-
-
-def test_an_acquisition_process_that_hangs_is_replaced(
-    replay_config: Callable[..., StationConfig], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Station(replay_config().model_copy(update={"workers": 1})) as station:
-        coordinator = station.coordinator
-        until_state(coordinator, "idle")
-        seen = coordinator.snapshot().last_event
-        os.kill(pid_of(coordinator, "acquisition"), signal.SIGSTOP)
-        with monkeypatch.context() as impatient:  # only now: the next process may start slowly
-            impatient.setattr("vaoi_station.runs.control.acquisition_link.HEARTBEAT_LIMIT_S", 2.0)
-            wait_for_event(coordinator, "station", "faulted", seen)
-        until_state(coordinator, "idle")

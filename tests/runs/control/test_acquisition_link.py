@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -131,23 +130,6 @@ def test_a_process_that_cannot_start_or_ends_when_ready_is_restarted_ever_more_s
         assert events.ends.get(timeout=PATIENCE_S) == f"the acquisition process {expected}"
     peer.wait_for_start(7)
     assert backoff.pauses == [0.5, 1, 2, 4, 6, 6]
-
-
-def test_a_process_that_ran_for_long_is_restarted_at_once(
-    start_link: Callable[[Backoff], AcquisitionLink], peer: Any, events: Recorded
-) -> None:
-    now_s = time.monotonic()
-    backoff = Backoff(module.PACE, lambda: now_s)
-    start_link(backoff)
-    for attempt in (1, 2):
-        peer.wait_for_start(attempt)
-        peer.report(Ready(3))
-        events.messages.get(timeout=PATIENCE_S)
-        now_s += module.PACE.proven_s
-        peer.die(-11)
-        events.ends.get(timeout=PATIENCE_S)
-        assert backoff.due_s in (None, now_s + module.PACE.first_s)
-        now_s += module.PACE.first_s
 
 
 def test_status_states_when_the_process_is_started_again(

@@ -44,23 +44,6 @@ def test_lost_frames_are_named_and_bridged(rig: Any) -> None:
     assert bridges <= {((0, 0), (0, 2)), ((1, 0), (1, 2))}
 
 
-def test_boards_back_to_back_find_memory_granted_ahead(rig: Any) -> None:
-    grants = [rig.arm(board_id="b")]
-    for _ in range(6):
-        rig.begin(grants[-1])
-        grants.append(rig.peer.expect(messages.Grant))
-        records = [r for row in range(2) for r in rig.row(grants[-2], row)]
-        rig.finish(grants[-2], records)
-    last = rig.result_of(grants[-2].run)
-    runs = rig.coordinator.runs()
-    assert [r.id for r in runs] == [g.run for g in reversed(grants[:-1])]
-    states = [r.state for r in runs]
-    assert states[0] == "ready"
-    assert states[-1] == "gone"
-    assert last.frames_available
-    assert rig.coordinator.snapshot().boards_missed == 0
-
-
 def test_every_finished_run_is_returned_once_and_in_order(rig: Any) -> None:
     assert rig.coordinator.latest() is None
     got: list[str] = []
@@ -86,20 +69,6 @@ def test_every_finished_run_is_returned_once_and_in_order(rig: Any) -> None:
     assert got in (expected[:3], expected[1:4])
     assert rig.coordinator.next_run(expected[-1], 0.01) is None
     assert rig.coordinator.next_run(expected[0], 0.0).id == expected[1]
-
-
-def test_a_run_that_begins_before_the_last_has_settled(rig: Any) -> None:
-    first = rig.arm()
-    rig.begin(first)
-    records = [r for row in range(2) for r in rig.row(first, row)]
-    second = rig.peer.expect(messages.Grant)
-    rig.begin(second)
-    rig.finish(first, records)
-    rig.result_of(first.run)
-    assert rig.coordinator.snapshot().state == "filming"
-    rig.finish(second, rig.row(second, 0))
-    rig.result_of(second.run)
-    rig.until("armed")
 
 
 # --- ids, and how long they hold

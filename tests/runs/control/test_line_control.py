@@ -168,56 +168,6 @@ def test_trouble_while_arming_refuses_the_order_and_disarms(line: Line) -> None:
     assert line.control.orders.order is None
 
 
-def test_after_a_fault_the_line_is_armed_again_without_a_request(line: Line) -> None:
-    line.armed()
-    line.control.on_acquisition_ended("the acquisition process ended")
-    assert (line.state, line.granted()) == ("faulted", [])
-    line.acquisition.taken()
-    line.control.on_ready()
-    assert line.acquisition.taken() == ["Grant", "Arm"]
-
-
-def hold_all_bays(line: Line) -> list[str]:
-    """Let boards pass that a caller holds, until no bay is free."""
-    held = []
-    while runs := line.granted():
-        assert line.control.take_grant(runs[0], 1e9) is not None
-        line.memory.use(runs[0], "finished")
-        line.memory.lease(runs[0], "tester", "AOI")
-        held += runs
-        line.control.keep_memory_granted()
-    return held
-
-
-def test_an_order_survives_a_full_ring_after_a_fault(line: Line) -> None:
-    line.armed()
-    held = hold_all_bays(line)
-    assert line.state == "blocked"
-    line.control.on_acquisition_ended("the acquisition process ended")
-    line.acquisition.taken()
-    line.control.on_ready()
-    line.control.tick()
-    assert (line.state, [reason.code for reason in line.machine.reasons.all()]) == ("idle", ["ring-full"])
-    line.memory.end_lease(held[0], "tester")
-    line.memory.free(held[0])
-    line.control.tick()
-    assert (line.acquisition.taken(), line.machine.reasons.all()) == (["Grant", "Arm"], ())
-    line.control.on_armed()
-    assert line.state == "armed"
-
-
-def test_a_disarm_ends_the_order_that_waits_for_memory(line: Line) -> None:
-    line.armed()
-    held = hold_all_bays(line)
-    line.control.on_acquisition_ended("the acquisition process ended")
-    line.control.on_ready()
-    line.control.disarm(Completion())
-    line.memory.free(held[0])
-    line.acquisition.taken()
-    line.control.tick()
-    assert (line.state, line.acquisition.taken(), line.machine.reasons.all()) == ("idle", [], ())
-
-
 def test_an_order_survives_a_trouble_while_the_line_is_armed_again(
     config: StationConfig, store: Store, progress: Progress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -296,18 +246,3 @@ def test_an_order_with_another_plan_is_armed_after_a_disarm(line: Line) -> None:
     line.control.on_armed()
     changed.result(0)
     assert line.state == "armed"
-
-
-def test_the_order_before_stays_in_force_if_another_plan_is_not_armed(line: Line) -> None:
-    line.armed()
-    before = line.order
-    assert line.order.plan is not None
-    line.order = replace(line.order, plan=replace(line.order.plan, period_s=0.2))
-    changed = line.arm()
-    line.control.on_acquisition_ended("the acquisition process ended")
-    with pytest.raises(StateError, match="faulted"):
-        changed.result(0)
-    line.acquisition.taken()
-    line.control.on_ready()
-    assert line.acquisition.taken() == ["Grant", "Arm"]
-    assert line.control.orders.order is before

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.runs.host import logs
 from vaoi_station.runs.host.logs import (
     JSON_VARIABLE,
     SAME_TEMPLATE,
@@ -180,10 +179,3 @@ def test_warnings_that_differ_in_values_only_are_limited_too() -> None:
     limit = RepeatLimit(Clock())
     seen = [logged(limit, "caller %s does not read", n) for n in range(5000)]
     assert len([text for text in seen if text]) == SAME_TEMPLATE
-
-
-def test_memory_is_bounded() -> None:
-    limit = RepeatLimit(Clock())
-    for n in range(3 * logs.MOST_KEYS):
-        logged(limit, "run %s", n, level=logging.INFO)
-    assert len(limit._texts) <= logs.MOST_KEYS

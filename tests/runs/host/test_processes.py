@@ -8,7 +8,6 @@ import multiprocessing
 import os
 import subprocess
 import sys
-import threading
 import weakref
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
@@ -17,10 +16,8 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.runs.host import processes as module
 from vaoi_station.runs.host.processes import (
     IDLE_S,
-    LONGEST_S,
     GcPolicy,
     keep_freed_memory,
     set_up_process,
@@ -54,15 +51,6 @@ def policy(clock: Clock) -> Iterator[GcPolicy]:
     policy.stop()
 
 
-@pytest.fixture
-def _nothing_frozen() -> Iterator[None]:
-    """Undo for one test that the session's objects are excluded (tests/conftest.py)."""
-    gc.unfreeze()
-    yield
-    gc.collect()
-    gc.freeze()
-
-
 def old_knot() -> weakref.ref[Knot]:
     """Garbage of the oldest generation, which only a full collection finds."""
     knot = Knot()
@@ -85,49 +73,6 @@ def test_the_interpreter_runs_no_full_collection(policy: GcPolicy) -> None:
     kept = [[k] for k in range(400_000)]
     assert gc.get_stats()[2]["collections"] == collections
     assert len(kept) == 400_000
-
-
-def test_free_memory_goes_back_once_a_minute(policy: GcPolicy, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
-    returned: list[float] = []
-    monkeypatch.setattr(module, "return_free_memory", lambda: returned.append(clock.now_s))
-    begin_s = clock.now_s
-    for _ in range(13):
-        clock.now_s += IDLE_S
-        policy.tick(busy=False)
-    assert returned == [begin_s + LONGEST_S, begin_s + 2 * LONGEST_S]
-
-
-def anonymous_bytes() -> int:
-    text = Path("/proc/self/smaps_rollup").read_text()
-    (line,) = (line for line in text.splitlines() if line.startswith("Anonymous:"))
-    return int(line.split()[1]) * 1024
-
-
-def test_pages_of_the_heap_of_a_thread_go_back() -> None:
-    kept: list[bytearray] = []
-
-    def fill() -> None:
-        blocks = [bytearray(5000) for _ in range(10_000)]
-        kept.append(blocks[-1])  # behind all others, so the heap's end cannot shrink
-
-    thread = threading.Thread(target=fill)
-    thread.start()
-    thread.join()
-    before = anonymous_bytes()
-    module.return_free_memory()
-    assert anonymous_bytes() < before - 25_000_000
-
-
-@pytest.mark.usefixtures("_nothing_frozen")
-def test_objects_that_the_program_has_excluded_stay_excluded() -> None:
-    gc.freeze()
-    frozen = gc.get_freeze_count()
-    policy = GcPolicy()
-    policy.start()
-    kept = [[k] for k in range(1000)]
-    policy.stop()
-    assert 0 < gc.get_freeze_count() <= frozen
-    assert len(kept) == 1000
 
 
 FAULTS = """
@@ -209,22 +154,3 @@ def test_a_child_process_shows_its_name_instead_of_how_it_was_started() -> None:
     assert command.rstrip(b"\0") == b"vaoi-worker-1"
     assert comm == "vaoi-worker-1\n"
     assert process.exitcode == 0
-
-
-KEEP = """
-from pathlib import Path
-from vaoi_station.runs.host.processes import set_process_title
-before = Path("/proc/self/cmdline").read_bytes()
-set_process_title("a title that is longer than any argument of this process " * 100, arguments=False)
-assert Path("/proc/self/cmdline").read_bytes() == before
-set_process_title("x" * 100_000, arguments=True)
-shown = Path("/proc/self/cmdline").read_bytes()
-assert shown == b"x" * (len(before) - 1) + b"\\0", shown
-print(Path("/proc/self/comm").read_text())
-"""
-
-
-def test_a_long_title_is_cut_and_nothing_behind_it_is_overwritten() -> None:
-    done = subprocess.run([sys.executable, "-c", KEEP], stdout=subprocess.PIPE, text=True, check=True)
-    assert done.stdout.strip() == "x" * 15
-    assert "PATH" in os.environ

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
@@ -13,7 +13,7 @@ import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import DeviceError, InputError, InternalError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, InternalError, NotFoundError, StateError
 from vaoi_station.model import Pulse, Status
 from vaoi_station.runs.workers.jobs import Reply, WorkerLostError
 
@@ -29,11 +29,6 @@ def test_an_unknown_board_type(rig: Any) -> None:
     with pytest.raises(NotFoundError, match="no board type 'unknown'; known board types: 'small'"):
         rig.coordinator.arm("unknown")
     assert rig.coordinator.snapshot().state == "idle"
-
-
-def test_no_runs_at_all_is_no_order(rig: Any) -> None:
-    with pytest.raises(InputError, match="runs is 0"):
-        rig.coordinator.arm("small", runs=0)
 
 
 def test_a_second_arm_while_a_board_passes(rig: Any) -> None:
@@ -87,13 +82,6 @@ def test_a_run_that_ended_early_names_row_and_cause(rig: Any) -> None:
         (reason.code, reason.message) for reason in run.reasons
     ]
     assert run.state != "ready"
-
-
-def test_arming_before_the_cameras_are_open(make_rig: Callable[..., Any]) -> None:
-    rig = make_rig()
-    with pytest.raises(StateError, match="The station is starting") as refusal:
-        rig.coordinator.arm("small")
-    assert "Wait" in refusal.value.action
 
 
 def _lose(rig: Any, *cameras: int) -> None:
@@ -258,19 +246,6 @@ def test_a_task_that_fails_degrades_and_one_that_kills_fails_the_run(rig: Any) -
     assert run.state == "failed"
     assert "took 2 workers with it" in run.reasons[0].message
     assert np.all(rig.coordinator.frame(second.run, 0, 1)[0] == 11)
-
-
-@pytest.mark.parametrize(("status", "state"), [(Status.DEGRADED, "degraded"), (Status.FAILED, "failed")])
-def test_a_run_takes_the_verdict_of_its_stitch(
-    rig: Any, make_stitch: Callable[..., Any], status: Status, state: str
-) -> None:
-    rig.workers.result = lambda head: make_stitch(head, status, ("two fiducials only",))
-    grant = rig.arm()
-    rig.board(grant)
-    run = rig.result_of(grant.run)
-    assert (run.state, run.verdict) == (state, status)
-    assert run.reasons[0].message == "two fiducials only"
-    assert rig.coordinator.stitch(grant.run).status is status
 
 
 def test_boards_that_follow_too_closely_take_no_id_that_is_not_theirs(rig: Any) -> None:

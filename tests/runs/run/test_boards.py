@@ -190,15 +190,6 @@ def test_a_board_that_passed_before_does_not_lose_its_id(books: Books) -> None:
     assert books.account.missed == 1
 
 
-def test_a_missed_board_takes_the_id_from_the_next_run(books: Books) -> None:
-    books.account.board_missed(BoardMissed(49.0, "no memory was free"), "Memory: all held.", 49.1)
-    books.finish(((0.0, 0.3),))
-    assert books.codes() == ["board-id-uncertain"]
-    [(_, event)] = books.published
-    assert event["message"] == "A board passed and was not filmed: no memory was free"
-    assert event["action"] == "Memory: all held."
-
-
 def test_boards_that_follow_a_missed_board_too_closely_are_counted_as_well(books: Books) -> None:
     books.account.passage_missed(MissedPassage(49.0, ((0.0, 0.3),)), 49.9)
     books.account.passage_missed(MissedPassage(49.0, ()), 49.9)
@@ -224,15 +215,6 @@ def test_while_the_barrier_is_not_watched_ids_become_uncertain(books: Books) -> 
     books.finish(((0.0, 0.3),))
     assert books.progress.board_id is None
     assert books.account.missed == 0
-
-
-def test_a_board_whose_edge_is_older_than_the_loss_is_doubted_too(books: Books) -> None:
-    """Edges are reported late: of two boards that came during a loss of events, the second may be the one reported."""
-    books.account.unwatched(70.0, "the controller did not report all boards for a time")
-    assert books.orders.doubt_of(books.progress.armed_s, books.progress.barrier_s) is None, "it has its run"
-    assert books.orders.doubt_of(books.progress.armed_s, 69.0) is not None
-    books.orders.accept(books.progress.order, None, 71.0)
-    assert books.orders.doubt_of(71.0, 72.0) is None, "its caller could know of the loss"
 
 
 def test_a_run_whose_edge_was_lost_is_degraded_and_has_no_id(books: Books) -> None:
@@ -301,15 +283,6 @@ def test_a_doubt_is_a_warning_with_camera_run_and_action_until_a_run_without_it(
     assert not ended
     assert watch.add(finished("r2")) == ([], ["camera left"])
     assert watch.warnings() == ()
-
-
-def test_a_doubt_that_stays_is_one_warning_of_the_newest_run() -> None:
-    watch = TriggerWatch(["left", "right"])
-    watch.add(finished("r1", (1, "off-beat")))
-    assert watch.add(finished("r2", (1, "off-beat"))) == ([], [])
-    assert [r.message for r in watch.warnings()] == ["Right, run r2: its reason."]
-    begun, _ = watch.add(finished("r3", (1, "runs-freely")))
-    assert [r.code for r in begun] == ["trigger-runs-freely"]
 
 
 def test_a_missing_frame_is_no_doubt_and_no_frame_ends_none() -> None:

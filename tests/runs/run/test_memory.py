@@ -47,17 +47,6 @@ def test_the_bay_of_a_run_that_ended_by_a_fault_is_free_again() -> None:
     assert memory.reclaim({"r1"}) == ()
 
 
-def test_oldest_means_finished_first_not_begun_first() -> None:
-    memory = memory_of(2)
-    memory.grant("r1")
-    memory.grant("r2")
-    memory.use("r2", "finished")
-    memory.use("r1", "finished")
-    memory.keep("r1", 0.0)
-    memory.keep("r2", 0.0)
-    assert memory.grant("r3").evicted == "r2"
-
-
 def test_a_run_is_not_evicted_before_it_was_announced_and_its_time_has_passed() -> None:
     clock = Clock()
     memory = memory_of(1, clock)
@@ -105,22 +94,6 @@ def test_holds_that_leave_memory_for_fewer_than_two_boards_are_a_warning() -> No
     assert "one further board at a time: run r1 is held by tester (AOI); run r2 is held by tester" in warning.message
     memory.end_lease("r1", "tester")
     assert memory.warning() is None
-
-
-def test_a_full_ring_names_the_holders() -> None:
-    memory = memory_of(3)
-    finish(memory, "r1")
-    memory.lease("r1", "tester 3", "AOI")
-    memory.grant("r2")
-    memory.use("r2", "filming")
-    memory.grant("r3")
-    with pytest.raises(BusyError, match=r"r1 is held by tester 3 \(AOI\); run r2 is being filmed; run r3 is reserved"):
-        memory.grant("r4")
-    memory.lease("r1", "tester 3", "")
-    with pytest.raises(BusyError, match=r"r1 is held by tester 3; run r2 is being filmed"):
-        memory.grant("r4")
-    memory.end_lease("r1", "tester 3")
-    assert memory.grant("r4").evicted == "r1"
 
 
 class Line(RuleBasedStateMachine):

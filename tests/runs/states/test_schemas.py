@@ -17,7 +17,6 @@ from vaoi_station.runs.states.schemas import (
     HeightList,
     MadeWith,
     StitchingMethod,
-    TaskTiming,
 )
 
 ALL = [
@@ -33,9 +32,6 @@ BOARD = BoardType.model_validate(
             {"ref": ref, "center": [2, 2], "width": 1, "height": 1, "body_height": 1.5} for ref in ("U1", "U2", "U3")
         ],
     }
-)
-TASK = TaskTiming(
-    kind="row", camera=0, row=1, other_camera=None, other_row=None, ready_s=0.5, done_s=0.75, worker_ms=20.0
 )
 
 

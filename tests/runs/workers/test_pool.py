@@ -26,20 +26,6 @@ from vaoi_station.runs.workers.queues import MAX_PICTURES
 from vaoi_station.steps import Steps
 
 
-def test_frames_of_one_camera_go_to_one_worker(plant: Plant) -> None:
-    plant.all_idle()
-    for worker in (0, 1):
-        os.kill(plant.pid(worker), signal.SIGSTOP)
-    try:
-        pending = [plant.submit(plant.link(camera, row)) for row in range(2) for camera in (0, 1)]
-        doing = [w.doing for w in plant.pool.status()]
-        assert [word.split(" of ")[1].split(" and")[0] for word in doing] == ["(0, 0)", "(1, 0)"]
-    finally:
-        for worker in (0, 1):
-            os.kill(plant.pid(worker), signal.SIGCONT)
-    assert all(p.get().error is None for p in pending)
-
-
 def test_jobs_of_a_killed_worker_are_repeated(plant: Plant) -> None:
     plant.all_idle()
     victim = plant.pid(0)
@@ -100,16 +86,6 @@ def test_a_new_owner_concludes_from_the_evidence_of_all(plant: Plant, make_head:
     plant.until(lambda: len(plant.lost) == 1)
     plant.all_idle()
     assert numbers(plant.submit(whole).get()) == gathered
-
-
-def test_the_worker_that_has_concluded_checks_the_calibration(board_plant: BoardPlant, ring_board: RingBoard) -> None:
-    board_plant.link_all([ring_board.link(task) for task in ring_board.tasks])
-    assert board_plant.submit(ring_board.conclusion()).get().error is None
-    board_plant.pool.close_run("r1")
-    checked = board_plant.submit(CHECK).get()
-    assert isinstance(checked.value, RunCheck), "also after the run was closed"
-    assert checked.value.cameras
-    assert isinstance(board_plant.submit(CHECK).get().error, InternalError), "once"
 
 
 def test_a_check_whose_worker_has_died_is_refused(board_plant: BoardPlant, ring_board: RingBoard) -> None:
@@ -268,24 +244,6 @@ def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(board_plant: BoardPl
             os.kill(victim, signal.SIGCONT)
     board_plant.all_idle()
     assert [len(p.answers) for p in (result, checked)] == [1, 1], "result and check of the slower worker are dropped"
-
-
-def test_a_conclusion_of_a_closed_run_is_not_repeated(plant: Plant, make_head: Any) -> None:
-    """Its worker dies after the run was closed: the pool goes on."""
-    plant.all_idle()
-    for worker in (0, 1):
-        os.kill(plant.pid(worker), signal.SIGSTOP)
-    plant.submit(conclusion(plant, make_head(3), []))
-    plant.pool.close_run("r1")
-    for worker in (0, 1):
-        os.kill(plant.pid(worker), signal.SIGKILL)
-    plant.until(lambda: len(plant.lost) == 2)
-    refused = plant.submit(plant.link()).get()
-    assert isinstance(refused.error, StateError)
-    assert "after the run was closed" in refused.error.message
-    plant.open_run()
-    assert plant.submit(plant.link()).get().error is None
-    assert plant.pool.thread.fault() is None
 
 
 def test_waiting_pictures_are_limited(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:

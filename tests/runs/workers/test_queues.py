@@ -24,7 +24,7 @@ from vaoi_station.runs.workers.jobs import (
     SteppedJob,
 )
 from vaoi_station.runs.workers.picture_jobs import RenderJob
-from vaoi_station.runs.workers.queues import OVERDUE_S, PING_OVERDUE_S, JobQueues, Queued, Worker
+from vaoi_station.runs.workers.queues import JobQueues, Queued, Worker
 from vaoi_station.steps import Steps
 from vaoi_station.stitching.matching.evidence import Task
 
@@ -83,16 +83,6 @@ def test_one_waiting_job_is_left_to_its_worker_and_a_second_one_is_not(hall: Hal
     assert hall.choose(1) is None
     hall.add(hall.link(0, 1))
     assert hall.choose(1) == hall.link(0, 0)
-
-
-def test_urgent_jobs_are_chosen_first(hall: Hall) -> None:
-    conclusion = hall.board.conclusion()
-    hall.add(hall.picture(), hall.link(2), conclusion)
-    chosen = []
-    for worker in (2, 2, 0):
-        chosen.append(hall.choose(worker))
-        hall.workers[worker].jobs.clear()
-    assert chosen == [conclusion, hall.link(2), hall.picture()]
 
 
 def test_a_conclusion_goes_to_the_worker_with_the_evidence(hall: Hall) -> None:
@@ -270,17 +260,6 @@ def test_parts_of_batches_come_after_pictures_and_take_every_worker_while_no_run
     hall.add(part_of_a_batch(), part_of_a_batch(), part_of_a_batch(), hall.picture())
     assert hall.choose(0) == hall.picture()
     assert [hall.choose(k) for k in (1, 2)] == [part_of_a_batch()] * 2
-
-
-def test_a_worker_is_overdue_when_its_job_or_its_reply_to_a_ping_takes_much_longer_than_usual(hall: Hall) -> None:
-    worker = Worker(0, ready=True, jobs=deque([queued(hall.link(0))]), since_s=10.0)
-    assert worker.due_s() == 10.0 + OVERDUE_S[Priority.LINK]
-    for now_s, overdue in ((10.5, False), (12.0, True)):
-        worker.update(now_s)
-        assert worker.overdue is overdue
-    assert Worker(0, ready=True).due_s() is None
-    assert Worker(0, ready=True, pinged_s=10.0).due_s() == 10.0 + PING_OVERDUE_S
-    assert Worker(0, since_s=0.0).due_s() is None, "a worker that starts is not overdue"
 
 
 def test_a_check_goes_to_the_worker_that_has_concluded_and_leaves_another_one_free(hall: Hall) -> None:
