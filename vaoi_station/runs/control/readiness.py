@@ -51,41 +51,39 @@ class LineFacts:
     """The trouble because of which results are not kept on disk at present, also one that does not pass by itself."""
 
 
-def _reason(code: str, message: str, action: str) -> Reason:
-    return Reason(code=code, message=message, action=action)
-
-
 _BY_STATE = {
-    StationState.STARTING: _reason("line-not-armed", "The station is starting.", "Wait."),
-    StationState.IDLE: _reason("line-not-armed", "The line is not armed.", "Arm it."),
-    StationState.ARMING: _reason("line-not-armed", "The line is being armed.", "Wait a moment."),
-    StationState.FAULTED: _reason("line-not-armed", "The acquisition process is lost.", "Wait."),
-    StationState.STOPPING: _reason("line-not-armed", "The station is stopping.", "Start it."),
-    StationState.FILMING: _reason("line-filming", "A board is being filmed.", "Wait until it left."),
-    StationState.BLOCKED: _reason("ring-full", "No memory is free.", "Wait, or release a run."),
+    StationState.STARTING: Reason(code="line-not-armed", message="The station is starting.", action="Wait."),
+    StationState.IDLE: Reason(code="line-not-armed", message="The line is not armed.", action="Arm it."),
+    StationState.ARMING: Reason(code="line-not-armed", message="The line is being armed.", action="Wait a moment."),
+    StationState.FAULTED: Reason(code="line-not-armed", message="The acquisition process is lost.", action="Wait."),
+    StationState.STOPPING: Reason(code="line-not-armed", message="The station is stopping.", action="Start it."),
+    StationState.FILMING: Reason(code="line-filming", message="A board is being filmed.", action="Wait until it left."),
+    StationState.BLOCKED: Reason(code="ring-full", message="No memory is free.", action="Wait, or release a run."),
 }
-_DISARMING = _reason("line-not-armed", "The line is being disarmed.", "Arm again.")
-_UNREPORTED = _reason("line-not-armed", "Cameras and controller have not reported yet.", "Wait a moment.")
-_SILENT = _reason(
-    "devices-silent",
-    "Cameras and controller have not reported for some seconds.",
-    "Wait: the station restarts the process.",
+_DISARMING = Reason(code="line-not-armed", message="The line is being disarmed.", action="Arm again.")
+_UNREPORTED = Reason(
+    code="line-not-armed", message="Cameras and controller have not reported yet.", action="Wait a moment."
 )
-_NO_CONTROLLER = _reason(
-    "controller-not-ready",
-    "The controller does not reply, or has switched its outputs off.",
-    "Check its power and its cable.",
+_SILENT = Reason(
+    code="devices-silent",
+    message="Cameras and controller have not reported for some seconds.",
+    action="Wait: the station restarts the process.",
 )
-_PASSING = _reason("line-filming", "A board is in the barrier.", "Wait until it left.")
-_STOPPED = _reason(
-    "belt-stopped",
-    "A board is in the barrier or under the cameras, and the belt does not move.",
-    "Start the belt. If it runs, check its encoder and the cable (vaoi doctor); disarm to end the run.",
+_NO_CONTROLLER = Reason(
+    code="controller-not-ready",
+    message="The controller does not reply, or has switched its outputs off.",
+    action="Check its power and its cable.",
 )
-_STANDING = _reason(
-    "board-in-barrier",
-    "A board has been in the light barrier since before the line was armed: it is not filmed.",
-    "Take it out and let it in again. If there is none, clean and align the barrier (vaoi doctor).",
+_PASSING = Reason(code="line-filming", message="A board is in the barrier.", action="Wait until it left.")
+_STOPPED = Reason(
+    code="belt-stopped",
+    message="A board is in the barrier or under the cameras, and the belt does not move.",
+    action="Start the belt. If it runs, check its encoder and the cable (vaoi doctor); disarm to end the run.",
+)
+_STANDING = Reason(
+    code="board-in-barrier",
+    message="A board has been in the light barrier since before the line was armed: it is not filmed.",
+    action="Take it out and let it in again. If there is none, clean and align the barrier (vaoi doctor).",
 )
 EXPECTED = frozenset({"line-not-armed", "line-filming", "belt-stopped"})
 """Codes with which a board must wait although nothing is wrong."""
