@@ -18,11 +18,11 @@ from vaoi_station.board_check.check import (
     check_board,
     checked_board_type,
     distances_of_marks,
-    overlay,
+    picture_of_check,
 )
 from vaoi_station.board_check.correction import Group, Move
 from vaoi_station.board_check.overview import CheckedRun
-from vaoi_station.board_check.report import BoardCheck, CheckWarning
+from vaoi_station.board_check.report import BoardCheck, Unlikely
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType
 
@@ -170,21 +170,15 @@ def has(picture: np.ndarray, colour: tuple[int, int, int]) -> bool:
 
 
 def test_bodies_are_drawn_where_they_are_stated_and_found(run: CheckedRun, board: BoardType) -> None:
-    c = np.array(run.stitch.cad_matrix)
-    found = c.copy()
+    found = np.array(run.stitch.cad_matrix)
     found[0, 2] += 3.0
-    picture = overlay(run.overview, board, found, c, {"U1"})
+    nothing = BoardCheck(board_type="b", score=9.0, rival_score=4.0, components=40, measured=0)
+    report = nothing.model_copy(
+        update={"tester_from_cad": found.tolist(), "unlikely": [Unlikely(ref="U1", share=0.1)]},
+    )
+    picture = picture_of_check(run, board, report)
     assert picture.ndim == 3
     assert 400 <= max(picture.shape) <= 1600
     assert [has(picture, colour) for colour in (FOUND, STATED, ABSENT)] == [True] * 3
-    assert not has(overlay(run.overview, board, found, None, ()), STATED)
-    assert not has(overlay(run.overview, board, None, None, ()), FOUND)
-
-
-def test_a_report_without_a_correction_is_short() -> None:
-    warning = CheckWarning(code="not-found", message="nothing is found.")
-    report = BoardCheck(board_type="b", score=4.2, rival_score=4.1, components=9, measured=0, warnings=[warning])
-    document = report.model_dump(mode="json", exclude_none=True)
-    assert document["format"] == "vaoi-board-check"
-    assert not {"proposal", "residual", "tester_from_cad"} & document.keys()
-    assert BoardCheck.model_validate(document) == report
+    assert not has(picture_of_check(replace(run, board_type=None), board, report), STATED)
+    assert not has(picture_of_check(run, board, nothing), FOUND)

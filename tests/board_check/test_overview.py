@@ -28,14 +28,6 @@ def test_places_of_the_picture_are_those_of_the_frames(run: CheckedRun, board: B
     assert np.hypot(*(centre - mark)) < 0.1
 
 
-def test_edges_are_strong_across_themselves(run: CheckedRun) -> None:
-    overview = replace(run.overview, grey=np.repeat([[20] * 60 + [200] * 60], 100, 0).astype(np.uint8))
-    overview = replace(overview, seen=np.ones(overview.grey.shape, np.bool_))
-    vertical, horizontal = overview.edges(0.2)
-    assert vertical[50].argmax() in (59, 60)
-    assert vertical.max() > 1.0 > 10 * np.abs(horizontal).max()
-
-
 def test_rows_of_other_lights_and_missing_frames_are_left_out(run: CheckedRun) -> None:
     asked: list[tuple[int, int]] = []
 
@@ -62,15 +54,3 @@ def test_c_of_the_run_holds_for_data_in_other_units_and_axes(run: CheckedRun, bo
     there = apply(run.stitch.cad_matrix, np.array([20.0, 10.0]))
     assert apply(stated, np.array([20.0 / 25.4, -10.0 / 25.4])) == pytest.approx(there)
     assert replace(run, board_type=None).stated_matrix(other) is None
-
-
-def test_motion_and_scene_are_those_of_the_result(run: CheckedRun) -> None:
-    turned = np.array([[0.0, -1.0, 3.0], [1.0, 0.0, 4.0], [0, 0, 1]])
-    stitch = run.stitch.model_copy(
-        update={"image_matrices": ((*run.stitch.image_matrices[0], None),), "row_motion": (np.eye(3), turned)}
-    )
-    two = replace(run, stitch=stitch)
-    np.testing.assert_allclose(two.motion.rows_from_tester[1], turned, atol=1e-12)
-    assert two.scene.present == ((0, 0),)
-    with pytest.raises(LookupError):
-        replace(two, frame=lambda _, __: None).scene.prepared((0, 0))

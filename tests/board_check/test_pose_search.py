@@ -39,18 +39,6 @@ def test_a_board_of_a_thousand_components_is_sampled(run: CheckedRun, board: Boa
     np.testing.assert_array_equal(many, np.tile(few, times))
 
 
-def test_edges_of_bodies_have_normals_and_equal_shares(board: BoardType) -> None:
-    edges = BodyEdges.of(board)
-    assert np.hypot(*edges.normals.T) == pytest.approx(1.0)
-    first = edges.part == 0
-    part = board.components[0]
-    reach = np.abs(edges.points[first] - part.center)
-    assert reach.max() == pytest.approx(max(part.width, part.height) / 2, abs=1e-9)
-    perimeter = 2 * (part.width + part.height)
-    assert edges.weight[first].sum() == pytest.approx(math.sqrt(perimeter))
-    assert set(edges.of_parts(np.array([3, 4])).part.tolist()) == {3, 4}
-
-
 def test_components_that_are_there_have_stronger_edges_than_other_places(run: CheckedRun, board: BoardType) -> None:
     c = np.array(run.stitch.cad_matrix)
     parts = list(board.components)

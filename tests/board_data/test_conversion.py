@@ -103,22 +103,9 @@ def test_cut_outs_that_leave_the_outline_or_exceed_the_limit_are_left_out(monkey
     assert to_board_type(design(part("R1"), cut_outs=(smaller, hole)), "top")[0].cut_outs == (hole,)
 
 
-def test_a_diameter_that_no_mark_has_counts_as_not_stated() -> None:
-    marks = (Mark("G1", "top", (1.0, 1.0), 0.0254), Mark("G2", "top", (5.0, 1.0), 60.0))
-    board, notes = to_board_type(design(part("R1"), marks=marks), "top")
-    assert [f.diameter for f in board.fiducials] == [1.0, 1.0]
-    assert any("no diameter of G1, G2" in note for note in notes)
-
-
 def test_a_limit_of_board_types_is_a_refusal() -> None:
     with pytest.raises(InputError, match=r"design 'd' makes no board type: .*component 'R1' is at \(20000, 10\)"):
         to_board_type(design(part("R1", origin=(20_000.0, 10.0))), "top")
-
-
-def test_fiducials_outside_the_outline_drop_it() -> None:
-    board, notes = to_board_type(design(part("FID1", origin=(90.0, 10.0))), "top")
-    assert board.outline is None
-    assert any("fiducials lie outside the outline" in note for note in notes)
 
 
 A, D, R = "parts-alternative", "parts-doubled", "designators-repeated"

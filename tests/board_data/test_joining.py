@@ -122,14 +122,6 @@ def test_of_two_parts_of_the_second_file_with_one_designator_the_fitted_one_give
     assert "parts-without-body" not in codes
 
 
-def test_a_guess_of_the_second_file_does_not_replace_a_size_of_the_table() -> None:
-    known = Box((-1.0, -1.0), (1.0, 1.0))
-    first = tuple(replace(p, box=known, size_from="table") for p in places().parts)
-    second = tuple(replace(p, size_from="guess") for p in bodies().parts)
-    found = join_designs(replace(places(), parts=first), replace(bodies(), parts=second), "top")
-    assert {(p.box, p.size_from, p.body_height) for p in found.parts} == {(known, "table", 1.5)}
-
-
 ANGLE_RULES: dict[str, Callable[[float], float]] = {
     "counter-clockwise": lambda r: r,
     "clockwise": lambda r: -r,

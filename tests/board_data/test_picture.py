@@ -4,7 +4,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from vaoi_station.board_data.picture import MOST_LABELS, board_picture
+from vaoi_station.board_data.picture import board_picture
 from vaoi_station.model import BoardType
 
 MARK = {"name": "<F1>", "x": 10, "y": 5, "diameter": 2}
@@ -30,8 +30,3 @@ def test_it_is_valid_and_shows_the_side_as_a_person_sees_it(side: str, y_axis: s
     x, y, width, height = map(float, root.get("viewBox", "").split())
     assert x <= float(panel.get("cx", "")) <= x + width
     assert y <= float(panel.get("cy", "")) <= y + height
-
-
-def test_many_components_have_no_labels() -> None:
-    parts = [{"ref": f"R{n}", "center": [n % 90, 20], "width": 1, "height": 1} for n in range(MOST_LABELS + 1)]
-    assert "<text" not in board_picture(BoardType.model_validate({**BOARD, "components": parts}))

@@ -119,15 +119,6 @@ def test_a_part_whose_package_is_drawn_from_the_other_side_is_put_right() -> Non
     assert "Q9" in notes[1].values["names"]
 
 
-def test_a_package_beside_the_stated_place_moves_its_body() -> None:
-    moved = drawn("J1", SPEC["top"], 90.0, HEADER, side="top")
-    moved = replace(moved, part=replace(moved.part, origin=(11.0, 20.5)))
-    found, notes = placed_parts([drawn("Q1", SPEC["top"], 90.0, side="top"), moved], usual)
-    assert found[1].origin == (11.0, 20.5)
-    assert found[1].center == pytest.approx((10, 16))
-    assert "J1 (270° instead of 270°, body 1.12 mm off)" in notes[1]
-
-
 @pytest.mark.parametrize(
     "places", [((10.0, 21.0), (14.0, 20.0)), ((0.0, 0.0), (0.0, 0.0)), ((10.0, 20.0), (17.5, 20.0))]
 )
@@ -213,15 +204,6 @@ def test_parts_whose_pins_show_no_rule_follow_that_of_other_parts_of_their_side(
     assert found.center == pytest.approx(on_board((4.0, 0.0), rule, 20.0, (10, 20)))
     assert set(codes(notes)) == {"rotation-by-pins", "rotation-by-pins" if pins else "rotation-by-others"}
     assert {note.values["rule"] for note in notes} == {str(rule)}
-
-
-def test_of_rules_that_fit_equally_well_that_of_the_top_is_taken_if_the_usual_one_does_not_fit() -> None:
-    """Two pins at 0° and 180° do not show the sense of the turn; KiCad turns both sides alike."""
-    rule = SPEC["top"]
-    parts = [drawn("R1", rule, 180.0, CHIP), drawn("R2", rule, 0.0, CHIP), drawn("J1", rule, 30.0, ())]
-    found, (note,) = placed_parts(parts, usual)
-    assert found[-1].center == pytest.approx(on_board((4.0, 0.0), rule, 30.0, (10, 20)))
-    assert (note.values["rule"], note.values["rivals"]) == (str(rule), "3")
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -12,7 +12,6 @@ from tests.board_data.readers import samples
 from tests.needs import FILMS, need_films
 from vaoi_station.board_data import Options, is_exported_run, read_design, to_board_type
 from vaoi_station.board_data.design import Design, Part, Side
-from vaoi_station.board_data.package_sizes import read_table
 from vaoi_station.board_data.readers.placement_table import TableOptions
 from vaoi_station.errors import InputError
 
@@ -72,18 +71,6 @@ def test_exports_of_a_real_board_agree_with_its_file(boards: Path, board: str, k
             x, y = (found[ref].origin[axis] - shift[axis] for axis in (0, 1))
             assert math.dist((x, y), part.origin) <= 0.0101, ref
             assert abs((found[ref].rotation - part.rotation + 180) % 360 - 180) < 0.02, ref
-
-
-@pytest.mark.cases
-@pytest.mark.parametrize(("board", "of_table"), [("orangecrab", 0.92), ("esp32poe", 0.77)])
-@pytest.mark.parametrize("kind", ["kicad_pcb", *KINDS])
-def test_the_share_of_components_whose_size_is_no_guess(boards: Path, board: str, of_table: float, kind: str) -> None:
-    """Formats with bodies state 99 %. Of a centroid file there is what the names of packages say, which is less."""
-    design, sides = read(boards / board / f"{board}.{kind}"), ("top", "bottom")
-    found = [c.size_from for side in sides for c in to_board_type(design, side)[0].components]  # type: ignore[arg-type]
-    known, share = ("table", of_table) if kind.startswith("pos") else ("file", 0.99)
-    assert found.count(known) >= share * len(found)  # type: ignore[arg-type]
-    assert set(found) <= {known, "guess"}
 
 
 @pytest.mark.cases
@@ -151,14 +138,6 @@ def test_every_format_is_recognised_in_every_encoding(text: str, encoding: str, 
     (tmp_path / "encoded").write_bytes(text.encode(encoding))
     plain, encoded = (read_design(tmp_path / name) for name in ("plain", "encoded"))
     assert (encoded.format, encoded.parts, encoded.outline) == (plain.format, plain.parts, plain.outline)
-
-
-def test_sizes_of_the_user_come_first(tmp_path: Path) -> None:
-    (tmp_path / "b.csv").write_text("ref,x,y,package\nR1,0mm,0mm,R0805\n")
-    (tmp_path / "t.toml").write_text("[[package]]\npattern = 'r0805'\nsize = [3, 4]\n")
-    (part,) = read_design(tmp_path / "b.csv", Options(sizes=read_table(tmp_path / "t.toml"))).parts
-    assert part.box is not None
-    assert part.box.size == (3, 4)
 
 
 def test_a_board_type_of_every_sample_can_be_stored(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.board_check.correction import Group, Move, moved_board_type
-from vaoi_station.board_check.overview import CheckedRun, Overview
+from vaoi_station.board_check.overview import CheckedRun
 from vaoi_station.board_check.pose_search import BodyEdges, Pose, find_poses, middle_of, refine_pose, shares_weaker
 from vaoi_station.board_check.report import BoardCheck, CheckedFiducial, CheckWarning, Residual, Unlikely
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.marks import Mark, locate_mark
-from vaoi_station.model import BoardType, Fiducial
+from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
 from vaoi_station.stitching.components.centres import central_views, measure_component_shift
 from vaoi_station.stitching.expectation import turned_by
@@ -32,29 +32,21 @@ def distances_of_marks(run: CheckedRun, board: BoardType, tester_from_cad: Float
     """
     views = run.views(np.array([(f.x, f.y) for f in board.fiducials]).reshape(-1, 2), tester_from_cad)
     present, out = set(run.scene.present), []
+    frames = [(int(camera), int(row)) for camera, row in zip(views.camera, views.row, strict=True)]
     for n, fiducial in enumerate(board.fiducials):
-        candidates = sorted(
-            (float(np.hypot(*(views.px[k] - run.cameras[int(views.camera[k])].center_px))), k)
-            for k in np.flatnonzero(views.point == n).tolist()
-            if (int(views.camera[k]), int(views.row[k])) in present
-        )
+        shown = [k for k in np.flatnonzero(views.point == n).tolist() if frames[k] in present]
         nearest: dict[str, int] = {}
-        for _, k in candidates:
-            nearest.setdefault(run.lights[int(views.row[k])] if run.lights else "", k)
-        found = (
-            _distance_mm(run, fiducial, board.mm_per_unit, (int(views.camera[k]), int(views.row[k])), views.px[k])
-            for k in nearest.values()
-        )
-        out.append(next((distance for distance in found if not math.isnan(distance)), math.nan))
+        for k in sorted(shown, key=lambda k: float(np.hypot(*(views.px[k] - run.cameras[frames[k][0]].center_px)))):
+            nearest.setdefault(run.lights[frames[k][1]] if run.lights else "", k)
+        out.append(math.nan)
+        for k in nearest.values():
+            resolution = run.cameras[frames[k][0]].px_per_mm
+            diameter_px = fiducial.diameter * board.mm_per_unit * resolution
+            mark = locate_mark(run.scene.prepared(frames[k]).grey, views.px[k], fiducial.shape, diameter_px)
+            if isinstance(mark, Mark):
+                out[-1] = float(np.hypot(*(mark.px - views.px[k]))) / resolution
+                break
     return out
-
-
-def _distance_mm(run: CheckedRun, fiducial: Fiducial, mm_per_unit: float, frame: tuple[int, int], px: Floats) -> float:
-    """Return how far the mark in one frame is from the pixel where it should be, mm; NaN if there is none."""
-    resolution = run.cameras[frame[0]].px_per_mm
-    grey = run.scene.prepared(frame).grey
-    mark = locate_mark(grey, px, fiducial.shape, fiducial.diameter * mm_per_unit * resolution)
-    return float(np.hypot(*(mark.px - px))) / resolution if isinstance(mark, Mark) else math.nan
 
 
 LEAST_COMPONENTS = 3
@@ -89,11 +81,7 @@ class _Fit:
 
 
 def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
-    """Lay a board type over a run.
-
-    Args:
-        run: the run.
-        board_type: the board type that is checked; the run may have been stitched with another one.
+    """Lay a board type over a run, which may have been stitched with another one.
 
     Raises:
         InputError: the board type has too few components, or is larger than what was filmed.
@@ -121,7 +109,7 @@ def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
             f"{_LEAST_SCORE:g}), another one {rival:.1f} (at least {_LEAST_LEAD:g} less is needed). The data are of "
             "another board or side, or too few bodies have edges that show."
         )
-        return report.model_copy(update={"warnings": [CheckWarning(code="not-found", message=text)]})
+        return _with(report, warnings=[CheckWarning(code="not-found", message=text)])
     fit = _measured(run, plane, edges, best)
     c = fit.pose.matrix @ to_mm
     shares = shares_weaker(run.overview, edges, fit.pose.matrix)
@@ -131,20 +119,15 @@ def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
         for n in np.argsort(shares)
         if shares[n] < _UNLIKELY
     ]
-    report = report.model_copy(
-        update={
-            "tester_from_cad": c.tolist(),
-            "measured": fit.measured,
-            "unlikely": unlikely,
-            "not_filmed": [p.address for p, share in zip(parts, shares, strict=True) if math.isnan(share)],
-        }
-    )
+    not_filmed = [p.address for p, share in zip(parts, shares, strict=True) if math.isnan(share)]
+    c_rows, measured = c.tolist(), fit.measured
+    report = _with(report, tester_from_cad=c_rows, measured=measured, unlikely=unlikely, not_filmed=not_filmed)
     warnings = _about_components(report)
     if given is None:
         text = "the run has no CAD mapping, so residuals and a correction cannot be stated."
         warnings = [*_about_side(fit.pose.mirrored != plane.mirrored), *warnings]
         warnings.append(CheckWarning(code="no-cad-mapping", message=text))
-        return report.model_copy(update={"warnings": warnings})
+        return _with(report, warnings=warnings)
     move, residual = _residual(fit, edges, given, board_type)
     found = distances_of_marks(run, board_type, given), distances_of_marks(run, board_type, c)
     fiducials = [
@@ -152,24 +135,17 @@ def check_board(run: CheckedRun, board_type: BoardType) -> BoardCheck:
         for f, stated, moved in zip(board_type.fiducials, *found, strict=True)
     ]
     corrects = _about_residual(residual, fit.arm_mm)
-    report = report.model_copy(
-        update={
-            "residual": residual,
-            "fiducials": fiducials,
-            "warnings": [*corrects, *_about_fiducials(fiducials), *warnings],
-        }
-    )
+    warnings = [*corrects, *_about_fiducials(fiducials), *warnings]
+    report = _with(report, residual=residual, fiducials=fiducials, warnings=warnings)
     return _with_proposal(report, run, board_type, move) if corrects else report
 
 
-def _pose_at(poses: Sequence[Pose], edges: BodyEdges, stated: Floats) -> Pose | None:
-    """Return the pose at which C of the run puts the bodies, if no other one fits clearly better; None otherwise.
+def _with(report: BoardCheck, **change: object) -> BoardCheck:
+    return report.model_copy(update=change)
 
-    Args:
-        poses: the poses, the best one first.
-        edges: the bodies.
-        stated: (3, 3) C from CAD data in mm.
-    """
+
+def _pose_at(poses: Sequence[Pose], edges: BodyEdges, stated: Floats) -> Pose | None:
+    """Return the pose at which C from CAD data in mm puts the bodies, if no other one, the best first, fits better."""
     there = apply(stated, edges.points)
     for pose in poses:
         off_mm = np.sqrt(((apply(pose.matrix, edges.points) - there) ** 2).sum(1).mean())
@@ -322,11 +298,9 @@ def _with_proposal(report: BoardCheck, run: CheckedRun, board: BoardType, move: 
         proposal = moved_board_type(board, move, tuple(groups))
     except ValueError as error:
         fault = str(error).splitlines()[-1].strip()
-        warning = CheckWarning(
-            code="shifted", message=f"no correction is proposed: moved, the data are invalid: {fault}"
-        )
-        return report.model_copy(update={"warnings": [*report.warnings, warning]})
-    return report.model_copy(update={"moved": groups, "proposal": proposal})
+        text = f"no correction is proposed: moved, the data are invalid: {fault}"
+        return _with(report, warnings=[*report.warnings, CheckWarning(code="shifted", message=text)])
+    return _with(report, moved=groups, proposal=proposal)
 
 
 def _same_outline(own: BoardType | None, board: BoardType) -> bool:
@@ -349,25 +323,11 @@ STATED, FOUND, ABSENT = (255, 160, 0), (0, 230, 255), (60, 60, 255)
 _MOST_LABELS = 300
 
 
-def picture_of_check(run: CheckedRun, board_type: BoardType, report: BoardCheck) -> NDArray[np.uint8]:
-    """Return the picture (h, w, 3), BGR, of a checked board type."""
+def picture_of_check(run: CheckedRun, board: BoardType, report: BoardCheck) -> NDArray[np.uint8]:
+    """Return the picture (h, w, 3), BGR, of a checked board type, in the orientation of the tester's axes."""
+    overview, stated = run.overview, run.stated_matrix(board)
     found = None if report.tester_from_cad is None else np.array(report.tester_from_cad)
-    refs = {entry.ref for entry in report.unlikely}
-    return overlay(run.overview, board_type, found, run.stated_matrix(board_type), refs)
-
-
-def overlay(
-    overview: Overview, board: BoardType, found: Floats | None, stated: Floats | None, unlikely: Collection[str]
-) -> NDArray[np.uint8]:
-    """Return the picture (h, w, 3), BGR, in the orientation of the tester's axes.
-
-    Args:
-        overview: what was filmed.
-        board: the board type.
-        found: C by the components; None if they were not found.
-        stated: C of the run; None if it has none.
-        unlikely: addresses of components that seem to be absent.
-    """
+    unlikely = {entry.ref for entry in report.unlikely}
     index = ComponentIndex.of(board)
     drawn = [
         (colour, apply(overview.px_from_tester @ matrix, index.corners.reshape(-1, 2)).reshape(-1, 4, 2))

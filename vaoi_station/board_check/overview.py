@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -51,24 +51,20 @@ class Overview:
         return np.array([[s, 0, -s * x], [0, s, -s * y], [0, 0, 1.0]])
 
     @cached_property
-    def _edges(self) -> dict[float, Floats32]:
-        """The replies of `edges` by their blur."""
-        return {}
-
-    def edges(self, blur_mm: float) -> Floats32:
-        """Return the strength (2, h, w) of edges along x and y, blurred, less those around it.
+    def edges(self) -> Callable[[float], Floats32]:
+        """Returns, for a blur in mm, the strength (2, h, w) of edges along x and y, less those around it.
 
         The first is that of edges across x, that is, of vertical lines.
         """
-        if blur_mm not in self._edges:
-            self._edges[blur_mm] = self._measured_edges(blur_mm)
-        return self._edges[blur_mm]
+        return cache(self._edges)
 
-    def _measured_edges(self, blur_mm: float) -> Floats32:
+    def _edges(self, blur_mm: float) -> Floats32:
         grey = cv2.GaussianBlur(self.grey, (0, 0), 0.8).astype(np.float32)
         inside = cv2.erode(self.seen.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         strengths = [np.abs(cv2.Sobel(grey, cv2.CV_32F, dx, dy, ksize=3)) / 8 for dx, dy in ((1, 0), (0, 1))]
-        share = cv2.blur(inside.astype(np.float32), (around := _odd(_LOCAL_MM * self.px_per_mm), around)) + 1e-3
+        share = (
+            cv2.blur(inside.astype(np.float32), (around := 2 * int(_LOCAL_MM * self.px_per_mm / 2) + 1, around)) + 1e-3
+        )
         out = np.zeros((2, *self.grey.shape), np.float32)
         for n, strength in enumerate(strengths):
             strength[~inside] = 0
@@ -83,20 +79,15 @@ class Overview:
 
 
 def make_overview(stitch: Stitch, cameras: Sequence[Camera], frame: Frame, lights: Sequence[str] = ()) -> Overview:
-    """Put the frames of a run together in tester coordinates, on the plane of the board.
+    """Put the frames of a run together in tester coordinates, on the plane of the board; the most frequent light's.
 
     Every place is taken from the frame whose centre is nearest, which shows bodies with the least lean.
-
-    Args:
-        stitch: result of the run.
-        cameras: the cameras as in the run.
-        frame: the frames.
-        lights: light of every row; rows of the most frequent light are used.
 
     Raises:
         StateError: no frame was placed.
     """
-    rows = _rows_of_one_light(lights, len(stitch.row_motion))
+    usual = max(dict.fromkeys(lights), key=list(lights).count) if lights else ""
+    rows = [j for j in range(len(stitch.row_motion)) if not lights or lights[j] == usual]
     keys = [(i, j) for j in rows for i in range(len(cameras)) if stitch.image_matrices[i][j] is not None]
     if not keys:
         raise StateError("this run has no placed frame.", action="; ".join(stitch.reasons), code="no-frame-placed")
@@ -130,12 +121,7 @@ def _paste(
 ) -> None:
     """Paste a frame where its centre is nearer than those of the frames before.
 
-    Args:
-        pixels: the frame.
-        camera: its camera.
-        image_from_px: (3, 3) from pixels of the picture to those of the frame.
-        px_per_mm: resolution of the picture.
-        target: (h, w) the picture, and the squared distance of each pixel from the centre of its frame.
+    `target` is the picture (h, w), and the squared distance of each pixel from the centre of its frame.
     """
     grey, nearest = target
     factor = max(int(camera.px_per_mm / px_per_mm), 1)
@@ -159,17 +145,6 @@ def _paste(
     nearer = there & (distance < nearest[y0:y1, x0:x1])
     grey[y0:y1, x0:x1][nearer] = part[nearer]
     nearest[y0:y1, x0:x1][nearer] = distance[nearer]
-
-
-def _rows_of_one_light(lights: Sequence[str], rows: int) -> list[int]:
-    if not lights:
-        return list(range(rows))
-    usual = max(dict.fromkeys(lights), key=list(lights).count)
-    return [j for j in range(rows) if lights[j] == usual]
-
-
-def _odd(value: float) -> int:
-    return 2 * int(value / 2) + 1
 
 
 _MOST_PREPARED = 24

@@ -96,13 +96,7 @@ class Pose:
 
 
 def find_poses(overview: Overview, edges: BodyEdges, angles_rad: Sequence[float]) -> list[Pose]:
-    """Return the best pose of every quarter turn of the given angles, as seen and mirrored; the best one first.
-
-    Args:
-        overview: what was filmed.
-        edges: the bodies.
-        angles_rad: angles of the CAD data in tester coordinates, of which also the quarter turns are tried.
-    """
+    """Return the best pose of every quarter turn of angles of CAD data, as seen and mirrored; the best one first."""
     small = _reduced(overview)
     strength = small.edges(_SEARCH_BLUR_MM)
     found: list[Pose] = []
@@ -121,29 +115,24 @@ def find_poses(overview: Overview, edges: BodyEdges, angles_rad: Sequence[float]
 
 
 def refine_pose(overview: Overview, edges: BodyEdges, pose: Pose) -> tuple[Pose, Floats]:
-    """Refine shift, angle and scale of a pose.
+    """Return a pose with refined shift, angle and scale, and its covariance (4, 4).
 
-    Returns:
-        The pose, and the covariance (4, 4) of shift x and y at the middle of the bodies, turn and stretch; turn and
-        stretch are displacements at the rms distance of the bodies from their middle, mm.
+    That is of shift x and y at the middle of the bodies, turn and stretch; turn and stretch are displacements at the
+    rms distance of the bodies from their middle, mm.
     """
     for blur in _BLURS_MM:
         strength = overview.edges(blur)
         pose = _climbed(overview, strength, edges, pose, _STEPS_MM[blur])
-    parts = np.unique(edges.part)
-    changes = []
+    parts, steps = np.unique(edges.part), _STEPS_MM[_BLURS_MM[-1]]
+    covariance = np.zeros((4, 4))
     if len(parts) >= _GROUPS:
-        for group in range(_GROUPS):
-            rest = edges.of_parts(parts[np.arange(len(parts)) % _GROUPS != group])
-            changes.append(
-                _difference(edges, pose, _climbed(overview, strength, rest, pose, _STEPS_MM[_BLURS_MM[-1]][1:]))
-            )
-        spread = np.array(changes) - np.mean(changes, axis=0)
+        rests = [edges.of_parts(parts[np.arange(len(parts)) % _GROUPS != group]) for group in range(_GROUPS)]
+        poses = [_climbed(overview, strength, rest, pose, steps[1:]) for rest in rests]
+        changes = np.array([_difference(edges, pose, other) for other in poses])
+        spread = changes - changes.mean(axis=0)
         covariance = (_GROUPS - 1) / _GROUPS * spread.T @ spread
-    else:
-        covariance = np.zeros((4, 4))
     # The last step and the pixels of the picture bound what can be seen of a pose.
-    return pose, covariance + np.eye(4) * (_STEPS_MM[_BLURS_MM[-1]][-1] ** 2 + (0.1 / overview.px_per_mm) ** 2)
+    return pose, covariance + np.eye(4) * (steps[-1] ** 2 + (0.1 / overview.px_per_mm) ** 2)
 
 
 def _reduced(overview: Overview) -> Overview:
@@ -273,17 +262,10 @@ _AWAY_MM = 2.0
 
 
 def shares_weaker(overview: Overview, edges: BodyEdges, matrix: Floats) -> Floats:
-    """Return for each component the share of other places of the board at which its body would show weaker edges.
+    """Return for each component (n,) the share of other places of the board at which its body would show weaker edges.
 
     A component that is there comes near 1; one that is not has any value. Components beyond the picture have NaN.
-
-    Args:
-        overview: what was filmed.
-        edges: bodies of n components.
-        matrix: (3, 3) from CAD data in mm to tester coordinates.
-
-    Returns:
-        (n,).
+    `matrix` is that from CAD data in mm to tester coordinates.
     """
     strength = overview.edges(_BLUR_MM)
     px_from_cad = (overview.px_from_tester @ matrix)[:2]

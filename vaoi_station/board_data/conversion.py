@@ -84,7 +84,6 @@ def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[
 
 
 def _advice(design: Design, side: Side) -> str:
-    """Return what to do about a side without parts."""
     if not design.parts:
         return "Export the file with its components."
     table = design.table
@@ -143,14 +142,12 @@ def one_of_each(parts: Sequence[Part], notes: list[Note]) -> list[Part]:
 
 
 def _is_copy(part: Part, other: Part) -> bool:
-    """Return whether two parts of one designator are the same part."""
     same = (part.package, part.fitted, part.in_bom) == (other.package, other.fitted, other.in_bom)
     turn = angle_between(part.rotation, other.rotation)
     return same and math.dist(part.origin, other.origin) <= SAME_PART_MM and turn <= SAME_PART_DEG
 
 
 def _lines(address: str, parts: Sequence[Part]) -> str:
-    """Return in which lines a designator occurs, if the format has lines."""
     lines = [str(part.line) for part in parts if part.address == address and part.line is not None]
     return f" (lines {some(lines)})" if lines else ""
 
@@ -174,7 +171,6 @@ def _component(part: Part) -> Component:
 
 
 def _marks_of(design: Design, side: Side, notes: list[Note]) -> tuple[list[Fiducial], list[OtherMark]]:
-    """Return the fiducials of a side, and the marks by which no board is placed: of the panel, and of bad boards."""
     found = find_marks(design, side)
     by_kind: defaultdict[tuple[str, str], list[Mark]] = defaultdict(list)
     for mark in found:
@@ -296,7 +292,6 @@ def _without_boards(cut_outs: tuple[Contour, ...], parts: Sequence[Part], notes:
 
 
 def _distinct(contour: Sequence[XY]) -> Contour:
-    """Return the rounded corners of a contour without those that equal the one before."""
     corners = [_rounded(p) for p in contour]
     return tuple(p for n, p in enumerate(corners) if p != corners[n - 1])
 

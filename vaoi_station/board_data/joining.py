@@ -241,7 +241,6 @@ def _quarter(turn: float) -> float | None:
 
 
 def _joined(placed: Part, drawn: Part | None, fit: _Fit, angles: _Angles) -> Part:
-    """Return a part with the body of the other file."""
     rotation = normalised(angles.own.get(placed.ref, _ANGLE_RULES[angles.rule](placed.rotation)))
     placed = replace(placed, rotation=rotation)
     if drawn is None or drawn.box is None:
@@ -274,7 +273,6 @@ def _conflicts(
     sides: list[str],
     twice: Set[str],
 ) -> list[Note]:
-    """Return a note for every kind of conflict; designators that occur twice in a file are no conflict."""
     notes = []
 
     def add_conflict(code: str, words: str, names: list[str]) -> None:

@@ -82,7 +82,6 @@ def overview(design: Design, board: BoardType, notes: tuple[Note, ...]) -> Impor
 
 
 def _missing(design: Design, board: BoardType) -> Iterator[tuple[Missing, int, str]]:
-    """Yield what the board type lacks, the most important first."""
     count, table = len(board.components), design.table
     if (lacking := 2 - len(board.fiducials)) > 0:
         yield "fiducials", lacking, "A board is placed by two fiducials at least; add them by hand."

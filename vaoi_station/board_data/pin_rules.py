@@ -262,12 +262,10 @@ def _decide(parts: Sequence[DrawnPart], expected: Sequence[Rule], margin: int) -
 
 
 def _telling(pins: Iterable[Pin]) -> Iterable[Pin]:
-    """Return the pins by which rules differ, and those that the package does not have."""
     return (pin for pin in pins if pin.drawn is None or math.hypot(*pin.drawn) >= LEAST_OFFSET_MM)
 
 
 def _count(drawn: DrawnPart, reading: int, rule: Rule, loose: float = 0.0) -> tuple[int, int]:
-    """Return how many pins of a part fit a rule, and how many it has."""
     fitting = count = 0
     at = rule.place(drawn.part)
     for pin in _telling(drawn.pins(reading)):
@@ -279,13 +277,11 @@ def _count(drawn: DrawnPart, reading: int, rule: Rule, loose: float = 0.0) -> tu
 
 
 def _fits(drawn: DrawnPart, rule: Rule, loose: float = 0.0) -> bool:
-    """Return whether a part fits the rule of its group, in any reading; a part without pins does."""
     counts = [_count(drawn, reading, rule, loose) for reading in range(len(drawn.readings))]
     return any(fitting > LEAST_SHARE * pins or not pins for fitting, pins in counts)
 
 
 def _placed(drawn: DrawnPart, rule: Rule) -> Part:
-    """Return a part with its rotation and its body as seen from the top."""
     part, pads = drawn.part, drawn.pads
     box = part.box.mirrored() if part.box is not None and rule.mirrored != rule.outline_mirrored else part.box
     if drawn.pads_count:

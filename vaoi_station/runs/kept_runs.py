@@ -121,7 +121,9 @@ class KeptRuns:
     def pin(self, run: str) -> None:
         """Keep a run until it is unpinned: its record and result, and its frames if they are in memory.
 
-        Raises the errors of `Archive.get`, except for a run that has not ended, and StateError: too many are pinned.
+        Raises:
+            NotFoundError, GoneError: the run is unknown, or its result and record were deleted.
+            StateError: too many runs are pinned.
         """
         try:
             finished = self._archive.get(run)
@@ -141,7 +143,7 @@ class KeptRuns:
         self._events.add("run", "The run was unpinned.", run=run)
 
     def shown(self, document: R, figures: bool = False) -> R:
-        """Return the document of a run as `all_shown` does."""
+        """Return the document of a run with `pinned`, `recording` and `decision` filled in."""
         return self.all_shown((document,), figures)[0]
 
     def all_shown(self, documents: tuple[R, ...], figures: bool = False) -> tuple[R, ...]:
@@ -173,14 +175,14 @@ class KeptRuns:
 
     def with_counts(self, snapshot: StationSnapshot) -> StationSnapshot:
         """Return the snapshot with the numbers of recordings and kept pictures filled in."""
-        recordings, mosaics = self.recordings, self.mosaics
+        recordings = self.recordings
         counts = {
             "recordings": recordings.runs,
             "recordings_bytes": recordings.size_bytes,
             "recordings_late": recordings.counts.late,
             "recordings_refused": recordings.counts.refused,
-            "mosaics": mosaics.runs,
-            "mosaics_bytes": mosaics.size_bytes,
+            "mosaics": self.mosaics.runs,
+            "mosaics_bytes": self.mosaics.size_bytes,
             "archive": self.archive_status(),
         }
         return snapshot.model_copy(update={"retention": snapshot.retention.model_copy(update=counts)})
@@ -254,10 +256,15 @@ class RunHistory:
     def decisions(self, runs: tuple[RunSummary, ...]) -> dict[str, Decision]:
         """Return the decisions about some runs, by run id."""
         found: dict[str, Decision] = {}
-        with suppress(DeviceError):  # The latest runs are in memory, and shown even if the disk cannot be read.
-            for run, document in self._archive.store.decisions([run.id for run in runs]).items():
-                with suppress(ValidationError):  # of another version: the run is shown without it
-                    found[run] = Decision.model_validate_json(document)
+        try:
+            documents = self._archive.store.decisions([run.id for run in runs])
+        except DeviceError:
+            return {}  # The latest runs are in memory, and shown even if the disk cannot be read.
+        for run, document in documents.items():
+            try:
+                found[run] = Decision.model_validate_json(document)
+            except ValidationError:
+                continue  # of another version: the run is shown without it
         return found
 
     def _oldest(self, since: str | None) -> str:

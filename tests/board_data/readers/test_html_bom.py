@@ -86,11 +86,3 @@ def test_the_corner_of_a_box_is_no_origin_and_boxes_along_the_axes_state_no_angl
     for n, part in enumerate(design.parts):
         assert part.origin == part.center == pytest.approx((9 * n + x, y))
     assert [note.code for note in design.notes] == (["angles-not-stated"] if angle % 360 == 0 else [])
-
-
-@pytest.mark.parametrize("pads", ['[{"pos": [1]}]', '[{"pos": [NaN, 1]}]', "[{}]", "[7]", '[{"pos": ["x", 1]}]'])
-def test_pads_without_a_place_are_refused(pads: str) -> None:
-    bbox = '{"pos": [1, 1], "size": [1, 1]}'
-    text = f'{{"footprints": [{{"ref": "R1", "layer": "F", "bbox": {bbox}, "pads": {pads}}}]}}'
-    with pytest.raises(InputError, match="lacks or has a wrong value at"):
-        read_html_bom(text.encode(), Path("b.json"))

@@ -1,11 +1,8 @@
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from vaoi_station.board_data.design import Design
 from vaoi_station.board_data.readers.placement_table import TableOptions, read_placement_table
@@ -255,15 +252,6 @@ def test_every_value_may_have_a_unit_of_its_own(cells: tuple[str, str], place: t
     assert "(by the values)" in design.notes[0]
 
 
-def test_a_value_without_unit_beside_others_with_one_is_refused_unless_a_unit_is_given() -> None:
-    text = "ref,x,y,rotation,side\nR1,1000mil,12.7,0,top\n"
-    with pytest.raises(InputError, match=r"line 2: y is '12.7' without a unit, but others state mil"):
-        read(text)
-    assert read(text, units="mm").parts[0].origin == pytest.approx((25.4, 12.7))
-    with pytest.raises(InputError, match="line 2: x is '1cm', but must be a number in mm, inch, mil"):
-        read("ref,x (mm),y (mm),rotation,side\nR1,1cm,12.7,0,top\n")
-
-
 def test_rotations_are_degrees_counter_clockwise() -> None:
     text = "ref,x (mm),y (mm),{},side\nR1,1,2,{},top\nR2,1,3,0,top\n"
     clockwise = read(text.format("Rotation (CW)", "90"))
@@ -304,21 +292,6 @@ def test_negated_x_of_the_bottom_is_made_positive_where_the_top_shows_it(xs: tup
     assert [part.origin[0] for part in bottom] == [-x if negated else x for x in xs]
     assert bottom[0].rotation == 90
     assert any("the bottom is negated" in note for note in design.notes) == negated
-
-
-def test_a_table_without_header_whose_fourth_column_is_no_rotation_is_refused() -> None:
-    for text in (
-        "R1 90 10.5 20.3\nR2 0 11.7 33.9\n",
-        '"R1","15","1206",TOP,180,1548,90\n"R3","15","1206",TOP,18,21,0\n',
-    ):
-        with pytest.raises(InputError, match="its lines are not designator, x, y, rotation"):
-            read(text)
-
-
-@given(st.text(alphabet='ref,xy;\t "m0.-1\n#R', max_size=120))
-def test_any_text_is_read_or_refused(text: str) -> None:
-    with contextlib.suppress(InputError):
-        assert read(text).parts
 
 
 def places(text: str) -> list[tuple[object, ...]]:
@@ -416,12 +389,3 @@ def test_designators_of_all_kinds(text: str, refs: list[str]) -> None:
 def test_a_table_that_may_mean_several_things_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read(text)
-
-
-def test_a_column_that_marks_the_fitted_parts_leaves_the_others_empty() -> None:
-    design = read("Ref,X (mm),Y (mm),Rot,Side,Fitted\nR1,1,2,0,T,x\nR2,3,4,0,B,\nR3,3,4,0,B,-\n")
-    assert [part.fitted for part in design.parts] == [True, False, False]
-    for column, cells in (("Fitted", "F/NF"), ("Fitted", "T/F"), ("Value", "1n/1n DNP"), ("Value", "100 nF/DNP, 1n")):
-        lines = "".join(f'R{n},1,2,0,T,"{cell}"\n' for n, cell in enumerate(cells.split("/")))
-        parts = read(f"Ref,X (mm),Y (mm),Rot,Side,{column}\n{lines}").parts
-        assert [part.fitted for part in parts] == [True, False], cells

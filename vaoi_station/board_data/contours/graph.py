@@ -132,7 +132,6 @@ def hulls(faces: Sequence[Any]) -> list[Any]:
 
 
 def _share(face: Any, edges: set[Edge]) -> float:
-    """Return the share of the circumference of a face that consists of given edges."""
     own = _edges_of(face.exterior)
     lengths = np.hypot(*(own[:, 1] - own[:, 0]).T)
     return float(lengths[[key in edges for key in keys(own)]].sum() / lengths.sum())
@@ -276,7 +275,6 @@ def merged(edges: Edges) -> Any:
 
 
 def _edges_of(lines: Any) -> Edges:
-    """Return the straight edges of lines."""
     parts = shapely.get_parts(shapely.get_parts(lines))
     coordinates, line = shapely.get_coordinates(parts, return_index=True)
     same = line[1:] == line[:-1]

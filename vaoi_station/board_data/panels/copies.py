@@ -76,7 +76,6 @@ def _grouped(members: Iterable[tuple[str, _Member]]) -> dict[str, list[_Member]]
 
 
 def _panel(design: Design, boards: Sequence[Sequence[_Member]]) -> Design:
-    """Return the design as a panel; its boards are numbered from left to right, then upwards."""
     used = {id(member.of) for board in boards for member in board}
     placed = []
     for n, k in enumerate(_in_rows([extent(member.at for member in board) for board in boards]), 1):

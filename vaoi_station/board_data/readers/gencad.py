@@ -143,7 +143,6 @@ class _Reader:
         return values
 
     def _piece(self, line: _Line) -> list[XY]:
-        """Return a line of a drawing as points; none if it is no drawing."""
         kind = line.word(0)
         if kind == "LINE":
             x0, y0, x1, y1 = self._numbers(line, 1, 4)
@@ -293,7 +292,6 @@ def _with_angle_of_file(part: Part, drawn: DrawnPart) -> Part:
 
 
 def _components(lines: list[_Line]) -> Iterator[dict[str, _Line]]:
-    """Yield the lines of every component by their first word."""
     found: dict[str, _Line] = {}
     for line in [*lines, _Line(0, ["COMPONENT"])]:
         if line.word(0) == "COMPONENT":

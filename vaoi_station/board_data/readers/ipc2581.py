@@ -260,7 +260,6 @@ class _Reader:
         return []
 
     def _polygon(self, element: Element | None) -> list[XY]:
-        """Return the corners of a polygon, arcs as lines."""
         points: list[XY] = []
         for step in element if element is not None else ():
             if step.tag == "Polygon":
@@ -273,7 +272,6 @@ class _Reader:
         return points[:-1] if len(points) > 1 and math.dist(points[0], points[-1]) < 1e-6 else points
 
     def _marks(self, step: Element) -> Iterator[Mark]:
-        """Yield the explicit fiducials and marks of a step."""
         for layer in step.findall("LayerFeature"):
             side = self._sides.get(layer.get("layerRef", ""))
             for tag, kind in _MARK_KINDS.items():

@@ -121,7 +121,6 @@ class _Job:
         return next((n for n in (full, f"{full}.z", f"{full}.gz") if n in self._archive.members), None)
 
     def _lines(self, name: str) -> list[str] | None:
-        """Return the lines of a member, decompressed; None if there is none."""
         if (member := self.has(name)) is None:
             return None
         data, where = self._archive.members[member](), f"{self._path}: {self._root}{name}"
@@ -193,7 +192,6 @@ class _Job:
         return Rule(mirrored=False, sign=-1) if side == "top" or self._by_kicad else Rule(mirrored=True, sign=1)
 
     def _components(self, file: OdbFile, side: Side, packages: list[Package]) -> tuple[list[DrawnPart], list[str]]:
-        """Return the parts of a component layer, and its toeprints that state no pin and place."""
         names: dict[str, str] = {}
         found: list[tuple[DrawnPart, Package, list[Toeprint]]] = []
         unreadable: list[str] = []
@@ -276,7 +274,6 @@ def _board(
 
 
 def _contours(file: OdbFile) -> Iterator[_Contour]:
-    """Yield the contours of a profile, islands and holes in any order."""
     corners: list[XY] = []
     is_hole = False
     for number, line in enumerate(file.lines, 1):

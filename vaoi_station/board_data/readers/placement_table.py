@@ -309,7 +309,6 @@ def _with_bottom_mirrored_back(parts: list[Part]) -> tuple[list[Part], list[Note
 
 
 def _notes(table: Table, reader: _Reader, account: Account) -> Iterator[Note]:
-    """Yield what is said about the reading, but for the account of all lines."""
     layout = reader.layout
     shown = ", ".join(f"{name}: column {index + 1}" for name, index in layout.columns.items())
     unit = " and ".join(sorted(reader.units_of_values)) or reader.units.unit
@@ -367,7 +366,6 @@ def _notes_on_sides(reader: _Reader) -> Iterator[Note]:
 
 
 def _lines_read(account: Account, lines: int, parts: int) -> Note:
-    """Return the account of all lines."""
     counts = {
         "parts": parts,
         "parts without a place": len(account.unplaced),

@@ -100,7 +100,6 @@ def _table(lines: Sequence[str], delimiter: str) -> Table | None:
 
 
 def _is_fixed_header(line: str) -> bool:
-    """Return whether a line without a delimiter names x and y, or both in one column."""
     words = line.strip().lstrip("#!%; ").split()
     if any(line.count(delimiter) > 1 for delimiter in ";|,"):
         return False

@@ -213,5 +213,4 @@ def _boundary(body: Sequence[str], first: int, end: int, header: int, words: str
 
 
 def _is_cut(line: str, bounds: Sequence[int]) -> bool:
-    """Return whether a boundary of columns lies within a word."""
     return any(line[at - 1 : at].strip() != "" and line[at : at + 1].strip() != "" for at in bounds[1:])

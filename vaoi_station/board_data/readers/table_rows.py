@@ -104,7 +104,6 @@ def part_rows(table: Table, layout: TableLayout, account: Account, path: Path) -
 
 
 def _title_of_side(text: str) -> Side | None:
-    """Return the side of the parts below a title such as "Bottom side (12 parts)"; None if it has other words."""
     words = [word for word in re.findall(r"[a-zäöüß]+", text.lower()) if word not in _TITLE_WORDS]
     sides = {side_in_words(word) for word in words}
     return sides.pop() if len(sides) == 1 else None
@@ -115,7 +114,6 @@ def _words(text: str) -> list[str]:
 
 
 def _shown(record: Record) -> str:
-    """Return the beginning of a line for a message."""
     text = record.text.strip()
     return repr(text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}…")
 
@@ -169,7 +167,6 @@ def _aligned(record: Record, table: Table, layout: TableLayout, account: Account
 
 
 def _is_valid(cells: Sequence[str], layout: TableLayout) -> bool:
-    """Return whether the cells of a line are what its columns are to hold."""
     ref, x, y, side = (layout.cell(cells, name) for name in ("ref", "x", "y", "side"))
     if "side" in layout.columns and side not in layout.sides and side_in_words(side) is None:
         return False
@@ -179,7 +176,6 @@ def _is_valid(cells: Sequence[str], layout: TableLayout) -> bool:
 
 
 def _is_part(cells: Sequence[str], layout: TableLayout) -> bool:
-    """Return whether the cells of a line are those of a part, perhaps with a wrong value."""
     ref, x, y = (layout.cell(cells, name) for name in ("ref", "x", "y"))
     numbers = numbers_in((x, y))
     if not ref or (not layout.headers and numbers < 2):
@@ -190,7 +186,6 @@ def _is_part(cells: Sequence[str], layout: TableLayout) -> bool:
 
 
 def _described(record: Record, width: int, layout: TableLayout, refs: Sequence[str]) -> str:
-    """Return what a line that cannot be read seems to hold."""
     at, shown = f"line {record.line}", _shown(record)
     if record.cut:
         return f"{at} has words across the columns: {shown}"

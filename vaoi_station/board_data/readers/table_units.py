@@ -177,7 +177,6 @@ def _plausible_decimal(places: _Places, unit: str | None, path: Path) -> str:
 
 
 def _spread(places: _Places, decimal: str | None) -> float:
-    """Return the distance of the outermost parts along x or y, in the unit of the file."""
     spreads = []
     for column in places:
         values = [v for cell in column if (v := number_in(cell, decimal)) is not None]

@@ -116,7 +116,6 @@ def number_in(cell: str, decimal: str | None = None) -> float | None:
 
 
 def _may_be_thousands(digits: str) -> bool:
-    """Return whether the only separator of a number may separate thousands: `1,234`."""
     return re.fullmatch(r"[1-9]\d{0,2}[.,]\d{3}", digits) is not None
 
 
