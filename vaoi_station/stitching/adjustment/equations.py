@@ -397,7 +397,7 @@ class LinkModel(NamedTuple):
 
 
 @compiled
-def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
+def add_links(  # noqa: PLR0912, PLR0915  (one loop over links whose parts are inlined)
     links: LinkArrays,
     motion: MotionArrays,
     model: LinkModel,
@@ -408,147 +408,89 @@ def add_links(  # noqa: PLR0915  (one loop over links whose parts are inlined)
     """Add links to the normal equations of rows, surface and cameras, and to those of the heights.
 
     The links of one group (pair of frames) are adjacent and have the same rows p and q. Of `state` residual, lean and
-    weight at this motion are used.
+    weight at this motion are used. All links of a group have the same unknowns: their whitened derivatives by φ_p, φ_q,
+    a shift along x and y, and the surface are collected with their residuals, line by line, and multiplied at the end
+    of the group in loops over links, which the compiler keeps in vector registers.
     """
-    p, q, a_mm, b_mm, group = links.p, links.q, links.a_mm, links.b_mm, links.group
-    pivot, basis, component = motion.pivot, model.basis, model.component
-    coupling, entries = model.coupling, heights.entries
-    residual, lean, weight = state.residual, state.lean, state.weight
-    height_normal, height_right = heights.normal, heights.right
+    p, q, a_mm, b_mm, group, pivot = links.p, links.q, links.a_mm, links.b_mm, links.group, motion.pivot
+    basis, coupling, entries, weight = model.basis, model.coupling, heights.entries, state.weight
+    if len(p) == 0:
+        return
     cos, sin = np.cos(motion.angle), np.sin(motion.angle)
     f, movable = basis.shape[1], coupling.camera_column >= 0
-    width = 6 + f + (6 if movable else 0)
-    columns = np.zeros(width, np.int64)
-    square, product = np.zeros((width, width)), np.zeros(width)
+    lines, count = np.empty((5 + f, 2 * np.bincount(group - group[0]).max())), 0
+    # Of the small matrix of a group, the lines are those of row p, of row q, the surface, the residual, and the two
+    # cameras. The derivatives by the shift of row p are those by the shift of row q with opposite sign.
+    rest, width = 6 + f, 13 + f if movable else 7 + f
+    products, square = np.empty((5 + f, 5 + f)), np.empty((width, width))
+    of, sign, columns = np.zeros(rest + 1, np.int64), np.ones(rest + 1), np.zeros(width, np.int64)
+    of[1], of[2], of[3], of[4], of[5], of[rest], sign[1], sign[2] = 2, 3, 1, 2, 3, 4 + f, -1.0, -1.0
     for k in range(f):
-        columns[6 + k] = coupling.surface_column + k
-    most = _longest(group)
-    at_lift, bases, count = np.empty((6, most)), np.empty((f, most)), 0
+        of[6 + k], columns[6 + k] = 4 + k, coupling.surface_column + k
     for n in range(len(p)):
-        i, j = p[n], q[n]
+        i, j, camera_a, camera_b = p[n], q[n], links.camera_a[n], links.camera_b[n]
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
-        # derivatives of the residual by φ_p (px, py) and φ_q (qx, qy); those by the shifts of p and q are −1 and 1
+        # upper Cholesky factor (u, v; 0, t) of the weight matrix
+        u = math.sqrt(weight[n, 0])
+        v = weight[n, 1] / u if u > 0 else 0.0
+        t = math.sqrt(max(weight[n, 2] - v * v, 0.0))
         px, py = sin[i] * ax + cos[i] * ay, -cos[i] * ax + sin[i] * ay
         qx, qy = -sin[j] * bx - cos[j] * by, cos[j] * bx - sin[j] * by
-        lx, ly = lean[n, 0], lean[n, 1]
-        xx, xy, yy = weight[n, 0], weight[n, 1], weight[n, 2]
-        rx, ry = xx * residual[n, 0] + xy * residual[n, 1], xy * residual[n, 0] + yy * residual[n, 1]
-        wpx, wpy, wqx, wqy = xx * px + xy * py, xy * px + yy * py, xx * qx + xy * qy, xy * qx + yy * qy
-        wlx, wly = xx * lx + xy * ly, xy * lx + yy * ly
-        pl, ql, ll, lr = px * wlx + py * wly, qx * wlx + qy * wly, lx * wlx + ly * wly, lx * rx + ly * ry
-        # all links of a pair of frames have the same unknowns: their sums are collected in a small matrix
-        product[0] += px * rx + py * ry
-        product[3] += qx * rx + qy * ry
-        product[4] += rx
-        product[5] += ry
-        square[0, 0] += px * wpx + py * wpy
-        square[3, 0] += qx * wpx + qy * wpy
-        square[4, 0] += wpx
-        square[5, 0] += wpy
-        square[3, 3] += qx * wqx + qy * wqy
-        square[4, 3] += wqx
-        square[5, 3] += wqy
-        square[4, 4] += xx
-        square[5, 4] += xy
-        square[5, 5] += yy
-        at_lift[0, count], at_lift[1, count], at_lift[2, count], at_lift[3, count] = pl, ql, wlx, wly
-        at_lift[4, count], at_lift[5, count] = lr, ll
+        px, py, qx, qy = u * px + v * py, t * py, u * qx + v * qy, t * qy
+        lx, ly = u * state.lean[n, 0] + v * state.lean[n, 1], t * state.lean[n, 1]
+        rx, ry = u * state.residual[n, 0] + v * state.residual[n, 1], t * state.residual[n, 1]
+        at = 2 * count
+        lines[0, at], lines[1, at], lines[2, at], lines[3, at], lines[4 + f, at] = px, qx, u, v, rx
+        lines[0, at + 1], lines[1, at + 1], lines[2, at + 1], lines[3, at + 1] = py, qy, 0.0, t
+        lines[4 + f, at + 1] = ry
         for k in range(f):
-            bases[k, count] = basis[n, k]
+            lines[4 + k, at], lines[4 + k, at + 1] = basis[n, k] * lx, basis[n, k] * ly
         count += 1
-        c = component[n]
+        c = model.component[n]
         if c >= 0:
-            height_normal[c] += ll
-            height_right[c] -= lr
-            _couple(entries, coupling.of_row[c] + 3 * i, pl, -wlx, -wly)
-            _couple(entries, coupling.of_row[c] + 3 * j, ql, wlx, wly)
+            wlx, wly, pl, ql, ll = u * lx, v * lx + t * ly, px * lx + py * ly, qx * lx + qy * ly, lx * lx + ly * ly
+            heights.normal[c] += ll
+            heights.right[c] -= lx * rx + ly * ry
+            for row, way, turn in ((i, -1.0, pl), (j, 1.0, ql)):
+                start = coupling.of_row[c] + 3 * row
+                entries[start] += turn
+                entries[start + 1] += way * wlx
+                entries[start + 2] += way * wly
             for k in range(f):
                 entries[coupling.of_surface[c] + k] += ll * basis[n, k]
             if movable:
-                by_a, by_b = model.row_changes[links.camera_a[n], i], model.row_changes[links.camera_b[n], j]
-                at_a = coupling.of_camera[c] + 3 * links.camera_a[n]
-                at_b = coupling.of_camera[c] + 3 * links.camera_b[n]
+                by_a, by_b = model.row_changes[camera_a, i], model.row_changes[camera_b, j]
+                at_a, at_b = coupling.of_camera[c] + 3 * camera_a, coupling.of_camera[c] + 3 * camera_b
                 for k in range(3):
                     entries[at_a + k] += by_a[0, k] * pl - by_a[1, k] * wlx - by_a[2, k] * wly
                     entries[at_b + k] += by_b[0, k] * ql + by_b[1, k] * wlx + by_b[2, k] * wly
-        if n + 1 == len(p) or group[n + 1] != group[n]:
+        if n + 1 < len(p) and group[n + 1] == group[n]:
+            continue
+        for k in range(5 + f):
+            for m in range(k + 1):
+                total = 0.0
+                for x in range(2 * count):
+                    total += lines[k, x] * lines[m, x]
+                products[k, m] = products[m, k] = total
+        for k in range(rest + 1):
+            for m in range(rest + 1):
+                square[k, m] = sign[k] * sign[m] * products[of[k], of[m]]
+        for k in range(3):
+            columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
+        if movable:
             for k in range(3):
-                columns[k], columns[3 + k] = 3 * i + k, 3 * j + k
-                if movable:
-                    columns[6 + f + k] = coupling.camera_column + 3 * links.camera_a[n] + k
-                    columns[9 + f + k] = coupling.camera_column + 3 * links.camera_b[n] + k
-            _add_surface(at_lift, bases, count, square, product)
-            count = 0
-            _complete(square, product, 6 + f)
-            if movable:
-                by_a, by_b = model.row_changes[links.camera_a[n], i], model.row_changes[links.camera_b[n], j]
-                _add_cameras(by_a, by_b, 6 + f, square, product)
-            _flush(columns, square, product, normal)
+                columns[rest + 1 + k] = coupling.camera_column + 3 * camera_a + k
+                columns[rest + 4 + k] = coupling.camera_column + 3 * camera_b + k
+            _add_cameras(model.row_changes[camera_a, i], model.row_changes[camera_b, j], rest + 1, square)
+        _flush(columns, square, rest, normal)
+        count = 0
 
 
 @inlined
-def _longest(group: Ints) -> int:
-    """Return the largest number of links that a pair of frames has. Links of one pair are adjacent."""
-    most, begin = 0, 0
-    for n in range(len(group)):
-        if group[n] != group[begin]:
-            begin = n
-        most = max(most, n + 1 - begin)
-    return most
+def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats) -> None:
+    """Add the lines of two cameras, which are combinations of those of rows p and q, to the small matrix of a group.
 
-
-@inlined
-def _add_surface(at_lift: Floats, bases: Floats, count: int, square: Floats, product: Floats) -> None:
-    """Add the links of a pair of frames to the surface's entries in the small normal matrix of this pair.
-
-    The inner loops run over links, which are adjacent in memory, so that the compiler keeps the sums in vector
-    registers.
-    """
-    for k in range(len(bases)):
-        p, q, x, y, r = 0.0, 0.0, 0.0, 0.0, 0.0
-        for n in range(count):
-            b = bases[k, n]
-            p, q, r = p + at_lift[0, n] * b, q + at_lift[1, n] * b, r + at_lift[4, n] * b
-            x, y = x + at_lift[2, n] * b, y + at_lift[3, n] * b
-        product[6 + k] = r
-        square[6 + k, 0], square[6 + k, 3], square[6 + k, 4], square[6 + k, 5] = p, q, x, y
-        for m in range(k + 1):
-            total = 0.0
-            for n in range(count):
-                total += at_lift[5, n] * bases[k, n] * bases[m, n]
-            square[6 + k, 6 + m] = total
-
-
-@inlined
-def _couple(entries: Floats, at: int, angle: float, x: float, y: float) -> None:
-    """Add the three entries between a component height and (φ, sx, sy) of a row, from index `at` on."""
-    entries[at] += angle
-    entries[at + 1] += x
-    entries[at + 2] += y
-
-
-@inlined
-def _complete(square: Floats, product: Floats, width: int) -> None:
-    """Complete the small normal matrix of a pair of frames: the shift of row p, then the upper triangle."""
-    # derivatives by the shift of row p (columns 1 and 2) are those by the shift of row q (4 and 5) with opposite sign
-    for x in range(1, 3):
-        product[x] = -product[3 + x]
-        square[x, 0], square[3, x] = -square[3 + x, 0], -square[3 + x, 3]
-        for k in range(6, width):
-            square[k, x] = -square[k, 3 + x]
-    square[1, 1], square[2, 1], square[2, 2] = square[4, 4], square[5, 4], square[5, 5]
-    square[4, 1], square[4, 2], square[5, 1], square[5, 2] = -square[4, 4], -square[5, 4], -square[5, 4], -square[5, 5]
-    for k in range(width):
-        for m in range(k):
-            square[m, k] = square[k, m]
-
-
-@inlined
-def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats, product: Floats) -> None:
-    """Add the lines of the two cameras of a pair of frames to the small normal matrix of this pair.
-
-    A displacement of a camera has the effect of a change of the row in which it saw its end of the links. The lines of
-    the cameras are therefore combinations of the lines of rows p and q.
+    A displacement of a camera has the effect of a change of the row in which it saw its end of the links.
     """
     for k in range(3):
         for m in range(width):
@@ -556,10 +498,6 @@ def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats, product
             for x in range(3):
                 a, b = a + by_a[x, k] * square[x, m], b + by_b[x, k] * square[3 + x, m]
             square[width + k, m], square[width + 3 + k, m] = a, b
-        a, b = 0.0, 0.0
-        for x in range(3):
-            a, b = a + by_a[x, k] * product[x], b + by_b[x, k] * product[3 + x]
-        product[width + k], product[width + 3 + k] = a, b
     for k in range(6):
         for m in range(3):
             a, b = 0.0, 0.0
@@ -569,16 +507,15 @@ def _add_cameras(by_a: Floats, by_b: Floats, width: int, square: Floats, product
 
 
 @inlined
-def _flush(columns: Ints, square: Floats, product: Floats, normal: NormalEquations) -> None:
-    """Add the small matrix of a pair of frames (`square`, `product`) to the normal equations, and set it to 0."""
-    width, at, values, right = len(columns), normal.at, normal.values, normal.right
-    for k in range(width):
-        right[columns[k]] -= product[k]
-        product[k] = 0.0
+def _flush(columns: Ints, square: Floats, rest: int, normal: NormalEquations) -> None:
+    """Add the small matrix of a group to the normal equations; its line `rest` is the residual."""
+    for k in range(len(columns)):
+        if k == rest:
+            continue
+        normal.right[columns[k]] -= square[k, rest]
         for m in range(k + 1):
-            high, low = max(columns[k], columns[m]), min(columns[k], columns[m])
-            # for a link between two cameras p = q, and for one between two rows both cameras are the same: an entry off
-            # the diagonal of `square` then falls on the diagonal of the normal matrix, together with its mirror image,
-            # and counts twice
-            values[at[high] + low] += square[k, m] * (2 if high == low and k != m else 1)
-    square[:] = 0.0
+            if m != rest:
+                high, low = max(columns[k], columns[m]), min(columns[k], columns[m])
+                # for a link between two cameras p = q, and for one between two rows both cameras are the same: an entry
+                # off the diagonal then falls on that of the normal matrix, together with its mirror image
+                normal.values[normal.at[high] + low] += square[k, m] * (2 if high == low and k != m else 1)
