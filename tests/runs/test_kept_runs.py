@@ -138,15 +138,3 @@ def test_a_run_that_is_not_on_disk_yet_is_found_once_and_as_it_ended(
     counts = history.counts(LONG_AGO)
     assert (counts.ok, counts.degraded, counts.failed, counts.complete) == (0, 0, 1, True)
     assert reads == ["memory", "disk"] * 3, "a run that is written between the two is in the first"
-
-
-def test_pages_do_not_pass_over_stored_runs(filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    rig, run = filmed
-    history = rig.coordinator.kept.history
-    [summary] = rig.coordinator.runs()
-    waiting = summary.model_copy(update={"id": "0"})
-    monkeypatch.setattr(history._archive, "unstored", lambda: (waiting,))
-    first, more = history.find(RunFilter(verdict=summary.verdict), 1, None)
-    assert ([r.id for r in first], more) == ([run], run)
-    second, _ = history.find(RunFilter(verdict=summary.verdict), 1, more)
-    assert [r.id for r in second] == ["0"]

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import gc
 import json
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,7 +12,6 @@ from tests.store.conftest import MakeRun
 from vaoi_station.errors import InternalError
 from vaoi_station.store import Database, Store
 from vaoi_station.store import documents as module
-from vaoi_station.store.database import READERS
 
 
 def test_long_documents_are_packed_and_those_of_earlier_versions_are_read(
@@ -125,30 +121,3 @@ def test_heights_are_deleted_with_the_result_and_do_not_come_back(store: Store, 
     assert store.heights("r1") is None
     store.retention.forget_runs(["r1"]).result(10)
     assert store.run("r1") is None
-
-
-@pytest.mark.parametrize(
-    ("read", "key"),
-    [
-        (lambda store, keys: store.chosen_runs(keys), str),
-        (lambda store, keys: store.decisions(keys), str),
-        (lambda store, keys: list(store.figures.boards(keys)), str),
-        (lambda store, keys: list(store.figures.hours(keys)), int),
-    ],
-    ids=["runs", "decisions", "boards", "hours"],
-)
-def test_a_statement_is_kept_once_however_long_its_list_is(
-    store: Store, read: Callable[[Store, Sequence[Any]], object], key: type
-) -> None:
-    """A connection keeps 128 statements by their text: with one per length, they would fill its heap over weeks."""
-
-    def kept() -> int:
-        gc.collect()
-        return sum(isinstance(found, statement) for found in gc.get_objects())
-
-    statement: Any = type(next(o for o in gc.get_objects() if type(o).__name__ == "Statement"))
-    read(store, [key(0)])
-    before = kept()
-    for length in range(2, 30):
-        read(store, [key(n) for n in range(length)])
-    assert kept() <= before + READERS

@@ -89,10 +89,3 @@ def test_runs_and_events_are_counted_from_a_time_on(filled: Store) -> None:
         }
         filled.add_event(n + 1, json.dumps(event)).result(10)
     assert filled.search.count_events("board-missed", since) == 1
-
-
-def test_counts_state_whether_they_are_complete(filled: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_search, "MOST_SCANNED", 8)
-    assert filled.search.verdicts("2026-01-01T00:00:16.000Z", "r15").complete
-    few = filled.search.verdicts("2026-01-01T00:00:15.000Z", "r15")
-    assert (sum(few.runs.values()), few.complete) == (8, False)

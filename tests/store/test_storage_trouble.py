@@ -42,11 +42,8 @@ def test_a_read_only_database_a_missing_folder_and_garbage_are_named(tmp_path: P
     ("number", "code"),
     [
         (errno.ENOSPC, "storage-full"),
-        (errno.EDQUOT, "storage-full"),
         (errno.EROFS, "storage-read-only"),
-        (errno.EACCES, "storage-read-only"),
         (errno.EIO, "storage-unavailable"),
-        (errno.ESTALE, "storage-unavailable"),
     ],
 )
 def test_errors_of_files_have_the_same_codes(number: int, code: str) -> None:

@@ -19,11 +19,9 @@ from vaoi_station.files.directories import make_directories, sync_directory, syn
 from vaoi_station.model import BoardType
 
 MOST_FILES, MOST_BYTES = 500, 128 * 2**20
-"""Limits of the directory: number of files, bytes. Without them, a program that stores board types could fill the
-disk."""
+"""Limits of the directory: number of files, bytes."""
 LONGEST_FILE_NAME = 250
-"""Largest number of characters of a file name without ".json". Common file systems allow 255 bytes for the whole
-name."""
+"""Largest number of characters of a file name without ".json"; common file systems allow 255 bytes in all."""
 LATEST = "latest"
 """Name of the version that ended last: the one before the present."""
 FOLDER = ".revisions"

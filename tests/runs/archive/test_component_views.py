@@ -126,10 +126,8 @@ def test_callers_of_many_components_get_what_each_one_gets_alone(rig: Any, monke
 @pytest.mark.parametrize(
     ("verdict", "proven", "allowed", "error"),
     [
-        (Verdict.OK, True, False, None),
         (Verdict.OK, False, True, None),
         (Verdict.OK, False, False, StateError),
-        (Verdict.INCOMPLETE, True, True, None),
         (Verdict.INCOMPLETE, True, False, StateError),
         (Verdict.MISSING, True, True, NotFoundError),
     ],

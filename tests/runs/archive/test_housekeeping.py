@@ -105,15 +105,6 @@ def test_runs_are_forgotten_by_age_and_verdict(store: Store, add: Callable[..., 
     assert retention.sweep(NOW_S) == 0
 
 
-def test_runs_are_forgotten_by_number(store: Store, add: Callable[..., list[str]]) -> None:
-    sound, doubtful = add(6, 5, 4, 3), add(9, 8, verdict="degraded")
-    retention = Retention(keep(results=2, doubtful_results=1, runs=4), store.retention)
-    retention.sweep(NOW_S)
-    assert whole(store, sound) == [False, False, True, True]
-    assert whole(store, doubtful) == [False, True]
-    assert [row.id for row in store.runs(9, None)] == [*reversed(sound), doubtful[1]], "whole runs stay in any case"
-
-
 def test_runs_are_forgotten_by_size_first_those_that_are_ok(store: Store, add: Callable[..., list[str]]) -> None:
     doubtful = add(30, 29, 28, verdict="failed", kilobytes=300)
     sound = add(*range(20, 10, -1), kilobytes=300)

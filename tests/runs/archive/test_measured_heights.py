@@ -126,14 +126,6 @@ def test_flat_fields_are_used_where_they_fit(station: Station, tmp_path: Path, l
     assert {job.flat_fields for job in station.jobs[:-1]} == {tmp_path if used else None}
 
 
-def test_stored_heights_need_no_frames(station: Station) -> None:
-    station.stored["r1"] = CONTENT.decode()
-    heights = station.heights()
-    assert heights.document("r1") == CONTENT
-    assert heights.known("r1") == {"U1": (1.5, 0.02)}
-    assert station.jobs == []
-
-
 def test_stored_heights_are_served_while_those_of_another_run_are_measured(station: Station) -> None:
     """A measurement may wait for minutes behind later boards; readers would occupy all threads for commands."""
     station.stored["r1"] = CONTENT.decode()

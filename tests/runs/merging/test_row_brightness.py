@@ -76,26 +76,6 @@ def test_frames_of_a_recording_are_compared_by_their_files(
     assert {frame.file for frame in job.frames} == {tmp_path / f"{f.camera * rows + f.row}.png" for f in job.frames}
 
 
-def test_a_frame_that_was_not_recorded_is_left_out(
-    merging: Merging, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def recorded(run: str, camera: int, row: int) -> Path | None:
-        if (camera, row) == absent:
-            raise GoneError(f"The recording of run {run} has no frame (camera {camera}, row {row}).")
-        return tmp_path / f"{camera * len(merging.levels) + row}.png"
-
-    for slot, pixels in merging.pixels.items():
-        write_image(tmp_path / f"{slot}.png", pixels)
-    usable = [f for f in merging.finished.detail.frames if f.usable]
-    absent = usable[-1].camera, usable[-1].row
-    merging.gone = True
-    brightness = RowBrightness(merging._lease, recorded, merging._render, tmp_path / "fields")
-    levels = brightness.levels(merging.finished)
-    assert len(levels) == len(merging.levels)
-    (job,) = merging.compared
-    assert {(f.camera, f.row) for f in job.frames} == {(f.camera, f.row) for f in usable} - {absent}
-
-
 def test_rows_of_a_failed_comparison_count_as_equal_and_are_not_compared_again(
     merging: Merging, tmp_path: Path
 ) -> None:

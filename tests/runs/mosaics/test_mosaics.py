@@ -121,17 +121,6 @@ def test_new_flat_fields_make_new_plans(board: Filmed, tmp_path: Path) -> None:
     assert sum(isinstance(job, PlanJob) for job in jobs) == 2
 
 
-def test_measured_heights_make_new_plans_where_bodies_are_raised(film: Film) -> None:
-    run, jobs = film(exposures=(250.0, 50.0)), list[Any]()
-    part, known = run.board_type.components[0].address, dict[str, tuple[float, float]]()
-    mosaics = mosaics_of(run, jobs, heights=lambda _: known or None)
-    before = [planned(mosaics, hdr=hdr) for hdr in (False, True)]
-    known[part] = 1.25, 0.02
-    plain, hdr = (planned(mosaics, hdr=hdr) for hdr in (False, True))
-    assert plain is before[0]
-    assert 1.25 in {body.height_mm for body in hdr.bodies} - {body.height_mm for body in before[1].bodies}
-
-
 def test_a_tile_is_rendered_without_a_worker_where_this_process_can(
     board: Filmed, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -95,13 +95,9 @@ def test_a_board_that_no_frame_shows_is_black() -> None:
     "name",
     [
         PictureName(),
-        PictureName("left"),
-        PictureName(None, 15.5),
         PictureName("a b=c", 250.0),
         PictureName("x", hdr=True),
-        PictureName(None, 333.3333),
         PictureName(None, 1234.5678),
-        PictureName(None, 2_000_000.0),
         PictureName("a,b/c", 12345.67),
         PictureName("x=hdr,y"),
         PictureName("50%2C~2C\n"),

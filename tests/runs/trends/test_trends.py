@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
 import sqlite3
 import tracemalloc
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from inspect import getsource
-from typing import Any, get_args
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -17,9 +15,8 @@ import pytest
 
 from vaoi_station.acquisition.process.messages import Grant
 from vaoi_station.errors import StateError
-from vaoi_station.runs.trends import figures, trends
+from vaoi_station.runs.trends import trends
 from vaoi_station.runs.trends.trends import (
-    MarkKind,
     TrendHistory,
     compare,
     groups_of_boards,
@@ -114,19 +111,6 @@ def test_an_answer_is_bounded_and_says_so(store: Store, monkeypatch: pytest.Monk
     assert not found.complete
 
 
-def test_many_boards_are_compared_by_every_nth(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    history = fill(store, 96)
-    monkeypatch.setattr(trends, "MOST_COMPARED", 12)
-    middle = "2026-01-02T00:00:00.000Z"
-    found = history.compared(Span(YEAR.since, middle), Span(middle, YEAR.until))
-    assert (found.before_boards, found.boards) == (48, 48)
-    (change,) = found.changes
-    assert change.before.boards == 12
-    assert change.change == 48
-    assert change.changed
-    assert len(found.marks) == 10
-
-
 @pytest.mark.parametrize("what", ["boards", "hours", "comparison"])
 def test_memory_does_not_grow_with_the_boards_that_are_read(store: Store, what: str) -> None:
     figures = {f"seam_px:{n}-{n + 1}": n / 8 for n in range(40)}
@@ -150,11 +134,6 @@ def test_memory_does_not_grow_with_the_boards_that_are_read(store: Store, what: 
     tracemalloc.stop()
     # Parsed, 1200 boards of 40 figures take 7 MB, as many hours 20 MB.
     assert peak < 2.5e6
-
-
-def test_every_kind_of_mark_is_named() -> None:
-    kinds = set(re.findall(r'\("?([a-z-]+)", (?:""|name)\)', getsource(figures.made_with_of)))
-    assert kinds | {"light"} == set(get_args(MarkKind))
 
 
 def test_a_bin_has_the_extremes_of_its_boards_and_names_one() -> None:
