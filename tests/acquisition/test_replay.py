@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -25,7 +24,6 @@ from vaoi_station.acquisition.controller.interface import (
 from vaoi_station.acquisition.devices import Feedback
 from vaoi_station.acquisition.process.messages import BoardMissed, FireOne, RunFinished, Trouble
 from vaoi_station.acquisition.replay import (
-    GAP_S,
     LEAD_S,
     RecordedRow,
     ReplayCamera,
@@ -133,16 +131,6 @@ def test_a_run_has_the_recorded_times(make: Callable[..., Bench], paced: bool) -
     assert (events[-1].pulses, events[-1].reason) == (3, "clear")
     assert pulses[1].exposures_us == (250.0,)
     assert pace is None or pace.frames == 6
-
-
-def test_paced_runs_do_not_overlap_on_the_clock_of_the_device(make: Callable[..., Bench]) -> None:
-    bench = make(runs=3, pace=CountingPace(), times_s=(0.0, 30.0))
-    bench.controller.arm(PLAN)
-    ends = [bench.run() for _ in range(3)]
-    for earlier, later in pairwise(ends):
-        last = [e for e in earlier if isinstance(e, PulseFired)][-1]
-        assert isinstance(later[0], BarrierBlocked)
-        assert later[0].time_s >= last.time_s + GAP_S
 
 
 def test_disarming_cuts_a_run_short(make: Callable[..., Bench]) -> None:

@@ -101,13 +101,6 @@ def create_and_die(path: Path) -> None:
     os._exit(0)
 
 
-def test_the_file_has_the_mode_and_the_size_of_its_layout(path: Path) -> None:
-    with Ring.create(path, LAYOUT):
-        assert path.stat().st_mode & 0o777 == 0o640
-        assert path.stat().st_size == LAYOUT.file_bytes
-        assert path.stat().st_blocks * 512 >= LAYOUT.file_bytes, "allocated, not sparse"
-
-
 def test_only_leftovers_of_dead_owners_are_removed(leftover: Path) -> None:
     path = leftover
     foreign = path.with_name("foreign.ring")
@@ -317,14 +310,6 @@ def test_the_slot_table_describes_each_slot(path: Path) -> None:
         ring.clear(1)
         assert not ring.memory(1).any()
         assert ring.slot_record(1) == (generation, EMPTY, NO_ROW, 0)
-
-
-def test_two_stations_cannot_share_a_path(path: Path) -> None:
-    with Ring.create(path, LAYOUT) as ring:
-        with pytest.raises(StateError, match=f"process {os.getpid()}"):
-            Ring.create(path, LAYOUT)
-        assert path.exists()
-        assert not ring.closed_by_owner
 
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "internals" / "ring.md").read_text()

@@ -93,16 +93,6 @@ def test_ids_wrap_to_1_and_a_lost_frame_is_counted(camera: SimulatedCamera, arri
         arrivals.get_nowait()
 
 
-def test_an_exchanged_frame_has_another_time_stamp_and_id(camera: SimulatedCamera, arrivals: SimpleQueue[Any]) -> None:
-    host_s = past_s()
-    camera.trigger(host_s, PIXELS, stamp_error_s=0.1, id_error=1)
-    arrival = arrivals.get(timeout=TIMEOUT_S)
-    assert arrival.frame_id == FIRST_ID + 1
-    assert arrival.time_s - CLOCK.device_s(host_s + 0.1) == pytest.approx(0.0, abs=10e-6)
-    camera.trigger(host_s, PIXELS)
-    assert arrivals.get(timeout=TIMEOUT_S).frame_id == FIRST_ID + 1, "the counter itself is not changed"
-
-
 BOUNCE = "[[faults.bounces]]\nat_s = 0.001\nduration_s = 0.001\n"
 
 
@@ -257,18 +247,6 @@ def test_a_board_is_filmed_row_by_row_as_the_twin_shows_it(start: Start, make_co
     assert finished.last_frame_host_s >= bench.of(RunStarted)[0].host_time_s
     bench.until(Health)
     assert all(c.connected for c in bench.of(Health)[-1].cameras)
-
-
-def test_boards_back_to_back_go_into_bays_of_their_own(start: Start, make_config: Config) -> None:
-    bench = start(make_config())
-    bench.arm(runs=3)
-    for n in range(3):
-        finished = bench.until(RunFinished)
-        assert (finished.run, finished.bay) == (f"run {n}", n)
-        truth = passage(bench.config, n)
-        for frame in finished.frames:
-            assert bench.ring.layout.place(frame.slot)[:2] == (n, frame.camera)
-            assert np.array_equal(bench.ring.frame(frame.slot), truth.frame(frame.camera, frame.row))
 
 
 STATION_FAULTS = """
@@ -444,18 +422,6 @@ def test_a_stuck_board_ends_at_the_largest_number_of_rows(start: Start, make_con
     assert following.head.missing == ()
 
 
-def test_disarming_returns_unused_grants(start: Start, make_config: Config) -> None:
-    config = make_config(interval_s=30.0)
-    bench = start(config)
-    bench.grant("one", 0)
-    bench.grant("two", 1)
-    bench.arm()
-    bench.until(RunFinished)
-    unused = bench.disarm().unused
-    assert [(g.run, g.bay) for g in unused] == [("two", 1)]
-    assert bench.disarm().unused == ()
-
-
 def test_a_pipe_that_ends_ends_the_process(start: Start, make_config: Config) -> None:
     bench = start(make_config())
     bench.grant("one", 0)
@@ -464,14 +430,3 @@ def test_a_pipe_that_ends_ends_the_process(start: Start, make_config: Config) ->
     bench.connection.close()
     bench.thread.join(30)
     assert not bench.thread.is_alive()
-
-
-def test_a_scenario_of_another_array_is_refused_before_anything_starts(
-    start: Callable[..., Any], make_config: Config, tmp_path: Path, tiny: str
-) -> None:
-    config = make_config()
-    (tmp_path / "scenario.toml").write_text(tiny.replace("width_px = 96", "width_px = 80"))
-    bench = start(config, ready=False)
-    trouble = bench.until(Trouble)
-    assert "width_px is 80, but must be 96" in trouble.message
-    assert trouble.action

@@ -97,13 +97,6 @@ def test_saturated_pixels_and_their_neighbours_come_from_the_short_exposure() ->
     assert both.value[19, 29] == pytest.approx(0.3, abs=0.25)
 
 
-def test_neighbouring_cameras_of_two_exposures_give_one_picture_per_row() -> None:
-    views = [exposed(c, r, 250.0 if c % 2 else 15.0) for r in range(2) for c in range(4)]
-    assert keys(exposure_groups(views)) == [[(c, r) for c in range(4)] for r in range(2)]
-    assert [len(p.views) for p in merge_views(views)] == [4, 4, 8]
-    assert [len(p.views) for p in merge_views(views, groups=False)] == [8]
-
-
 def test_exposures_in_turn_give_one_picture_for_each_run_of_rows_with_all_exposures() -> None:
     views = [exposed(0, r, 15.0 if r % 2 else 250.0) for r in range(5)]
     # A group has the longest exposure twice, where it can.
@@ -119,16 +112,6 @@ def test_a_row_that_shows_a_part_is_completed_by_the_next() -> None:
         [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (1, 2)],
         [(0, 1), (1, 1), (0, 2), (1, 2)],
     ]
-
-
-def test_weights_of_all_frames_count_once_although_groups_share_them() -> None:
-    views = [exposed(0, r, 15.0 if r % 2 else 250.0) for r in range(5)]
-    everything, alone = merge_views(views)[-1], merge_views(views, groups=False)[-1]
-    np.testing.assert_array_equal(everything.sigma, alone.sigma)
-    np.testing.assert_array_equal(everything.value, alone.value)
-    quick = merge_views(views, groups=False, sigma=False)[-1]
-    np.testing.assert_array_equal(quick.value, alone.value)
-    assert quick.deviation is None
 
 
 def test_places_outside_the_frames_have_no_value() -> None:
@@ -220,36 +203,9 @@ def test_a_body_has_no_ghost_and_the_ground_stays(small_board: StitchedBoard, ex
     np.testing.assert_array_equal(after.value[~covered], before.value[~covered])
 
 
-def test_each_picture_shows_bodies_by_its_own_frames(small_board: StitchedBoard, expose: Expose) -> None:
-    """The body of a picture of one frame is that of this frame."""
-    board_type = small_board.board_type
-    calculator = ViewCalculator(board_type, small_board.stitch, small_board.cameras)
-    part = board_type.component("C1")
-    assert part is not None
-    corners = board_type.footprint(part)
-    views = views_on_top(calculator, region_component((*corners.min(0), *corners.max(0)), board_type, 18.0), 0.0)
-    bodies = bodies_in(views[0], board_type, small_board.stitch)
-    seen = [(b, expose(of)) for b, of in views_of_bodies(calculator, bodies, views[0].px_per_mm)]
-    single = merge_region(expose(views[:1]), seen, groups=False)[-1]
-    body, of = seen[-1]
-    (mine,) = (e for e in of if e.key == (views[0].camera, views[0].row))
-    alone = merge_views([mine], groups=False)[-1].value
-    found, expected = (
-        inner(b, v) for b, v in ((body, single.value), (body._replace(box=(0, 0, *alone.shape[::-1])), alone))
-    )
-    shown = np.isfinite(expected)
-    assert shown.any()
-    np.testing.assert_array_equal(found[shown], expected[shown])
-
-
 def board(**options: Any) -> BoardType:
     data = {"name": "b", "outline": [[0, 0], [40, 30]], "fiducials": []}
     return BoardType.model_validate(data | options)
-
-
-def test_a_region_is_a_component_of_its_size() -> None:
-    part = region_component((2, 3, 12, 8), board(), 40.0)
-    assert (part.center, part.width, part.height) == ((7.0, 5.5), 10.0, 5.0)
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,9 @@
 from __future__ import annotations
 
 import math
-import tracemalloc
 from collections import Counter
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -15,7 +13,6 @@ from vaoi_station.hdr import row_levels as module
 from vaoi_station.hdr.row_levels import row_levels
 from vaoi_station.photometry import FlatFields, NoiseModel, Taken
 from vaoi_station.photometry.flat_fields import FlatFieldDocument
-from vaoi_station.photometry.noise import grey_levels, is_saturated
 
 
 def even_fields(board: StitchedBoard) -> FlatFields:
@@ -104,24 +101,6 @@ def test_a_light_of_too_many_rows_is_left_as_it_is(small_board: StitchedBoard, m
     np.testing.assert_array_equal(levels, 1.0)
 
 
-def test_many_rows_are_solved_in_little_memory() -> None:
-    """A chain of rows, each of which shares points with those beside it; their levels are known."""
-    rows, shared = 230, 400
-    rng = np.random.default_rng(4)
-    true = rng.normal(0, 0.02, rows)
-    points = (np.arange(rows)[:, None] * 16 + np.arange(shared)) % module._POINTS**2
-    number = np.repeat(np.arange(rows), shared)
-    ground = rng.normal(3, 0.5, module._POINTS**2)
-    samples = module._Samples(points.reshape(-1), number, ground[points].reshape(-1) + true[number])
-    tracemalloc.start()
-    found = module._solve(samples, np.arange(rows))
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    np.testing.assert_allclose(found, true - true.mean(), atol=1e-4)
-    # Equations with a line of 230 numbers for each pair of rows took twice that.
-    assert peak < 22e6
-
-
 def test_rows_that_share_everything_gather_no_error() -> None:
     """Every second row is dark; the others share all of 400 points, with 1 % noise."""
     rows, shared = 240, 400
@@ -147,17 +126,3 @@ def test_without_flat_fields_or_mapping_all_rows_are_equal(small_board: Stitched
     np.testing.assert_array_equal(
         row_levels(taken_of(b), b.board_type, unplaced, b.cameras, even_fields(b), b.recording.frame), ones
     )
-
-
-@pytest.mark.parametrize("shape", [(90, 120), (90, 120, 3)])
-def test_windows_are_those_of_filters_over_the_frame(shape: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(3)
-    frame = np.asarray(rng.integers(0, 255, shape), np.uint8)
-    frame[20:22, 30] = 255
-    x, y = rng.integers(5, 115, 60), rng.integers(5, 85, 60)
-    x[:4], y[:4] = (33, 34, 30, 27), (20, 20, 24, 17)
-    mean, full = module._windows(frame, x, y)
-    np.testing.assert_allclose(mean, cv2.blur(grey_levels(frame), (5, 5))[y, x], atol=1e-3)
-    saturated = cv2.dilate(is_saturated(frame).astype(np.uint8), np.ones((5, 5), np.uint8))[y, x] > 0
-    np.testing.assert_array_equal(full, saturated)
-    assert full[:4].tolist() == [True, False, True, True]

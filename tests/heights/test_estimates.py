@@ -98,13 +98,6 @@ def test_only_rows_of_one_light_are_compared(film: Any) -> None:
     assert height.height_mm == pytest.approx(1.5, abs=0.06)
 
 
-def test_a_body_without_texture_has_no_narrow_height(film: Any) -> None:
-    filmed = film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, contrast=0.0)
-    height = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)["U1"]
-    assert height.height_mm is None or (height.sigma_mm or 0.0) > 0.2
-    assert all(i.low_mm <= 1.5 <= i.high_mm for i in height.intervals)
-
-
 def test_a_body_of_which_all_tiles_are_edges_has_no_sure_height() -> None:
     """A SOT-23 at 18 px/mm: two rows of tiles see a mixture of body, leads and board, half as high as the body."""
     twin = Twin(read_scenario(scenario_path("small")))

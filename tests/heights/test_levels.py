@@ -19,26 +19,6 @@ def likelihoods(seen_mm: np.ndarray, sigma: float) -> tuple[Floats, Floats]:
     return each, np.exp(-((seen_mm / sigma) ** 2) / 2)
 
 
-@pytest.mark.parametrize("unlike", [0.0, 0.003])
-def test_likelihoods_are_those_of_noise_and_of_what_texture_leaves(unlike: float) -> None:
-    random = np.random.default_rng(3)
-    sums, freedom = random.uniform(50, 900, (7, len(HEIGHTS))), np.arange(60, 95, 5)
-    sums[0] *= 1e-3  # a tile without texture
-    texture = random.uniform(-100, 300, sums.shape)
-    found = Sweep(sums, texture, freedom, np.ones((7, 2), bool))
-    likelihood, board = compare_heights(found, np.abs(HEIGHTS) < 0.15, 12.0, unlike)
-    alike = sums <= 1.5 * sums.min(1, keepdims=True)
-    noise = (sums * alike).sum(1) / alike.sum(1) / freedom
-    noise = np.maximum(noise, np.sort(noise)[1])[:, None]
-    noise = noise + unlike * np.exp(texture / freedom[:, None])
-    ratio, each = sums / noise / freedom[:, None], freedom[:, None] / 24
-    gain = np.clip((texture + freedom[:, None] * (1 - np.log(noise) - ratio)) / 24, 0, 3.5)
-    log = gain - each * np.where(ratio > 1, ratio - 1 - np.log(ratio), 0)
-    np.testing.assert_allclose(likelihood, np.exp(log - log.max(1, keepdims=True)))
-    np.testing.assert_allclose(board, likelihood[:, 1:4].max(1))
-    assert (likelihood.max(1) == 1).all()
-
-
 def test_a_fit_that_is_better_than_noise_is_no_evidence() -> None:
     sums = np.full((3, len(HEIGHTS)), 100.0)
     sums[:, 7] = 70.0
@@ -66,15 +46,6 @@ def test_tiles_without_texture_leave_every_height_possible() -> None:
     found = find_levels(one, board, HEIGHTS, TILES, SIZE, np.zeros(len(HEIGHTS)))
     assert found.probability.sum() == pytest.approx(1)
     assert found.probability.max() < 0.2
-
-
-def test_the_order_of_the_strips_does_not_matter() -> None:
-    seen = np.where(np.abs(TILES[:, :2] + 5 - 40).max(1) < 25, 1.5, 0.0)
-    usual = find_levels(*likelihoods(seen, 0.1), HEIGHTS, TILES, SIZE, np.zeros(len(HEIGHTS)))
-    order = np.random.default_rng(2).permutation(len(TILES))
-    mixed = find_levels(*likelihoods(seen[order], 0.1), HEIGHTS, TILES[order], SIZE, np.zeros(len(HEIGHTS)))
-    np.testing.assert_allclose(mixed.probability, usual.probability, atol=1e-9)
-    np.testing.assert_allclose(mixed.on_body, usual.on_body[order], atol=1e-9)
 
 
 MARGIN, SWEPT_TILES = 12, np.array([(4, 4, 10, 10), (20, 10, 10, 10)])

@@ -119,15 +119,6 @@ def test_a_grid_lies_on_the_footprint_and_knows_the_frames_that_show_it(filmed: 
     assert (u1.width, u1.height, u1.level) == (60, 50, 0)
 
 
-def test_points_of_a_grid_move_with_the_row(filmed: Any) -> None:
-    places = Places(filmed.board_type, filmed.stitch, filmed.cameras)
-    grid = places.grid("U2", filmed.board_type.footprint(filmed.board_type.component("U2")))
-    assert grid is not None
-    for (_, row), way in zip(grid.keys.tolist(), places.row_from_grid(grid), strict=True):
-        tester = grid.tester_from_grid @ (3.0, 5.0, 1.0)
-        np.testing.assert_allclose(way @ (3.0, 5.0, 1.0), apply(filmed.stitch.row_motion[row], tester))
-
-
 def test_large_footprints_have_larger_pixels_and_tiny_ones_no_grid(filmed: Any) -> None:
     places = Places(filmed.board_type, filmed.stitch, filmed.cameras)
     box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -136,16 +127,6 @@ def test_large_footprints_have_larger_pixels_and_tiny_ones_no_grid(filmed: Any) 
     assert large.level == 1
     assert large.mm_per_px == pytest.approx(0.1)
     assert places.grid("X", box * 0.1) is None
-
-
-def test_frames_are_reduced_by_block_means_and_missing_ones_stay_missing() -> None:
-    image = np.arange(64, dtype=np.uint8).reshape(8, 8)
-    frames = Frames(lambda i, j: image if j == 0 else None)
-    reduced = frames.get((0, 0), 1)
-    assert reduced is not None
-    assert reduced.shape == (4, 4)
-    assert abs(float(reduced[0, 0]) - image[:2, :2].mean()) <= 0.5
-    assert frames.get((0, 1), 1) is None
 
 
 def sample(image: np.ndarray, nodes: np.ndarray, step: int, out: np.ndarray) -> None:
@@ -157,30 +138,6 @@ def sample(image: np.ndarray, nodes: np.ndarray, step: int, out: np.ndarray) -> 
 def mesh(x0: float, y0: float, scale: float) -> np.ndarray:
     x, y = np.meshgrid(x0 + scale * 6 * np.arange(4), y0 + scale * 6 * np.arange(4))
     return np.stack([x, y], -1)
-
-
-def test_whole_pixels_are_copied() -> None:
-    image = np.random.default_rng(1).integers(0, 255, (40, 40), dtype=np.uint8)
-    out = np.empty((18, 18), np.float32)
-    sample(image, mesh(5, 7, 1.0), 6, out)
-    np.testing.assert_allclose(out, image[7:25, 5:23], atol=1e-3)
-
-
-def test_a_slope_is_interpolated_between_pixels() -> None:
-    y, x = np.mgrid[:40, :40]
-    image = (100 + 2 * x + y).astype(np.uint8)
-    out = np.empty((18, 18), np.float32)
-    sample(image, mesh(5.3, 7.6, 0.7), 6, out)
-    rows, columns = np.mgrid[:18, :18]
-    np.testing.assert_allclose(out, 100 + 2 * (5.3 + 0.7 * columns) + 7.6 + 0.7 * rows, atol=0.1)
-
-
-def test_there_is_no_value_outside_the_image() -> None:
-    out = np.empty((18, 18), np.float32)
-    sample(np.full((40, 40), 9, np.uint8), mesh(-3, 30, 1.0), 6, out)
-    assert np.isnan(out[:, :4]).all()
-    assert np.isnan(out[9:]).all()
-    np.testing.assert_allclose(out[:6, 6:], 9, atol=1e-4)
 
 
 @given(st.floats(-12, 45), st.floats(-12, 45), st.floats(0.2, 3.0), st.booleans())

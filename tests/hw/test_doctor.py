@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tty
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -160,18 +158,6 @@ def test_a_port_of_somebody_else(terminal: tuple[int, Path]) -> None:
         finding = only(controller(context_of(terminal[1])))
     assert_problem(finding, Level.FAULT, "may not be read and written by this user")
     assert finding.action.startswith("usermod -aG")
-
-
-def test_a_port_that_another_program_uses(terminal: tuple[int, Path]) -> None:
-    hold = "import sys; held = open(sys.argv[1]); print('held', flush=True); sys.stdin.read()"
-    with subprocess.Popen(
-        [sys.executable, "-c", hold, str(terminal[1])], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as holder:
-        assert holder.stdout is not None
-        assert holder.stdout.readline() == "held\n"
-        finding = only(controller(context_of(terminal[1])))
-        holder.communicate("")
-    assert_problem(finding, Level.FAULT, "is in use by", f"process {holder.pid}")
 
 
 def test_a_bridge_that_keeps_bytes_back(tmp_path: Path) -> None:

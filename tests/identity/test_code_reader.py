@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from tests.identity.conftest import DATAMATRIX, Filmed
 from vaoi_station.errors import StateError
 from vaoi_station.identity import code_reader
-from vaoi_station.identity.code_reader import MOST_PX, CodeReader, Found, Progress, RegionPictures, read_codes
+from vaoi_station.identity.code_reader import CodeReader, Found, Progress, RegionPictures, read_codes
 from vaoi_station.identity.symbols import Symbol, read_symbols
 from vaoi_station.model import BoardCode, BoardReading
 
@@ -132,13 +131,6 @@ def test_text_that_its_check_words_do_not_prove_must_be_read_in_two_frames(coded
     assert read_of(once._replace(proven=True)) == (code,)
 
 
-def test_board_is_covered_by_squares_that_overlap_by_the_largest_code() -> None:
-    spans = code_reader._spans(-5.0, 95.0, 24.0, 10.0)
-    assert (spans[0][0], spans[-1][1]) == (-5.0, 95.0)
-    assert all(b[0] <= a[1] - 10.0 for a, b in itertools.pairwise(spans))
-    assert code_reader._spans(0.0, 7.0, 24.0, 10.0) == [(0.0, 7.0)]
-
-
 @pytest.fixture(scope="module")
 def on_seam(make_coded: Callable[..., Filmed]) -> Filmed:
     """A code in the middle of the board, between the two cameras."""
@@ -173,26 +165,6 @@ def test_missing_frames_are_passed_over_and_choices_end(coded: Filmed) -> None:
     assert second[1] not in (None, first[1])
     assert pictures.draw(grid, len(coded.frames)) is None
     assert pictures_of(gone, [first[1]]).draw(grid, 0) is None
-
-
-def test_brightness_of_a_darker_frame_is_matched(on_seam: Filmed) -> None:
-    dark = {key: (f * 0.5).astype(np.uint8) if key[0] else f for key, f in on_seam.frames.items()}
-    uneven = Filmed(on_seam.board_type, on_seam.stitch, on_seam.cameras, dark, on_seam.texts)
-    region = (10.0, 4.0, 22.0, 16.0)
-    plain, matched = (p.draw(p.grid(region, 10.0), 0) for p in map(pictures_of, (on_seam, uneven)))
-    assert plain is not None
-    assert matched is not None
-    ratio = plain[0].mean() / matched[0].mean()
-    assert abs(np.log(ratio)) < 0.15 or abs(np.log(ratio / 2)) < 0.15
-
-
-def test_large_region_gets_fewer_pixels_and_fine_frames_are_averaged(coded: Filmed) -> None:
-    pictures = pictures_of(coded)
-    whole = pictures.grid((0.0, 0.0, 1259.0, 787.0), 500.0)
-    assert whole.width * whole.height <= MOST_PX
-    small = pictures.draw(pictures.grid((0.0, 0.0, 1259.0, 787.0), 5.0), 0)
-    assert small is not None
-    assert small[0].shape == (100, 160)
 
 
 def test_run_without_a_cad_mapping_is_refused(coded: Filmed) -> None:

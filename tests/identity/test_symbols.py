@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.benchmarks.codes import DottedCode, draw_dotted_code
 from vaoi_station.identity.dot_grids import MODULES_PX, dot_grids
-from vaoi_station.identity.symbols import _proven, read_dotted, read_symbols
+from vaoi_station.identity.symbols import _proven, read_symbols
 from vaoi_station.model.board_identity import Symbology
 from vaoi_station.simulation.board.printed_code import symbol
 
@@ -117,20 +117,6 @@ def test_code_of_dots_is_read_with_its_corners_to_a_pixel(kind: str) -> None:
     assert (found.text, found.symbology) == (code.text, "datamatrix")
     assert np.hypot(*(found.corners_px - corners).T).max() < 1.0
     assert found.module_px == pytest.approx(code.module_px, rel=0.02)
-
-
-@pytest.mark.parametrize("turned", [0.0, 45.0, 90.0, 180.0, 271.0])
-def test_corners_start_at_the_upper_left_of_the_code_however_it_is_turned(turned: float) -> None:
-    picture, corners = draw_dotted_code(DottedCode(turned_deg=turned, dot=0.7))
-    [found] = read_dotted(picture)
-    assert np.abs(found.corners_px - corners).max() < 0.4
-
-
-def test_missing_dots_inside_use_up_error_correction() -> None:
-    whole, gaps = (read_dotted(draw_dotted_code(DottedCode(missing=m, version=6))[0])[0] for m in (0.0, 0.04))
-    assert whole.error_correction_used == 0
-    assert 0 < gaps.error_correction_used < 1
-    assert gaps.text == whole.text
 
 
 @pytest.mark.parametrize("size", [(10, 10), (16, 16), (26, 26), (8, 18)])

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, radiance
-from vaoi_station.geometry import apply
-from vaoi_station.mosaic.gains import BLOCK, COARSE_PX, FieldCache, estimate_gains, survey
-from vaoi_station.mosaic.reduction import BORDER_PX, Reduced, reduced
+from tests.mosaic.conftest import DARK, SIZE, Film, Filmed
+from vaoi_station.mosaic.gains import FieldCache, estimate_gains, survey
+from vaoi_station.mosaic.reduction import Reduced, reduced
 from vaoi_station.photometry import FlatFields
 from vaoi_station.steps import completed
 
@@ -41,19 +40,6 @@ def test_without_overlaps_gains_stay_at_one(film: Film) -> None:
     assert gains.frame == {(0, 0): 0.0}
     assert gains.dark == 0.0
     assert gains.log_field(1, board.cameras[1], np.zeros((3, 2))).tolist() == [0, 0, 0]
-
-
-def test_copies_show_the_board_at_their_places(film: Film) -> None:
-    board = film(vignette=0.0, flicker=0.0)
-    fields = FieldCache(FlatFields.none(dark=DARK))
-    found = list(survey(board.taken, board.read, board.projector, board.base, fields))
-    assert len(found) == len(board.taken)
-    for s in found:
-        assert (s.x0 % BLOCK, s.y0 % BLOCK) == (0, 0)
-        y, x = np.argwhere(np.isfinite(s.values))[len(s.values) // 2 :: 50].T
-        at = np.stack([x + s.x0, y + s.y0], -1) * float(COARSE_PX) + (COARSE_PX - 1) / 2
-        expected = radiance(apply(board.base.cad_from_mosaic, at))
-        assert np.abs(s.values[y, x] * 250 - expected).max() < 4
 
 
 def test_missing_frames_and_saturated_places_are_left_out(board: Filmed) -> None:
@@ -94,22 +80,3 @@ def test_bright_blocks_do_not_overflow(dtype: Any) -> None:
     pixels = np.full((128, 128), np.iinfo(dtype).max, dtype)
     for factor in (16, 32, 128):
         assert (reduced(Reduced(pixels, pixels), factor).means == pixels[0, 0]).all()
-
-
-def test_a_part_of_a_frame_is_reduced_as_the_whole() -> None:
-    picture = noise((24, 32))
-    whole, part = reduced(picture, 4), reduced(picture.part((8, 4, 24, 16)), 4)
-    np.testing.assert_array_equal(part.means, whole.means[1:4, 2:6])
-
-
-def test_two_steps_give_the_means_of_one_but_for_rounding() -> None:
-    picture = noise((64, 96))
-    one, two = reduced(picture, 16), reduced(reduced(picture, 8), 2)
-    assert np.abs(one.means.astype(int) - two.means).max() <= 1
-    np.testing.assert_array_equal(one.largest, two.largest)
-
-
-def test_values_continue_beside_the_outermost_blocks() -> None:
-    picture = noise((3, 4))
-    for part, found in zip(picture, picture.bordered(), strict=True):
-        np.testing.assert_array_equal(found, np.pad(part, BORDER_PX, mode="edge"))

@@ -15,7 +15,6 @@ from vaoi_station.mosaic.grid import (
     MosaicGrid,
     dzi_document,
     dzi_reduction,
-    levels_of,
     tile_box,
 )
 
@@ -38,10 +37,6 @@ def test_corners_lie_on_the_outer_edges_of_the_border_pixels(keys: Any, first: A
     assert apply(grid.mosaic_from_cad, first) == pytest.approx((-0.5, -0.5))
     assert apply(grid.mosaic_from_cad, last) == pytest.approx((399.5, 299.5))
     assert apply(grid.cad_from_mosaic, (-0.5, -0.5)) == pytest.approx(first)
-
-
-def test_units_count() -> None:
-    assert MosaicGrid.of_board(board_type(unit="inch"), 1.0).width == round(40 * 25.4)
 
 
 def test_reduced_grid_has_the_same_first_corner() -> None:
@@ -73,10 +68,6 @@ def test_too_large_a_mosaic_is_refused_with_its_size() -> None:
         MosaicGrid.of_board(board_type(), 950.0)
     with pytest.raises(InputError, match=r"px_per_mm is 0\.01, but must be a number from 0\.1 to 1000"):
         MosaicGrid.of_board(board_type(), 0.01)
-
-
-def test_levels_end_when_one_tile_holds_all(board: Filmed) -> None:
-    assert levels_of(board.base) == 3
 
 
 def test_levels_of_dzi_count_from_one_pixel(board: Filmed) -> None:

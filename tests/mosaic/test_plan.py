@@ -11,7 +11,7 @@ from tests.mosaic.conftest import DARK, PX_PER_MM, Film, Filmed
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Lens, Projective, System, apply
 from vaoi_station.mosaic import MosaicPlan, choose_frames, make_plan
-from vaoi_station.mosaic.gains import FieldCache, Floats32, Gains, survey
+from vaoi_station.mosaic.gains import FieldCache, Gains, survey
 from vaoi_station.mosaic.plan import (
     CELL_PX,
     NO_FRAME,
@@ -20,13 +20,11 @@ from vaoi_station.mosaic.plan import (
     cell_shape,
     crossing_cost,
     disagreement,
-    fill_rest,
-    frame_cells,
     lock_bodies,
     sight_of,
 )
 from vaoi_station.photometry import FlatFields
-from vaoi_station.steps import Steps, completed
+from vaoi_station.steps import completed
 
 
 def plan_of(board: Filmed, *, hdr: bool = False, fields: FlatFields | None = None) -> MosaicPlan:
@@ -75,14 +73,6 @@ def test_known_dark_level_is_kept(film: Film) -> None:
     assert plan.dark_correction[0] == pytest.approx(DARK, abs=1.0)
 
 
-def test_sight_of_a_frame(board: Filmed) -> None:
-    sight = sight_of(board.taken[0], board.projector, board.base)
-    cad = apply(board.base.cad_from_mosaic, np.array([2.0, 3.0]) * CELL_PX + (CELL_PX - 1) / 2)
-    x, y = board.projector.raw_px(0, 0, cad)
-    v, u = 3 - sight.y0, 2 - sight.x0
-    assert sight.inside_px[v, u] == pytest.approx(min(x, y, 319 - x, 239 - y), abs=1e-3)
-
-
 def test_sight_is_that_of_every_cell_though_few_are_projected(film: Film) -> None:
     """The camera of this frame is tilted and rolled, and has a lens."""
     board = film()
@@ -100,23 +90,6 @@ def test_sight_is_that_of_every_cell_though_few_are_projected(film: Film) -> Non
     room = np.minimum(raw, (eye.width_px - 1, eye.height_px - 1) - raw).min(-1)
     np.testing.assert_allclose(sight.inside_px, room, atol=0.1)
     np.testing.assert_allclose(sight.slant_mm, np.hypot(*projector.from_foot_mm(1, 0, cad).T).T, atol=0.02)
-
-
-def test_fronts_start_where_frames_look_straight_down(board: Filmed) -> None:
-    sights = [sight_of(f, board.projector, board.base) for f in board.taken]
-    cells = frame_cells(sights, CELL_PX / PX_PER_MM)
-    foot = board.cameras[0].foot_mm - (0.5, 1.0)
-    at = apply(board.base.mosaic_from_cad, foot) / CELL_PX
-    assert np.abs(cells.seed[0] + 0.5 - at).max() <= 1
-    assert cells.shown.sum() > 0
-    assert frame_cells([], 1.0).shown.size == 0
-
-
-def test_rest_is_filled_with_frames_that_show_the_middle_of_a_cell(board: Filmed) -> None:
-    sights = [sight_of(f, board.projector, board.base) for f in board.taken]
-    labels = np.full(cell_shape(board.base), NO_FRAME, np.int32)
-    completed(fill_rest(labels, sights))
-    assert (labels != NO_FRAME).all()
 
 
 def test_body_is_taken_from_the_frame_that_sees_it_most_vertically(board: Filmed) -> None:
@@ -174,15 +147,6 @@ def test_disagreement_shows_what_one_frame_alone_sees(board: Filmed) -> None:
     assert crossing_cost(differ)[y, x] < 0.4
 
 
-def test_a_large_board_is_compared_in_steps_and_an_unseen_one_has_no_disagreement(board: Filmed) -> None:
-    def comparison() -> Steps[Floats32]:
-        return disagreement((), Gains({}, {}, 0.0), board.projector, (1025, 1000))
-
-    assert sum(1 for _ in comparison()) == 65
-    assert completed(comparison()).shape == (1025, 1000)
-    assert not completed(comparison()).any()
-
-
 def two_frames(shape: tuple[int, int], width: int) -> FrameCells:
     """Two frames that overlap in the middle columns, each starting at its outer end."""
     h, w = shape
@@ -190,21 +154,6 @@ def two_frames(shape: tuple[int, int], width: int) -> FrameCells:
     start = np.array([0, width * h], np.int64)
     seed = np.array([(0, h // 2), (w - 1, h // 2)], np.int32)
     return FrameCells(box, start, np.ones(2 * width * h, bool), seed, np.zeros(2))
-
-
-def test_fronts_meet_half_way_on_even_ground() -> None:
-    labels = completed(
-        assign_cells(two_frames((9, 21), 15), np.ones((9, 21), np.float32), np.full((9, 21), NO_FRAME, np.int32))
-    )
-    assert (labels[4, :10] == 0).all()
-    assert (labels[4, 11:] == 1).all()
-
-
-def test_body_in_the_middle_belongs_to_one_frame() -> None:
-    cost = np.ones((9, 21), np.float32)
-    cost[2:7, 7:12] = 0.05
-    labels = completed(assign_cells(two_frames((9, 21), 15), cost, np.full((9, 21), NO_FRAME, np.int32)))
-    assert len(np.unique(labels[3:6, 8:11])) == 1
 
 
 def test_every_cell_has_the_frame_whose_front_comes_first() -> None:
@@ -237,10 +186,3 @@ def test_locked_cells_keep_their_frame_and_cells_that_no_frame_shows_have_none()
     labels = completed(assign_cells(two_frames((9, 21), 8), np.ones((9, 21), np.float32), locked))
     assert (labels[3:5, 8:10] == 1).all()
     assert labels[0, 10] == NO_FRAME
-
-
-def test_frame_that_shows_no_cell_takes_none() -> None:
-    frames = two_frames((5, 10), 8)
-    frames.seed[1] = -1
-    labels = completed(assign_cells(frames, np.ones((5, 10), np.float32), np.full((5, 10), NO_FRAME, np.int32)))
-    assert set(np.unique(labels)) == {NO_FRAME, 0}

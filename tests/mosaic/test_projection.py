@@ -31,12 +31,6 @@ def test_box_encloses_what_a_frame_shows(board: Filmed) -> None:
     assert (y1 - y0) * (x1 - x0) < 1.1 * seen.sum()
 
 
-def test_places_are_counted_from_the_foot_of_the_camera(board: Filmed) -> None:
-    foot = board.cameras[0].foot_mm - (0.5, 1.0)
-    off = board.projector.from_foot_mm(0, 0, np.array([foot, foot + (3, 4)]))
-    np.testing.assert_allclose(off, [(0, 0), (3, 4)], atol=1e-6)
-
-
 def test_run_without_cad_mapping_is_refused(board: Filmed) -> None:
     with pytest.raises(StateError, match="no CAD mapping"):
         FrameIndex.of_result(board.stitch.model_copy(update={"cad_matrix": None}), board.cameras)

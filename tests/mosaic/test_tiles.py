@@ -195,20 +195,6 @@ def test_an_overview_shows_a_low_body_with_the_ground(film: Film) -> None:
     assert np.abs(ratio[y0:y1, x0:x1] / np.nanmedian(ratio) - 1).max() < 0.02
 
 
-def test_parts_are_the_frames_of_the_cells_of_a_tile(board: Filmed) -> None:
-    plan = plan_of(board)
-    renderer = TileRenderer(plan, board.projector, board.base)
-    spec = renderer.spec((64, 64, 320, 192))
-    assert (spec.width, spec.height) == (256, 128)
-    labels = plan.layers[0][4:12, 4:20]
-    shown = {plan.frames[n].taken[:2] for n in set(labels.ravel().tolist()) if n >= 0}
-    assert shown <= {(part.camera, part.row) for part in spec.parts}
-    for part in spec.parts:
-        x0, y0, x1, y1 = part.crop
-        assert x1 > x0
-        assert y1 > y0
-
-
 @pytest.mark.parametrize("factor", [1, 8])
 def test_parts_hold_only_the_cells_of_their_frames(board: Filmed, factor: int) -> None:
     """All cells of a board in every part of its overview took 2 GB for 400 frames."""
@@ -223,13 +209,6 @@ def test_parts_hold_only_the_cells_of_their_frames(board: Filmed, factor: int) -
         found[y0:y1, x0:x1][part.mine > 0] = numbers[part.camera, part.row]
     np.testing.assert_array_equal(found, plan.layers[0])
     assert sum(part.factor.size for part in spec.parts) < 2 * found.size
-
-
-def test_parts_of_a_large_picture_are_whole_tiles(board: Filmed) -> None:
-    renderer = TileRenderer(plan_of(board), board.projector, board.base)
-    assert renderer.block_px[0] in (256, 512, 1024, 2048, 4096)
-    wide = TileRenderer(plan_of(board, hdr=True), board.projector, board.base)
-    assert wide.block_px[0] <= 1024
 
 
 def test_parts_are_high_where_one_has_the_whole_width(board: Filmed) -> None:
@@ -260,14 +239,6 @@ def test_an_overview_shows_only_bodies_that_their_heights_displace(board: Filmed
         assert len(spec.bodies) <= box[2] * box[3] / 256
     # At full resolution all are displaced enough, and the highest of the tile are taken; at half, the higher ones.
     assert counts == {1: 256, 2: 31, 4: 0, 8: 0}
-
-
-def test_bodies_of_less_than_a_pixel_are_part_of_the_ground(board: Filmed) -> None:
-    plan = crowded(board, 50.0)
-    sizes = [
-        len(TileRenderer(plan, board.projector, board.base.reduced(f)).spec((0, 0, 32, 25)).bodies) for f in (1, 16)
-    ]
-    assert sizes == [3, 0]
 
 
 def test_file_has_the_pixels_of_the_mosaic(board: Filmed, tmp_path: Path) -> None:

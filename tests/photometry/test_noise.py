@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.photometry.noise import NoiseModel, fit_line, grey_levels, is_saturated, noise_from_frames
+from vaoi_station.photometry.noise import NoiseModel, is_saturated, noise_from_frames
 
 
 def noisy(level: NDArray[np.float64], read: float, shot: float, seed: int) -> NDArray[np.uint8]:
@@ -29,28 +29,9 @@ def test_noise_is_estimated_from_the_smooth_places_of_frames() -> None:
     assert found.shot == pytest.approx(0.03, rel=0.25)
 
 
-def test_frames_of_16_bits_have_the_same_unit() -> None:
-    frame = noisy(board(1, 1.0), 1.5, 0.03, 1)
-    wide = frame.astype(np.uint16) * 257
-    np.testing.assert_allclose(grey_levels(wide), frame, atol=1e-3)
-    assert noise_from_frames([wide]).shot == pytest.approx(noise_from_frames([frame]).shot, rel=1e-3)
-
-
 def test_frames_without_smooth_places_leave_typical_values() -> None:
     assert noise_from_frames([np.full((8, 8), 90, np.uint8)]) == NoiseModel()
     assert noise_from_frames([np.full((200, 200), 255, np.uint8)]) == NoiseModel()
-
-
-def test_one_brightness_keeps_the_typical_ratio() -> None:
-    typical = NoiseModel()
-    found = fit_line(np.array([100.0]), np.array([4 * (typical.read**2 + 100 * typical.shot)]), np.array([9.0]))
-    assert (found.read, found.shot) == pytest.approx((2 * typical.read, 4 * typical.shot))
-
-
-def test_a_line_without_read_noise_is_one_of_shot_noise() -> None:
-    found = fit_line(np.array([50.0, 100, 200]), np.array([0.5, 2.5, 6.5]), np.ones(3))
-    assert found.read == pytest.approx(0.3)
-    assert found.shot > 0
 
 
 @pytest.mark.parametrize(("dtype", "full"), [(np.uint8, 255), (np.uint16, 65535)])

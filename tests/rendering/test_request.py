@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.rendering.request import Bounds, Choice, Framing, ImageOptions, ImageRequest, _is_number, direction
+from vaoi_station.rendering.request import Bounds, Choice, Framing, ImageOptions, ImageRequest, direction
 
 
 @pytest.mark.parametrize(
@@ -82,15 +82,3 @@ def test_a_value_outside_its_limits_is_refused(values: dict[str, Any], words: st
     with pytest.raises(InputError) as refused:
         Framing(**values).check()
     assert words in str(refused.value)
-
-
-def test_the_limits_themselves_are_accepted() -> None:
-    for framing in (Framing(), Framing(0.1, 100.0, "part", "top"), Framing(1000, 0)):
-        assert framing.check() is framing
-
-
-@pytest.mark.parametrize(
-    ("value", "number"), [(1, True), (0.5, True), (True, False), (float("nan"), False), ("1", False)]
-)
-def test_numbers(value: object, number: bool) -> None:
-    assert _is_number(value) is number

@@ -80,19 +80,6 @@ def test_tiles_match_a_remap_of_every_pixel(make: Any) -> None:
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [(), (3,)])
 @pytest.mark.parametrize("lens", [(), BENT])
-def test_pictures_have_the_pixel_type_of_the_frame(make: Any, lens: Any, channels: Any, dtype: Any) -> None:
-    s = make(lens=lens)
-    frame = np.full((180, 240, *channels), np.iinfo(dtype).max // 3, dtype=dtype)
-    view = compute_views(s.board_type.components[4], s.board_type, s.stitch, s.cameras, min_coverage=1.0)[0]
-    picture = render(view, frame)
-    assert picture.dtype == dtype
-    assert picture.shape == (view.height, view.width, *channels)
-    assert (picture == frame[0, 0]).all()
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("channels", [(), (3,)])
-@pytest.mark.parametrize("lens", [(), BENT])
 def test_pictures_of_many_views_are_those_of_each(make: Any, lens: Any, channels: Any, dtype: Any) -> None:
     s = make(lens=lens)
     table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components, min_coverage=0.3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import product
 from typing import Any, Literal
 
@@ -182,38 +182,6 @@ def test_without_a_cad_mapping_there_is_nothing_to_cut(make: Any) -> None:
     assert "the fiducials were not found" in str(refused.value)
 
 
-def test_tiles_cover_the_picture_once(make: Any) -> None:
-    big = [{"ref": "ALL", "center": [20, 15], "width": 26, "height": 20}]
-    s = make(lens=BENT, components=big)
-    views = compute_views(
-        s.board_type.components[0], s.board_type, s.stitch, s.cameras, px_per_mm=30.0, min_coverage=0.1
-    )
-    assert any(v.distorted for v in views)
-    for view in views:
-        if not view.distorted:
-            continue
-        count = np.zeros((view.height, view.width), dtype=int)
-        for t in view.tiles:
-            count[t.y0 : t.y1, t.x0 : t.x1] += 1
-        assert (count == 1).all()
-        assert len(view.tiles) > 1
-
-
-def test_a_lens_that_hardly_bends_is_in_the_matrix(make: Any) -> None:
-    s = make(lens=HARDLY_BENT)
-    views = compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras)
-    assert views
-    assert not any(v.distorted for v in views)
-
-
-def test_without_working_distance_there_is_no_parallax(make: Any) -> None:
-    s = make(surface=True)
-    blind = tuple(replace(c, working_distance_mm=None) for c in s.cameras)
-    view = compute_views(s.board_type.components[0], s.board_type, s.stitch, blind)[0]
-    flat = s.raw_px(view.camera, view.row, view.cad_from_crop(pixels(view)))
-    assert np.abs(view.image_from_crop(pixels(view)) - flat).max() < 1e-6
-
-
 @pytest.mark.parametrize(("y_axis", "side"), list(product(("up", "down"), ("top", "bottom"))))
 @pytest.mark.parametrize("surface", [False, True])
 def test_the_direction_is_that_of_the_line_of_sight(make: Any, y_axis: str, side: str, surface: bool) -> None:
@@ -307,29 +275,6 @@ def test_the_outline_is_that_of_the_footprint(make: Any) -> None:
             assert np.abs(truth - corner).max(1).min() < 1.0
 
 
-def test_a_table_is_a_mapping_from_addresses_to_views(make: Any) -> None:
-    s = make()
-    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
-    assert list(table) == [c.address for c in s.board_type.components]
-    assert len(table) == len(s.board_type.components)
-    assert "no such part" not in table
-    for address in table:
-        keys = [(v.camera, v.row) for v in table[address]]
-        assert keys
-        assert len(set(keys)) == len(keys)
-
-
-def test_the_views_of_one_component_are_those_made_with_all(make: Any) -> None:
-    s = make()
-    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
-    for number, views in enumerate(table.values()):
-        alone = table.views_of(number)
-        assert len(alone) == len(views) > 0
-        for own, view in zip(alone, views, strict=True):
-            for field in fields(View):
-                assert np.array_equal(getattr(own, field.name), getattr(view, field.name)), field.name
-
-
 def test_views_in_some_frames_are_counted(make: Any) -> None:
     s = make()
     table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
@@ -354,36 +299,6 @@ def crops_of(parts: list[Component], board_type: BoardType, px_per_mm: Any, **fr
 
 def part(rotation: float = 0.0, width: float = 4.0, height: float = 2.0) -> Component:
     return Component(ref="U1", center=(10.0, 20.0), width=width, height=height, rotation=rotation)
-
-
-@pytest.mark.parametrize(("y_axis", "side"), SIDES)
-def test_the_edges_of_the_box_are_the_outer_edges_of_the_border_pixels(y_axis: str, side: str) -> None:
-    crops = crops_of([part()], board(y_axis, side), 10.0)
-    assert crops.size.tolist() == [[40, 20]]
-    corners = apply(crops.crop_from_cad[0], [[8, 19], [12, 21]])
-    assert np.sort(corners[:, 0]) == pytest.approx([-0.5, 39.5])
-    assert np.sort(corners[:, 1]) == pytest.approx([-0.5, 19.5])
-    assert apply(crops.crop_from_cad[0], (10, 20)) == pytest.approx([19.5, 9.5])
-
-
-@pytest.mark.parametrize(("y_axis", "side"), SIDES)
-def test_pictures_are_upright_on_the_side_of_the_camera(y_axis: str, side: str) -> None:
-    """CAD x runs to the right on the top and to the left on the bottom; CAD up is up."""
-    m = crops_of([part()], board(y_axis, side), 10.0).crop_from_cad[0]
-    assert m[0, 0] == pytest.approx(10 if side == "top" else -10)
-    assert m[1, 1] == pytest.approx(-10 if y_axis == "up" else 10)
-    assert (np.linalg.det(m) < 0) == ((y_axis == "up") != (side == "bottom")), "mirrors when CAD → image does"
-
-
-@pytest.mark.parametrize("rotation", [0.0, 90.0, 180.0, 270.0, -90.0, 450.0])
-def test_quarter_turns_swap_the_sides(rotation: float) -> None:
-    size = crops_of([part(rotation)], board(), 10.0).size[0].tolist()
-    assert size == ([40, 20] if rotation % 180 == 0 else [20, 40])
-
-
-def test_at_45_degrees_the_box_holds_the_part() -> None:
-    crops = crops_of([part(45.0)], board(), 100.0)
-    assert crops.size[0].tolist() == pytest.approx([6 / math.sqrt(2) * 100] * 2, abs=0.5)
 
 
 @given(
@@ -432,14 +347,6 @@ def test_a_large_component_gets_the_resolution_that_fits() -> None:
     assert 0.99 * MOST_PIXELS < crops.size.prod(1)[1] <= MOST_PIXELS
     with pytest.raises(InputError, match="megapixels"):
         crops_of(parts, board(), 20.0)
-
-
-def test_the_matrix_states_the_scale_and_px_per_mm_what_was_asked() -> None:
-    """The sides are whole pixels: 4 × 2 mm at 33.3 px/mm are 133 × 67 px."""
-    crops = crops_of([part()], board(), 33.3)
-    assert crops.size.tolist() == [[133, 67]]
-    assert crops.px_per_mm[0] == 33.3
-    assert np.abs(np.diag(crops.crop_from_cad[0])[:2]) == pytest.approx([133 / 4, 67 / 2])
 
 
 def test_a_tiny_component_has_one_pixel() -> None:

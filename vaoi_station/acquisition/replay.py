@@ -286,7 +286,6 @@ def _decode(recording: Recording, formats: tuple[str, ...]) -> Pixels:
 
 
 def _check(recording: Recording, config: StationConfig) -> None:
-    """Raise InputError for a recording that does not have this station's cameras and line."""
     head, where = recording.head, recording.directory / "recording.json"
     if len(head.cameras) != len(config.cameras):
         raise InputError.field(where, "cameras", len(head.cameras), f"{len(config.cameras)}, as in station.toml")

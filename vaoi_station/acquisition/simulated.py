@@ -43,7 +43,6 @@ from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 READOUT_S = 0.008
 TRANSFER_S = 0.012
 JITTER_S = 0.002
-"""Largest random delay of a transfer, s."""
 TRIGGER_LATENCY_S = 5e-6
 TRIGGER_JITTER_S = 2e-6
 FIRST_ID = 65500
@@ -96,7 +95,6 @@ class SimulatedCamera(VirtualCamera):
 
 
 FAR_S = 1e4
-"""Later than the end of any passage."""
 
 
 class SimulatedBoard:
@@ -176,13 +174,10 @@ def accept_plan(asked: TriggerPlan, expected: TriggerPlan, lights: Collection[st
 
 
 AHEAD = 2
-"""Number of boards that are prepared in advance."""
 LEAD_S = 0.02
-"""Time from the decision to let a board pass to the start of its passage, s."""
 RENDER_LIMIT_S = 600.0
 """Longest time for one frame of the twin, s. The first one may wait for the compiler on a busy computer."""
 SAME_TIME_S = 1e-6
-"""Largest accepted difference between the times of a fired and a predicted pulse, s."""
 
 
 class SimulatedController(Controller):
@@ -206,13 +201,11 @@ class SimulatedController(Controller):
         self._boards, self._interval_s, self._interlock = boards, interval_s, interlock
         self._permit: Permit | None = None
         self._spent: int | None = None
-        """Number of the permit that the last board has used up."""
         self._change = threading.Condition()
         self._numbers = count()
         self._edges: deque[tuple[float, bool]] = deque()
         """Coming changes of the barrier by the controller's clock, and whether it is interrupted from then on."""
         self._rule: TriggerRule | None = None
-        """None while disarmed."""
         self._ready: deque[SimulatedBoard] = deque()
         self._prepared = self._runs = 0
         self._board: SimulatedBoard | None = None
@@ -358,7 +351,6 @@ class SimulatedController(Controller):
         return max(self._clock.host_s(min(times)) - time.monotonic(), 0.0) if times else None
 
     def _fire(self, event: PulseFired) -> None:
-        """Expose all cameras for a row of the board that passes."""
         board, row = self._board, event.index
         if board is None or not self._agrees(board, event):
             error = InternalError(f"pulse {row} was fired at {event.time_s} s, when the twin did not expect one.")
@@ -373,7 +365,6 @@ class SimulatedController(Controller):
         return abs(board.pulses[event.index].time_s + self._start_s - event.time_s) < SAME_TIME_S
 
     def _exposed(self, pixels: NDArray[np.uint8], brightness: float) -> NDArray[np.uint8]:
-        """Return the flat bytes of a frame as bright as exposure and gain make it, clipped at the full scale."""
         if brightness == 1.0:
             return pixels
         bits = self._twin.scenario.array.bits
@@ -381,7 +372,6 @@ class SimulatedController(Controller):
         return to_bytes(np.clip(grey * brightness, 0, (1 << bits) - 1).astype(grey.dtype))
 
     def _expose(self, board: SimulatedBoard, n: int, row: int, host_s: float) -> None:
-        """Expose one camera for a row, with the faults of the scenario."""
         camera, faults = self._cameras[n], board.passage.faults
         if (interval_s := faults.free_running_interval_s(n)) is not None:
             if row == 0:
@@ -503,7 +493,6 @@ def check_scenario(config: StationConfig) -> None:
 
 
 def _check(scenario: Scenario, config: StationConfig) -> None:
-    """Raise InputError if the scenario's cameras or line differ from station.toml."""
     where = config.simulation.scenario if config.simulation else "scenario"
     array, twin = scenario.array, Twin(scenario)
     pairs: list[tuple[str, object, object]] = [("array.cameras", array.cameras, len(config.cameras))]

@@ -121,9 +121,7 @@ class KeptRuns:
     def pin(self, run: str) -> None:
         """Keep a run until it is unpinned: its record and result, and its frames if they are in memory.
 
-        Raises:
-            NotFoundError, GoneError: the run is unknown, or its result and record were deleted.
-            StateError: too many runs are pinned.
+        Raises the errors of `Archive.get`, except for a run that has not ended, and StateError: too many are pinned.
         """
         try:
             finished = self._archive.get(run)
@@ -143,7 +141,7 @@ class KeptRuns:
         self._events.add("run", "The run was unpinned.", run=run)
 
     def shown(self, document: R, figures: bool = False) -> R:
-        """Return the document of a run with `pinned`, `recording` and `decision` filled in."""
+        """Return the document of a run as `all_shown` does."""
         return self.all_shown((document,), figures)[0]
 
     def all_shown(self, documents: tuple[R, ...], figures: bool = False) -> tuple[R, ...]:
@@ -175,14 +173,14 @@ class KeptRuns:
 
     def with_counts(self, snapshot: StationSnapshot) -> StationSnapshot:
         """Return the snapshot with the numbers of recordings and kept pictures filled in."""
-        recordings = self.recordings
+        recordings, mosaics = self.recordings, self.mosaics
         counts = {
             "recordings": recordings.runs,
             "recordings_bytes": recordings.size_bytes,
             "recordings_late": recordings.counts.late,
             "recordings_refused": recordings.counts.refused,
-            "mosaics": self.mosaics.runs,
-            "mosaics_bytes": self.mosaics.size_bytes,
+            "mosaics": mosaics.runs,
+            "mosaics_bytes": mosaics.size_bytes,
             "archive": self.archive_status(),
         }
         return snapshot.model_copy(update={"retention": snapshot.retention.model_copy(update=counts)})
@@ -256,15 +254,10 @@ class RunHistory:
     def decisions(self, runs: tuple[RunSummary, ...]) -> dict[str, Decision]:
         """Return the decisions about some runs, by run id."""
         found: dict[str, Decision] = {}
-        try:
-            documents = self._archive.store.decisions([run.id for run in runs])
-        except DeviceError:
-            return {}  # The latest runs are in memory, and shown even if the disk cannot be read.
-        for run, document in documents.items():
-            try:
-                found[run] = Decision.model_validate_json(document)
-            except ValidationError:
-                continue  # of another version: the run is shown without it
+        with suppress(DeviceError):  # The latest runs are in memory, and shown even if the disk cannot be read.
+            for run, document in self._archive.store.decisions([run.id for run in runs]).items():
+                with suppress(ValidationError):  # of another version: the run is shown without it
+                    found[run] = Decision.model_validate_json(document)
         return found
 
     def _oldest(self, since: str | None) -> str:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.interface import Permit
 from vaoi_station.acquisition.controller.protocol import (
     HEARTBEAT_S,
@@ -39,7 +38,6 @@ from vaoi_station.acquisition.controller.protocol import (
     Timing,
     Type,
     Unanswered,
-    check_ident,
     cobs,
     crc16,
     decode,
@@ -112,12 +110,6 @@ def test_a_higher_minor_version_may_append_fields(kind: Any) -> None:
     assert kind.unpack(bytes(size) + b"more") == kind.unpack(bytes(size))
 
 
-@pytest.mark.parametrize(("kind", "size"), [(Ident, 48), (Status, 44)])
-def test_fields_that_firmware_1_1_does_not_send_are_zero(kind: Any, size: int) -> None:
-    old = kind.unpack(bytes(range(1, size + 1)))
-    assert old.pack() == bytes(range(1, size + 1)) + bytes(kind.LAYOUT.size - size)
-
-
 def event(number: int) -> Event:
     return Event(number, 10 * number, Kind.PULSE, 1, 0, 0)
 
@@ -144,11 +136,6 @@ def test_what_was_overwritten_is_counted_and_what_arrived_early_is_kept() -> Non
     assert lost == 3  # 0, 2 and 3
     assert numbers(events) == [1, 4, 5]
     assert order.next_number == 6
-
-
-def test_our_own_controller_is_accepted() -> None:
-    assert check_ident(IDENT.pack()) == IDENT
-    assert check_ident(replace(IDENT, minor=9).pack() + b"further fields").minor == 9
 
 
 @pytest.mark.parametrize(
@@ -222,14 +209,6 @@ def test_a_request_is_repeated_with_the_same_sequence_number_and_then_given_up()
     assert sent(link, 99.0) is None
 
 
-def test_a_reply_is_dated_from_the_first_transmission() -> None:
-    link = Link()
-    link.request(PING)
-    sent(link, 1.0)
-    (replied,) = reply(link, bytes(8), 1.2)
-    assert replied == Replied(PING, bytes(8), 1.0, 1.2)
-
-
 @pytest.mark.parametrize(
     "message", [Message(Type.CLOCK | REPLY, 9, bytes(8)), Message(Type.SAFE | REPLY, 0), Message(Type.NAK, 5, bytes(8))]
 )
@@ -240,14 +219,6 @@ def test_replies_to_other_requests_are_counted_and_ignored(message: Message) -> 
     assert link.receive(encode(message), 0.0) == []
     assert link.unmatched == 1
     assert sent(link, RETRY_S) is not None, "the request is still pending"
-
-
-def test_a_reply_of_impossible_size_leaves_the_request_pending() -> None:
-    link = Link()
-    link.request(Request(Type.STATUS))
-    assert reply(link, b"short") == []
-    assert link.unmatched == 1
-    assert sent(link, RETRY_S) is not None
 
 
 def test_the_heartbeat_goes_before_requests_and_keeps_its_interval() -> None:
@@ -316,14 +287,6 @@ def test_events_that_the_controller_has_overwritten_are_reported_as_lost() -> No
     nak = Nak(Type.READ_EVENT, Reason.GONE, 0, 3)
     assert link.receive(encode(Message(Type.NAK, request.sequence, nak.pack())), 0.0) == [EventsLost(3)]
     assert not link.up_to_date, "3 and 4 can still be read"
-
-
-def test_events_of_an_earlier_process_are_skipped() -> None:
-    link = known(events=5)
-    link.skip_history()
-    assert link.up_to_date
-    (received,) = link.receive(link_event(5, boots=1), 0.0)
-    assert isinstance(received, EventReceived)
 
 
 def permitting(until_s: float = 10.0) -> Link:

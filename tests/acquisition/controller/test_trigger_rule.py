@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierBlockedAgain,
-    BarrierBounce,
     BarrierClear,
     BarrierClearAfterRun,
     BeltPacing,
@@ -85,28 +84,10 @@ def test_every_edge_of_boards_that_follow_too_closely_is_an_event() -> None:
     assert [e.reason for e in events if isinstance(e, RunEnded)] == ["max-rows", "clear"]
 
 
-def test_a_board_that_needs_exactly_the_most_rows_has_left() -> None:
-    exact = run(replace(PLAN, max_rows=7), [(1.0, True), (1.52, False)])
-    assert ended(exact, 1.9) == (7, "clear")
-
-
-def test_bounces_during_a_passage_change_nothing_but_are_reported() -> None:
-    quiet = run(PLAN, [(1.0, True), (1.5, False)])
-    events = run(PLAN, [(1.0, True), (1.2, False), (1.203, True), (1.5, False), (1.6, True), (1.601, False)])
-    assert [p.time_s for p in pulses(events)] == [p.time_s for p in pulses(quiet)]
-    assert sum(isinstance(e, BarrierBounce) for e in events) == 2
-
-
 def test_a_cut_out_does_not_end_the_run() -> None:
     events = run(PLAN, [(1.0, True), (1.3, False), (1.5, True), (1.9, False)])
     assert [type(e) for e in events if isinstance(e, BarrierBlocked | RunEnded)] == [BarrierBlocked, RunEnded]
     assert pulses(events)[-1].time_s == pytest.approx(2.3)
-
-
-def test_a_hand_in_the_barrier_ends_without_a_pulse() -> None:
-    events = run(replace(PLAN, tail_s=0.1), [(1.0, True), (1.05, False)])
-    assert pulses(events) == []
-    assert ended(events, 1.055) == (0, "clear")
 
 
 @given(

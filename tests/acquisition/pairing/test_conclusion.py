@@ -82,14 +82,6 @@ def test_a_pulse_agrees_with_its_step_or_the_difference_is_stated(reported: Puls
     assert contradiction(reported, LEFT) == words
 
 
-def test_the_width_of_the_trigger_is_the_exposure() -> None:
-    by_width = ProgramRow("left", (200.0,), (0.0,), 80.0, 200.0)
-    assert contradiction(replace(pulse("left"), trigger_us=200.5), by_width) == ""
-    assert contradiction(pulse("left"), by_width) == "", "the controller did not report it"
-    words = "its trigger was high for 100 µs, but the light program has an exposure of 200 µs"
-    assert contradiction(replace(pulse("left"), trigger_us=100.0), by_width) == words
-
-
 def test_rows_are_compared_with_the_step_of_their_turn() -> None:
     lights = {0: "left", 1: "left", 3: "right"}
     pulses = {row: ObservedPulse(pulse(light, row), float(row)) for row, light in lights.items()}
@@ -203,14 +195,6 @@ def test_a_count_that_does_not_fit_the_run_before_is_ignored() -> None:
     previous = run_with_frames({5: 6}, name="before", start_s=START_S - 2.0)
     run = run_with_frames({2: 60, 3: 61}, rows=4)
     assert set(causes(run, previous=previous).values()) == {"no frame arrived for the first pulses"}
-
-
-def test_a_finding_is_the_cause_of_its_complete_frame() -> None:
-    run = run_with_frames({0: 1, 1: 3, 2: 2, 3: 4}, rows=4)
-    _, proof = concluded(run, [[]], Outages(), 1e-4)
-    assert not proof.proven
-    assert {row for (_, row), frame in run.frames.items() if frame.cause} == {1, 2}
-    assert all(frame.verdict is Verdict.OK for frame in run.frames.values())
 
 
 def test_frames_of_the_time_in_which_a_clock_jumped_are_not_used() -> None:

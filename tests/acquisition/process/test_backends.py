@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.controller.interface import TriggerPlan
-from vaoi_station.acquisition.process.backends import check_backends, open_devices, row_lights
-from vaoi_station.acquisition.replay import ReplayCamera
-from vaoi_station.acquisition.simulated import SimulatedCamera
+from vaoi_station.acquisition.process.backends import check_backends, row_lights
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.files import write_recording
@@ -45,22 +43,6 @@ def make_replay(make_config: Make, tmp_path: Path) -> Callable[[int], StationCon
         )
 
     return make
-
-
-def test_the_simulation_is_the_default_backend(make_config: Make) -> None:
-    devices = open_devices(make_config())
-    try:
-        assert [type(camera) for camera in devices.cameras] == [SimulatedCamera] * 2
-    finally:
-        devices.close()
-
-
-def test_a_replay_opens_replay_cameras(make_replay: Callable[[int], StationConfig]) -> None:
-    devices = open_devices(make_replay(2))
-    try:
-        assert [type(camera) for camera in devices.cameras] == [ReplayCamera] * 2
-    finally:
-        devices.close()
 
 
 def test_a_recording_that_fits_is_accepted(make_replay: Callable[[int], StationConfig]) -> None:

@@ -278,21 +278,6 @@ def test_a_trial_sets_the_cameras_and_is_a_run_of_one_row(bench: SessionBench) -
     assert [camera.exposures[-1] for camera in bench.cameras] == [(250.0, 0.0), (250.0, 0.0)]
 
 
-def test_a_board_after_a_trial_has_its_own_memory_and_exposures(bench: SessionBench) -> None:
-    bench.session.fire_trial(TRIAL, 1.0)
-    frames_of(bench, 1.0)
-    bench.session.grant(Grant("board", 1))
-    bench.session.arm(bench.plan)
-    assert [camera.exposures[-1] for camera in bench.cameras] == [(250.0, 0.0), (250.0, 0.0)]
-    with pytest.raises(StateError, match="the station is armed; a trial would disturb"):
-        bench.session.fire_trial(TRIAL, 3.0)
-    before = [list(camera.exposures) for camera in bench.cameras]
-    bench.session.trial.restore()
-    assert [camera.exposures for camera in bench.cameras] == before, "an armed line keeps the exposures of its plan"
-    bench.pulse(10.0, 0)
-    assert [r.run for r in bench.of(RunStarted)] == ["trial-1", "board"]
-
-
 def test_what_is_refused_leaves_the_memory_unused(bench: SessionBench) -> None:
     bench.controller.refuses = True
     with pytest.raises(DeviceError, match="the port is gone"):
@@ -329,16 +314,6 @@ def test_a_camera_that_was_going_away_gets_the_settings_of_the_station_when_it_i
     assert [camera.exposures[1:] for camera in bench.cameras] == [[own], [own, own]], "once"
 
 
-def test_a_trial_that_comes_while_a_board_passes_leaves_its_passage_as_it_is(bench: SessionBench) -> None:
-    bench.session.grant(Grant("board", 1))
-    bench.session.arm(bench.plan)
-    bench.session.handle_event(BarrierBlocked(0, 9.0), 9.0)
-    with pytest.raises(StateError, match="the station is armed"):
-        bench.session.fire_trial(TRIAL, 9.5)
-    bench.pulse(10.0, 0)
-    assert [r.host_time_s for r in bench.of(RunStarted)] == [9.0]
-
-
 def test_a_pulse_that_the_controller_does_not_report_is_given_up(bench: SessionBench) -> None:
     bench.session.fire_trial(TRIAL, 1.0)
     assert bench.session.deadline_s(1.1) == 1.0 + UNREPORTED_S
@@ -365,12 +340,3 @@ def test_the_trial_after_a_lost_report_works(bench: SessionBench, late: bool) ->
     [finished] = bench.of(RunFinished)
     assert (finished.run, [f.verdict for f in finished.frames]) == ("trial-2", [Verdict.OK, Verdict.OK])
     assert bench.of(BoardMissed) == []
-
-
-def test_a_single_pulse_after_a_lost_report_works(bench: SessionBench) -> None:
-    bench.session.fire_trial(TRIAL, 1.0)
-    bench.session.tick(1.0 + UNREPORTED_S)
-    bench.session.grant(Grant("single", 1))
-    bench.session.fire_one(4.0)
-    frames_of(bench, 4.0)
-    assert [finished.run for finished in bench.of(RunFinished)] == ["single"]

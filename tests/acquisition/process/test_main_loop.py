@@ -74,11 +74,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return Clock(monkeypatch)
 
 
-def test_its_time_is_the_end_of_a_wait_in_which_nothing_came(clock: Clock) -> None:
-    assert clock.take(after_s=0.5) is None
-    assert clock.inbox.taken_until_s == clock.now_s == 100.5
-
-
 def test_its_time_stays_until_the_last_message_was_taken(clock: Clock) -> None:
     clock.inbox.messages.put("first")
     clock.inbox.messages.put("second")
@@ -95,12 +90,6 @@ def test_a_wait_that_ends_late_is_followed_by_one_for_threads_that_were_held_up_
     assert clock.inbox.taken_until_s == 100.0
     assert clock.take() is None
     assert clock.inbox.taken_until_s == clock.now_s == pytest.approx(100.9 + HELD_UP_S)
-
-
-def test_a_message_that_took_long_counts_as_being_held_up(clock: Clock) -> None:
-    clock.now_s += 0.7
-    assert clock.take() is None
-    assert clock.now_s == pytest.approx(100.7 + HELD_UP_S)
 
 
 def test_its_time_lags_by_no_more_than_the_limit(clock: Clock) -> None:
@@ -225,14 +214,6 @@ def test_arming_waits_until_the_clocks_are_known(start: Start, make_config: Make
     bench.arm()
     assert bench.of(Trouble) == []
     assert bench.until(RunFinished).head.missing == ()
-
-
-def test_a_single_pulse_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
-    bench = start(make_config(), open_backend=busy(main_loop.FIRST_READINGS + 3))
-    bench.grant("one", 0)
-    bench.send(FireOne())
-    assert bench.until(RunFinished).head.missing == ()
-    assert bench.of(Trouble) == []
 
 
 def test_a_line_that_is_armed_during_a_trial_is_armed_after_its_last_frame(start: Start, make_config: Make) -> None:
@@ -465,12 +446,3 @@ def test_a_ring_of_another_configuration_is_refused(make_config: Make) -> None:
     assert isinstance(trouble, Trouble)
     assert "was created for another configuration" in trouble.message
     assert trouble.action == "Restart the station."
-
-
-def test_a_command_without_a_handler_is_reported_and_the_process_continues(start: Start, make_config: Make) -> None:
-    bench = start(make_config())
-    bench.connection.send("unknown")
-    assert bench.until(Trouble).message == "the acquisition process has no handler for 'unknown'."
-    bench.grant("one", 0)
-    bench.arm()
-    assert bench.until(RunFinished).run == "one"

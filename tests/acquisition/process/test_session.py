@@ -157,18 +157,6 @@ def test_arming_does_not_wait_for_the_clock_of_a_lost_camera(make_config: Callab
             bench.session.arm(bench.plan)
 
 
-def test_a_period_too_short_for_exposure_and_read_out_is_refused_with_the_numbers(
-    make_config: Callable[..., StationConfig],
-) -> None:
-    config = make_config()
-    slow = config.cameras[0].model_copy(update={"exposure_us": 60_000.0, "readout_us": 45_000.0})
-    with session_bench(config.model_copy(update={"cameras": (slow, config.cameras[1])})) as bench:
-        with pytest.raises(InputError, match=r"period_s is 0\.1, but must be at least 0\.105: camera 'c0'"):
-            bench.session.arm(replace(bench.plan, period_s=0.1))
-        assert bench.controller.plans == []
-        bench.session.arm(replace(bench.plan, period_s=0.105))
-
-
 def test_skipped_rows_are_missing_with_the_reason_of_the_controller(bench: SessionBench) -> None:
     """Row 0 is skipped before any pulse was fired."""
     bench.session.grant(Grant("a", 0))
@@ -268,20 +256,6 @@ def test_a_run_whose_end_was_lost_is_ended_by_the_next_board(bench: SessionBench
     assert all(f.verdict is Verdict.OK for r in bench.of(RunFinished) for f in r.frames)
 
 
-def test_the_next_slots_are_queued_as_soon_as_a_run_is_finished(bench: SessionBench) -> None:
-    for n in range(2):
-        bench.session.grant(Grant(f"run {n}", n))
-    bench.session.arm(bench.plan)
-    bench.pulse(10.0, 0)
-    bench.session.handle_event(RunEnded(0, 10.0, 1, "clear"), 10.005)
-    before = {s.number for s in bench.cameras[0].slots}
-    bench.frames(10.0, 0)
-    after = {s.number for s in bench.cameras[0].slots}
-    assert bench.of(RunFinished)
-    assert after
-    assert not after & before
-
-
 def test_a_board_finds_slots_while_late_frames_of_another_are_awaited(bench: SessionBench) -> None:
     for n in range(2):
         bench.session.grant(Grant(f"run {n}", n))
@@ -318,30 +292,6 @@ def test_another_plan_while_a_board_passes_is_refused(bench: SessionBench) -> No
         bench.session.arm(bench.plan)
 
 
-def test_a_pulse_without_the_barrier_is_a_run_of_one_row_with_memory_beforehand(bench: SessionBench) -> None:
-    with pytest.raises(StateError, match="no memory for a pulse"):
-        bench.session.fire_one(0.9)
-    for n in range(2):
-        bench.session.grant(Grant(f"pulse {n}", n))
-    assert bench.cameras[0].slots == [], "no slots are queued before a pulse is requested"
-    for n, at_s in enumerate((1.0, 1.3)):  # the second comes while the first waits for a frame of camera 1
-        bench.session.fire_one(at_s)
-        assert (bench.controller.fired, len(bench.cameras[0].slots) > 0) == (n + 1, True)
-        bench.pulse(at_s, 0)
-        bench.session.handle_event(RunEnded(0, at_s, 1, "single"), at_s)
-        slot = bench.cameras[0].slots.pop(0)
-        bench.session.handle_arrival(Arrival(0, slot.number, True, n + 1, at_s, at_s + 0.01), at_s + 0.01, at_s + 0.01)
-    assert [(r.run, r.host_time_s) for r in bench.of(RunStarted)] == [("pulse 0", 1.0), ("pulse 1", 1.3)]
-    assert bench.of(RunFinished) == []
-    bench.session.tick(bench.session.deadline_s(1.4))
-    bench.session.tick(3.0)
-    for finished in bench.of(RunFinished):
-        assert (finished.head.rows, finished.reason) == (1, "single")
-        assert [f.verdict for f in finished.frames] == [Verdict.OK, Verdict.MISSING]
-    assert len(bench.of(RunFinished)) == 2
-    assert bench.of(BoardMissed) == []
-
-
 def test_a_refused_pulse_leaves_its_grant_to_the_next(bench: SessionBench) -> None:
     bench.session.grant(Grant("a", 0))
     bench.controller.refuses = True
@@ -351,19 +301,6 @@ def test_a_refused_pulse_leaves_its_grant_to_the_next(bench: SessionBench) -> No
     bench.session.fire_one(1.1)
     bench.pulse(1.1, 0)
     assert [r.run for r in bench.of(RunStarted)] == ["a"]
-
-
-def test_single_pulses_and_boards_do_not_mix(bench: SessionBench) -> None:
-    bench.session.grant(Grant("a", 0))
-    bench.session.arm(bench.plan)
-    with pytest.raises(StateError, match="the station is armed"):
-        bench.session.fire_one(1.0)
-    assert bench.controller.fired == 0
-    bench.session.finish_disarming(1.1)
-    assert bench.of(Disarmed)[0].unused == (Grant("a", 0),)
-    bench.session.grant(Grant("b", 0))
-    bench.session.fire_one(1.2)
-    assert bench.controller.fired == 1
 
 
 def test_a_program_sets_the_cameras_and_is_in_every_record(bench: SessionBench) -> None:
@@ -385,20 +322,6 @@ def test_a_program_sets_the_cameras_and_is_in_every_record(bench: SessionBench) 
     assert finished.proof.proven
     bench.session.arm(bench.plan)
     assert bench.cameras[0].exposures[-1] == (250.0, 0.0)
-
-
-def test_frames_of_another_light_are_not_used(bench: SessionBench) -> None:
-    bench.session.grant(Grant("a", 0))
-    row = ProgramRow("left", (200.0, 300.0), (0.0, 0.0), 80.0)
-    bench.session.arm(replace(bench.plan, program=(row,), lights=("left",)))
-    bench.session.handle_event(BarrierBlocked(0, 1.0), 1.0)
-    bench.session.handle_event(PulseFired(1, 1.1, 0, "right", on_us=80.0), 1.1)
-    bench.frames(1.1, 0)
-    bench.session.handle_event(RunEnded(2, 1.2, 1, "clear"), 1.2)
-    [finished] = bench.of(RunFinished)
-    assert [frame.proven for frame in finished.frames] == [False, False]
-    assert finished.head.missing == ((0, 0), (1, 0))
-    assert "light 'right', but the light program has 'left'" in finished.head.doubts[0]
 
 
 def pass_two(bench: SessionBench) -> None:

@@ -295,7 +295,6 @@ def _row(where: str, number: int, step: ProgramStep, config: StationConfig, faul
 def _camera_faults(
     where: str, rows: Sequence[ProgramRow], config: StationConfig, line: Line, number: int, px_per_mm: Sequence[float]
 ) -> Iterator[ProgramFault]:
-    """Yield why a camera cannot follow the program, and where its pictures would be blurred by the motion."""
     camera = config.cameras[number]
     resolution = _resolution(config, number, px_per_mm)
     longest_us = longest_lit_us(config, line, number, px_per_mm)

@@ -47,26 +47,20 @@ class BeltCounter(Protocol):
 
 @dataclass
 class _Passage:
-    """The data of a run under way."""
-
     first_s: float
-    """Time at which pulse 0 is due."""
     fired: int = 0
     clear_s: float | None = None
-    """Time at which the board left the barrier; None while it interrupts the barrier."""
     place: int = 0
     """Count of the encoder at which the next row is due."""
     confirmed_s: float = 0.0
     """Time at which the beginning of the run was decided; no row is due before."""
     pulse_s: float = -math.inf
-    """Time of the last pulse."""
 
 
 class TriggerRule:
     """The state machine from one arming to the next. It takes edges and the time, and returns events in their order."""
 
     def __init__(self, plan: TriggerPlan, numbers: count[int], belt: BeltCounter | None = None) -> None:
-        """Begin with a clear barrier."""
         check_plan(plan)
         self.plan = plan
         self._belt = belt if plan.belt is not None else None
@@ -135,7 +129,6 @@ class TriggerRule:
         return None if math.isinf(reached_s) else reached_s + ENCODER_LATENCY_S
 
     def _confirm(self) -> list[ControllerEvent]:
-        """Accept the new level of the barrier, which has now lasted for the debounce time."""
         assert self._pending_s is not None
         edge_s, self._pending_s, self._blocked = self._pending_s, None, self._raw
         counts = None if self._belt is None else self._belt.counts_at(edge_s)
@@ -177,7 +170,6 @@ class TriggerRule:
         return self._end(now_s, "max-rows") if self._passage.fired >= self.plan.max_rows else []
 
     def _is_beyond_tail(self, passage: _Passage, clear_s: float) -> bool:
-        """Return whether the next row is due after the end of the tail."""
         if self._belt is not None and self.plan.belt is not None:
             return passage.place > self._belt.counts_at(clear_s) + self.plan.belt.tail
         return passage.first_s + passage.fired * self.plan.period_s > clear_s + self.plan.tail_s

@@ -47,7 +47,6 @@ class SequenceStart:
         self._late: set[int] = set()
         """Cameras that are reported as late, and have not begun their sequence anew in time since then."""
         self._delay_s = 0.0
-        """Time, s, from the latest edge of a board to the first pulse that it may bring."""
         self._fires_from_s = math.inf
         """Host time from which on pulses may be fired; infinite while no board is in the barrier."""
 
@@ -127,7 +126,6 @@ class SequenceStart:
 
 
 UNREPORTED_S = 2.0
-"""Longest wait for the controller's report of the pulse, s."""
 
 
 class TrialPulse:

@@ -90,13 +90,10 @@ class Inbox:
 _log = logging.getLogger(__name__)
 
 HEALTH_PERIOD_S = 0.5
-"""Time between two heartbeats, and between two readings of all clocks, s."""
 CLOCKS_LIMIT_S = 30.0
 """Longest time for the reading of one clock. After it, the thread that reads the clocks counts as hung, s."""
 END_S = 3.0
-"""Longest wait for a thread to end, s."""
 FIRST_READINGS = 8
-"""Count of clock readings taken from every device before the process is ready."""
 URGENT_READING_PERIOD_S = 0.05
 """Shortest time between two readings of all clocks, while a command or the end of a run waits for them, s."""
 CLOCK_TIMEOUT_S = 10.0
@@ -150,8 +147,6 @@ class _PolledClock:
 
 
 class _MainLoop:
-    """The loop that passes each message of the inbox to the session, and the threads that fill the inbox."""
-
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection, self._send = devices, connection, connection.send
         self._inbox = Inbox()
@@ -227,7 +222,6 @@ class _MainLoop:
                 self._clocks_wanted.set()
 
     def _note_failure(self, failure: threading.ExceptHookArgs) -> None:
-        """Record that a thread of a device has ended with an exception that nothing handled."""
         name = failure.thread.name if failure.thread else "?"
         _log.critical("thread %s has ended", name, exc_info=failure.exc_value)
         self._failures.append(ThreadFault(name, f"has ended ({failure.exc_type.__name__}: {failure.exc_value})"))
@@ -274,7 +268,6 @@ class _MainLoop:
             raise InternalError(f"the acquisition process has no handler for {item!r}.")
 
     def _obey(self, command: _Command, now_s: float) -> None:
-        """Carry out a command of the station, or note that it is due."""
         if isinstance(command, Grant):
             self._session.grant(command)
         elif isinstance(command, PermitBoard):
@@ -358,7 +351,6 @@ class _MainLoop:
         )
 
     def _receive_commands(self, woken: Connection) -> None:
-        """Put commands from the pipe into the inbox. If the pipe has ended, put Shutdown."""
         command: object = None
         while not isinstance(command, Shutdown):
             self._threads[0].rest()

@@ -42,7 +42,6 @@ class Passages:
         self.interruptions: list[Interruption] = []
         """Interruptions of the latest passage, by the controller's clock. The list grows during a passage."""
         self._counts: list[tuple[int | None, int | None]] = []
-        """Positions of the encoder at the edges of each interruption, as far as they are known."""
         self.over = False
         """Whether the run of this passage has ended; the next interruption belongs to another passage."""
         self._edge_taken = True
@@ -120,7 +119,6 @@ class Passages:
 
 
 def _way(zero: int, counts: int) -> int:
-    """Return the counts from one position to another, of a counter of 32 bits."""
     return (counts - zero + _WRAP // 2) % _WRAP - _WRAP // 2
 
 

@@ -88,7 +88,6 @@ class Session:
         """The grant whose slots the cameras hold for the next board."""
         self.plan: TriggerPlan | None = None
         self._run: RunRecord | None = None
-        """The run whose pulses are being fired at present."""
         self._silent_s = math.inf
         self._skipped: dict[int, PulseSkipped] = {}
         """Reports of the rows that were skipped before the first pulse of a board."""
@@ -248,7 +247,6 @@ class Session:
         return late
 
     def _require_clocks(self, limit_s: float) -> None:
-        """Raise ClockError if a clock's error bound exceeds `limit_s`; cameras that are away are not checked."""
         for number, clock in enumerate(self._clocks):
             if not self.is_away(number):
                 clock.require(limit_s)
@@ -273,7 +271,6 @@ class Session:
         return number > 0 and self._recorder.outages.is_away(number - 1)
 
     def _begin_run(self, now_s: float) -> None:
-        """Begin a run, when the first pulse of a board was fired."""
         if self._run is not None:
             self._end_run(self._run.rows, "the controller did not report its end", now_s)
             self._load_while_waiting()
@@ -317,7 +314,6 @@ class Session:
         self._load_next()
 
     def _apply(self, outcomes: Iterable[Outcome], now_s: float) -> None:
-        """Carry out the recorder's decisions, and report them to the station."""
         for outcome in outcomes:
             if isinstance(outcome, Unassigned):
                 self._slot_queue.recycle(outcome.slot)
@@ -336,7 +332,6 @@ class Session:
             self._return_grants()
 
     def _finish(self, finished: Finished, now_s: float) -> None:
-        """Report the end of a run, and close its bay."""
         self.trial.finish(finished.record.run)
         bay = finished.record.bay
         assert bay is not None
@@ -364,7 +359,6 @@ class Session:
         self._devices.feedback.set_memory(True)
 
     def _return_grants(self) -> None:
-        """Give back all bays that were granted and not used."""
         self._disarming = False
         self._devices.feedback.set_memory(False)
         self._slot_queue.unload()

@@ -51,9 +51,9 @@ class FinishedRun:
     board_type: BoardType
     cameras: tuple[Camera, ...]
     stitch: Stitch | None
-    """The result without its tables of components; None if the run ended without a result."""
+    """The result without its tables of components; None, as `document`, if the run ended without a result."""
     document: str | None
-    """The complete result as JSON text; None if the run ended without a result."""
+    """The complete result as JSON text."""
     timeline: Timeline
     head: RecordingHead | None
     """Head of the run's recording; None if the station ended while the board was filmed."""
@@ -120,13 +120,11 @@ class FinishedRun:
 class Archive:
     """The finished runs of the station and their results. Its methods may be called from any thread.
 
-    A run is announced when its result is on disk, or when the storage is in trouble. Runs that are not on disk yet stay
-    in memory until they are.
+    Runs that are not on disk yet stay in memory until they are.
     """
 
     def __init__(self, store: Store, events: EventLog) -> None:
-        self.store = self._store = store
-        self._events = events
+        self.store, self._events = store, events
         self.storage = StorageWatch(store, events, self.count_unstored)
         self.keep_s = 0.0
         """Time from the announcement of a run during which its frames are not evicted, s."""
@@ -144,10 +142,9 @@ class Archive:
         self._unstored: dict[str, FinishedRun] = {}
         """Finished runs that are not on disk yet, oldest first."""
         self._unannounced: dict[str, int] = {}
-        """Runs that have not been announced, oldest first: for each run id, its finish number (its rank among finished
-        runs)."""
+        """Finish numbers of the runs that have not been announced, oldest first."""
         self._announcing = threading.Lock()
-        """Held while runs are announced, so that runs are announced in their order, whichever thread does it."""
+        """Held while runs are announced, so that this is in their order, whichever thread does it."""
         last = store.last_finished()
         # Without the history, numbers begin above all that it can have: it counts runs, this counts seconds.
         self._finished = int(time.time()) if store.database.history_unread else last.finish_number or 0 if last else 0
@@ -162,7 +159,7 @@ class Archive:
         """Store the record of a run that has begun, so that it is known even if the station crashes during the run."""
         with self._changed:
             self._under_way.add(progress.run)
-        self._store.save_run(stored_documents.row_of(progress, detail_of(progress)))
+        self.store.save_run(stored_documents.row_of(progress, detail_of(progress)))
 
     def finish(self, progress: Progress) -> RunDetail:
         """Store a run that has ended, and return its document. The run is announced once it is written."""
@@ -172,19 +169,11 @@ class Archive:
         # It is written with the run: if the station ends before the codes are read, its board does not count as known.
         wanted = order.board_type.identity
         identity = None if wanted is None else compare(wanted, None, own.board_id, without="pending")
-        detail = identified(own, before, identity)
+        detail, document = identified(own, before, identity), progress.result.document if progress.result else None
         finished = FinishedRun(
-            detail,
-            self._finished,
-            order.board_type,
-            order.setup.cameras,
-            progress.stitch,
-            progress.result.document if progress.result else None,
-            timeline_of(progress),
-            progress.head,
-            before,
-            identity,
-        )
+            detail, self._finished, order.board_type, order.setup.cameras, progress.stitch, document,
+            timeline_of(progress), progress.head, before, identity,
+        )  # fmt: skip
         # The run is put into memory before it is written: callers get its result while the disk is still busy, and even
         # if the disk refuses the result.
         with self._changed:
@@ -195,7 +184,7 @@ class Archive:
         self.statistics.add(detail, finished.timeline)
         stored = detail.model_copy(update={"stored": True})
         row = stored_documents.row_of(progress, stored, self._finished, identity)
-        saved = self._store.save_run(row, finished.timeline.model_dump_json(), finished.document)
+        saved = self.store.save_run(row, finished.timeline.model_dump_json(), finished.document)
         saved.add_done_callback(lambda future: self._written(finished, future))
         return detail
 
@@ -207,26 +196,26 @@ class Archive:
 
     def calibration_of(self, finished: FinishedRun) -> Calibration:
         """Return the calibration with which a run was stitched."""
-        return Calibration.model_validate_json(self._store.document(finished.detail.calibration))
+        return Calibration.model_validate_json(self.store.document(finished.detail.calibration))
 
     def mark(self, run: str, step: RunStep) -> None:
         """Record that the frames of a finished run were released or evicted; `step` states which."""
-        finished = self.get(run)
+        read = self.get(run)
         with self._changed:
-            finished = self._in_memory(run) or finished
+            finished = self._in_memory(run) or read
             state = RUN.next(finished.detail.state, step)
             self._cache(replace(finished, detail=in_state(finished.detail, state)))
-            self._store.set_state(run, state)
+            self.store.set_state(run, state)
 
     def identify(self, run: str, identity: IdentityDocument) -> Future[None]:
         """Store the identity of the board of a finished run, and the verdict that it leaves."""
-        finished = self.get(run)
+        read = self.get(run)
         with self._changed:
-            finished = self._in_memory(run) or finished
+            finished = self._in_memory(run) or read
             detail = identified(finished.detail, finished.before, identity)
             self._cache(replace(finished, detail=detail, identity=identity))
             summary = summary_of(detail.model_copy(update={"stored": True})).model_dump_json()
-            return self._store.identities.save(run, stored_documents.identity_row(identity), summary, detail.state)
+            return self.store.identities.save(run, stored_documents.identity_row(identity), summary, detail.state)
 
     def get(self, run: str) -> FinishedRun:
         """Return a finished run by its id.
@@ -240,8 +229,8 @@ class Archive:
         known = self._cached(run)
         if known is not None:
             return known
-        row = self._store.run(run)
-        if row is None and not self._store.retention.forgotten(run):
+        row = self.store.run(run)
+        if row is None and not self.store.retention.forgotten(run):
             # Of all addresses below "runs" only runs/latest itself takes this word.
             action = "See the list of runs; the document of runs/latest has the id of the newest."
             raise NotFoundError(f"There is no run {run!r}.", action=action, code="unknown-run")
@@ -290,7 +279,7 @@ class Archive:
             announced = self._numbered(self._announced)
         if announced is not None:
             return announced
-        row = self._store.last_finished()
+        row = self.store.last_finished()
         return None if row is None else self.get(row.id)
 
     def next(self, after: str | None, timeout_s: float) -> FinishedRun | None:
@@ -308,19 +297,19 @@ class Archive:
             kept = self._numbered(number + 1)
         if kept is not None:
             return kept
-        row = self._store.finished_after(number)
+        row = self.store.finished_after(number)
         return None if row is None else self.get(row.id)
 
     def list(self, limit: int, before: str | None) -> list[RunSummary]:
         """Return the summaries of at most `limit` runs, newest first, below the id `before` (None: all)."""
         # These are read before the rows, so that a run which is written meanwhile is in at least one of the two.
         unstored = {run.id: run for run in self.unstored() if before is None or run.id < before}
-        found = self._summaries(self._store.runs(limit, before)) | unstored
+        found = self._summaries(self.store.runs(limit, before)) | unstored
         return [found[run] for run in sorted(found, reverse=True)[:limit]]
 
     def summaries(self, runs: Sequence[str]) -> dict[str, RunSummary]:
         """Return the summaries of the stored runs with these ids, by id."""
-        return self._summaries(self._store.chosen_runs(runs))
+        return self._summaries(self.store.chosen_runs(runs))
 
     def unstored(self) -> tuple[RunSummary, ...]:
         """Return the summaries of the finished runs that are in memory only, newest first."""
@@ -336,15 +325,15 @@ class Archive:
     def _close_unfinished(self) -> None:
         """Update the runs from before a restart of the station: unfinished runs failed, and all frames are gone."""
         saved: dict[Future[Any], RunRow | None] = {}
-        for row in self._store.unfinished():
+        for row in self.store.unfinished():
             self._finished += 1
             cut = stored_documents.cut_short(row, self._finished)
-            saved[self._store.save_run(cut)] = cut
-        saved[self._store.mark_frames_gone(RunState.GONE)] = None
+            saved[self.store.save_run(cut)] = cut
+        saved[self.store.mark_frames_gone(RunState.GONE)] = None
         self._before = self._announced = self._finished
         # Awaited, so that later calls read what was written. A disk that takes nothing does not keep the station from
         # filming: until it does, the runs are in memory as they are.
-        while wait(saved, timeout=0.05).not_done and self._store.database.trouble is None:
+        while wait(saved, timeout=0.05).not_done and self.store.database.trouble is None:
             pass
         for future, waiting in saved.items():
             if future.done():
@@ -396,21 +385,19 @@ class Archive:
         self.on_finished(finished.detail)
         # From here on callers can know of the run, so from here on its frames are kept for the stated time.
         until_s = time.monotonic() + self.keep_s
-        # Before callers are woken: if a caller arms at once, the memory that this run no longer needs must be
-        # available.
+        # Before callers are woken: one that arms at once needs the memory that this run no longer needs.
         self.on_announced(run, until_s)
         with self._changed:
-            latest = self._in_memory(run) or finished
-            if latest.detail.frames_available:
-                kept = latest.detail.model_copy(update={"frames_kept_until": utc_of_host(until_s)})
-                latest = self._cache(replace(latest, detail=kept))
+            detail = (latest := self._in_memory(run) or finished).detail
+            if detail.frames_available:
+                detail = detail.model_copy(update={"frames_kept_until": utc_of_host(until_s)})
+                self._cache(replace(latest, detail=detail))
             self._announced = finished.finish_number
             self._changed.notify_all()
-        message = "; ".join(reason.message for reason in latest.detail.reasons) or "The matrices are available."
-        timings = latest.detail.timings
-        if timings is not None and timings.ready_after_last_frame_ms is not None:
-            message += f" {timings.ready_after_last_frame_ms:.0f} ms after the last frame."
-        if not latest.detail.stored:
+        message = "; ".join(reason.message for reason in detail.reasons) or "The matrices are available."
+        if detail.timings is not None and (ms := detail.timings.ready_after_last_frame_ms) is not None:
+            message += f" {ms:.0f} ms after the last frame."
+        if not detail.stored:
             message += " It is not on disk yet."
         self._events.add("run", message, state=finished.detail.state, run=run)
 
@@ -425,7 +412,7 @@ class Archive:
             return self._announced
         except GoneError:
             # A caller that was away for long continues with the oldest run that is still kept.
-            row = self._store.run(run)
+            row = self.store.run(run)
             return max(row.finish_number or 0, 0) if row else 0
 
     def _cache(self, finished: FinishedRun) -> FinishedRun:
@@ -448,21 +435,21 @@ class Archive:
 
     def _parsed(self, row: RunRow) -> FinishedRun:
         with stored_documents.readable(row.id):
-            calibration = Calibration.model_validate_json(self._store.document(row.calibration_digest))
-            result, timeline = self._store.result(row.id), self._store.timeline(row.id)
+            calibration = Calibration.model_validate_json(self.store.document(row.calibration_digest))
+            result, timeline = self.store.result(row.id), self.store.timeline(row.id)
             head = RecordingHead.model_validate_json(row.head) if row.head else None
             own = RunDetail.model_validate_json(row.detail)
             return FinishedRun(
                 detail=in_state(stored_documents.decided(row.detail, row.summary), self._state_of(row)),
                 finish_number=row.finish_number or 0,
-                board_type=BoardType.model_validate_json(self._store.document(row.board_type_digest)),
+                board_type=BoardType.model_validate_json(self.store.document(row.board_type_digest)),
                 cameras=calibration.cameras(head.cameras) if head else (),
                 stitch=without_components(Stitch.model_validate_json(result)) if result else None,
                 document=result,
                 timeline=Timeline.model_validate_json(timeline) if timeline else _EMPTY,
                 head=head,
                 before=RunVerdict(own.verdict, own.reasons),
-                identity=stored_documents.identity(self._store.identities.document(row.id)),
+                identity=stored_documents.identity(self.store.identities.document(row.id)),
             )
 
 

@@ -17,12 +17,10 @@ LOW_BYTES = 500_000_000
 
 
 class StorageFigures(NamedTuple):
-    """Sizes of the storage at one moment; None: not known."""
+    """Sizes of the storage at one moment, of the database without its free pages; None: not known."""
 
     free_bytes: int | None
-    """Free space of the data disk."""
     database_bytes: int | None
-    """Size of the database without its free pages."""
     unstored: int
     """Number of finished runs that are in memory only."""
     trouble: str
@@ -46,8 +44,8 @@ class StorageWatch:
 
     def tick(self) -> None:
         """Publish what has changed since the last tick."""
-        before, self._trouble = self._trouble, self._store.database.trouble
-        now = self._trouble
+        before, now = self._trouble, self._store.database.trouble
+        self._trouble = now
         if now is not None and (before is None or before.code != now.code):
             self._events.add("trouble", now.message, code=now.code, action=now.action)
         elif now is None and before is not None:
@@ -83,15 +81,10 @@ class StorageWatch:
 
     def warnings(self) -> tuple[Reason, ...]:
         """Return a warning for each present trouble, for each event that lost or moved data, and for low disk space."""
-        found = []
-        if (present := self.present()) is not None:
-            found.append(present)
-        elif (low := self._low_space()) is not None:
-            found.append(low)
-        database = self._store.database
-        lost = (n for n in database.notices if n.kept not in database.acknowledged)
-        found += [Reason(code=n.code, message=n.message, action=n.action) for n in lost]
-        return tuple(found)
+        database, present = self._store.database, self.present() or self._low_space()
+        lost = [n for n in database.notices if n.kept not in database.acknowledged]
+        found = [] if present is None else [present]
+        return (*found, *(Reason(code=n.code, message=n.message, action=n.action) for n in lost))
 
     def set_aside(self) -> tuple[SetAsideFile, ...]:
         """Return the files of databases that were set aside and are still there."""
@@ -100,11 +93,9 @@ class StorageWatch:
         return tuple(SetAsideFile(file=k.name, code=code, acknowledged=k in known) for k, code in kept if k is not None)
 
     def acknowledge(self, file: str) -> None:
-        """End the warning about a file that was set aside, also for later starts. Callable from any thread.
+        """End the warning about a file that was set aside, also for later starts; NotFoundError: there is none.
 
-        Raises:
-            NotFoundError: no such file was set aside.
-            DeviceError: the disk refuses the record.
+        Callable from any thread.
         """
         self._store.database.acknowledge(file)
         self._events.add("storage", f"The warning about {file} was acknowledged.", code="acknowledged")

@@ -38,9 +38,7 @@ from vaoi_station.stitching.matching.evidence import FrameKey
 PART_BYTES = 1_500_000
 """Size at which a part ends, bytes. Only a single picture may make a part larger."""
 PART_S = 0.04
-"""CPU time after which a part ends, s, so that a job of a board that comes meanwhile never waits long.
-
-With wall time, parts would have few pictures on a busy machine, and their overhead would make it busier still."""
+"""CPU time after which a part ends, s, so that a job of a board that comes meanwhile never waits long."""
 CHUNK = 16
 """Number of components whose views are computed at once."""
 _FRAMES_HELD = 4

@@ -167,7 +167,9 @@ class Handover:
             self._drop(run)  # Its recording was deleted meanwhile, to make room for a later one.
         elif outcome.of_run:
             if self._done(run, offers):
-                self._refuse(run, outcome.error)
+                self._refused += 1
+                message, action = f"The run was not archived: {outcome.error.message}", outcome.error.action
+                self._events.add("trouble", message, run=run, code="archive-refused", action=action)
             self._reached()
         else:
             self._failed(outcome.error)
@@ -187,16 +189,12 @@ class Handover:
             return reply
         except StateError:
             raise
-        except DeviceError as error:
-            self._end_adder()
-            return Failed(error, of_run=False)
         except Exception as error:  # noqa: BLE001  whatever ends the adder or its start must not end the station
             self._end_adder()
-            cause = f"{type(error).__name__}: {error}".rstrip(": ")
-            lost = DeviceError(
-                f"The process that adds runs does not run ({cause}).", action="See the log; it is started again."
-            )
-            return Failed(lost, of_run=False)
+            if isinstance(error, DeviceError):
+                return Failed(error, of_run=False)
+            message = f"The process that adds runs does not run ({type(error).__name__}: {error})."
+            return Failed(DeviceError(message, action="See the log; it is started again."), of_run=False)
 
     def _reply(self, pipe: Connection[Any, Any]) -> Turn | Added | Failed:
         """Wait for the adder; DeviceError if it is silent for too long."""
@@ -223,8 +221,7 @@ class Handover:
         while self._busy():
             self._stopping.wait(LINE_PAUSE_S)
             self._go_on()
-        left_s = size / (1e6 * self._config.mb_s) if self._config.mb_s else 0.0
-        end_s = time.monotonic() + left_s
+        end_s = time.monotonic() + (size / (1e6 * self._config.mb_s) if self._config.mb_s else 0.0)
         while (left_s := end_s - time.monotonic()) > 0:
             self._stopping.wait(min(left_s, LINE_PAUSE_S))
             self._go_on()
@@ -274,13 +271,6 @@ class Handover:
         with self._changed:
             del self._waiting[run]
         self._dropped += 1
-        self._events.add(
-            "trouble",
-            "The run was not archived: its recording was deleted for later ones before the archive took it.",
-            run=run, code="archive-dropped", action="Restore the archive, or raise [keep] recordings_gb.",
-        )  # fmt: skip
-
-    def _refuse(self, run: str, error: VaoiError) -> None:
-        self._refused += 1
-        message = f"The run was not archived: {error.message}"
-        self._events.add("trouble", message, run=run, code="archive-refused", action=error.action)
+        message = "The run was not archived: its recording was deleted for later ones before the archive took it."
+        action = "Restore the archive, or raise [keep] recordings_gb."
+        self._events.add("trouble", message, run=run, code="archive-dropped", action=action)

@@ -161,7 +161,9 @@ def halved(picture: NDArray[Any]) -> NDArray[Any]:
 
 
 _FIRST = "board"
-_NUMBER = re.compile(r"\d{1,9}(\.\d{1,6})?")
+_NAME = re.compile(
+    _FIRST + r"(,light=(?P<light>[^,]+))?(,exposure=(?P<exposure>\d{1,9}(\.\d{1,6})?))?(?P<hdr>,hdr)?", re.DOTALL
+)
 _RESERVED = re.compile(r"[~,/\x00-\x1f\x7f]")
 _WRITTEN = re.compile(r"~([0-9A-F]{2})")
 
@@ -185,29 +187,14 @@ class PictureName(NamedTuple):
 
 
 def parse_name(text: str) -> PictureName:
-    """Parse the name of a mosaic.
-
-    Raises:
-        NotFoundError: it is no such name.
-    """
-    first, *options = text.split(",")
-    light: str | None = None
-    exposure_us: float | None = None
-    hdr = False
-    for option in options:
-        key, _, value = option.partition("=")
-        if key == "light" and value and light is None:
-            light = _WRITTEN.sub(lambda match: chr(int(match[1], 16)), value)
-        elif key == "exposure" and exposure_us is None and _NUMBER.fullmatch(value):
-            exposure_us = float(value)
-        elif option == "hdr" and not hdr:
-            hdr = True
-        else:
-            first = ""
-    if first != _FIRST:
+    """Parse the name of a mosaic; NotFoundError: it is no such name."""
+    if (match := _NAME.fullmatch(text)) is None:
         raise NotFoundError(
             f"there is no mosaic {text!r:.80}; names are 'board', with ',light=NAME', ',exposure=µs' or ',hdr' added.",
             action="Take a name from the run's list of mosaics.",
             code="no-such-mosaic",
         )
-    return PictureName(light, exposure_us, hdr)
+    light, exposure_us = match["light"], match["exposure"]
+    if light is not None:
+        light = _WRITTEN.sub(lambda written: chr(int(written[1], 16)), light)
+    return PictureName(light, None if exposure_us is None else float(exposure_us), match["hdr"] is not None)

@@ -144,8 +144,7 @@ class TrendComparison(Strict):
 _log = logging.getLogger(__name__)
 
 MOST_READ = 5000
-"""Largest number of boards that one request reads one by one, a day at a board every 20 s; of more boards, it reads the
-figures per hour, which takes less of the time of the station's process."""
+"""Largest number of boards that one request reads one by one; of more boards, it reads the figures per hour."""
 MOST_COMPARED = 4000
 """Largest number of boards of each span that a comparison reads; of more boards, it reads every n-th."""
 MOST_MARKS = 200

@@ -26,7 +26,6 @@ from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
-    BarrierEdge,
     ControllerEvent,
     EventQueue,
     LineOutput,
@@ -85,12 +84,6 @@ def test_a_fault_is_reported_once_in_a_run(steps: tuple[tuple[float, int], ...],
     assert codes(*steps, (20, steps[-1][1])) == [f"encoder-{code}"]
 
 
-def test_only_runs_whose_rows_follow_the_belt_are_watched() -> None:
-    still = ((0.0, 0), (9.0, 0))
-    assert codes(*still, timing=TIMING) == []
-    assert codes(*still, state=State.ARMED) == []
-
-
 def test_the_next_run_begins_anew() -> None:
     watch = EncoderWatch()
     assert watch.check(BELT, RUNNING) is None
@@ -143,12 +136,6 @@ def test_a_single_pulse_is_a_run_of_its_own() -> None:
     assert (pulse.index, pulse.light) == (0, "single light")
     assert isinstance(end, RunEnded)
     assert (end.pulses, end.reason) == (1, "single")
-
-
-def test_every_edge_has_the_position_of_the_encoder() -> None:
-    edges = ((Kind.BARRIER, 1), (Kind.BARRIER, 0), (Kind.EDGE, 1), (Kind.EDGE, 0))
-    events = Recorder().receive(*((kind, detail, 7, 2**32 - 3 + n) for n, (kind, detail) in enumerate(edges)))
-    assert [e.counts for e in events if isinstance(e, BarrierEdge)] == [2**32 - 3 + n for n in range(4)]
 
 
 def test_boards_too_close_and_faults_are_reported() -> None:
@@ -296,16 +283,6 @@ def until(events: EventQueue, kind: type[E]) -> E:
     return item
 
 
-def test_events_come_while_no_request_is_made(controller: SerialController, events: EventQueue, device: Device) -> None:
-    controller.arm(PLAN)
-    device[1].state = State.RUNNING
-    device[1].emit(Kind.BARRIER, 1)
-    device[1].emit(Kind.PULSE, 1, 0, 600)
-    assert until(events, PulseFired).index == 0
-    controller.disarm()
-    assert until(events, RunEnded).reason == "disarmed"
-
-
 def test_the_thread_at_the_port_is_supervised_until_the_end(
     controller: SerialController, events: EventQueue, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -421,16 +398,6 @@ def test_an_armed_controller_that_is_silent_can_be_disarmed_and_closed(device: D
                 caller.submit(getattr(controller, call)).result(timeout=10)
         finally:
             device[1].mute = False  # so that the threads end even if this test fails
-
-
-def test_closing_disarms(device: Device) -> None:
-    controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
-    controller.start(SimpleQueue())
-    controller.arm(PLAN)
-    controller.close()
-    assert device[1].in_state(State.IDLE)
-    with pytest.raises(DeviceError):
-        controller.read_clock()
 
 
 def wait_output(controller: SerialController, *, high: bool) -> LineOutput:

@@ -157,7 +157,6 @@ class EventTranslator:
 
     def __init__(self) -> None:
         self.put: Callable[[ControllerEvent | DeviceFault], None] = lambda _item: None
-        """Receives events and faults."""
         self.light: Callable[[int, int], str] = lambda _row, _channels: ""
         """The name of the light of a row, whose LED channels are given as bits."""
         self.single_light = ""
@@ -233,9 +232,7 @@ class EventTranslator:
 
 
 CLOCK_READINGS = 8
-"""Count of clock readings taken at every connection."""
 STATUS_AGE_S = 1.0
-"""Age of the newest status after which it is read again."""
 PACE = BackoffPolicy(first_s=0.1, longest_s=1.0, proven_s=5.0)
 """Pauses between attempts to open the serial port again."""
 _RESET_CAUSES = {
@@ -282,14 +279,12 @@ class SerialController(Controller):
         self._guard_tripped = False
         """Whether the guard switched an LED off. The controller is then armed only by a caller's command."""
         self._unavailable: DeviceError | None = None
-        """Why the controller cannot be reached at present; None if it can be reached."""
         self._ident: Ident
         self._exchange: Exchange | None = None
         self._boots: int | None = None
         """Value of the controller's boot counter for which the timebase converts ticks at present."""
         self._checked_status: Status | None = None
         self._status_s = time.monotonic()
-        """Time at which the newest status arrived."""
         self._number = randrange(0x10000)
         self._encoder_watch = EncoderWatch()
         self._single_width: int | None = None
@@ -396,7 +391,6 @@ class SerialController(Controller):
         self._release()
 
     def _do(self, job: Callable[[], T]) -> T:
-        """Let the controller's thread do a job, and wait for its outcome."""
         if self._thread.ident is None:
             return job()
         with self._lock:
@@ -438,7 +432,6 @@ class SerialController(Controller):
             self._fail_jobs(DeviceError("The controller is no longer supervised.", action="Restart the station."))
 
     def _serve(self) -> None:
-        """Do jobs and receive events until the connection fails."""
         while not self._closing.is_set():
             self._thread.beat()
             try:
@@ -467,7 +460,6 @@ class SerialController(Controller):
             future.set_exception(error)
 
     def _connect(self) -> None:
-        """Open the port if it is closed, identify the controller, fit its clock, and set the wanted state."""
         if self._exchange is None:
             port = Port(self._config.port, self._config.baud, self._waker)
             self._exchange = Exchange(port, self._link, self._on_notification, self._config.port)
@@ -587,7 +579,6 @@ class SerialController(Controller):
         return self._timebase.add_reply(ClockReply.unpack(replied.payload).tick, replied.sent_s, replied.received_s)
 
     def _poll(self) -> None:
-        """Receive events for a moment. If the controller is no longer in the wanted state, restore this state."""
         exchange, before = self._connected(), self._link.status
         exchange.poll()
         self._check_status()
@@ -608,7 +599,6 @@ class SerialController(Controller):
             self._translator.report_fault(DeviceError(what, action=action, code="events-lost"))
 
     def _check_status(self) -> None:
-        """Evaluate a new status. End a run whose end was lost, and arm the controller again if it is not armed."""
         status = self._link.status
         # A status can be compared with the run only when all events before it, and none after it, were passed on.
         if (

@@ -29,7 +29,6 @@ from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import InputError
 
 DARK = Step(0, 0)
-"""The step of the firmware's light program for a row without light."""
 _WHERE = "station.toml"
 _PLAN = "trigger plan"
 _FIELDS = {
@@ -61,7 +60,6 @@ class DeviceProgram:
     widths: tuple[int, ...] = ()
     """Width of the trigger of each step, in ticks; empty if all have that of `timing`."""
     known: tuple[tuple[str, int], ...] = ()
-    """Names of all lights of station.toml, with their LED channels as bits."""
 
     @property
     def crc(self) -> int:
@@ -151,7 +149,6 @@ def _step(plan: TriggerPlan, config: ControllerConfig, limits: FirmwareLimits, n
 
 
 def _width_faults(plan: TriggerPlan, limits: FirmwareLimits) -> Iterator[ProgramFault]:
-    """Yield the widths of the trigger that the firmware cannot make."""
     if not plan.by_trigger:
         return
     if not limits.widest_us:

@@ -42,9 +42,7 @@ _WRAP = 1 << 32
 BOOT_SPACING_S = 3600.0
 """Time, s, between the end of one boot and the beginning of the next, on the time axis that covers all boots."""
 BITS_PER_BYTE = 10
-"""One start bit, eight data bits, one stop bit."""
 REQUEST_BYTES, REPLY_BYTES = 10, 14
-"""Bytes of the frame of a CLOCK request, and of the frame of its reply."""
 
 
 class Timebase:
@@ -135,7 +133,6 @@ class Port:
         self._incoming.register(waker.handle, select.POLLIN)
         self._outgoing.register(self._serial.fileno(), select.POLLOUT)
         self.received = 0
-        """Count of bytes received since the port was opened."""
 
     def read(self, wait_s: float) -> bytes:
         """Return the bytes that have arrived; none if `wait_s` passes, or if another thread wakes this call."""
@@ -229,7 +226,6 @@ class RefusalError(DeviceError):
 
 
 OnNotification = Callable[[EventReceived | EventsLost, float], None]
-"""Callback with an event, or a count of lost ones, and the host time of its arrival."""
 
 
 class Exchange:
