@@ -30,7 +30,7 @@ from vaoi_station.stitching.matching.evidence import METHODS, Detections, Eviden
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.link import are_copies
 from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
-from vaoi_station.stitching.quality.confirmation import RowLights, dark_lights
+from vaoi_station.stitching.quality.confirmation import dark_lights
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.quality_document import quality_document
 from vaoi_station.stitching.quality.verdict import judge_result
@@ -242,8 +242,8 @@ class Stitcher:
         """
         if not self.prior.lights:
             return findings
-        lights = RowLights(self.prior.lights, self.prior.channels)
-        return replace(findings, dark=dark_lights(findings.scene, lights, findings.checked.confirmed))
+        lights, channels = self.prior.lights, self.prior.channels
+        return replace(findings, dark=dark_lights(findings.scene, lights, channels, findings.checked.confirmed))
 
     def _provenance(self, stages: StageTimes) -> dict[str, Any]:
         """Return the entries of the quality document on software versions, reference, and wall times of the stages.
@@ -303,7 +303,7 @@ def build_result(
         components=components,
         local_matrices={ref: _read_only(matrix) for ref, matrix in local.items()} or None,
         board_matrices={at: _read_only(matrix) for at, matrix in f.own_places.of_boards.items()} or None,
-        skipped_boards=tuple(at for at, marks in f.bad_marks.items() if marks.state == "bad") or None,
+        skipped_boards=f.bad_boards or None,
     )
 
 

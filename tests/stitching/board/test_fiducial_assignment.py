@@ -23,8 +23,6 @@ from vaoi_station.stitching.board.fiducials import (
     assign_fiducials,
     find_board,
     find_rough_places,
-    keep_distinct,
-    match_nearest,
     merge_detections,
     outside_share,
 )
@@ -107,16 +105,6 @@ def test_handedness_follows_from_board_type_and_cameras(
     assert (up - middle)[1] < -9
 
 
-@pytest.mark.parametrize("unit", ["mm", "inch", "mil"])
-def test_units(workshop: Any, unit: Literal["mm", "inch", "mil"]) -> None:
-    camera = workshop.camera()
-    plane = board_plane(board(unit=unit), camera)
-    truth = placed(plane, camera)
-    found = find_board(plane, candidates_at(apply_similarity(truth, plane.fiducials)), 0.0, UPRIGHT, NOTHING)
-    assert isinstance(found, Hypothesis)
-    assert math.hypot(*found.c[:2]) == pytest.approx(plane.board_type.mm_per_unit)
-
-
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.floats(-0.1, 0.1))
 def test_fiducials_win_over_look_alikes(workshop: Any, seed: int, turn: float) -> None:
@@ -173,27 +161,6 @@ def test_a_board_far_from_its_direction_is_refused_with_the_angle(workshop: Any)
     assert "turned by 17.2°" in refused.reason
 
 
-def test_a_board_turned_by_180_degrees_fits_more_fiducials_turned(workshop: Any) -> None:
-    camera = workshop.camera()
-    plane = board_plane(board(), camera)
-    places = candidates_at(apply_similarity(placed(plane, camera, math.pi), plane.fiducials))
-    angle = expected_angle(plane, camera, UPRIGHT)
-    as_expected = find_board(plane, places, angle, UPRIGHT, NOTHING)
-    turned = find_board(plane, places, angle + math.pi, UPRIGHT, NOTHING)
-    assert isinstance(turned, Hypothesis)
-    assert turned.fiducials == (0, 1, 2)
-    assert isinstance(as_expected, Failure) or len(as_expected.fiducials) < 3
-
-
-def test_another_scale_is_refused(workshop: Any) -> None:
-    camera = workshop.camera()
-    plane = board_plane(board(), camera)
-    marks = apply_similarity(placed(plane, camera), plane.fiducials)
-    refused = find_board(plane, candidates_at(marks * 1.006), 0.0, UPRIGHT, NOTHING)
-    assert isinstance(refused, Failure)
-    assert "scale off by" in refused.reason
-
-
 def test_texture_must_lie_on_the_board(workshop: Any) -> None:
     """Two pairs of marks fit equally well; the linked texture decides."""
     camera, g = workshop.camera(), np.random.default_rng(1)
@@ -208,30 +175,6 @@ def test_texture_must_lie_on_the_board(workshop: Any) -> None:
     assert outside_share(plane, there, texture) == 1
     refused = find_board(plane, candidates_at(both[:2]), expected_angle(plane, camera, UPRIGHT), UPRIGHT, texture)
     assert isinstance(refused, Failure)
-
-
-def test_the_expected_place_decides_between_equal_fits(workshop: Any) -> None:
-    camera = workshop.camera()
-    plane = board_plane(board(fiducials=FIDUCIALS[:2]), camera)
-    here, there = placed(plane, camera), placed(plane, camera, at=(12.0, 40.0))
-    both = np.concatenate([apply_similarity(c, plane.fiducials) for c in (there, here)])
-    angle = expected_angle(plane, camera, UPRIGHT)
-    for truth, low in ((here, -40.0), (there, 30.0)):
-        found = find_board(plane, candidates_at(both), angle, Expectation(corner_mm=(None, low)), NOTHING)
-        assert isinstance(found, Hypothesis)
-        assert found.c == pytest.approx(truth, abs=1e-6)
-
-
-def test_fiducials_of_different_kinds_are_not_mixed_up(workshop: Any) -> None:
-    camera = workshop.camera()
-    data = board().model_dump(mode="json", exclude_none=True)
-    data["fiducials"][1]["shape"] = "diamond"
-    plane = board_plane(BoardType.model_validate(data), camera)
-    marks = apply_similarity(placed(plane, camera), plane.fiducials)
-    right = FiducialCandidates(marks, np.array([0, 1, 0]), np.full(3, 0.97))
-    wrong = FiducialCandidates(marks, np.array([1, 0, 1]), np.full(3, 0.97))
-    assert isinstance(find_board(plane, right, 0.0, UPRIGHT, NOTHING), Hypothesis)
-    assert isinstance(find_board(plane, wrong, 0.0, UPRIGHT, NOTHING), Failure)
 
 
 def test_detections_of_one_mark_in_several_frames_are_merged_and_all_assigned(workshop: Any) -> None:
@@ -259,57 +202,6 @@ def test_detections_of_one_mark_in_several_frames_are_merged_and_all_assigned(wo
     assert points.sigma_mm == pytest.approx(0.001)
     on_board = motion.board(points.row, points.ground_mm)
     np.testing.assert_allclose(on_board, apply_similarity(c, points.cad), atol=1e-9)
-
-
-@pytest.mark.parametrize(("count", "determine_c"), [(1, {0, 1}), (2, {-1})])
-def test_a_board_of_a_panel_determines_c_alone_or_not_at_all(workshop: Any, count: int, determine_c: set[int]) -> None:
-    """Beside one fixture mark the two fiducials of the board determine C; beside two they have no part in it."""
-    camera = workshop.camera()
-    data = board(fiducials=(("A", 3.0, 3.0), ("B", 15.0, 9.0))).model_dump(mode="json", exclude_none=True)
-    for mark in data["fiducials"]:
-        mark["panel"] = "1"
-    data["components"] = [{"ref": "U1", "panel": "1", "center": [8, 6], "width": 2, "height": 2}]
-    data["fixture_mark"] = {"size": 2.0}
-    data["fixture_marks"] = [{"x": 3.0, "y": 9.0}, {"x": 15.0, "y": 3.0}][:count]
-    plane = board_plane(BoardType.model_validate(data), camera)
-    c, motion = placed(plane, camera, at=(-8.0, -9.0)), nominal_motion(np.zeros(1), np.full(1, 50.0), np.zeros(2))
-    fixture = plane.flat(np.array([(m["x"], m["y"]) for m in data["fixture_marks"]]))
-    mm = apply_similarity(c, np.vstack([plane.fiducials, fixture]))
-    kind = np.array([0, 0] + [1] * count)
-    px = camera.project(motion.row_from_tester(0)(mm))
-    k = len(px)
-    seen = [Detections(Task("marks", (0, 0)), px, np.full(k, 0.01), np.full(k, 0.9), kind)]
-    points = assign_fiducials(plane, c, seen, (camera,), motion)
-    assert len(points.which) == k
-    assert set(points.which[points.sigma_mm < 0.01].tolist()) == determine_c
-
-
-@settings(deadline=None)
-@given(st.integers(0, 1000), st.floats(0.1, 3.0))
-def test_the_first_of_close_places_of_a_kind_is_kept(seed: int, apart: float) -> None:
-    g = np.random.default_rng(seed)
-    mm, kind = g.uniform(0, 6, (40, 2)), g.integers(0, 2, 40)
-    kept = keep_distinct(mm, kind, apart)
-    for n in range(len(mm)):
-        earlier = kept[:n] & (kind[:n] == kind[n]) & (np.hypot(*(mm[:n] - mm[n]).T) < apart)
-        assert kept[n] == (not earlier.any())
-
-
-@settings(deadline=None)
-@given(st.integers(0, 1000))
-def test_each_mark_gets_the_nearest_detection_of_its_kind_in_each_frame(seed: int) -> None:
-    g = np.random.default_rng(seed)
-    marks, mark_kind = g.uniform(0, 10, (6, 2)), g.integers(0, 2, 6)
-    plane = np.sort(g.integers(0, 4, 30))
-    seen, kind = marks[g.integers(0, 6, 30)] + g.normal(0, 0.5, (30, 2)), g.integers(0, 2, 30)
-    ends = np.searchsorted(plane, np.arange(5))
-    at, mark = match_nearest(seen, kind, ends, marks, mark_kind, 0.4)
-    found = dict(zip(zip(plane[at].tolist(), mark.tolist(), strict=True), at.tolist(), strict=True))
-    for f in range(4):
-        for m in range(6):
-            off = np.hypot(*(seen - marks[m]).T)
-            off[(plane != f) | (kind != mark_kind[m])] = np.inf
-            assert found.get((f, m)) == (int(off.argmin()) if off.min() < 0.4 else None)
 
 
 def test_rough_places_allow_a_wrong_scale_along_the_motion_and_keep_rivals(workshop: Any) -> None:

@@ -13,9 +13,6 @@ from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.board.fiducials import (
     detect_marks,
     detect_more_marks,
-    fixture_kind,
-    kind_of,
-    mark_kinds,
     relocate_fiducials,
 )
 from vaoi_station.stitching.matching.evidence import Detections, Task
@@ -45,12 +42,6 @@ def test_every_fiducial_in_view_is_detected(filmed: Any) -> None:
     assert seen >= 6
 
 
-def test_without_a_board_type_nothing_is_detected(filmed: Any) -> None:
-    key = filmed.present[0]
-    detections = detect_marks(Task("marks", key), PreparedFrame(filmed.frames[key]), filmed.setup.cameras[0], None)
-    assert detections.px.shape == (0, 2)
-
-
 def test_fiducials_displaced_by_look_alikes_are_located_again(filmed: Any) -> None:
     motion = truth_motion(filmed)
     prepared = {key: PreparedFrame(pixels) for key, pixels in filmed.frames.items()}
@@ -76,30 +67,6 @@ def truth_motion(filmed: Any) -> Motion:
     return Motion(np.arctan2(back[:, 1, 0], back[:, 0, 0]), back[:, :2, 2], np.zeros(2))
 
 
-def board(**keys: Any) -> BoardType:
-    marks = [
-        {"name": "A", "x": 0.1, "y": 0.1, "diameter": 0.04},
-        {"name": "B", "x": 2.0, "y": 0.1, "diameter": 0.08},
-        {"name": "C", "x": 2.0, "y": 1.0, "diameter": 0.04},
-        {"name": "D", "x": 0.1, "y": 1.0, "diameter": 0.04, "shape": "diamond"},
-    ]
-    return BoardType.model_validate({"name": "b", "unit": "inch", "fiducials": marks} | keys)
-
-
-def test_kinds_are_in_mm_and_in_order_of_appearance() -> None:
-    kinds = mark_kinds(board())
-    assert kinds == (("circle", 1.016), ("circle", 2.032), ("diamond", 1.016))
-    assert [kinds.index(kind_of(f, board())) for f in board().fiducials] == [0, 1, 0, 2]
-
-
-def test_a_fixture_has_a_kind_if_it_has_marks() -> None:
-    assert fixture_kind(board()) is None
-    mark = {"shape": "circle", "size": 0.05}
-    assert fixture_kind(board(fixture_mark=mark)) is None
-    with_marks = board(fixture_mark=mark, fixture_marks=[{"x": -1.0, "y": 0.0}])
-    assert fixture_kind(with_marks) == ("circle", 1.27)
-
-
 def dots(workshop: Any, places: list[tuple[float, float]], radius_px: float) -> PreparedFrame:
     """Draw bright discs on a dark frame."""
     picture = np.full((160, 200), 40, dtype=np.uint8)
@@ -117,15 +84,3 @@ def test_discs_are_detected_to_some_hundredths_of_a_pixel(workshop: Any) -> None
         off = np.hypot(*(found.px - place).T)
         assert off.min() < 0.1
         assert found.score[off.argmin()] > 0.9
-
-
-def test_a_short_list_keeps_the_best_scores(workshop: Any) -> None:
-    """Twelve places per frame, and many more when the board was not found."""
-    places = [(20.0 + 25 * i, 20.0 + 25 * j) for i in range(7) for j in range(5)]
-    kind = BoardType.model_validate({"name": "b", "fiducials": [{"name": "A", "x": 0, "y": 0, "diameter": 1.0}]})
-    frame, camera = dots(workshop, places, 5.0), workshop.camera()
-    short = detect_marks(Task("marks", (0, 0)), frame, camera, kind)
-    scene = Scene((camera,), ((0, 0),), lambda key: frame)
-    (long,) = detect_more_marks(kind, scene, [short], fixture=False)
-    assert len(short.px) == 12
-    assert len(long.px) >= len(places)

@@ -6,20 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
+from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.board.outline import (
-    Orientation,
     compare_orientations,
     measure_outline_contrast,
-    outline_pieces,
-    outline_polygons,
-    straight_pieces,
 )
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
@@ -94,22 +88,6 @@ def test_a_blank_picture_decides_nothing(workshop: Any) -> None:
     assert not found.contradicts
 
 
-def test_without_outline_and_parts_there_is_nothing_to_compare(workshop: Any) -> None:
-    fiducials = [{"name": n, "x": x, "y": x, "diameter": 1} for n, x in (("A", 1), ("B", 9))]
-    kind = board(fiducials=fiducials)
-    seen = scene(workshop, [(OUTLINE, 80.0)])
-    assert compare_orientations(kind, PLACED, TURNED, seen, STILL) is None
-    assert measure_outline_contrast(kind, PLACED, seen, STILL) is None
-
-
-def test_a_symmetric_outline_is_not_compared(workshop: Any) -> None:
-    about_middle = np.array([[-1.0, 0, 18.0], [0, -1, 12.0], [0, 0, 1]])
-    assert (
-        compare_orientations(board(outline=OUTLINE), PLACED, about_middle, scene(workshop, [(OUTLINE, 80.0)]), STILL)
-        is None
-    )
-
-
 def shifted(x_mm: float) -> NDArray[np.float64]:
     return np.asarray(np.array([[1.0, 0, x_mm], [0, 1, x_mm], [0, 0, 1]]) @ PLACED)
 
@@ -124,61 +102,3 @@ def test_the_outline_is_visible_where_it_is_and_nowhere_else(workshop: Any) -> N
     off = measure_outline_contrast(board(outline=OUTLINE), shifted(1.5), seen, STILL)
     assert off is not None
     assert not off.visible
-
-
-def test_polygons_count_as_outlines(workshop: Any) -> None:
-    corners = [[0.0, 0.0], [34.0, 0.0], [34.0, 22.0], [0.0, 22.0]]
-    seen = scene(workshop, [(OUTLINE, 80.0)])
-    assert measure_outline_contrast(board(outline=corners), PLACED, seen, STILL) == measure_outline_contrast(
-        board(outline=OUTLINE), PLACED, seen, STILL
-    )
-
-
-def test_a_board_out_of_view_is_not_compared(workshop: Any) -> None:
-    away = Motion(np.zeros(1), np.array([[500.0, 0.0]]), np.zeros(2))
-    seen = scene(workshop, [(OUTLINE, 80.0)])
-    assert measure_outline_contrast(board(outline=OUTLINE), PLACED, seen, away) is None
-    assert compare_orientations(board(outline=OUTLINE), PLACED, TURNED, seen, away) is None
-
-
-@pytest.mark.parametrize("w", [8.0, 30.0, 400.0])
-def test_few_pieces_are_all_taken_and_many_are_thinned_evenly(w: float) -> None:
-    kind = board(outline=[(0.0, 0.0), (w, w)])
-    every, chosen = straight_pieces(outline_polygons(kind), kind.mm_per_unit), outline_pieces(kind)
-    assert len(chosen) == min(len(every), 48)
-    assert (chosen[0] == every[0]).all()
-    assert (chosen[-1] == every[-1]).all()
-
-
-@given(st.floats(1, 90), st.floats(1, 90), st.sampled_from([1.0, 25.4]))
-def test_pieces_follow_the_outline_without_gaps(w: float, h: float, mm_per_unit: float) -> None:
-    (polygon,) = outline_polygons(board(outline=[[0.0, 0.0], [w, h]]))
-    pieces = straight_pieces([polygon], mm_per_unit)
-    np.testing.assert_allclose(pieces[1:, 0], pieces[:-1, 1], atol=1e-9)
-    np.testing.assert_allclose(pieces[0, 0], pieces[-1, 1], atol=1e-9)
-    length = np.hypot(*(pieces[:, 1] - pieces[:, 0]).T)
-    assert length.sum() == pytest.approx(2 * (w + h))
-    assert (length * mm_per_unit).max() < 8.0, "an edge below twice 4 mm stays whole"
-
-
-def test_no_outline_has_no_pieces() -> None:
-    assert outline_polygons(BoardType.model_validate({"name": "b", "fiducials": []})) == []
-    assert straight_pieces([], 1.0).shape == (0, 2, 2)
-
-
-@pytest.mark.parametrize(
-    ("evidence", "placed", "turned", "confirms", "contradicts"),
-    [
-        ("outline", 30.0, 2.0, True, False),
-        ("outline", 2.0, 30.0, False, True),
-        ("outline", 30.0, 25.0, False, False),
-        ("outline", 4.0, 0.1, False, False),
-        ("components", 9.0, 0.1, False, False),
-        ("components", 30.0, 11.0, True, False),
-    ],
-)
-def test_an_orientation_needs_contrast_and_a_clear_factor(
-    evidence: str, placed: float, turned: float, confirms: bool, contradicts: bool
-) -> None:
-    found = Orientation(evidence, placed, turned)
-    assert (found.confirms, found.contradicts) == (confirms, contradicts)

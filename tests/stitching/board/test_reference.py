@@ -33,11 +33,6 @@ def links(task: Task, a_px: np.ndarray, b_px: np.ndarray, sigma_px: float = 0.02
     return Links(task, a_px, b_px, np.tile(np.eye(2) / sigma_px**2, (k, 1, 1)), np.ones(k))
 
 
-def test_frames_that_the_reference_lacks_have_no_task() -> None:
-    assert reference().task((0, 1)) == Task("reference", (0, 1), (0, 1))
-    assert reference().task((1, 0)) is None
-
-
 def test_linked_points_have_the_cad_places_of_the_reference(workshop: Any) -> None:
     """The run's board lies 0.3 mm further: pixels differ, CAD places do not."""
     camera, g = workshop.camera(), np.random.default_rng(0)
@@ -112,18 +107,6 @@ def test_the_height_of_the_board_of_the_reference_moves_no_place(workshop: Any) 
     np.testing.assert_allclose(points.cad, PLANE.flat(cad), atol=2e-4)
     flat = cad_points([links(task, px, px)], (camera,), PLANE, known)
     assert np.abs(flat.cad - PLANE.flat(cad)).max() > 0.01
-
-
-def test_many_links_of_a_frame_do_not_average_their_shared_error_away(workshop: Any) -> None:
-    camera = workshop.camera()
-
-    def sigma_of_mean(count: int) -> float:
-        px = np.random.default_rng(1).uniform(20, 140, (count, 2))
-        task = Task("reference", (0, 0), (0, 0))
-        points = cad_points([links(task, px, px)], (camera,), PLANE, reference())
-        return float(points.sigma_mm[0] * 10.0 / np.sqrt(count))
-
-    assert sigma_of_mean(4) > sigma_of_mean(50) > sigma_of_mean(2000) > 0.005
 
 
 def test_without_links_there_are_no_points(workshop: Any) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.board.reference import Reference, ReferenceOrientation
+from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.recordings.references import awaits_confirmation, with_confirmed_orientation
 from vaoi_station.stitching.work import stitch_frames
 
@@ -75,15 +75,3 @@ def test_a_confirmation_settles_nothing_but_the_orientation(filmed: Any, kind: B
     worse = filmed.stitched(board_type=filmed.board_type, frames=frames)
     assert not awaits_confirmation(worse)
     assert with_confirmed_orientation(worse) is worse
-
-
-@pytest.mark.parametrize(
-    ("as_placed", "turned", "patches", "confirms", "contradicts"),
-    [(0.9, 0.1, 9, True, False), (0.1, 0.9, 9, False, True), (0.9, 0.7, 9, False, False), (0.9, 0.1, 3, False, False),
-     (0.4, 0.0, 9, False, False)],
-)  # fmt: skip
-def test_only_a_clear_difference_decides(
-    as_placed: float, turned: float, patches: int, confirms: bool, contradicts: bool
-) -> None:
-    found = ReferenceOrientation(as_placed, turned, patches)
-    assert (found.confirms, found.contradicts) == (confirms, contradicts)

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from tests.hostile.drawing import draw
 from tests.hostile.filming import film
 from tests.hostile.judging import stitched
-from tests.stitching.quality.test_agreement import PLANE, adjusted, points
+from tests.stitching.quality.test_agreement import PLANE, points
+from tests.stitching.quality.test_agreement import C as SIMILARITY
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, ReasonCode, Status
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.components.centres import (
     ComponentShift,
@@ -28,9 +28,6 @@ from vaoi_station.stitching.components.centres import (
     component_reasons,
     likely_errors,
     measure_component_shift,
-    reduced_patch,
-    two_that_place,
-    unnoticed_mm,
 )
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 
@@ -56,24 +53,6 @@ def test_each_component_is_taken_from_the_good_frame_that_shows_it_most_central(
         assert view.half_px == pytest.approx([15.0, 7.5])
 
 
-def test_a_board_type_without_components_has_no_views_of_them(workshop: Any) -> None:
-    kind = BoardType.model_validate({"name": "b", "y_axis": "down", "outline": [[0, 0], [9, 9]], "components": []})
-    plane, camera = BoardPlane(kind, mirrored=False), workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0)
-    motion = nominal_motion(np.zeros(1), np.zeros(2), np.zeros(2))
-    views = FrameIndex((camera,), motion.rows_from_tester).views(np.array([[0.0, 0.0], [9.0, 9.0]]))
-    assert central_views(plane, np.eye(3), Scene((camera,), ((0, 0),), workshop), motion, views) == []
-
-
-def test_a_reduced_patch_is_that_about_the_nearest_pixel() -> None:
-    grey = np.add.outer(np.arange(40), 2 * np.arange(50)).astype(np.uint8)
-    patch = reduced_patch(grey, np.array([20.4, 14.6]), np.array([3, 2]), 3)
-    assert patch is not None
-    assert patch.shape == (5, 7)
-    assert patch[2, 3] == pytest.approx(grey[15, 20])
-    assert patch[2, 4] - patch[2, 3] == pytest.approx(6.0)
-    assert reduced_patch(grey, np.array([2.0, 20.0]), np.array([3, 2]), 1) is None
-
-
 PX_PER_MM = 16.0
 HALF = np.array([20.0, 9.0])
 """Half the extent of a chip's footprint, px."""
@@ -92,9 +71,8 @@ def picture(x: float, y: float, scale: float = 1.0, noise: float = 2.0) -> NDArr
     return np.asarray(np.clip(np.rint(noisy), 0, 255), np.uint8)
 
 
-@pytest.mark.parametrize(("x", "y"), [(100.0, 80.0), (101.3, 79.2), (97.6, 82.1)])
-def test_a_chip_is_found_to_a_tenth_of_a_pixel(x: float, y: float) -> None:
-    place = np.array([99.7, 80.4])
+def test_a_chip_is_found_to_a_tenth_of_a_pixel() -> None:
+    place, (x, y) = np.array([99.7, 80.4]), (101.3, 79.2)
     off = centre_of_symmetry(picture(x, y), place, HALF, PX_PER_MM)
     assert off is not None
     assert np.array(off) + place == pytest.approx((x, y), abs=0.15)
@@ -116,37 +94,14 @@ def row_of_chips(count: int) -> NDArray[np.uint8]:
     return np.asarray(np.clip(np.rint(noisy), 0, 255), np.uint8)
 
 
-@pytest.mark.parametrize("off_px", [(0.0, 0.0), (1.3, -0.8), (-0.6, 1.7)])
-@pytest.mark.parametrize("at", [0, 1, 3])
-def test_neighbours_do_not_draw_a_chip_to_themselves(at: int, off_px: tuple[float, float]) -> None:
+@pytest.mark.parametrize("at", [0, 1])
+def test_neighbours_do_not_draw_a_chip_to_themselves(at: int) -> None:
     """The chips at both ends of a row have a neighbour on one side only."""
-    true = np.array([100.2, 60.4 + at * 1.875 * PX_PER_MM])
+    true, off_px = np.array([100.2, 60.4 + at * 1.875 * PX_PER_MM]), (1.3, -0.8)
     place = true - off_px
     found = centre_of_symmetry(row_of_chips(4), place, np.array([1.35, 0.6875]) * PX_PER_MM, PX_PER_MM)
     assert found is not None
     assert np.array(found) == pytest.approx(off_px, abs=0.5)
-
-
-def test_a_large_component_is_found_in_a_reduced_picture() -> None:
-    place = np.array([100.0, 80.0])
-    off = centre_of_symmetry(picture(101.5, 81.2, 2.2), place, 2.2 * HALF, PX_PER_MM)
-    assert off is not None
-    assert np.array(off) + place == pytest.approx((101.5, 81.2), abs=0.3)
-
-
-def test_no_centre_where_nothing_is_symmetric() -> None:
-    flat = np.full((160, 200), 90, np.uint8)
-    assert centre_of_symmetry(flat, np.array([100.0, 80.0]), HALF, PX_PER_MM) is None
-    g = np.random.default_rng(1)
-    blotches = np.clip(cv2.GaussianBlur(g.normal(0, 1, (160, 200)), (0, 0), 3) * 300 + 100, 0, 255).astype(np.uint8)
-    assert centre_of_symmetry(blotches, np.array([100.0, 80.0]), HALF, PX_PER_MM) is None
-
-
-def test_no_centre_at_the_border_or_beyond_the_reach_or_for_a_huge_footprint() -> None:
-    chip = picture(100.0, 80.0)
-    assert centre_of_symmetry(picture(15.0, 80.0), np.array([15.0, 80.0]), HALF, PX_PER_MM) is None
-    assert centre_of_symmetry(chip, np.array([100.0 - 0.5 * PX_PER_MM, 80.0]), HALF, PX_PER_MM) is None
-    assert centre_of_symmetry(chip, np.array([100.0, 80.0]), 10 * HALF, PX_PER_MM) is None
 
 
 C = np.array([[1.0, 0, -15.0], [0, 1, -10.0], [0, 0, 1]])
@@ -184,14 +139,7 @@ def measured(
 ) -> ComponentShift | None:
     """Draw the board where C puts it, and measure its components at the places of a wrong C.
 
-    Args:
-        workshop: builders of scenes.
-        count: number of components.
-        wrong: (3, 3) what is wrong in C; None for nothing.
-        distance_mm: working distance of the camera.
-        leaning_mm: height at which the components are seen.
-        body_height: height of the components that the board type states.
-        turned_off_mm: how far the components that are turned by 90°, all on one half of the board, look off along y.
+    They are seen at a height of `leaning_mm`, those that are turned by 90°, on one half, `turned_off_mm` off along y.
     """
     board_type = board(count, body_height, apart=turned_off_mm != 0)
     camera = workshop.camera((0.0, 0.0), size_px=(480, 320), px_per_mm=15.0, distance_mm=distance_mm)
@@ -233,28 +181,16 @@ def test_a_wrong_cad_matrix_is_measured(workshop: Any) -> None:
 
 
 @pytest.mark.parametrize("body_height", [None, 1.5])
-@pytest.mark.parametrize("leaning_mm", [0.75, 1.5])
-def test_components_that_lean_under_one_camera_are_no_contradiction(
-    workshop: Any, leaning_mm: float, body_height: float | None
-) -> None:
+def test_components_that_lean_under_one_camera_are_no_contradiction(workshop: Any, body_height: float | None) -> None:
     """Components of 1.5 mm lean by up to 0.13 mm, as far as a stretch of 1 %."""
-    found = measured(workshop, distance_mm=150.0, leaning_mm=leaning_mm, body_height=body_height)
+    found = measured(workshop, distance_mm=150.0, leaning_mm=1.5, body_height=body_height)
     assert found is not None
     assert found.components >= 12
     assert not found.contradicts
     assert found.measured[:3] == pytest.approx(np.zeros(3), abs=0.03)
 
 
-def test_a_wrong_cad_matrix_is_measured_if_stated_heights_do_not_explain_it(workshop: Any) -> None:
-    found = measured(workshop, wrong=WRONG, distance_mm=300.0, leaning_mm=0.2, body_height=0.35)
-    assert found is not None
-    assert found.contradicts
-    unknown = measured(workshop, wrong=WRONG, distance_mm=300.0, leaning_mm=0.2)
-    assert unknown is not None
-    assert unknown.covariance[3, 3] > 4 * found.covariance[3, 3]
-
-
-@pytest.mark.parametrize("turned_off_mm", [-0.06, 0.04, 0.06])
+@pytest.mark.parametrize("turned_off_mm", [-0.06, 0.06])
 def test_an_offset_of_one_kind_of_components_is_no_contradiction(workshop: Any, turned_off_mm: float) -> None:
     """Nine of 18 components look off alike; taken as independent, they would show a board that is turned."""
     found = measured(workshop, turned_off_mm=turned_off_mm)
@@ -269,15 +205,6 @@ def test_single_kinds_that_look_far_off_are_no_contradiction() -> None:
     assert findings.component_shift is not None
     assert not findings.component_shift.contradicts
     assert stitch.status is Status.OK
-
-
-def test_few_components_show_a_large_error_only(workshop: Any) -> None:
-    assert measured(workshop, count=5) is None
-    few, many = measured(workshop, count=7), measured(workshop)
-    assert few is not None
-    assert many is not None
-    assert not few.contradicts
-    assert (few.by_centres.diagonal() > 1.5 * many.by_centres.diagonal()).all()
 
 
 FIDUCIALS = np.array([[-12.0, -7.0], [13.0, 6.0]])
@@ -297,7 +224,7 @@ def shown(which: int, error_mm: Floats) -> ComponentShift:
 
 
 @pytest.mark.parametrize("which", [0, 1])
-@pytest.mark.parametrize("angle", [0.0, 1.1, 2.0, 3.0])
+@pytest.mark.parametrize("angle", [0.0, 2.0])
 def test_an_error_that_is_no_contradiction_by_itself_is_found(which: int, angle: float) -> None:
     shift = shown(which, 0.07 * np.array([np.cos(angle), np.sin(angle)]))
     assert not shift.contradicts
@@ -307,44 +234,16 @@ def test_an_error_that_is_no_contradiction_by_itself_is_found(which: int, angle:
     assert all(other.chi2 < first.chi2 for other in others)
 
 
-def test_without_an_error_none_is_found() -> None:
-    assert likely_errors(NONE, FIDUCIALS) == []
-    assert likely_errors(shown(0, np.array([0.02, 0.01])), FIDUCIALS) == []
-
-
-def test_what_no_error_of_one_fiducial_explains_is_none() -> None:
-    """A light from one side shifts all components alike: that would need the same error of both fiducials."""
-    assert likely_errors(replace(NONE, measured=np.array([0.035, 0.02, 0.0, 0.0])), FIDUCIALS) == []
-
-
-def test_a_smaller_error_of_one_of_two_fiducials_may_go_unnoticed() -> None:
-    """Errors of the stated size, in every direction, are two standard deviations beyond the limit, or further."""
-    limit, beyond = unnoticed_mm(NONE, FIDUCIALS), []
-    for angle in np.linspace(0, np.pi, 60):
-        error = limit * np.array([np.cos(angle), np.sin(angle)])
-        beyond += [likely_errors(shown(which, error), FIDUCIALS)[0].chi2 for which in (0, 1)]
-    assert min(beyond) == pytest.approx((np.sqrt(10) + 2) ** 2, rel=1e-2)
-    assert unnoticed_mm(NONE, 5 * FIDUCIALS) > limit, "fiducials further out are shown less well by the same components"
-
-
-def test_only_two_fiducials_that_alone_determine_c_are_returned() -> None:
-    two = two_that_place(PLANE, points(2))
-    assert two is not None
-    assert two.tolist() == [0, 1]
-    assert two_that_place(PLANE, None) is two_that_place(PLANE, points(3)) is two_that_place(PLANE, points(1)) is None
-    referred = replace(points(3), which=np.array([0, 1, REFERENCE]))
-    assert two_that_place(PLANE, referred) is None
-
-
 SMALL = np.diag([0.003, 0.003, 0.003, 0.003]) ** 2
+AT = PLANE.matrix(SIMILARITY)
 SOUND = ComponentShift(np.array([0.01, -0.01, 0.0, 0.004]), SMALL, np.zeros(2), 12.0, 20)
 
 
 def test_components_that_lie_elsewhere_than_the_fiducials_put_them_are_a_reason() -> None:
-    assert component_reasons(None, PLANE, adjusted(2), points(2), 10.0) == []
-    assert component_reasons(SOUND, PLANE, adjusted(2), points(2), 10.0) == []
+    assert component_reasons(None, PLANE, AT, points(2), 10.0) == []
+    assert component_reasons(SOUND, PLANE, AT, points(2), 10.0) == []
     wrong = replace(SOUND, measured=np.array([0.06, -0.02, 0.0, 0.03]))
-    ((code, text),) = ((r.code, r.message) for r in component_reasons(wrong, PLANE, adjusted(2), points(2), 10.0))
+    ((code, text),) = ((r.code, r.message) for r in component_reasons(wrong, PLANE, AT, points(2), 10.0))
     assert code == ReasonCode.COMPONENTS_SHIFTED
     assert "20 components are centred (+0.060, -0.020) mm ± (0.012, 0.012)" in text
     assert "px) at fiducial F" in text
@@ -354,8 +253,8 @@ def test_of_two_fiducials_the_one_whose_error_explains_the_components_is_named()
     """F1, 36 mm from F0, is off by 0.07 mm across their line: no check but this one sees it."""
     turned = replace(SOUND, measured=np.array([-0.001, 0.035, 0.024, 0.0]))
     assert not turned.contradicts
-    ((code, text),) = ((r.code, r.message) for r in component_reasons(turned, PLANE, adjusted(2), points(2), 10.0))
+    ((code, text),) = ((r.code, r.message) for r in component_reasons(turned, PLANE, AT, points(2), 10.0))
     assert code == ReasonCode.COMPONENTS_SHIFTED
     assert "as if one of the two fiducials were not at its CAD position: F1 by 0.07 mm (0.7 px)" in text
-    assert component_reasons(turned, PLANE, adjusted(3), points(3), 10.0) == [], "a third fiducial is redundant"
-    assert component_reasons(turned, PLANE, adjusted(2), points(2), 4.0) == [], "0.28 px, which other checks accept"
+    assert component_reasons(turned, PLANE, AT, points(3), 10.0) == [], "a third fiducial is redundant"
+    assert component_reasons(turned, PLANE, AT, points(2), 4.0) == [], "0.28 px, which other checks accept"

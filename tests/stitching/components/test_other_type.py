@@ -9,17 +9,11 @@ import numpy as np
 import pytest
 
 from tests.hostile.judging import judge
-from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.model import BoardType, ReasonCode, Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.reference import Reference
 from vaoi_station.stitching.components.other_type import (
-    Likeness,
     UnlistedParts,
-    find_unlisted_parts,
-    shown_by_points,
-    unlisted_part_reasons,
 )
 from vaoi_station.stitching.work import stitch_frames
 
@@ -53,17 +47,6 @@ def test_a_board_in_much_less_light_is_no_other_type(filmed: Any, reference: Sti
     assert (result.status, result.reasons) == (Status.OK, ())
 
 
-@pytest.mark.parametrize(
-    ("compared", "alike", "other"), [(16, 0, True), (16, 4, True), (16, 5, False), (5, 1, True), (4, 0, False)]
-)
-def test_nearly_all_components_must_differ(compared: int, alike: int, other: bool) -> None:
-    assert Likeness(compared, alike).other_type is other
-
-
-def test_without_a_reference_nothing_is_shown_by_its_points(filmed: Any) -> None:
-    assert not shown_by_points(filmed.setup.plane, None, np.zeros((0, 2)))
-
-
 LARGEST = 3
 
 
@@ -95,40 +78,6 @@ def test_a_list_without_some_parts_is_no_reason(filmed: Any) -> None:
     assert ReasonCode.UNLISTED_PARTS not in result.reason_codes
 
 
-def test_parts_are_found_where_they_stand(filmed: Any) -> None:
-    some, left_out = without_largest(filmed.board_type)
-    findings = findings_of(filmed, board_type=some)
-    assert findings.plane is not None
-    parts = find_unlisted_parts(findings.plane, findings.problem, findings.adjusted)
-    assert parts.raised > 10 * parts.sunk
-    reach = max(max(c.width, c.height) for c in left_out)
-    near = [min(np.hypot(*(place - np.array(c.center))) for c in left_out) < reach for place in parts.places]
-    assert len(near) >= 3
-    assert np.mean(near) > 0.9
-
-
-def test_a_sound_board_shows_no_such_parts(filmed: Any) -> None:
-    findings = findings_of(filmed)
-    assert findings.plane is not None
-    parts = find_unlisted_parts(findings.plane, findings.problem, findings.adjusted)
-    assert parts.bare > 50
-    assert parts.raised <= 0.01 * parts.bare
-    assert not parts.other_type
-
-
-def test_without_an_outline_of_the_board_nothing_is_counted(filmed: Any) -> None:
-    """What stands on a carrier, or beside a board, would look like parts of the board."""
-    some, _ = without_largest(filmed.board_type)
-    findings: Any = findings_of(filmed, board_type=some)
-    problem, adjusted = findings.problem, findings.adjusted
-    marks = {"fixture_mark": {"size": 2.0}, "fixture_marks": [{"x": 1.0, "y": 1.0}, {"x": 5.0, "y": 1.0}]}
-    data = some.model_dump(mode="json", exclude_none=True)
-    without = {key: value for key, value in data.items() if key != "outline"}
-    for document in (without, data | marks):
-        plane = BoardPlane(BoardType.model_validate(document), findings.plane.mirrored)
-        assert find_unlisted_parts(plane, problem, adjusted).bare == 0
-
-
 PLACES = np.array([(1.0, 2.0), (3.26, 4.0), (5.0, 6.0), (7.0, 8.0)])
 
 
@@ -148,18 +97,8 @@ def test_many_corners_at_several_places_are_a_reason(
     assert UnlistedParts(bare, raised, sunk, PLACES[:places]).other_type is named
 
 
-@pytest.mark.parametrize(("unit", "shown"), [("mm", "(3.3, 4.0)"), ("inch", "(3.26, 4.00)"), ("mil", "(3, 4)")])
-def test_the_reason_names_places_in_the_unit_of_the_cad_data(unit: str, shown: str) -> None:
-    board = BoardType.model_validate({"name": "b", "unit": unit, "fiducials": []})
-    (reason,) = unlisted_part_reasons(UnlistedParts(100, 8, 0, PLACES), BoardPlane(board, mirrored=False))
-    assert reason.code == ReasonCode.UNLISTED_PARTS
-    assert shown in reason.message
-    assert "and 1 more" in reason.message
-
-
-@pytest.mark.parametrize("seed", [106465, 109882])
-def test_drawings_of_another_type_that_were_wrong_are_named(seed: int) -> None:
+def test_a_drawing_of_another_type_that_was_wrong_is_named() -> None:
     """Links on the other parts bent the estimated surface: positions are off by 0.11 and 0.13 px at a σ of 0.02."""
-    outcome = judge(seed)
+    outcome = judge(109882)
     assert (outcome.status, outcome.finds) == ("degraded", ())
     assert any("has none" in reason for reason in outcome.reasons)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,14 +16,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.problem import FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.fiducials import LOCAL_MM
-from vaoi_station.stitching.components.places import (
-    OwnPlace,
-    board_places,
-    components_of,
-    matrices_of_components,
-    own_places,
-    sigmas_of_components,
-)
+from vaoi_station.stitching.components.places import OwnPlaces, board_places, own_places
 
 C = np.array([[0.0, 1.0, 5.0], [1.0, 0.0, -2.0], [0, 0, 1]])
 PX_PER_MM = 20.0
@@ -48,7 +41,7 @@ def panel(of_panel: int = 2) -> BoardType:
     return BoardType.model_validate({"name": "b", "fiducials": own[:of_panel] + boards, "components": parts})
 
 
-def places(off: dict[int, tuple[float, float]], noise_px: float = 0.0) -> dict[str, OwnPlace]:
+def places(off: dict[int, tuple[float, float]], noise_px: float = 0.0) -> OwnPlaces:
     """Places of the boards if fiducials, by number, lie `off` mm from C; all others of the boards are not found."""
     numbers = [0, 1, *off]
     which = np.repeat(np.array(numbers), 5)
@@ -58,7 +51,7 @@ def places(off: dict[int, tuple[float, float]], noise_px: float = 0.0) -> dict[s
     sigma, lean = np.hypot(np.full(k, 0.02 / PX_PER_MM), np.where(which > 1, LOCAL_MM, 0.0)), np.zeros((k, 2))
     points = FiducialPoints(which * 0, lean, lean, lean, sigma, np.full(k, PX_PER_MM), which, which * 0)
     adjusted: Any = SimpleNamespace(fiducial_px=residual)
-    return board_places(BoardPlane(panel(), True), adjusted, points, C)
+    return own_places(BoardPlane(panel(), True), adjusted, points, C)
 
 
 def displaced(position: str, shift: tuple[float, float], turn_deg: float) -> dict[int, tuple[float, float]]:
@@ -82,45 +75,34 @@ _MM = st.floats(-0.25, 0.25)
 @settings(max_examples=30, deadline=None)
 @given(_MM, _MM, st.floats(-0.15, 0.15))
 def test_shift_and_turn_of_a_board_are_those_of_its_fiducials(x: float, y: float, turn_deg: float) -> None:
-    place = places(displaced("A", (x, y), turn_deg))["A"]
+    place = places(displaced("A", (x, y), turn_deg)).boards["A"]
     assert place.matrix is not None
     assert place.matrix == pytest.approx(move((x, y), turn_deg) @ C, abs=1e-5)
     assert place.turn_rad == pytest.approx(np.radians(turn_deg), abs=1e-6)
     assert place.off_mm < 1e-5
 
 
-def test_each_board_is_placed_by_itself() -> None:
-    found = places(displaced("A", (0.1, 0.0), 0.05) | displaced("B", (-0.2, 0.1), -0.1), noise_px=0.02)
-    plane = BoardPlane(panel(), True)
-    own = matrices_of_components(plane, found)
-    assert set(own) == {"A/U0", "A/U1", "B/U0", "B/U1"}, "U1 of the panel follows C"
-    assert own["A/U0"] is own["A/U1"]
-    sigma = sigmas_of_components(plane, found, C)
-    assert 0.0002 < sigma["A/U0"] < 0.002
-    assert components_of(plane, {"B"}) == {"B/U0", "B/U1"}
-
-
 def test_a_board_without_its_fiducials_is_as_uncertain_as_the_others_are_displaced() -> None:
     found = places(displaced("A", (0.3, -0.3), 0.0))
-    lost = found["B"]
+    lost = found.boards["B"]
     assert lost.matrix is None
     assert lost.refusal == "B0, B1 was not found"
-    sigma = sigmas_of_components(BoardPlane(panel(), True), found, C)
+    sigma = found.sigma_mm
     assert sigma["B/U0"] == sigma["B/U1"] == pytest.approx(0.3, abs=0.01)
 
 
 def test_one_fiducial_shifts_its_board_and_leaves_its_turn_open() -> None:
     found = places({2: (0.1, 0.05)})
-    assert found["A"].turn_rad == 0.0
-    assert found["A"].lost == ("A1",)
-    sigma = sigmas_of_components(BoardPlane(panel(), True), found, C)
+    assert found.boards["A"].turn_rad == 0.0
+    assert found.boards["A"].lost == ("A1",)
+    sigma = found.sigma_mm
     assert sigma["A/U1"] > 3 * sigma["A/U0"], "it lies farther from the fiducial"
 
 
 def test_large_and_contradicting_displacements_are_refused() -> None:
-    far = places(displaced("A", (0.9, 0.9), 0.0))["A"]
+    far = places(displaced("A", (0.9, 0.9), 0.0)).boards["A"]
     assert (far.matrix, far.refusal) == (None, "A0, A1 would displace it by 1.27 mm (limit 1 mm)")
-    apart = places({2: (0.2, 0.2), 3: (-0.2, -0.2)})["A"]
+    apart = places({2: (0.2, 0.2), 3: (-0.2, -0.2)}).boards["A"]
     assert apart.matrix is None
     assert "from their places on it (limit 0.1 mm)" in apart.refusal
 
@@ -142,26 +124,6 @@ def test_fiducials_of_boards_have_no_part_in_c_beside_those_of_the_panel() -> No
     assert [without.board_of_c(range(4), fixture_marks=n) for n in (1, 2)] == ["A", None]
 
 
-def test_fixture_marks_are_counted_once_each() -> None:
-    which, cad = np.array([-1, -1, -1, -2, 0]), np.array([[1.0, 2.0], [1.0, 2.0], [9.0, 2.0], [5.0, 5.0], [2.0, 2.0]])
-    k, lean = len(which), np.zeros((len(which), 2))
-    points = FiducialPoints(which * 0, lean, lean, cad, np.ones(k), np.ones(k), which, which * 0)
-    assert points.fixture_marks == 2
-
-
-def test_boards_of_a_panel_that_fixture_marks_locate_are_placed_by_their_fiducials() -> None:
-    """The widest board has no part in C either: its displacement is measured like that of the others."""
-    which = np.array([-1, -1, 0, 1, 2, 3])
-    k, lean = len(which), np.zeros((len(which), 2))
-    cad = np.arange(2.0 * k).reshape(k, 2)
-    points = FiducialPoints(which * 0, lean, lean, cad, np.full(k, 0.5), np.full(k, PX_PER_MM), which, which * 0)
-    adjusted: Any = SimpleNamespace(fiducial_px=np.where(which[:, None] >= 0, 2.0, 0.0) * np.ones((1, 2)))
-    found = board_places(BoardPlane(panel(of_panel=0), True), adjusted, points, C)
-    assert found["A"].shift_mm == pytest.approx([0.1, 0.1])
-    assert found["A"].matrix is not C
-    assert found["A"].sigma_mm > 0
-
-
 def test_the_board_that_determines_c_lies_where_c_puts_it() -> None:
     plane = BoardPlane(panel(of_panel=0), True)
     which = np.repeat(np.arange(4), 2)
@@ -173,32 +135,14 @@ def test_the_board_that_determines_c_lies_where_c_puts_it() -> None:
     assert found["B"].shift_mm == pytest.approx([0.1, 0.1])
 
 
-def located_otherwise(numbers: list[int]) -> dict[str, OwnPlace]:
-    """Places of the boards if a reference or a fixture located the panel and these fiducials were found."""
-    which = np.repeat(np.array(numbers, np.int_), 3)
-    k, lean = len(which), np.zeros((len(which), 2))
-    points = FiducialPoints(which * 0, lean, lean, lean, np.full(k, 0.5), np.full(k, PX_PER_MM), which, which * 0)
-    adjusted: Any = SimpleNamespace(fiducial_px=np.zeros((k, 2)))
-    return board_places(BoardPlane(panel(), True), adjusted, points, C)
-
-
 def test_boards_of_a_panel_that_is_located_without_fiducials_are_not_placed() -> None:
-    plane = BoardPlane(panel(), True)
-    for found in (located_otherwise([]), board_places(plane, cast("Any", None), None, C)):
-        assert {at: (p.matrix, p.refusal) for at, p in found.items()} == {
-            "A": (None, "A0, A1 was not found"),
-            "B": (None, "B0, B1 was not found"),
-        }
-        assert sigmas_of_components(plane, found, C)["A/U0"] == pytest.approx(0.15)
-
-
-def test_boards_of_one_fiducial_each_do_not_determine_where_they_lie() -> None:
-    """Panel fiducial P0, A0 of board A, none of board B: the one fiducial of A is no less displaced than A."""
-    found = located_otherwise([0, 2])
-    assert [p.matrix for p in found.values()] == [None, None]
-    assert found["A"].refusal == "A0 alone was found, and not two of the panel's own"
-    assert found["B"].refusal == "B0, B1 was not found"
-    assert all(p.sigma_mm == pytest.approx(0.15) for p in found.values())
+    adjusted: Any = SimpleNamespace(fiducial_px=np.zeros((0, 2)))
+    found = own_places(BoardPlane(panel(), True), adjusted, FiducialPoints.empty(), C)
+    assert {at: (p.matrix, p.refusal) for at, p in found.boards.items()} == {
+        "A": (None, "A0, A1 was not found"),
+        "B": (None, "B0, B1 was not found"),
+    }
+    assert found.sigma_mm["A/U0"] == pytest.approx(0.15)
 
 
 def test_local_fiducials_place_their_component_on_a_displaced_board() -> None:
@@ -220,11 +164,3 @@ def test_local_fiducials_place_their_component_on_a_displaced_board() -> None:
     assert apply(found.matrices["A/U0"], center) - apply(C, center) == pytest.approx(board + part)
     assert apply(found.matrices["A/U1"], center) - apply(C, center) == pytest.approx(board)
     assert set(found.sigma_mm) == {"A/U0", "A/U1", "B/U0", "B/U1"}
-
-
-def test_a_board_without_such_fiducials_has_no_own_places() -> None:
-    data = panel().model_dump(exclude_none=True)
-    data["fiducials"] = data["fiducials"][:2]
-    adjusted: Any = SimpleNamespace(fiducial_px=np.zeros((0, 2)))
-    found = own_places(BoardPlane(BoardType.model_validate(data), True), adjusted, FiducialPoints.empty(), C)
-    assert not any(vars(found).values())

@@ -1,4 +1,4 @@
-"""The error of a reference in the result, by the weight that the reference has in C."""
+"""Standard deviations of rows and matrices against drawn motions, and the share of a reference in C."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from vaoi_station.stitching.quality.uncertainty import (
     reference_share,
     row_covariances,
 )
-from vaoi_station.stitching.work import TaskRunner
 
 PIVOT = np.array([3.0, -2.0])
 NO_PROBLEM = Problem(np.zeros(1), np.zeros(2), to_observations([], ()), np.zeros(0, dtype=np.int_))
@@ -76,12 +75,6 @@ def test_matrix_sigmas_match_drawn_motions(adjusted: AdjustmentResult, workshop:
             assert sigmas[i, j] == pytest.approx([spread[0], spread[1:].max()], rel=0.07)
 
 
-def test_largest_sigma_is_the_major_axis() -> None:
-    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
-    assert largest_sigma(turn @ np.diag([9.0, 4.0]) @ turn.T) == pytest.approx(3.0)
-    assert largest_sigma(np.zeros((2, 2, 2))) == pytest.approx([0, 0])
-
-
 def points(which: list[int], sigma_px: list[float]) -> FiducialPoints:
     k, resolution = len(which), np.full(len(which), 20.0)
     pairs, none = np.zeros((k, 2)), np.zeros(k, int)
@@ -97,18 +90,4 @@ def test_the_share_is_that_of_the_information() -> None:
     assert reference_share(p, residuals) == pytest.approx(1 / 3), "an outlier has no weight"
     assert reference_share(points([REFERENCE], [0.03]), np.zeros((1, 2))) == 1
     assert reference_share(points([0], [0.03]), np.zeros((1, 2))) == 0
-    assert reference_share(None, np.zeros((0, 2))) == 0
     assert reference_share(FiducialPoints.empty(), np.zeros((0, 2))) == 0
-
-
-def test_a_common_error_widens_every_position(filmed: Any) -> None:
-    runner = TaskRunner(filmed.setup, filmed.frame)
-    evidence = [runner.perform(task) for task in filmed.tasks]
-    _, findings = runner.conclude_with_findings(filmed.times_s, filmed.present, evidence)
-    plain = findings.sigma
-    wide = plain.with_common_error(0.1)
-    assert plain.worst_px is not None
-    assert wide.worst_px == pytest.approx(np.hypot(plain.worst_px, 0.1))
-    assert wide.rows_px == pytest.approx(tuple(np.hypot(v, 0.1) for v in plain.rows_px))
-    name = next(iter(plain.of_components))
-    assert wide.of_components[name] == pytest.approx(np.hypot(plain.of_components[name], 0.1), abs=1e-4)

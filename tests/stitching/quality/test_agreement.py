@@ -13,7 +13,6 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType, ReasonCode, Status
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import (
-    FIXTURE,
     REFERENCE,
     AdjustmentResult,
     FiducialPoints,
@@ -22,19 +21,13 @@ from vaoi_station.stitching.adjustment.problem import (
     to_observations,
 )
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.outline import OutlineShift
 from vaoi_station.stitching.quality.agreement import (
-    common_local_reasons,
-    contradiction_reasons,
     fiducial_reasons,
-    outline_reasons,
     reference_reasons,
     uncertain_detections,
-    wrong_size,
 )
 from vaoi_station.stitching.quality.seams import seam_offset_px, seam_px
 from vaoi_station.stitching.quality.verdict import judge_result
-from vaoi_station.stitching.work import TaskRunner
 
 
 def moved(filmed: Any, which: int, off_mm: tuple[float, float]) -> BoardType:
@@ -45,9 +38,7 @@ def moved(filmed: Any, which: int, off_mm: tuple[float, float]) -> BoardType:
     return BoardType.model_validate(data)
 
 
-@pytest.mark.parametrize(
-    ("which", "off_mm"), [(0, (0.0, 0.05)), (0, (0.0, -0.05)), (1, (0.035, 0.035)), (1, (-0.035, -0.035))]
-)
+@pytest.mark.parametrize(("which", "off_mm"), [(0, (0.0, 0.05)), (1, (-0.035, -0.035))])
 def test_an_error_of_which_little_is_left_in_the_residuals_is_a_reason(
     filmed: Any, which: int, off_mm: tuple[float, float]
 ) -> None:
@@ -66,27 +57,6 @@ def test_fiducials_within_the_tolerance_of_artwork_are_no_reason(filmed: Any) ->
         result = filmed.stitched(board_type=moved(filmed, which, (0.006, -0.006)))
         assert result.status is Status.OK, result.reasons
         assert filmed.error_px(result) < 0.3
-
-
-def test_two_fiducials_and_other_points_are_left_to_other_checks(filmed: Any) -> None:
-    runner = TaskRunner(filmed.setup, filmed.frame)
-    evidence = [runner.perform(task) for task in filmed.tasks]
-    findings = runner.conclude_with_findings(filmed.times_s, filmed.present, evidence)[1]
-    plane, adjusted = findings.plane, findings.adjusted
-    points = adjusted.problem.fiducials
-    assert plane is not None
-    assert points is not None
-    far = replace(adjusted, fiducial_px=np.full((len(points.which), 2), 0.2))
-    two = np.flatnonzero(points.which < 2)
-    assert contradiction_reasons(plane, adjusted, points, 10.0) == []
-    assert contradiction_reasons(plane, adjusted, None, 10.0) == []
-    assert contradiction_reasons(plane, replace(adjusted, similarity=None), points, 10.0) == []
-    few = replace(far, fiducial_px=far.fiducial_px[two])
-    assert contradiction_reasons(plane, few, points.select(two), 10.0) == []
-    fixed = replace(points, which=np.where(points.which == 2, FIXTURE, points.which))
-    assert contradiction_reasons(plane, far, fixed, 10.0) == []
-    # Residuals that leave no fiducial far from where the others put it are no reason either.
-    assert contradiction_reasons(plane, far, points, 10.0) == []
 
 
 MARKS = [(2.0, 2.0), (38.0, 3.0), (20.0, 18.0), (3.0, 17.0)]
@@ -135,14 +105,7 @@ def texts(*inputs: Any) -> list[str]:
     return [reason.message for reason in fiducial_reasons(*inputs)]
 
 
-def test_sound_data_give_no_reason() -> None:
-    assert fiducial_reasons(PLANE, adjusted(), points(), STILL, 10.0) == []
-    without_c = replace(adjusted(), similarity=None)
-    assert fiducial_reasons(PLANE, without_c, points(), STILL, 10.0) == []
-    assert fiducial_reasons(PLANE, adjusted(), None, STILL, 10.0) == []
-
-
-@pytest.mark.parametrize("wrong", range(4))
+@pytest.mark.parametrize("wrong", [0, 3])
 def test_the_wrong_fiducial_of_four_is_named(wrong: int) -> None:
     seen, residual = points(), np.zeros((4, 2))
     seen.ground_mm[wrong] += (0.2, -0.1)
@@ -152,21 +115,7 @@ def test_the_wrong_fiducial_of_four_is_named(wrong: int) -> None:
     assert reasons[1].startswith(f"without fiducial F{wrong} the others agree: F{wrong} lies 0.22 mm (2.2 px)")
 
 
-def test_of_two_fiducials_none_is_named() -> None:
-    seen, residual = points(2), np.array([[0.0, 0.0], [0.8, -0.4]])
-    seen.ground_mm[1] += (0.2, -0.1)
-    reasons = texts(PLANE, replace(adjusted(2), fiducial_px=residual), seen, STILL, 10.0)
-    assert len(reasons) == 1
-
-
-@pytest.mark.parametrize(("scale", "text"), [(1.002, "+0.20%"), (0.997, "-0.30%")])
-def test_a_scale_beyond_laminate_is_a_reason(scale: float, text: str) -> None:
-    (reason,) = texts(PLANE, adjusted(2, scale), points(2), STILL, 10.0)
-    assert reason.startswith(f"the board appears {text} larger than its CAD data (limit 0.05%)")
-    assert fiducial_reasons(PLANE, adjusted(2, 1.0004), points(2), STILL, 10.0) == []
-
-
-@pytest.mark.parametrize(("term", "text"), [(1, "tilt along x"), (2, "tilt along y"), (3, "bow along x"), (4, "twist")])
+@pytest.mark.parametrize(("term", "text"), [(1, "tilt along x"), (4, "twist")])
 def test_a_surface_that_no_board_has_is_a_reason(term: int, text: str) -> None:
     surface = [0.0] * 6
     surface[term] = -2.0
@@ -189,64 +138,10 @@ def test_a_surface_of_which_only_the_sum_is_unlikely_is_a_reason() -> None:
     )
 
 
-def test_an_error_of_one_of_two_fiducials_shows_in_the_local_ones() -> None:
-    """F1 lies 0.25 mm off: C turns and stretches about F0, and all local fiducials lie off C by their share of it."""
-    places = {"U1": [(10.0, 5.0), (14.0, 9.0)], "U2": [(30.0, 8.0), (34.0, 12.0)]}
-    local = [
-        {"name": f"{ref}-{n}", "x": x, "y": y, "diameter": 1.0, "kind": "local", "components": [ref]}
-        for ref, at in places.items()
-        for n, (x, y) in enumerate(at)
-    ]
-    parts = [{"ref": ref, "center": at[0], "width": 2, "height": 2} for ref, at in places.items()]
-    marks = [f.model_dump(exclude_none=True) for f in BOARD.fiducials[:2]]
-    data = BOARD.model_dump(exclude_none=True) | {"fiducials": [*marks, *local], "components": parts}
-    plane = BoardPlane(BoardType.model_validate(data), mirrored=False)
-    which = np.arange(6)
-    six, none = points(1), np.zeros((6, 2))
-    seen = replace(
-        six, row=which * 0, ground_mm=none, lean=none, cad=plane.fiducials,
-        sigma_mm=np.where(which < 2, 0.002, 0.5), px_per_mm=np.full(6, 10.0), which=which, camera=which * 0,
-    )  # fmt: skip
-    arm = plane.fiducials - plane.fiducials[0]
-    off_px = np.where(which[:, None] < 2, 0.0, -2.5 * arm / 36.0)
-    ((code, text),) = (
-        (r.code, r.message) for r in common_local_reasons(plane, replace(adjusted(6), fiducial_px=off_px), seen, 10.0)
-    )
-    assert code == ReasonCode.FIDUCIAL_OFF_PLACE
-    assert text.startswith("the local fiducials together lie up to 0.2")
-    assert common_local_reasons(plane, adjusted(6), seen, 10.0) == []
-    third = replace(seen, which=np.array([0, 1, 2, 3, 4, REFERENCE]))
-    assert common_local_reasons(plane, replace(adjusted(6), fiducial_px=off_px), third, 10.0) == []
-
-
-def test_a_lifted_board_is_no_reason() -> None:
-    assert fiducial_reasons(PLANE, adjusted(2, surface=(3.0, 0, 0, 0, 0, 0)), points(2), STILL, 10.0) == []
-
-
 def test_fiducials_without_a_good_detection_are_named() -> None:
     seen = FiducialPoints.joined([points(2, 0.5), points(1, 0.05)])
     assert uncertain_detections(PLANE, seen, 0.2).endswith("in a glare: F1 ± 0.50 px"), "F0 has a good one"
-    assert uncertain_detections(PLANE, points(), 0.2) == uncertain_detections(PLANE, None, 0.2) == ""
-
-
-def shift(x: float, y: float, turn_rad: float = 0.0) -> OutlineShift:
-    return OutlineShift(np.array([x, y]), np.diag([0.01, 0.01]), turn_rad, 1e-3, 25.0, 30)
-
-
-def test_an_outline_off_its_place_is_a_reason() -> None:
-    assert outline_reasons(None, 10.0) == outline_reasons(shift(0.3, -0.2), 10.0) == []
-    (reason,) = outline_reasons(shift(1.2, 0.1), 10.0)
-    assert reason.message.startswith(
-        "the board's outline lies 1.20 mm (12 px) from where the fiducials put it, (+1.20, +0.10)"
-    )
-
-
-def test_a_turned_outline_is_a_reason() -> None:
-    assert outline_reasons(shift(0, 0, 0.006), 10.0) == [], "0.15 mm at the ends: boards are cut so"
-    (reason,) = outline_reasons(shift(0, 0, 0.02), 10.0)
-    assert reason.message.startswith(
-        "the board's outline is turned by +20.0 ± 1.0 mrad against the fiducials, 0.50 mm (5 px)"
-    )
+    assert uncertain_detections(PLANE, points(), 0.2) == ""
 
 
 def referred(off_px: tuple[float, float], count: int = 30) -> tuple[FiducialPoints, np.ndarray]:
@@ -270,7 +165,6 @@ def test_a_reference_that_agrees_or_has_only_false_links_is_no_reason() -> None:
     seen, off = referred((0.0, 0.0))
     false_links = np.random.default_rng(5).uniform(-20, 20, off.shape)
     assert reference_reasons(seen, false_links) == []
-    assert reference_reasons(None, off) == []
     assert reference_reasons(replace(seen, which=np.full(len(off), REFERENCE)), off + 4) == []
 
 
@@ -312,7 +206,7 @@ def resized(board_type: BoardType, diameter: float) -> BoardType:
     return BoardType.model_validate(board_type.model_dump(mode="json", exclude_none=True) | {"fiducials": marks})
 
 
-@pytest.mark.parametrize("stated", [0.7, 1.4, 2.0])
+@pytest.mark.parametrize("stated", [0.7, 2.0])
 def test_marks_of_another_size_at_the_right_places_are_named(filmed: Any, stated: float) -> None:
     board_type = resized(filmed.board_type, stated)
     status, reasons = judge_result(findings_of(filmed, board_type=board_type))
@@ -322,14 +216,3 @@ def test_marks_of_another_size_at_the_right_places_are_named(filmed: Any, stated
     found = float(reasons[0].message.split("marks of about ")[1].split(" mm")[0])
     assert found == pytest.approx(1.0, rel=0.1)
     assert "fiducials-not-found" in [reason.code for reason in reasons]
-
-
-def test_wrong_places_are_not_blamed_on_the_size(filmed: Any) -> None:
-    marks = [mark.model_dump() for mark in filmed.board_type.fiducials]
-    for n, mark in enumerate(marks):
-        mark["x"] += 3.0 * n
-    data = filmed.board_type.model_dump(mode="json", exclude_none=True) | {"fiducials": marks, "outline": None}
-    found = findings_of(filmed, board_type=BoardType.model_validate(data))
-    assert found.plane is not None
-    texture = np.zeros((0, 2))
-    assert wrong_size(found.plane.board_type, found.scene, found.expectation, found.moved.motion, texture) is None

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.stitching.quality.findings import Findings
@@ -19,34 +18,6 @@ def findings_of(filmed: Any, frames: dict[tuple[int, int], Any] | None = None, *
     runner = TaskRunner(replace(filmed.setup, **setup), lambda i, j: there.get((i, j)))
     evidence = [runner.perform(task) for task in filmed.tasks if task.a in there and (task.b or task.a) in there]
     return runner.conclude_with_findings(filmed.times_s, sorted(there), evidence)[1]
-
-
-@pytest.fixture(scope="module")
-def sound(filmed: Any) -> Findings:
-    return findings_of(filmed)
-
-
-def test_a_sound_run_is_one_group_of_all_rows(sound: Findings, filmed: Any) -> None:
-    assert [g.tolist() for g in sound.connected_groups] == [list(range(filmed.head.rows))]
-    assert sound.placed == (True,) * filmed.head.rows
-    assert sound.non_overlapping_pairs == {}
-    assert sound.rows == filmed.head.rows
-
-
-def test_the_final_solution_is_that_with_the_board(sound: Findings) -> None:
-    assert sound.mapping is not None
-    assert sound.adjusted is sound.mapping.adjusted
-    assert sound.problem is sound.mapping.problem
-    assert sound.cad_matrix is not None
-    assert sound.surface is not None
-
-
-def test_seams_are_numbered_by_their_left_camera(sound: Findings) -> None:
-    o = sound.problem.links
-    assert set(o.seam.tolist()) == {-1, 0}
-    assert ((o.seam >= 0) == (o.p == o.q)).all()
-    assert set(sound.seams_px) == {(0, 1)}
-    assert sound.seams_px[0, 1] < 0.1
 
 
 def test_without_a_board_the_solution_is_that_of_the_links(filmed: Any) -> None:
@@ -68,9 +39,3 @@ def test_cameras_that_show_different_things_are_a_pair(filmed: Any) -> None:
     found = findings_of(filmed, pushed)
     assert set(found.non_overlapping_pairs) == {(0, 1)}
     assert found.non_overlapping_pairs[0, 1] >= 2
-
-
-def test_heights_are_those_of_components_of_the_board_type(sound: Findings, filmed: Any) -> None:
-    assert sound.heights
-    assert set(sound.heights) <= {c.address for c in filmed.board_type.components}
-    assert all(h.links >= 2 and h.sigma_mm > 0 for h in sound.heights.values())

@@ -104,20 +104,6 @@ def test_without_links_on_the_body_its_height_is_unknown() -> None:
     assert heights_of(LEADS * 3)[0] == (0, 0, 0)
 
 
-def test_agreeing_links_across_one_edge_are_no_body() -> None:
-    """Patches across the edge of a body measure a mixture, the same along the whole edge."""
-    edge = [(0.25, x, 2.9) for x in (-1.8, -1.2, -0.5, 0.2, 0.9, 1.5, 2.0)]
-    assert heights_of(LEADS + edge)[0][2] == 0
-
-
-def test_board_under_the_whole_body_is_a_missing_part() -> None:
-    bare = [(0.01, x, y) for x in (-0.9, 0.0, 0.9) for y in (-0.9, 0.0, 0.9)]
-    [(mm, sigma_mm, links)] = heights_of(LEADS + bare)
-    assert links >= 9
-    assert abs(mm - 0.01) < 0.01
-    assert sigma_mm < 0.03
-
-
 def test_body_may_fill_its_footprint_or_lie_off_its_centre() -> None:
     """A block has links at its rim. A connector ends before one edge of its footprint."""
     rim = [(1.5, x, y) for x in (-2.9, 0.0, 2.9) for y in (-2.9, 0.0, 2.9)]
@@ -126,24 +112,6 @@ def test_body_may_fill_its_footprint_or_lie_off_its_centre() -> None:
         assert links >= 9
         assert mm == pytest.approx(1.5, abs=0.005)
         assert sigma_mm < 0.02
-
-
-def test_two_levels_on_the_body_widen_sigma_or_give_no_height() -> None:
-    low, high = [(1.0, -0.5, y) for y in (-0.5, 0.5)], [(1.4, 0.5, y) for y in (-0.5, 0.5)]
-    [(mm, sigma_mm, links)] = heights_of(low + high)
-    assert links == 0 or sigma_mm > abs(mm - 1.0) / 3
-
-
-def test_overlapping_patches_of_a_pair_do_not_average_their_noise() -> None:
-    apart = heights_of([(1.1, x, y) for x in (-0.8, 0.0, 0.8) for y in (-0.8, 0.8)], sigma_mm=0.1)
-    same = heights_of([(1.1, 0.01 * k, 0.0) for k in range(6)], sigma_mm=0.1)
-    assert same[0][1] > 1.5 * apart[0][1]
-
-
-def test_wider_noise_widens_sigma() -> None:
-    body = [(1.1, x, y) for x in (-0.8, 0.0, 0.8) for y in (-0.8, 0.8)]
-    narrow, wide = (heights_of(body, sigma_mm=s)[0] for s in (0.01, 0.05))
-    assert narrow[1] < wide[1]
 
 
 @given(st.lists(st.sampled_from([0.0, 0.04, 0.3, 0.9, 0.93, 1.6, -0.5]), max_size=9), st.integers(0, 99))

@@ -20,7 +20,6 @@ from vaoi_station.stitching.quality.confirmation import repeated_frames
 SIZE_PX, PX_PER_MM, STEP_MM = (320, 240), 10.0, 3.0
 MOTION = Motion(np.zeros(2), np.array([(0.0, 0.0), (-STEP_MM, 0.0)]), np.zeros(2))
 """The board is carried 3 mm along x from row 0 to row 1."""
-AT_REST = Motion(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
 C = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -36,7 +35,7 @@ class Filmed:
         picture: NDArray[np.uint8] = self.texture.picture(*SIZE_PX, (float(shift[0]), float(shift[1])))
         return picture
 
-    def repeated(self, *pictures: NDArray[np.uint8], motion: Motion = MOTION, width_mm: float = 200.0) -> bool:
+    def repeated(self, *pictures: NDArray[np.uint8], width_mm: float = 200.0) -> bool:
         """Return whether the second picture is found to repeat the first, on a board of this width; 0: no outline."""
         half = width_mm / 2 or 100.0
         corners = [(x, y) for x, y in ((-half, -100.0), (half, -100.0), (half, 100.0), (-half, 100.0))]
@@ -52,7 +51,7 @@ class Filmed:
         )
         frames = {(0, row): PreparedFrame(picture) for row, picture in enumerate(pictures)}
         scene = Scene((self.camera,), tuple(frames), frames.__getitem__)
-        found = repeated_frames(frames, BoardPlane(board, False), C, scene, motion)
+        found = repeated_frames(frames, BoardPlane(board, False), C, scene, MOTION)
         assert found <= {(0, 1)}, "there is no frame before the first"
         return bool(found)
 
@@ -71,24 +70,6 @@ def test_only_a_frame_that_shows_the_board_in_the_same_place_is_a_repeated_one(f
     assert filmed.repeated(filmed.board(0), noisy(filmed.board(0)))
     assert not filmed.repeated(filmed.board(0), noisy(filmed.board(1)))
     assert not filmed.repeated(filmed.board(0), noisy(filmed.bed.picture(*SIZE_PX))), "it shows neither"
-
-
-def test_a_board_at_rest_looks_the_same_twice(filmed: Filmed) -> None:
-    assert not filmed.repeated(filmed.board(0), noisy(filmed.board(0)), motion=AT_REST)
-
-
-def test_spots_that_stand_still_on_a_board_that_moves_are_no_repeated_frame(filmed: Filmed) -> None:
-    still = [filmed.board(row) for row in (0, 1)]
-    for picture in still:
-        picture[:, :110] = filmed.bed.picture(*SIZE_PX)[:, :110]
-    assert not filmed.repeated(*still)
-
-
-def test_a_bed_that_stands_still_beside_the_board_says_nothing(filmed: Filmed) -> None:
-    bed = filmed.bed.picture(*SIZE_PX)
-    assert filmed.repeated(bed, noisy(bed)), "all of it counts as the board"
-    assert not filmed.repeated(bed, noisy(bed), width_mm=2.0), "the board covers too little of the picture"
-    assert not filmed.repeated(bed, noisy(bed), width_mm=0.0), "nothing says what lies beside the board"
 
 
 def test_few_links_that_fit_by_chance_do_not_confirm_a_repeated_frame() -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tests.stitching.conftest import Filmed
 from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.geometry import apply
-from vaoi_station.model import Reason, Status
+from vaoi_station.model import Status
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.quality.seams import explain_seam, row_offset, shifted_cameras
 from vaoi_station.stitching.quality.verdict import judge_result
@@ -61,12 +61,7 @@ def test_a_blank_overlap_is_blank() -> None:
     assert "not-explained" not in reasons
 
 
-def test_a_board_far_below_the_plane_is_named_with_its_height() -> None:
-    reasons = verdict(film(board={"lift_mm": -3.0}))
-    assert "3.0 mm below the calibrated plane (limit 2 mm)" in reasons["board-off-plane"]
-
-
-@pytest.mark.parametrize(("cameras", "lift_mm"), [(2, -6.0), (2, 6.0), (3, -6.0), (3, 6.0)])
+@pytest.mark.parametrize(("cameras", "lift_mm"), [(2, 6.0), (3, -6.0)])
 def test_a_lift_beyond_reach_is_measured_by_the_overlaps(cameras: int, lift_mm: float) -> None:
     """No camera is blamed where two overlaps show one height, and a wrong position is not placed."""
     width = 60.0 + 33.5 * (cameras - 2)
@@ -83,9 +78,8 @@ def test_a_lift_beyond_reach_is_measured_by_the_overlaps(cameras: int, lift_mm: 
     assert ("one of the two cameras is displaced" in reasons[0].message) == (cameras == 2)
 
 
-@pytest.mark.parametrize("factor", [8.0, 20.0])
-def test_a_saturated_neighbour_is_named(filmed: Any, factor: float) -> None:
-    reasons = verdict(filmed, in_camera_1(filmed.frames, brighter(factor)))
+def test_a_saturated_neighbour_is_named(filmed: Any) -> None:
+    reasons = verdict(filmed, in_camera_1(filmed.frames, brighter(8.0)))
     assert "of the overlap is saturated in camera 1" in reasons["overlap-exposure"]
 
 
@@ -107,10 +101,9 @@ def test_texture_that_noise_hides_in_the_darker_camera_is_a_matter_of_exposure(f
     assert "times as bright as camera 1, and the noise hides its texture" in reason.message
 
 
-@pytest.mark.parametrize(("pitch_mm", "off_px"), [(1.27, 10), (2.0, 12)])
-def test_a_grid_of_leds_is_a_repeated_pattern(pitch_mm: float, off_px: int) -> None:
+def test_a_grid_of_leds_is_a_repeated_pattern() -> None:
     """Their tops appear shifted in camera 1: the search finds a place that is wrong by whole spacings."""
-    filmed = film(array={"overlap": 1.3}, board={"density": 0.0})
+    filmed, pitch_mm, off_px = film(array={"overlap": 1.3}, board={"density": 0.0}), 1.27, 10
     frames = {}
     for (i, j), pixels in filmed.frames.items():
         y, x = np.mgrid[: pixels.shape[0], : pixels.shape[1]].astype(np.float64)
@@ -121,7 +114,7 @@ def test_a_grid_of_leds_is_a_repeated_pattern(pitch_mm: float, off_px: int) -> N
     assert "fit at several places" in verdict(filmed, frames)["overlap-repetitive"]
 
 
-@pytest.mark.parametrize("px", [9, 36, 60, -18])
+@pytest.mark.parametrize("px", [9, 60])
 def test_what_the_overlap_cannot_explain_is_not_explained(filmed: Any, px: int) -> None:
     """The overlap of 36 px leaves too little to find such a displacement: it is not claimed, and not excluded."""
     reasons = verdict(filmed, in_camera_1(filmed.frames, pushed(px)))
@@ -130,19 +123,6 @@ def test_what_the_overlap_cannot_explain_is_not_explained(filmed: Any, px: int) 
     assert "not explained by a displacement within ±4 mm that leaves an overlap" in text
     assert "saturated" in text
     assert "by height (" in text
-
-
-def test_a_displacement_that_explains_the_overlap_is_the_cause(filmed: Any) -> None:
-    status, reasons = judge_result(findings_of(filmed, in_camera_1(filmed.frames, pushed(2))))
-    assert status is Status.DEGRADED
-    assert [reason.code for reason in reasons] == ["camera-displaced"]
-
-
-def test_without_frames_of_both_cameras_nothing_is_explained(filmed: Any) -> None:
-    found = findings_of(filmed, {key: p for key, p in filmed.frames.items() if key[0] == 0})
-    reason = explain_seam(found.scene, found.links, (0, 1), "cameras 0 and 1 disagree", None)
-    nothing = "cameras 0 and 1 disagree: no row has good frames of both cameras to compare"
-    assert reason == Reason("not-explained", nothing)
 
 
 @pytest.mark.parametrize("late", [1, -1])
@@ -156,12 +136,6 @@ def test_a_camera_whose_frames_are_one_row_off_is_named(filmed: Any, late: int) 
     (reason,) = [r.message for r in reasons if r.code == "wrong-rows"]
     assert f"camera 1 match those of camera 0 one row {'earlier' if late > 0 else 'later'}" in reason
     assert not any("moved" in r.message for r in reasons)
-
-
-def test_cameras_in_the_right_rows_have_no_offset(filmed: Any) -> None:
-    sound = findings_of(filmed)
-    assert sound.row_offsets == {}
-    assert row_offset(sound.scene, sound.links, 0) == 0
 
 
 def test_a_camera_whose_neighbouring_rows_are_missing_has_no_offset(filmed: Any) -> None:

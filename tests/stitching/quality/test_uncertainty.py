@@ -17,16 +17,11 @@ from vaoi_station.stitching.board.board_plane import board_plane, landmarks
 from vaoi_station.stitching.matching.frames import Scene
 from vaoi_station.stitching.quality.uncertainty import (
     MODEL_PX,
-    DisplacementArrays,
-    PointArrays,
     PredictedSigma,
-    RowArrays,
-    ViewArrays,
-    position_covariances,
+    jacobians,
     predict_sigma,
     seam_sigma_px,
     shape_covariances,
-    surface_sigma_mm,
 )
 
 ROWS = 3
@@ -69,11 +64,6 @@ def predicted(scene: Scene, plane: Any, found: AdjustmentResult) -> PredictedSig
     )
 
 
-def test_uncertainty_of_c_counts_in_every_row(scene: Scene, plane: Any) -> None:
-    sigma = predicted(scene, plane, adjusted([0.0] * 3, c_sigma_mm=0.02))
-    assert sigma.rows_px == pytest.approx([np.hypot(0.2, MODEL_PX)] * 3)
-
-
 @pytest.mark.parametrize(
     ("moved_px", "expected_px", "beyond_px"), [(0.4, 0.0, 0.4), (0.4, 0.3, 0.265), (0.3, 0.4, 0.0), (0.09, 0.0, 0.0)]
 )
@@ -102,13 +92,6 @@ def test_influence_beside_an_unobserved_unknown_is_computed(scene: Scene, plane:
     assert sigma.rows_px[2] == pytest.approx(np.hypot(0.1, 0.4), abs=0.01)
 
 
-def test_without_c_rows_have_a_sigma_and_components_have_none(scene: Scene, plane: Any) -> None:
-    for board in (None, plane):
-        sigma = predict_sigma(scene, board, adjusted([0.0, 0.01, 0.03]), None)
-        assert sigma.worst_px is None
-        assert sigma.rows_px[2] == pytest.approx(np.hypot(0.3, MODEL_PX))
-
-
 def test_rows_without_a_component_in_view_have_the_sigma_of_their_motion(scene: Scene, plane: Any) -> None:
     blind = replace(scene, present=((0, 0), (0, 1)))
     sigma = predicted(blind, plane, adjusted([0.0, 0.01, 0.5]))
@@ -116,66 +99,21 @@ def test_rows_without_a_component_in_view_have_the_sigma_of_their_motion(scene: 
     assert sigma.worst_px == pytest.approx(np.hypot(0.1, MODEL_PX))
 
 
-def test_position_covariances_match_numeric_derivatives() -> None:
-    """Row, C, surface and displacement at once, against numpy and numeric derivatives of a detection's residual."""
+def test_jacobians_match_numeric_derivatives() -> None:
+    """Of a detection's residual, by its row, C and the surface."""
     g = np.random.default_rng(4)
-    angle, shift, pivot, c = g.normal(0, 0.1, 2), g.normal(0, 5, (2, 2)), np.array([3.0, -2.0]), g.normal(0, 1, 4)
-    flat, functions, place, lean = (
-        g.normal(0, 9, (3, 2)),
-        g.normal(0, 1, (3, 6)),
-        g.normal(0, 9, (4, 2)),
-        g.normal(0, 0.1, (4, 2)),
-    )
-    half = g.normal(0, 1, (2, 19, 19))
-    half[:, 13:] = half[0, 13:]
-    whole = half @ half.swapaxes(1, 2)
-    covariance, cross, own = whole[:, :13, :13], whole[:, :13, 13:], whole[0, 13:, 13:]
-    camera, by_camera = np.array([0, 1, 0, 1]), g.normal(0, 1, (4, 3, 3))
-    row, point = np.array([0, 1, 1, 0]), np.array([2, 0, 1, 1])
-    found = position_covariances(
-        ViewArrays(row, point, place, lean),
-        PointArrays(flat, functions),
-        RowArrays(angle, pivot, np.ascontiguousarray(covariance)),
-        DisplacementArrays(camera, by_camera, np.ascontiguousarray(cross), np.ascontiguousarray(own)),
-    )
+    angle, arm, flat, pivot = g.normal(0, 0.1, 3), g.normal(0, 9, (3, 2)), g.normal(0, 9, (3, 2)), np.array([3.0, -2.0])
+    shift, c, heights = g.normal(0, 5, 2), g.normal(0, 1, 4), g.normal(0, 0.1, (3, 2, 6))
+    found, first = jacobians(angle, arm, flat, heights), np.zeros(1, dtype=np.int_)
 
     def residual(k: int, unknowns: Any) -> Any:
-        motion = Motion(unknowns[None, 0], unknowns[None, 1:3], pivot)
-        first = np.zeros(1, dtype=np.int_)
-        board = motion.board(first, place[k : k + 1])
-        leaning = Motion(angle[row[k], None], shift[:1], pivot).turned(first, lean[k : k + 1])
-        return (
-            board
-            + leaning * (functions[point[k]] @ unknowns[7:])
-            - apply_similarity(unknowns[3:7], flat[point[k], None])
-        )[0]
+        board = Motion(unknowns[None, 0], unknowns[None, 1:3], pivot).board(first, arm[k : k + 1] + pivot)[0]
+        return board + heights[k] @ unknowns[7:] - apply_similarity(unknowns[3:7], flat[k, None])[0]
 
-    for k in range(4):
-        at = np.concatenate([angle[row[k], None], shift[row[k]], c, np.zeros(6)])
+    for k in range(3):
+        at = np.concatenate([angle[k, None], shift, c, np.zeros(6)])
         j = np.stack([(residual(k, at + d) - residual(k, at - d)) / 2e-6 for d in 1e-6 * np.eye(13)], -1)
-        moved = np.zeros((2, 6))
-        moved[:, 3 * camera[k] : 3 * camera[k] + 3] = j[:, :3] @ by_camera[k]
-        j = np.concatenate([j, moved], 1)
-        assert found[k] == pytest.approx(j @ whole[row[k]] @ j.T, rel=1e-6)
-
-
-def test_json_has_every_view_with_four_significant_digits() -> None:
-    covariance = np.array([[[1.23456e-5, -2.5e-9], [-2.5e-9, 4.0]], [[9.87654e-3, 0.0], [0.0, 1.0]]])
-    sigma = PredictedSigma((0.1,), 2.0, ("U1", "U2"), np.array([1, 1]), np.array([[0, 2], [1, 2]]), covariance)
-    assert sigma.to_json() == {"U2": [[0, 2, 1.235e-5, -2.5e-9, 4.0], [1, 2, 9.877e-3, 0.0, 1.0]]}
-    assert sigma.of_components == {"U2": 2.0}
-    assert sigma.views["U2"][1, 2] == pytest.approx(covariance[1])
-
-
-def test_surface_sigma_is_that_of_the_basis_functions(plane: Any) -> None:
-    flat = adjusted([0.0] * ROWS)
-    places = np.array([[8.0, 15.0], [0.0, 0.0]])
-    assert surface_sigma_mm(plane, flat, places) == pytest.approx([0.0, 0.0])
-    whole = np.zeros((ROWS, 13, 13))
-    whole[:, 7, 7] = 0.25
-    assert surface_sigma_mm(plane, replace(flat, surface_mm=np.zeros(6), covariance=whole), places) == pytest.approx(
-        [0.5, 0.5]
-    )
+        assert found[k] == pytest.approx(j, rel=1e-6, abs=1e-6)
 
 
 def test_errors_of_the_calibrated_shape_widen_every_view(scene: Scene, plane: Any) -> None:
@@ -193,9 +131,3 @@ def test_errors_of_the_calibrated_shape_widen_every_view(scene: Scene, plane: An
     assert wide.worst_px is not None
     assert sound.worst_px is not None
     assert wide.worst_px > sound.worst_px + seam_sigma_px(camera)
-
-
-def test_shift_and_turn_of_a_calibration_are_no_error_of_its_shape(scene: Scene) -> None:
-    camera = replace(scene.cameras[0], covariance_px2=np.diag([1.0, 1.0, 1.0, *[0.0] * 6]))
-    assert seam_sigma_px(camera) == 0
-    assert not shape_covariances((camera,), np.zeros(1, dtype=np.int_), np.zeros((1, 2))).any()

@@ -15,16 +15,12 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, Projective, System
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.adjustment.problem import Ints
+from vaoi_station.stitching.adjustment.problem import FiducialPoints, Ints
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.geometry import ComponentIndex
-from vaoi_station.stitching.matching.frames import Scene
-from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
 _ALIKE_RAD, _ROUNDING = np.radians(3.0), 1e-6
-"""Largest angle (rad) between two cameras that count as mounted alike; tolerance for rounding errors.
-
-The tolerance applies to sums that would be equal without rounding errors."""
+"""Largest angle (rad) between two cameras that count as mounted alike; tolerance of sums for rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +56,17 @@ class BoardPlane:
         """Flat coordinates (k, 2) of the k fiducials of the board type."""
         return self.flat(np.array([(f.x, f.y) for f in self.board_type.fiducials]).reshape(-1, 2))
 
+    def placing(self, points: FiducialPoints) -> list[int]:
+        """Return the numbers of the found fiducials that have a part in C, in order."""
+        found = set(points.which[points.which >= 0].tolist())
+        return sorted(found - self.board_type.apart_from_c(found, points.fixture_marks))
+
 
 def board_plane(board_type: BoardType, camera: Camera) -> BoardPlane:
     """Make the plane of a board type: decide whether C mirrors, from the CAD data and one camera of the array.
 
-    The map from CAD to image mirrors if exactly one of "y up" and "bottom side" holds (docs/conventions.md,
-    handedness). This map is the product of C and the camera matrix. So C mirrors if either the map or the camera matrix
-    mirrors, but not both.
+    The product of C and the camera matrix mirrors if exactly one of "y up" and "bottom side" holds
+    (docs/conventions.md, handedness).
     """
     # Handedness is never fitted to detections: two fiducials, or a symmetric board, fit mirrored data as well.
     return BoardPlane(board_type, board_type.mirrors != camera.image_from_row.mirrors)
@@ -75,67 +75,47 @@ def board_plane(board_type: BoardType, camera: Camera) -> BoardPlane:
 def typical_camera(cameras: Sequence[Camera]) -> Camera:
     """Return a camera that is mounted as most cameras of the array are; the first one if all are mounted alike.
 
-    A board's expected rotation is stated as a camera sees it. A camera that is mounted upside down, or rolled, sees it
-    otherwise. If the cameras are not mounted alike, the direction of image x on which most of them agree is rounded to
-    the nearest axis of the tester. The camera whose image x has this direction is returned; if there is none, the first
-    camera is returned, rolled to this direction.
+    A board's expected rotation is stated as a camera sees it. If cameras are upside down or rolled, the direction of
+    image x on which most of them agree is rounded to the nearest axis of the tester; if no camera has it, the first one
+    is returned, rolled to it.
     """
-    directions = np.array([_image_x(c) for c in cameras])
+    directions = np.array([_direction(c, 0.0) for c in cameras])
     if (np.cos(directions - directions[0]) >= np.cos(_ALIKE_RAD)).all():
         return cameras[0]
     agreement = np.cos(directions[:, None] - directions).sum(1)
-    # Sums that are equal may differ by rounding.
     most = directions[np.flatnonzero(agreement >= agreement.max() - _ROUNDING)[0]]
     upright = np.round(most / (np.pi / 2)) * (np.pi / 2)
     nearest = int(np.argmax(np.round(np.cos(directions - upright), 3)))
     if np.cos(directions[nearest] - upright) >= np.cos(_ALIKE_RAD):
         return cameras[nearest]
-    return _rolled(cameras[0], upright - directions[0])
-
-
-def _rolled(camera: Camera, angle_rad: float) -> Camera:
-    """Return a camera rolled about its picture's centre, so that image x turns by an angle in tester coordinates."""
-    turn = angle_rad if camera.image_from_row.mirrors else -angle_rad
+    camera, turn = cameras[0], upright - directions[0]
+    turn = turn if camera.image_from_row.mirrors else -turn
     (u, v), c, s = camera.center_px, np.cos(turn), np.sin(turn)
     rolled = np.array([[c, -s, u - c * u + s * v], [s, c, v - s * u - c * v], [0.0, 0.0, 1.0]])
     matrix = Projective(rolled @ camera.image_from_row.matrix, System.IMAGE, System.ROW)
     return replace(camera, image_from_row=matrix)
 
 
-def _image_x(camera: Camera) -> float:
-    """Return the direction of image x in tester coordinates, in rad."""
+def _direction(camera: Camera, angle_rad: float) -> float:
+    """Return the direction of an angle in the image, in tester coordinates, rad."""
     middle = np.asarray(camera.center_px)
-    way = camera.row_from_image(np.stack([middle, middle + (1.0, 0.0)]))
+    way = camera.row_from_image(np.stack([middle, middle + (np.cos(angle_rad), np.sin(angle_rad))]))
     return float(np.arctan2(*(way[1] - way[0])[::-1]))
 
 
 def expected_angle(plane: BoardPlane, camera: Camera, expectation: Expectation) -> float:
     """Compute the expected direction of the x axis of flat coordinates, as an angle in tester coordinates, rad."""
-    upright = np.pi if plane.board_type.side == "bottom" else 0.0
-    turn = upright + expectation.angle_rad
-    middle = np.asarray(camera.center_px)
-    # The expected angle holds in the image. A step of one pixel in that direction, mapped to mm, gives the direction.
-    way = camera.row_from_image(np.stack([middle, middle + (np.cos(turn), np.sin(turn))]))
-    return float(np.arctan2(*(way[1] - way[0])[::-1]))
+    return _direction(camera, (np.pi if plane.board_type.side == "bottom" else 0.0) + expectation.angle_rad)
 
 
-def component_at(plane: BoardPlane, c: Floats, board_mm: Floats) -> Ints:
-    """Return for each board point (k, 2), mm, the number of the smallest component on which it lies, or −1 for none."""
-    return plane.components.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
-
-
-def near_component(plane: BoardPlane, c: Floats, board_mm: Floats, scene: Scene) -> Ints:
-    """Return for each board point (k, 2), mm, the number of the component that a link's patch there reaches, or −1."""
-    half_patch_mm = WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))
-    wider = plane.components.widened(half_patch_mm)
-    return wider.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
+def component_at(plane: BoardPlane, c: Floats, board_mm: Floats, reach_mm: float = 0.0) -> Ints:
+    """Return for each board point (k, 2), mm, the number of the smallest component within reach, or −1."""
+    parts = plane.components.widened(reach_mm) if reach_mm else plane.components
+    return parts.find(np.asarray(np.linalg.inv(plane.matrix(c)), np.float64), board_mm)
 
 
 def landmarks(plane: BoardPlane) -> tuple[tuple[str, ...], Floats]:
-    """Return names and CAD coordinates (n, 2) of the points whose views are computed.
-
-    These are the centres of the components or, for a board type without components, two corners of the board.
-    """
+    """Return names and CAD coordinates (n, 2) of the points whose views are computed."""
     parts = plane.components
     if parts.addresses:
         return parts.addresses, parts.center

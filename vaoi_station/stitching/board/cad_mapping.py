@@ -29,13 +29,7 @@ from vaoi_station.stitching.adjustment.problem import (
 )
 from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links
 from vaoi_station.stitching.adjustment.solver import adjust
-from vaoi_station.stitching.board.board_plane import (
-    BoardPlane,
-    component_at,
-    expected_angle,
-    near_component,
-    typical_camera,
-)
+from vaoi_station.stitching.board.board_plane import BoardPlane, component_at, expected_angle, typical_camera
 from vaoi_station.stitching.board.fiducials import (
     Hypothesis,
     assign_fiducials,
@@ -49,7 +43,6 @@ from vaoi_station.stitching.board.fiducials import (
 from vaoi_station.stitching.board.outline import (
     MOST_BESIDE,
     LeftOut,
-    Orientation,
     OutlineContrast,
     OutlineShift,
     compare_orientations,
@@ -63,7 +56,6 @@ from vaoi_station.stitching.board.outline import (
 from vaoi_station.stitching.board.reference import (
     Reference,
     ReferenceScene,
-    Rivals,
     cad_points,
     compare_with_reference,
     disagreeing_reference,
@@ -72,6 +64,7 @@ from vaoi_station.stitching.board.reference import (
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import Detections, Links, Method
 from vaoi_station.stitching.matching.frames import Scene
+from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
 _LEAST_REFERRED = 12
 """Least number of points linked to a reference that can place a board without fiducials."""
@@ -80,9 +73,7 @@ _LEAST_OWN_LINKS = 24
 _SELECTIONS = 4
 """Largest number of times that links on the board are selected, each time with the motion and C of the last ones."""
 _CERTAIN_FIDUCIALS = 3
-"""Number of fiducials from which on a board is placed although its outline is not confirmed.
-
-In addition, all fiducials of the board type must be found."""
+"""Number of fiducials, if all are found, from which on a board is placed although its outline is not confirmed."""
 
 
 class Turned(Failure):
@@ -103,7 +94,6 @@ class CadMapping:
     moved: AdjustmentResult | None = None
     """The motion of the rows from links on the board alone; None if no links beside the board were left out."""
     left_out: LeftOut | None = None
-    """The links beside the board that were left out; None if none were."""
 
     @property
     def problem(self) -> Problem:
@@ -123,53 +113,12 @@ class MappingInputs:
     reference: Reference | None = None
     reference_links: tuple[Links, ...] = ()
     taught: ReferenceScene | None = None
-    """Result and frames of the reference; None if its frames cannot be read."""
 
 
-def map_cad(
-    plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs
-) -> CadMapping | Failure:
-    """Find the board, locate its fiducials again where a first C predicts them, and adjust all unknowns together.
-
-    Args:
-        moved: solution of that problem, whose motion of the rows is used.
-    """
-    referred = FiducialPoints.empty()
-    if known.reference is not None and known.method.reference:
-        referred = cad_points(known.reference_links, scene.cameras, plane, known.reference)
-    first = _find_first_c(plane, scene, moved, known, referred)
-    apart = _apart_from_surroundings(plane, scene, problem, moved, known, first)
-    if apart is not None:
-        problem, moved, first = apart[:3]
-    guess, detections, outline = first
-    if isinstance(guess, Failure):
-        return guess
-    if apart is None:
-        confirmed = partial(outline_confirmed, plane, plane.matrix(guess.c), scene, moved.motion)
-        problem = without_links_beside(plane, problem, moved.motion, guess.c, confirmed)
-    places = apply(plane.matrix(guess.c), plane.cad(plane.fiducials))
-    if plane.board_type.board_fiducials:
-        found = merge_detections(detections, scene.cameras, moved.motion)
-        places = displaced_places(plane.board_type, places, found.mm, found.kind)
-    seen = relocate_fiducials(plane.board_type, places, scene, moved.motion, detections)
-    marks = assign_fiducials(plane, guess.c, seen, scene.cameras, moved.motion, places)
-    # Boards of a panel lie differently in every panel, so that a reference shows no C where fiducials do.
-    fiducials = len(set(marks.which[marks.which >= 0].tolist()))
-    alone = bool(plane.board_type.board_fiducials) and max(fiducials, marks.fixture_marks) >= 2
-    points = marks if alone else FiducialPoints.joined([marks, referred])
-    whole = _with_board(problem, points, plane, scene, moved.motion, guess.c)
-    adjusted = adjust(whole, moved.motion, guess.c)
-    if contradiction := disagreeing_reference(points, adjusted.fiducial_px):
-        return contradiction
-    # The outline is measured with the displaced cameras, as everything after the adjustment is.
-    corrected = replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
-    shift = _measured_shift(plane, corrected, adjusted)
-    mapping = CadMapping(adjusted, outline, guess.ambiguous, shift)
-    return mapping if apart is None else replace(mapping, moved=moved, left_out=apart.left_out)
-
-
-_FirstC = tuple[Hypothesis | Failure, tuple[Detections, ...], OutlineContrast | None]
-"""A first C, the detections among which it was found, and the contrast of the outline."""
+class _FirstC(NamedTuple):
+    guess: Hypothesis | Failure
+    detections: tuple[Detections, ...]
+    outline: OutlineContrast | None
 
 
 class _OwnTexture(NamedTuple):
@@ -180,23 +129,63 @@ class _OwnTexture(NamedTuple):
     first: _FirstC
     left_out: LeftOut
 
+    @property
+    def fits(self) -> int:
+        return len(self.first.guess.fiducials) if isinstance(self.first.guess, Hypothesis) else 0
+
+    @property
+    def cost(self) -> float:
+        return self.first.guess.cost if isinstance(self.first.guess, Hypothesis) else np.inf
+
+
+def map_cad(
+    plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs
+) -> CadMapping | Failure:
+    """Find the board, locate its fiducials again where a first C predicts them, and adjust all unknowns together."""
+    referred, board_type = FiducialPoints.empty(), plane.board_type
+    if known.reference is not None and known.method.reference:
+        referred = cad_points(known.reference_links, scene.cameras, plane, known.reference)
+    first = _find_first_c(plane, scene, moved, known, referred)
+    apart = _apart_from_surroundings(plane, scene, problem, moved, known, first)
+    if apart is not None:
+        problem, moved, first = apart[:3]
+    guess, motion = first.guess, moved.motion
+    if isinstance(guess, Failure):
+        return guess
+    if apart is None:
+        confirmed = partial(outline_confirmed, plane, plane.matrix(guess.c), scene, motion)
+        problem = without_links_beside(plane, problem, motion, guess.c, confirmed)
+    places = apply(plane.matrix(guess.c), plane.cad(plane.fiducials))
+    if board_type.board_fiducials:
+        found = merge_detections(first.detections, scene.cameras, motion)
+        places = displaced_places(board_type, places, found.mm, found.kind)
+    seen = relocate_fiducials(board_type, places, scene, motion, first.detections)
+    marks = assign_fiducials(plane, guess.c, seen, scene.cameras, motion, places)
+    # Boards of a panel lie differently in every panel, so that a reference shows no C where fiducials do.
+    fiducials = len(set(marks.which[marks.which >= 0].tolist()))
+    alone = bool(board_type.board_fiducials) and max(fiducials, marks.fixture_marks) >= 2
+    points = marks if alone else FiducialPoints.joined([marks, referred])
+    adjusted = adjust(_with_board(problem, points, plane, scene, motion, guess.c), motion, guess.c)
+    if contradiction := disagreeing_reference(points, adjusted.fiducial_px):
+        return contradiction
+    # The outline is measured with the displaced cameras, as everything after the adjustment is.
+    corrected = replace(scene, cameras=adjusted.problem.cameras) if adjusted.cameras is not None else scene
+    c, shift = adjusted.similarity, None
+    if c is not None:
+        shift = measure_outline_shift(board_type, plane.matrix(c), corrected, adjusted.motion)
+    own = (None, None) if apart is None else (moved, apart.left_out)
+    return CadMapping(adjusted, first.outline, guess.ambiguous, shift, *own)
+
 
 def _apart_from_surroundings(
     plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs, first: _FirstC
 ) -> _OwnTexture | None:
-    """Leave out the links beside the board if they are many, or if no board is found with them.
+    """Leave out the links beside the board if they are many, or if no board is found with them; None to keep all.
 
     A carrier, or a belt with texture, may move with the board or stand still, at the board's height or below it. Every
-    position of the board that the detections allow is tried. For each, the motion is estimated again from the links
-    inside the outline, and a C is searched with this motion. The position is accepted if a C is found and the pictures
-    confirm the outline. If no position is confirmed, the first C is kept. If there is no first C, a position is
-    accepted at which all fiducials, at least three, are found; the verdict reports that the outline does not confirm
-    it.
-
-    Returns:
-        The run without the links beside the board; None if all links are kept.
+    position of the board that the detections allow is tried, and the pictures must confirm its outline.
     """
-    guess, known = first[0], replace(known, detections=first[1])
+    guess, known = first.guess, replace(known, detections=first.detections)
     if not known.method.links or isinstance(guess, Turned) or plane.board_type.outline is None:
         return None
     rough, of_rows = [], 1.0
@@ -207,7 +196,7 @@ def _apart_from_surroundings(
         rough.append(guess)
     if known.method.marks:
         angle = expected_angle(plane, typical_camera(scene.cameras), known.expectation)
-        seen = merge_detections(first[1], scene.cameras, moved.motion)
+        seen = merge_detections(first.detections, scene.cameras, moved.motion)
         rough += find_rough_places(plane, seen, angle, known.expectation)
     tried = [_without_surroundings(plane, scene, problem, moved, known, place.c) for place in rough]
     found = [one for one in tried if one is not None]
@@ -216,31 +205,18 @@ def _apart_from_surroundings(
         # Links beside the board that occur only between cameras do not make the position doubtful.
         return tried[0] if of_rows > MOST_BESIDE else None
     if not confirmed:
-        every = len(plane.fiducials)
-        confirmed = [one for one in found if _fits(one) >= max(every, _CERTAIN_FIDUCIALS)]
-    if not confirmed and found:
-        return _unconfirmed(min(found, key=_cost), guess)
-    return min(confirmed, key=_cost, default=None)
-
-
-def _unconfirmed(one: _OwnTexture, failure: Hypothesis | Failure) -> _OwnTexture | None:
-    """Return the run with a failure in place of C; the failure names the texture beside the board as its cause."""
-    if not isinstance(failure, Failure) or one.left_out.share <= MOST_BESIDE:
+        confirmed = [one for one in found if one.fits >= max(len(plane.fiducials), _CERTAIN_FIDUCIALS)]
+    if confirmed or not found or not isinstance(guess, Failure):
+        return min(confirmed, key=lambda one: one.cost, default=None)
+    best = min(found, key=lambda one: one.cost)
+    if best.left_out.share <= MOST_BESIDE:
         return None
     text = (
-        f"{failure.reason}. Without the {one.left_out.share:.0%} of the texture that would lie beside the board, "
-        f"{_fits(one)} of them fit, but the edges of the board do not show there: a carrier or a belt with texture "
+        f"{guess.reason}. Without the {best.left_out.share:.0%} of the texture that would lie beside the board, "
+        f"{best.fits} of them fit, but the edges of the board do not show there: a carrier or a belt with texture "
         "must be brighter or darker than the board's edge, and a third fiducial places the board in spite of it"
     )
-    return one._replace(first=(Failure(text, failure.code), one.first[1], None))
-
-
-def _cost(one: _OwnTexture) -> float:
-    return one.first[0].cost if isinstance(one.first[0], Hypothesis) else np.inf
-
-
-def _fits(one: _OwnTexture) -> int:
-    return len(one.first[0].fiducials) if isinstance(one.first[0], Hypothesis) else 0
+    return best._replace(first=_FirstC(Failure(text, guess.code), first.detections, None))
 
 
 def _without_surroundings(
@@ -248,9 +224,8 @@ def _without_surroundings(
 ) -> _OwnTexture | None:
     """Estimate the motion from the links on a board at position `c`, and find C with it; None if no C is found.
 
-    Both are repeated until they agree with the links that were selected: with the motion of a belt, a position in a
-    later row is taken for that in the first one, and links beside the board for its own. If two selections lead to each
-    other, only the links that both contain are used: a row that is linked by its surroundings alone has no place.
+    Both are repeated until they agree with the links that were selected: with the motion of a belt, links beside the
+    board are taken for its own. If two selections lead to each other, only the links that both contain are used.
     """
     coarsest = min(camera.px_per_mm for camera in scene.cameras)
     share = shares_beside(plane, c, problem.links, moved.motion)[0]
@@ -271,37 +246,41 @@ def _without_surroundings(
         if isinstance(found, Failure):
             return None
         guess, c = found, found.c
-    outline = _measured_outline(plane, scene, motion.motion, guess)
-    confirmed = (
-        outline is not None
-        and outline.visible
-        and outline_confirmed(plane, plane.matrix(guess.c), scene, motion.motion)
-    )
+    outline = _outline(plane, scene, motion, guess)
+    visible = outline is not None and outline.visible
+    confirmed = visible and outline_confirmed(plane, plane.matrix(guess.c), scene, motion.motion)
     others = problem.links.select(np.setdiff1d(np.arange(len(problem.links)), earlier[-1]))
-    return _OwnTexture(own, motion, (guess, known.detections, outline), LeftOut(share, confirmed, others))
+    return _OwnTexture(own, motion, _FirstC(guess, known.detections, outline), LeftOut(share, confirmed, others))
 
 
 def _find_first_c(
     plane: BoardPlane, scene: Scene, moved: AdjustmentResult, known: MappingInputs, referred: FiducialPoints
-) -> tuple[Hypothesis | Failure, tuple[Detections, ...], OutlineContrast | None]:
-    """Find a first C; return it with the detections it was found among, and with the contrast of the outline."""
+) -> _FirstC:
     guess, detections = _c_from_detections(plane, scene, moved, known), known.detections
-    outline = _measured_outline(plane, scene, moved.motion, guess)
+    outline = _outline(plane, scene, moved, guess)
+    if isinstance(guess, Turned):
+        return _FirstC(guess, detections, outline)
     # Marks that resemble a fiducial may have displaced the fiducials from a frame's short list of detections. A longer
     # list may contain them.
-    if isinstance(guess, Turned):
-        return guess, detections, outline
     if known.method.marks and (isinstance(guess, Failure) or (outline is not None and not outline.visible)):
         deep = tuple(detect_more_marks(plane.board_type, scene, detections, fixture=known.method.fixture))
         second = _c_from_detections(plane, scene, moved, replace(known, detections=deep))
         if isinstance(second, Hypothesis) or isinstance(guess, Failure):
-            guess, detections, outline = second, deep, _measured_outline(plane, scene, moved.motion, second)
+            guess, detections, outline = second, deep, _outline(plane, scene, moved, second)
     # The reference run comes last: fiducials on the board itself are more reliable than a position from another run.
     lost = isinstance(guess, Failure) and not isinstance(guess, Turned)
     if lost and known.reference is not None and len(referred.row) >= _LEAST_REFERRED:
         guess = Hypothesis(initial_similarity(plane, known.reference, referred, moved.motion), 0.0, ())
-        outline = _measured_outline(plane, scene, moved.motion, guess)
-    return guess, detections, outline
+        outline = _outline(plane, scene, moved, guess)
+    return _FirstC(guess, detections, outline)
+
+
+def _outline(
+    plane: BoardPlane, scene: Scene, moved: AdjustmentResult, guess: Hypothesis | Failure
+) -> OutlineContrast | None:
+    if isinstance(guess, Failure):
+        return None
+    return measure_outline_contrast(plane.board_type, plane.matrix(guess.c), scene, moved.motion)
 
 
 def _c_from_detections(
@@ -310,100 +289,72 @@ def _c_from_detections(
     """Find C from the detections; fail if the pictures show that the board is turned by 180°."""
     if not known.method.marks:
         return Failure("no point of the run was found again in the reference", ReasonCode.REFERENCE_NOT_FOUND)
-    expectation, detections = known.expectation, known.detections
+    expectation, motion, texture = known.expectation, moved.motion, known.texture_mm
     angle = expected_angle(plane, typical_camera(scene.cameras), expectation)
-    places = merge_detections(detections, scene.cameras, moved.motion)
-    texture = known.texture_mm
+    places = merge_detections(known.detections, scene.cameras, motion)
     guess = find_board(plane, places, angle, expectation, texture)
     if isinstance(guess, Failure):
         return guess
-    # The turned board is a rival only if it fits at least as many fiducials. The pictures then decide.
     turned = find_board(plane, places, angle + np.pi, expectation, texture)
-    if isinstance(turned, Hypothesis) and len(turned.fiducials) >= len(guess.fiducials):
-        orientation = compare_orientations(
-            plane.board_type, plane.matrix(guess.c), plane.matrix(turned.c), scene, moved.motion
-        )
-        if orientation is not None and orientation.contradicts:
-            return _turned_failure(plane, orientation)
-        if orientation is None or not orientation.confirms:
-            return _by_reference(plane, scene, moved.motion, known, guess, turned)
-    return guess
+    if isinstance(turned, Failure) or len(turned.fiducials) < len(guess.fiducials):
+        return guess
+    return _decided(plane, scene, motion, known.taught, guess, turned)
 
 
-def _by_reference(
-    plane: BoardPlane, scene: Scene, motion: Motion, known: MappingInputs, guess: Hypothesis, turned: Hypothesis
+def _decided(
+    plane: BoardPlane,
+    scene: Scene,
+    motion: Motion,
+    taught: ReferenceScene | None,
+    guess: Hypothesis,
+    turned: Hypothesis,
 ) -> Hypothesis | Failure:
-    """Decide the orientation by the reference's frames; if these leave it open, by the number of fiducials that fit."""
-    if known.taught is not None:
-        rivals = Rivals(plane.matrix(guess.c), plane.matrix(turned.c))
-        found = compare_with_reference(plane.board_type, rivals, scene, motion, known.taught)
+    """Decide between C and that of the turned board, which fits at least as many fiducials.
+
+    Outline and components decide, else the frames of the reference, else the number of fiducials. If that is equal, C
+    is kept and marked as ambiguous.
+    """
+    board_type = plane.board_type
+    is_turned = f"the board lies turned by 180°, or is of another type than {board_type.name!r}: "
+    rivals = plane.matrix(guess.c), plane.matrix(turned.c)
+    edges = compare_orientations(board_type, *rivals, scene, motion)
+    if edges is not None and edges.contradicts:
+        contrast = f"{edges.turned:.0f} against {edges.as_placed:.0f} grey levels"
+        shown = f"by its {edges.evidence} the pictures fit the turned board (edge contrast {contrast})"
+        return Turned(is_turned + shown, ReasonCode.BOARD_TURNED)
+    if edges is not None and edges.confirms:
+        return guess
+    if taught is not None:
+        found = compare_with_reference(board_type, *rivals, scene, motion, taught)
         if found.contradicts:
-            return Turned(
-                f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: its pictures "
-                f"match the reference only when turned (correlation {found.turned:.2f} against {found.as_placed:.2f} "
-                f"at {found.patches} places)",
-                ReasonCode.BOARD_TURNED,
+            shown = (
+                f"its pictures match the reference only when turned (correlation {found.turned:.2f} against "
+                f"{found.as_placed:.2f} at {found.patches} places)"
             )
+            return Turned(is_turned + shown, ReasonCode.BOARD_TURNED)
         if found.confirms:
             return guess
-    return _by_fiducial_count(plane, guess, turned)
-
-
-def _by_fiducial_count(plane: BoardPlane, guess: Hypothesis, turned: Hypothesis) -> Hypothesis | Failure:
-    """Decide the orientation by the number of fiducials that fit, where the pictures do not decide it.
-
-    If more fiducials fit the turned board, the mapping fails. If the numbers are equal, C is kept and marked as
-    ambiguous.
-    """
     fit, fit_turned = len(guess.fiducials), len(turned.fiducials)
     if fit_turned > fit:
-        return Failure(
-            f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: "
-            f"{fit_turned} of its fiducials fit the turned board, {fit} the board as expected",
-            ReasonCode.BOARD_TURNED,
-        )
+        shown = f"{fit_turned} of its fiducials fit the turned board, {fit} the board as expected"
+        return Failure(is_turned + shown, ReasonCode.BOARD_TURNED)
     return replace(guess, ambiguous=True)
-
-
-def _measured_outline(
-    plane: BoardPlane, scene: Scene, motion: Motion, guess: Hypothesis | Failure
-) -> OutlineContrast | None:
-    if isinstance(guess, Failure):
-        return None
-    return measure_outline_contrast(plane.board_type, plane.matrix(guess.c), scene, motion)
-
-
-def _measured_shift(plane: BoardPlane, scene: Scene, adjusted: AdjustmentResult) -> OutlineShift | None:
-    if adjusted.similarity is None:
-        return None
-    return measure_outline_shift(plane.board_type, plane.matrix(adjusted.similarity), scene, adjusted.motion)
-
-
-def _turned_failure(plane: BoardPlane, orientation: Orientation) -> Turned:
-    contrast = f"{orientation.turned:.0f} against {orientation.as_placed:.0f} grey levels"
-    return Turned(
-        f"the board lies turned by 180°, or is of another type than {plane.board_type.name!r}: "
-        f"by its {orientation.evidence} the pictures fit the turned board (edge contrast {contrast})",
-        ReasonCode.BOARD_TURNED,
-    )
 
 
 def _with_board(
     problem: Problem, points: FiducialPoints, plane: BoardPlane, scene: Scene, motion: Motion, c: Floats
 ) -> Problem:
-    """Extend the problem by the fiducial points, the component under each link, the board's surface, and the cameras.
-
-    The surface is added only if the working distances of all cameras are known.
-    """
-    on_board = motion.board(problem.links.p, problem.links.a_mm)
+    """Extend the problem by fiducial points, the component under each link, the board's surface, and the cameras."""
+    on_board, matrix = motion.board(problem.links.p, problem.links.a_mm), plane.matrix(c)
     marks = motion.board(points.row, points.ground_mm)
-    at_links, at_marks = (basis_at_board(plane.board_type, plane.matrix(c), at) for at in (on_board, marks))
+    at_links, at_marks = (basis_at_board(plane.board_type, matrix, at) for at in (on_board, marks))
     # Without a working distance, a height does not move a point, and the normal equations would be singular.
     knows_height = all(camera.working_distance_mm is not None for camera in scene.cameras)
+    half_patch_mm = WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))
     return replace(
         problem,
         component=component_at(plane, c, on_board),
-        near=near_component(plane, c, on_board, scene),
+        near=component_at(plane, c, on_board, half_patch_mm),
         fiducials=points,
         nominal_scale=plane.board_type.mm_per_unit,
         surface=SurfaceBasis(at_links, at_marks, SIGMA_MM) if knows_height else None,

@@ -37,8 +37,7 @@ _SMALL = 1.12
 """Factor on a mark's size before the reduction of the frame is chosen, so that similar cameras get the same one."""
 _SAME_PLACE_MM = 0.4
 LOCAL_MM = 0.5
-"""Standard deviation against C of fiducials that have no part in it: they state where components are, or a board of a
-panel."""
+"""Standard deviation against C of fiducials that have no part in it: of components, or of a board of a panel."""
 BOARD_MM = 1.2
 """Largest distance of a fiducial of a board of a panel from the place that the first C gives it."""
 _UNLIKE_MM, _NEARER, _TURN_RAD = 0.25, 0.1, np.radians(1.5)
@@ -56,17 +55,9 @@ _MOST_PAIRS, _MOST_OWN_PAIRS = 24, 200
 """Largest number of pairs of fiducials that are tried: of a panel's boards, and of the board or panel itself."""
 
 
-# Detection
-
-
 def mark_kinds(board_type: BoardType) -> tuple[tuple[Shape, float], ...]:
     """List the kinds (shape, size in mm) of a board type's fiducials, each once, in order of appearance."""
-    return tuple(dict.fromkeys(kind_of(f, board_type) for f in board_type.fiducials))
-
-
-def kind_of(fiducial: Fiducial, board_type: BoardType) -> tuple[Shape, float]:
-    """Return the kind of a fiducial: its shape and its size in mm."""
-    return fiducial.shape, round(fiducial.diameter * board_type.mm_per_unit, 6)
+    return tuple(dict.fromkeys(_kind_of(f, board_type) for f in board_type.fiducials))
 
 
 def fixture_kind(board_type: BoardType) -> tuple[Shape, float] | None:
@@ -78,9 +69,12 @@ def fixture_kind(board_type: BoardType) -> tuple[Shape, float] | None:
 
 
 def _kind_numbers(board_type: BoardType) -> list[int]:
-    """Return for each fiducial the index of its kind."""
     kinds = mark_kinds(board_type)
-    return [kinds.index(kind_of(f, board_type)) for f in board_type.fiducials]
+    return [kinds.index(_kind_of(f, board_type)) for f in board_type.fiducials]
+
+
+def _kind_of(fiducial: Fiducial, board_type: BoardType) -> tuple[Shape, float]:
+    return fiducial.shape, round(fiducial.diameter * board_type.mm_per_unit, 6)
 
 
 def detect_marks(
@@ -92,10 +86,7 @@ def detect_marks(
     fixture: bool = False,
     most: int = _MOST_PER_FRAME,
 ) -> Detections:
-    """Detect the places of a frame, `most` of each kind, that look most like fiducials of the board type.
-
-    With `fixture`, fixture marks are searched too.
-    """
+    """Detect the `most` places of each kind that look most like fiducials, with `fixture` also like fixture marks."""
     marks: list[tuple[Mark, int]] = []
     kinds = list(mark_kinds(board_type)) if board_type else []
     own = fixture_kind(board_type) if board_type and fixture else None
@@ -116,10 +107,7 @@ def detect_marks(
 
 
 def _search_kind(frame: PreparedFrame, shape: Shape, size_px: float, most: int) -> list[Mark]:
-    """Search marks of one kind in a reduced frame, where they are about 5 to 9 px wide, and locate them at twice that.
-
-    This is accurate to some hundredths of a pixel, enough for a first C, and reads a few hundred pixels per mark.
-    """
+    """Search marks of one kind in a reduced frame, where they are 5 to 9 px wide, and locate them at twice that."""
     coarse = reduction_factor(_SMALL * size_px)
     fine = max(coarse // 2, 1)
     places, _ = find_candidates(frame.reduced(coarse), shape, size_px / coarse, most)
@@ -135,23 +123,16 @@ def detect_more_marks(
     board_type: BoardType, scene: Scene, detections: Sequence[Detections], *, fixture: bool
 ) -> list[Detections]:
     """Search the frames of the given detections again, with a larger limit on the number of detections per frame."""
-    keys = [(s.task, s.task.a) for s in detections]
     return [
-        detect_marks(
-            task, scene.prepared(key), scene.cameras[key[0]], board_type, fixture=fixture, most=_MOST_WHEN_LOST
-        )
-        for task, key in keys
+        detect_marks(t, scene.prepared(t.a), scene.cameras[t.a[0]], board_type, fixture=fixture, most=_MOST_WHEN_LOST)
+        for t in (s.task for s in detections)
     ]
 
 
 def relocate_fiducials(
     board_type: BoardType, places_mm: Floats, scene: Scene, motion: Motion, detections: Sequence[Detections]
 ) -> list[Detections]:
-    """Locate precisely each fiducial that a frame must show; all other detections are returned unchanged.
-
-    The predicted places (k, 2) of the fiducials, tester coordinates, show where each lies in a frame. Only this place
-    is searched. So a fiducial is found even in frames whose short list of detections did not contain it.
-    """
+    """Locate precisely each fiducial that a frame must show; all other detections are returned unchanged."""
     kinds, kind = mark_kinds(board_type), _kind_numbers(board_type)
     expected: dict[FrameKey, list[tuple[int, Floats]]] = {}
     views = scene.index(motion.rows_from_tester).views(places_mm)
@@ -169,20 +150,11 @@ def relocate_fiducials(
             start = s.px[near][s.score[near].argmax()] if near.any() else px
             mark = locate_mark(scene.prepared(s.task.a).grey, start, shape, size_px)
             if isinstance(mark, Mark):
-                s = _with(s, ~near, mark, kind[n])  # noqa: PLW2901  (one detection after the other is replaced)
+                sigma, score = np.append(s.sigma_px[~near], mark.sigma_px), np.append(s.score[~near], mark.score)
+                kinds_of = np.append(s.kind[~near], kind[n]).astype(np.int_)
+                s = Detections(s.task, np.vstack([s.px[~near], mark.px]), sigma, score, kinds_of)  # noqa: PLW2901
         out.append(s)
     return out
-
-
-def _with(s: Detections, keep: NDArray[np.bool_], mark: Mark, kind: int) -> Detections:
-    """Return the detections for which `keep` is true, with `mark` added as a further detection."""
-    return Detections(
-        s.task,
-        np.vstack([s.px[keep], mark.px]),
-        np.append(s.sigma_px[keep], mark.sigma_px),
-        np.append(s.score[keep], mark.score),
-        np.append(s.kind[keep], kind).astype(np.int_),
-    )
 
 
 def displaced_places(board_type: BoardType, places: Floats, mm: Floats, kind: NDArray[np.int_]) -> Floats:
@@ -211,9 +183,6 @@ def displaced_places(board_type: BoardType, places: Floats, mm: Floats, kind: ND
         moved = (places[mine] - start) @ (1, 1j) * turn
         out[mine] = end + np.stack([moved.real, moved.imag], -1)
     return np.asarray(out)
-
-
-# A first C
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,9 +241,7 @@ class Hypothesis:
     c: Floats
     cost: float
     fiducials: tuple[int, ...]
-    """Numbers of the fiducials for which this C finds a detection."""
     ambiguous: bool = False
-    """Whether the board turned by 180° fits equally well and the pictures do not decide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +253,6 @@ class _Pair:
     """Number of the candidate of each of the two fiducials."""
     turn_rad: float
     scale: float
-    """Relative error of the scale."""
 
 
 def find_board(
@@ -312,8 +278,9 @@ def find_board(
             continue
         cost, used = _cost(plane, pair, places, expectation)
         if best is None or cost < best.cost:
-            cost += _texture_cost(plane, pair.c, texture_mm)
-            if np.isfinite(cost) and (best is None or cost < best.cost):
+            outside = outside_share(plane, pair.c, texture_mm)
+            cost += 400.0 * max(outside - 0.02, 0.0)
+            if outside <= _MOST_OUTSIDE and (best is None or cost < best.cost):
                 best = Hypothesis(pair.c, cost, used)
     if best is not None:
         return best
@@ -327,11 +294,7 @@ def find_board(
 def find_rough_places(
     plane: BoardPlane, places: FiducialCandidates, angle_rad: float, expectation: Expectation
 ) -> list[Hypothesis]:
-    """List the positions of the board that the detections allow while the motion is uncertain, most likely first.
-
-    The motion may have been estimated from texture beside the board, at another height. The scale along the motion is
-    then wrong by up to 1 %. Texture outside the board is therefore no argument against a position here.
-    """
+    """List the positions of the board that the detections allow while the motion is uncertain, most likely first."""
     limit, every = _ROUGH_FACTOR * _SCALE_LIMIT, []
     for pair in _pairs(plane, places, angle_rad, limit):
         if abs(pair.turn_rad) <= expectation.angle_tolerance_rad and abs(pair.scale) <= limit:
@@ -349,12 +312,7 @@ def find_rough_places(
 
 
 def _pairs_to_try(plane: BoardPlane) -> list[tuple[int, int]]:
-    """List the pairs of fiducials that may locate the board: if there are many, those farthest apart.
-
-    A long pair shows scale and turn best. A panel of 20 boards has 780 pairs, and trying all would take seconds. Its
-    boards are displaced, so that pairs of them are the last resort. A grid of 60 fiducials has 1,770 pairs, each of
-    which fits it in dozens of places.
-    """
+    """List the pairs of fiducials that may locate the board: if there are many, those farthest apart."""
     of_boards = {n for numbers in plane.board_type.board_fiducials.values() for n in numbers}
     every = list(combinations(range(len(plane.fiducials)), 2))
     if len(every) > _MOST_PAIRS:
@@ -365,7 +323,6 @@ def _pairs_to_try(plane: BoardPlane) -> list[tuple[int, int]]:
 
 
 def _pairs(plane: BoardPlane, places: FiducialCandidates, angle_rad: float, scale_limit: float) -> Iterator[_Pair]:
-    """Yield the pairs of candidates as far apart as two fiducials, each with the similarity that it defines."""
     flat, kinds, mm_per_unit = plane.fiducials, _kind_numbers(plane.board_type), plane.board_type.mm_per_unit
     at = places.mm @ np.array([1, 1j])
     for i, j in _pairs_to_try(plane):
@@ -384,11 +341,7 @@ def _pairs(plane: BoardPlane, places: FiducialCandidates, angle_rad: float, scal
 def _cost(
     plane: BoardPlane, pair: _Pair, places: FiducialCandidates, expectation: Expectation, rough: float = 1.0
 ) -> tuple[float, tuple[int, ...]]:
-    """Return the cost of a C by the scores of the candidates near its fiducials, by scale, turn and position.
-
-    An unmatched fiducial costs a fixed amount, as much as a poor match. `rough` widens the limits of distance and
-    scale. The second returned value are the matched fiducials.
-    """
+    """Return the cost of a C by scores of the candidates near its fiducials, scale, turn and place, and these."""
     kinds, cost, used = _kind_numbers(plane.board_type), 0.0, []
     for f, at in enumerate(apply_similarity(pair.c, plane.fiducials)):
         k = pair.candidates.get(f, -1)
@@ -410,12 +363,6 @@ def _cost(
     return float(cost), tuple(used)
 
 
-def _texture_cost(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
-    """Return the cost of texture outside the board; infinite if there is too much."""
-    outside = outside_share(plane, c, texture_mm)
-    return np.inf if outside > _MOST_OUTSIDE else 400.0 * max(outside - 0.02, 0.0)
-
-
 def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
     """Compute the share of textured points outside the board for a given C; 0 without outline or with fixture marks."""
     board_type = plane.board_type
@@ -426,9 +373,6 @@ def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
     margin = _TEXTURE_MARGIN_MM / board_type.mm_per_unit
     cad = apply(np.linalg.inv(plane.matrix(c)), texture_mm)
     return float(((cad < low - margin) | (cad > high + margin)).any(1).mean())
-
-
-# Assignment
 
 
 def assign_fiducials(

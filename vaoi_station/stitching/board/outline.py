@@ -1,12 +1,11 @@
 """What the board's outline shows in the pictures: orientation, position, and which texture is the board's own.
 
 The outline is a step of grey level between board and belt, independent of the fiducials. Two fiducials often fit a
-board turned by 180°: the contrast of outline and footprints, as placed and turned, then decides
-(docs/decisions/0004). All fiducials may be wrong together, as look-alikes with the right distances: the edge is
-searched across each piece of the outline, a histogram over all pieces gives the shift that most edges support, and near
-it the edges are measured to a fraction of a sample. Texture beside the board, of a carrier or a belt, may contradict
-the board's: the outline separates both where the pictures confirm it, that is, where each side in view shows an edge in
-its place and no stronger one near by, but for those of components.
+board turned by 180°: the contrast of outline and footprints decides (docs/decisions/0004). All fiducials may be wrong
+together, as look-alikes with the right distances: the edge is searched across each piece of the outline, a histogram
+over all pieces gives the shift that most edges support, and near it the edges are measured. Texture of a carrier or a
+belt may contradict the board's: the outline separates both where each side in view shows an edge in its place and no
+stronger one near by, but for those of components.
 """
 
 from __future__ import annotations
@@ -34,17 +33,12 @@ _SAMPLES, _DEPTHS, _NEAR_MM, _FAR_MM = 10, 2, 0.12, 0.45
 """Points along a piece and across each of its sides, and distances from the edge at which the sides are compared."""
 _APART_MM = 0.4
 """Edges of the two orientations that lie closer together than this are not compared."""
-_CLEAR = {"outline": 1.5, "components": 2.5}
-_LEAST_CONTRAST = {"outline": 5.0, "components": 10.0}
-"""Least contrast, in grey levels, from which on the edges of a kind can decide the orientation.
-
-In addition, the contrasts of the two orientations must differ by the factor in `_CLEAR`. Components are weaker evidence
-than the outline, so their limits are higher."""
+_CLEAR, _LEAST_CONTRAST = {"outline": 1.5, "components": 2.5}, {"outline": 5.0, "components": 10.0}
+"""Least ratio of the contrasts of the two orientations, and least contrast in grey levels, from which on the edges of a
+kind can decide the orientation."""
 _LEAST_PIECES, _MOST_PIECES = 6, 48
-"""48 pieces give the position of the outline more precisely than boards are cut; more would only take more time."""
 _LEAST_OUTLINE = 3.0
 """Least contrast of a visible outline, in grey levels. Noise alone gives less than 1."""
-
 _STEP_MM, _REACH, _ALONG = 0.05, 70, 12
 """Distance of samples across a piece, their number on either side of it, and number of samples averaged along it."""
 _GAP, _SIDE = 1, 6
@@ -53,28 +47,21 @@ _MOST_STEP, _LEAST_STEP = 40.0, 6.0
 """Largest weight of a step in the histogram, in grey levels: one bright pad must not outweigh the board's edge."""
 _VOTE_MM, _VOTES = 0.1, 30
 """Distance between the shifts in the histogram, and number of shifts on either side of zero, along each axis."""
-_MOVED_MM = 0.3
-"""Displacement of a piece across itself from which it distinguishes a shift from none."""
-_CLEARLY, _OPPOSED = 1.2, 0.7
-"""Least ratio of the support for a shift to the support for none, over all such pieces, and over those of one side."""
+_MOVED_MM, _CLEARLY, _OPPOSED = 0.3, 1.2, 0.7
+"""Displacement of a piece across itself from which it distinguishes a shift from none; least ratio of the support for a
+shift to the support for none, over all such pieces, and over those of one side."""
 _NEAR = 8
 """Half width, in samples, of the range in which the edge of a piece is searched around the most supported shift."""
 _PRIOR = np.array([3.0, 3.0, 0.02, 0.2])
-"""Prior standard deviations: shift x and y (mm), turn (rad), and what a cutter leaves on all sides (mm).
-
-With the last as an unknown, one side alone determines the shift less well than two opposite sides do."""
+"""Prior standard deviations: shift x and y (mm), turn (rad), and what a cutter leaves on all sides (mm)."""
 _PIECE_SIGMA_MM, _MACHINED_MM = 0.05, 0.1
 """Least scatter of pieces of the outline, mm, and error of the cut outline as a whole against the copper (1 σ)."""
 _KNEE, _ROUNDS = 2.0, 6
 _LIMIT_MM, _TURN_LIMIT_MM, _LIMIT_SIGMAS = 0.5, 0.2, 4.0
-"""Largest accepted shift, largest accepted turn (displacement of the board's ends), and both in standard deviations.
-
-Cutting errors shift an outline more often than they turn it, so the limit of the turn is lower."""
-
-MOST_BESIDE = 0.03
-"""Largest share of links beside the board that need not be left out: the robust loss copes with them."""
-_MOST_AT_EDGE = 0.1
-"""Largest share of links outside the outline in one pair of frames that need not be left out."""
+"""Largest accepted shift, largest accepted turn (displacement of the board's ends), and both in standard deviations."""
+MOST_BESIDE, _MOST_AT_EDGE = 0.03, 0.1
+"""Largest share of links beside the board, and of those outside the outline in one pair of frames, that need not be
+left out: the robust loss copes with them."""
 _MARGIN_MM = 1.0
 """Links outside the outline by more than this lie beside the board; errors of C and of cutting are smaller."""
 HALF_PATCH_PX = 12.0
@@ -82,16 +69,11 @@ HALF_PATCH_PX = 12.0
 _EDGE_NEAR_MM = 0.5
 """Largest distance between a side's edge in the pictures and its position by C, due to cutting and fiducials."""
 _QUANTILE = 0.25
-"""The step of grey level of a side is this quantile of the steps of its pieces.
-
-The edge of a board runs along all pieces of a side; a row of pads runs along only some of them. Where components hide
-more than the other pieces, nothing is known of a line."""
+"""The step of grey level of a side is this quantile of the steps of its pieces: a row of pads runs along only some."""
 _LEAST_EDGE, _STANDS_OUT = 4.0, 1.15
 """Least step of grey level at the edge of a side, and least ratio to the steps more than `2 · _EDGE_NEAR_MM` away."""
 _PART_MM = 0.35
-"""Distance from a component, with solder and silkscreen, up to which a step of grey level contains its edge.
-
-A connector along a side shows a stronger edge than the board, which is no reason to doubt the outline."""
+"""Distance from a component, with solder and silkscreen, up to which a step of grey level contains its edge."""
 _PIECES_OF_SIDE = 2
 """Least number of pieces of a side in view; with fewer, the side is not checked."""
 
@@ -130,9 +112,6 @@ def _left_normals(board: Floats) -> Floats:
     return np.asarray(np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None])
 
 
-# The orientation
-
-
 @dataclass(frozen=True)
 class Orientation:
     """Median edge contrast in grey levels for both orientations, and the kind of edges on which it was measured."""
@@ -158,11 +137,7 @@ class Orientation:
 def compare_orientations(
     board_type: BoardType, placed: Floats, turned: Floats, scene: Scene, motion: Motion
 ) -> Orientation | None:
-    """Compare the edge contrast of the board as placed with that of the board turned by 180°.
-
-    `placed` and `turned` are the two C, (3, 3). Returns the first evidence that decides, outline or components, else
-    the last that was measured; None if there was nothing to compare.
-    """
+    """Compare the edge contrast of the board as placed with that of the board turned by 180°, by two C (3, 3)."""
     best, frames = None, scene.index(motion.rows_from_tester)
     footprints = [board_type.footprint(c) for c in board_type.components]
     for evidence, polygons in (("outline", outline_polygons(board_type)), ("components", footprints)):
@@ -204,7 +179,6 @@ def measure_outline_contrast(
 
 
 def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
-    """Return for each of k pieces whether it is far enough from all pieces of the other orientation to be compared."""
     a, b = apply(placed, pieces), apply(turned, pieces)
     normal, way = _left_normals(a), b.mean(1)[None] - a.mean(1)[:, None]
     offset = np.abs((way * normal[:, None]).sum(-1))
@@ -213,7 +187,6 @@ def _apart(pieces: Floats, placed: Floats, turned: Floats) -> NDArray[np.bool_]:
 
 
 def _contrasts(pieces: Floats, cad_matrix: Floats, frames: FrameIndex) -> Floats:
-    """Measure the contrast in grey levels across each piece (k, 2, 2); pieces that no frame shows are left out."""
     board = apply(cad_matrix, pieces)
     number, normal = frames.nearest(board.mean(1)), _left_normals(board)
     t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
@@ -223,9 +196,6 @@ def _contrasts(pieces: Floats, cad_matrix: Floats, frames: FrameIndex) -> Floats
     grey = frames.grey(number, frames.project(number, points.reshape(len(board), -1, 2)))
     step = np.abs(np.subtract(*(side.mean(1) for side in np.split(grey, 2, axis=1))))
     return np.asarray(step[np.isfinite(step)])
-
-
-# The position
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,14 +211,10 @@ class OutlineShift:
     arm_mm: float
     """Distance from the centre of the pieces to the furthest piece."""
     pieces: int
-    """Number of pieces of the outline that were used."""
 
     @property
     def excess_mm(self) -> float:
-        """The part of the shift that neither cutting errors nor noise explain, as a length in mm.
-
-        The shift is split along the principal axes of its covariance; only components that exceed the limits count.
-        """
+        """Length of the parts of the shift, along the axes of its covariance, beyond cutting errors and noise."""
         sigma, way = np.linalg.eigh(self.covariance)
         along = np.abs(way.T @ self.mm)
         beyond = along > np.maximum(_LIMIT_MM, _LIMIT_SIGMAS * np.sqrt(sigma))
@@ -284,9 +250,8 @@ def measure_outline_shift(
 def edge_profiles(board: Floats, scene: Scene, motion: Motion) -> tuple[float, Floats, Floats]:
     """Measure the steps of grey level across k pieces (k, 2, 2), start and end in mm, of a closed polygon.
 
-    Returns:
-        The distance of samples in mm, the outward normals (k, 2), and the height of the step at each sample
-        (k, samples), from inside to outside; 0 where no frame shows it.
+    Returns the distance of samples in mm, the outward normals (k, 2), and the step's height at each sample (k, samples)
+    from inside to outside; 0 where no frame shows it.
     """
     # The sign of the area gives the direction in which the polygon runs, and so the side on which the board lies.
     a, b = np.moveaxis(board - board.mean((0, 1)), 1, 0)
@@ -306,10 +271,9 @@ def edge_profiles(board: Floats, scene: Scene, motion: Motion) -> tuple[float, F
 
 @compiled
 def _sampled(image: NDArray[np.uint8], start: Floats, along: Floats, across: Floats, samples: int) -> Floats:
-    """Sample a profile of averaged grey levels for each of k pieces: (k, samples).
+    """Sample a profile of grey levels for each of k pieces: (k, samples); NaN outside the image.
 
-    Sample s of piece k is the mean over `_ALONG` points, which begin at `start[k] + s · across[k]` and are `along[k]`
-    apart (all in raw pixels). It is NaN if one of the points lies outside the image.
+    Sample s of piece k is the mean over `_ALONG` points from `start[k] + s · across[k]` on, `along[k]` apart, raw px.
     """
     out = np.empty((len(start), samples))
     height, width = image.shape
@@ -349,11 +313,6 @@ def _steps(profiles: Floats) -> Floats:
 
 
 def _voted(steps: Floats, normal: Floats) -> Floats:
-    """Find the shift (2,) of the board, mm, at which the sum of the steps over all pieces is largest.
-
-    The fiducials predict a shift near zero. Another one must have clearly more support, and no side of the board may
-    contradict it: a row of bright pads inside the board is an edge as well, but on one side only.
-    """
     tries = np.arange(-_VOTES, _VOTES + 1) * _VOTE_MM
     weight, grid = np.minimum(steps, _MOST_STEP), np.asarray(tries, np.float64)
     votes = _vote_histogram(weight, normal, grid, _STEP_MM)
@@ -393,10 +352,7 @@ def _vote_histogram(steps: Floats, normal: Floats, tries: Floats, step_mm: float
 
 
 def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> OutlineShift | None:
-    """Estimate shift, turn and excess size of the outline by robust least squares over the edges near `shift` (2,).
-
-    `middle` (k, 2) are the centres of the pieces, `normal` (k, 2) their outward normals, `steps` (k, samples).
-    """
+    """Estimate shift, turn and excess size of the outline by robust least squares over the edges near `shift` (2,)."""
     offset, height = _edges(steps, normal @ shift / _STEP_MM + _REACH)
     use = height >= _LEAST_STEP
     if use.sum() < _LEAST_PIECES:
@@ -417,10 +373,7 @@ def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> Out
 
 
 def _edges(steps: Floats, expected: Floats) -> tuple[Floats, Floats]:
-    """Locate the edge of each piece near `expected` (k,), in samples; return positions (k,) and step heights (k,).
-
-    A parabola through the highest step and its two neighbours gives the position to a fraction of a sample.
-    """
+    """Locate the edge of each piece near `expected` (k,), in samples; return positions (k,) and step heights (k,)."""
     near = np.clip(np.rint(expected).astype(int)[:, None] + np.arange(-_NEAR, _NEAR + 1), 1, steps.shape[1] - 2)
     rows = np.arange(len(steps))
     at = near[rows, np.take_along_axis(steps, near, 1).argmax(1)]
@@ -430,18 +383,13 @@ def _edges(steps: Floats, expected: Floats) -> tuple[Floats, Floats]:
     return at + np.clip(off, -0.5, 0.5), top
 
 
-# The board's own texture
-
-
 class LeftOut(NamedTuple):
     """The links that were left out because they lie beside the board."""
 
     share: float
     """Share of these links in all links between rows."""
     confirmed: bool
-    """Whether the pictures show the edges of the board at its outline."""
     links: Observations
-    """These links."""
 
 
 def beside(plane: BoardPlane, c: Floats, board_mm: Floats, margin_mm: float = _MARGIN_MM) -> NDArray[np.bool_]:
@@ -475,8 +423,7 @@ def beside_in_cad(board_type: BoardType, cad: Floats, margin_mm: float) -> NDArr
 def shares_beside(plane: BoardPlane, c: Floats, links: Observations, motion: Motion) -> tuple[float, float]:
     """Return the share of the links between rows that lie beside the board, and that of the links between cameras."""
     off, between = beside(plane, c, motion.board(links.p, links.a_mm)), links.p == links.q
-    rows, seams = off[~between], off[between]
-    return (float(rows.mean()) if len(rows) else 0.0), (float(seams.mean()) if len(seams) else 0.0)
+    return float(off[~between].sum() / max((~between).sum(), 1)), float(off[between].sum() / max(between.sum(), 1))
 
 
 def links_on_board(
@@ -491,11 +438,10 @@ def without_links_beside(
 ) -> Problem:
     """Return a problem without those links beside a board at position `c` that may be left out in any case.
 
-    Carrier, belt or bed lie at another height than the board. Links between cameras there would bend its estimated
-    surface, or show a displaced camera (seed 100346). They say nothing about the motion of the rows, so that they need
-    not be confirmed by an edge. Between rows, links outside the outline are left out if they are more than
-    `_MOST_AT_EDGE` of a pair of frames, and if the pictures confirm the outline (`confirmed`): along the edge of the
-    board, patches are found where the texture of a bed is (seed 102577: nine of them outvoted two on a component).
+    Links between cameras there, at another height than the board, would bend its surface or show a displaced camera
+    (seed 100346). Between rows, links outside the outline are left out if they are more than `_MOST_AT_EDGE` of a pair
+    of frames, and if the pictures confirm the outline (`confirmed`): along the edge of the board, patches are found
+    where the texture of a bed is (seed 102577).
     """
     links = problem.links
     off = beside(plane, c, motion.board(links.p, links.a_mm), 0.0)
@@ -529,10 +475,9 @@ def outline_confirmed(plane: BoardPlane, cad_matrix: Floats, scene: Scene, motio
 def other_steps(
     plane: BoardPlane, cad_matrix: Floats, board_mm: Floats, offset_mm: Floats, steps: Floats, beyond_mm: float
 ) -> Floats:
-    """Return the steps (k, samples) across pieces without those at its edge and at the edges of components, as NaN.
+    """Return the steps (k, samples) across pieces (k, 2, 2), NaN up to `beyond_mm` from them and at components' edges.
 
-    The pieces (k, 2, 2) are in tester coordinates, and `offset_mm` (k, samples, 2) are the displacements at which the
-    steps were measured. Steps up to `beyond_mm` from a piece belong to its edge.
+    `offset_mm` (k, samples, 2) are the displacements, in tester coordinates, at which the steps were measured.
     """
     along = np.stack([board_mm[:, 0], board_mm.mean(1), board_mm[:, 1]], 1)
     points = along[:, :, None] + offset_mm[:, None]
@@ -544,10 +489,7 @@ def other_steps(
 
 
 def strongest_line(steps: Floats) -> float:
-    """Return the strongest step of a line along pieces of a side, from their steps (k, samples); NaN is unknown.
-
-    Between components that hide most of a line, a single pad or marking would count as a line: such lines are left out.
-    """
+    """Return the strongest step of a line along pieces of a side, from their steps (k, samples); NaN is unknown."""
     values = steps[:, np.isfinite(steps).mean(0) >= _QUANTILE]
     if not values.size:
         return 0.0

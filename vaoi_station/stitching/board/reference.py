@@ -1,13 +1,9 @@
-"""Decide the orientation of a board by the frames of its reference, where fiducials and outline fit both ways.
+"""The reference run of a board type (paper, section 3.3.3), against which later runs of the type are placed.
 
-Patches of the reference are compared with patches of the run at the same CAD coordinates, once for the board as placed
-and once for the board turned by 180°. Only patches that differ between the two orientations count.
-
-The reference run of a board type (paper, section 3.3.3), against which later runs of the type are placed.
-
-Frame (i, j) of a run shows nearly the same part of the board as frame (i, j) of the reference. The reference was
-stitched, so its points have known CAD coordinates. So each link between the two frames observes a point with known CAD
-coordinates, as the detection of a fiducial does.
+Frame (i, j) of a run shows nearly the same part of the board as frame (i, j) of the reference. A link between the two
+observes a point with known CAD coordinates, as the detection of a fiducial does. Where fiducials and outline fit both
+ways, patches of the reference decide the orientation: they are compared with patches of the run at the same CAD
+coordinates, as placed and turned by 180°.
 """
 
 from __future__ import annotations
@@ -32,18 +28,28 @@ from vaoi_station.stitching.board.outline import HALF_PATCH_PX, beside_in_cad
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 from vaoi_station.stitching.matching.frames import Scene
 
-_SCATTER_PX = 0.03
-"""Scatter of single links in addition to image noise."""
-_OUTLIER = 8.5
-"""Residual, in standard deviations, above which a point has no weight: 6 per axis, so 6·√2 in the plane."""
-_LEAST_AGREEING = 0.5
-"""Least share of the points linked to a reference that must agree on one position of the board."""
-_SHARED_PX = 0.006
-"""Error that all links of one frame have in common, px. It does not average out."""
-_FARTHEST_MM = 0.2
-"""Residual, mm, above which a point has no weight in any case: no part lies further from its place."""
+_SCATTER_PX, _SHARED_PX = 0.03, 0.006
+"""Scatter of single links in addition to image noise; error that all links of one frame have in common, px."""
+_OUTLIER, _FARTHEST_MM = 8.5, 0.2
+"""Residual, in standard deviations (6 per axis, so 6·√2 in the plane), above which a point has no weight; for points of
+a reference also in mm: no part lies further from its place."""
 _PLACED_MM = 0.04
 """Standard deviation of a part's place on one board against that on another, mm: the links on it have it in common."""
+_LEAST_AGREEING = 0.5
+"""Least share of the points linked to a reference that must agree on one position of the board."""
+_SIDE = 16
+"""Number of samples along each side of a patch."""
+_PITCH_PX, _LEAST_PITCH_MM = 4.0, 0.15
+"""Distance between two samples in frames that are reduced by this factor; C from the first detections is uncertain by
+the second."""
+_ACROSS = 12
+"""Largest number of patches side by side in one frame of the reference."""
+_LEAST_CONTRAST, _DIFFERENT = 4.0, 0.5
+"""Least standard deviation of the grey levels of a patch, and correlation of the run's two patches for it, from which
+on it does not show the orientation."""
+_LEAST_PATCHES, _ENOUGH_PATCHES = 4, 24
+_ALIKE, _APART = 0.5, 0.3
+"""Least correlation of the correct orientation, and least difference to the correlation of the other one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +57,10 @@ class Reference:
     """A stitched run that serves as the reference of its board type: its result, and the keys of its good frames."""
 
     stitch: Stitch
-    """Result of the reference run, of which CAD mapping, row motion and surface are used."""
     present: frozenset[FrameKey]
-    """Good frames of the reference run: (camera, row)."""
     name: str = ""
-    """Name by which results refer to this reference."""
     sigma_px: float = 0.0
-    """Standard deviation of positions by the reference's CAD mapping, in its worst view, px; an error common to all
-    links."""
+    """Standard deviation of positions by its CAD mapping, in its worst view, px; an error common to all links."""
 
     def task(self, key: FrameKey) -> Task | None:
         """Return the task that links a frame of a later run to the reference; None if the reference lacks the frame."""
@@ -68,11 +70,7 @@ class Reference:
 def cad_points(
     links: Sequence[Links], cameras: Sequence[Camera], plane: BoardPlane, reference: Reference
 ) -> FiducialPoints:
-    """Convert links to the reference into observations of points with CAD coordinates.
-
-    The reference run gives the CAD coordinates of each linked point. Points beside the board are left out: a bed, a
-    belt or a carrier is not at the same place for every board.
-    """
+    """Convert links to the reference, without those beside the board, into observations of points with CAD data."""
     each = [_points_of(e, cameras[e.task.a[0]], plane, reference) for e in links if len(e.a_px)]
     if not each:
         return FiducialPoints.empty()
@@ -103,11 +101,7 @@ def _points_of(e: Links, camera: Camera, plane: BoardPlane, reference: Reference
 
 
 def _on_board(px: Floats, camera: Camera, stitch: Stitch, key: FrameKey) -> Floats:
-    """Return the CAD coordinates (k, 2) of pixels (k, 2) of a frame of the reference.
-
-    Its camera is taken with the N_i that it had in that run: since then it may have moved, or have been calibrated
-    again. The reference's board was not exactly in the calibrated plane. Its surface is used to correct the parallax.
-    """
+    """Return the CAD coordinates (k, 2) of pixels (k, 2) of a frame of the reference, with the N_i that it had then."""
     assert stitch.cad_matrix is not None
     ground_mm = camera.ground(px)
     if stitch.camera_matrices is not None:
@@ -140,11 +134,7 @@ def initial_similarity(plane: BoardPlane, reference: Reference, points: Fiducial
 
 
 def disagreeing_reference(points: FiducialPoints, residual_px: Floats) -> Failure | None:
-    """Return a failure if only the reference places the board and its points do not agree on one position.
-
-    Args:
-        residual_px: (k, 2) their residuals in the adjustment.
-    """
+    """Return a failure if only the reference places the board and its points do not agree on one position."""
     if not len(points.which) or (points.which != REFERENCE).any():
         return None
     fitting = int(inliers(points, residual_px).sum())
@@ -156,23 +146,6 @@ def disagreeing_reference(points: FiducialPoints, residual_px: Floats) -> Failur
         f"{_LEAST_AGREEING:.0%}): it is turned, or of another type, or looks unlike the reference",
         ReasonCode.REFERENCE_CONTRADICTS,
     )
-
-
-_SIDE = 16
-"""Number of samples along each side of a patch."""
-_PITCH_PX = 4.0
-"""Distance between two samples. Frames are read in copies that are reduced by this factor."""
-_LEAST_PITCH_MM = 0.15
-"""Least distance between two samples: C from the first detections is uncertain by this much."""
-_ACROSS = 12
-"""Largest number of patches side by side in one frame of the reference."""
-_LEAST_CONTRAST = 4.0
-"""Least contrast of a patch that is used: standard deviation of its grey levels."""
-_DIFFERENT = 0.5
-"""A patch shows the orientation only if the run's two patches for it have a correlation below this."""
-_LEAST_PATCHES, _ENOUGH_PATCHES = 4, 24
-_ALIKE, _APART = 0.5, 0.3
-"""Least correlation of the correct orientation, and least difference to the correlation of the other one."""
 
 
 @dataclass(frozen=True)
@@ -205,47 +178,31 @@ class ReferenceScene(NamedTuple):
     scene: Scene
 
 
-class Rivals(NamedTuple):
-    """The two possible C of a run, (3, 3) from CAD to tester coordinates."""
-
-    placed: Floats
-    turned: Floats
-
-
 def compare_with_reference(
-    board_type: BoardType, rivals: Rivals, scene: Scene, motion: Motion, reference: ReferenceScene
+    board_type: BoardType, as_placed: Floats, turned: Floats, scene: Scene, motion: Motion, reference: ReferenceScene
 ) -> ReferenceOrientation:
-    """Compare the frames of a run, in both orientations of its board, with those of the reference.
-
-    Args:
-        rivals: C as found, and C of the board turned by 180° on the same fiducials.
-        reference: the reference, whose orientation is known.
-    """
+    """Compare the frames of a run, in both orientations of its board, with those of the reference."""
     c = reference.stitch.cad_matrix
     assert c is not None
-    run = scene.index(motion.rows_from_tester)
-    placed, turned = [], []
+    run, own, other = scene.index(motion.rows_from_tester), list[float](), list[float]()
     for key in _spread(reference.scene.present):
         cad = _patches(board_type, key, reference)
         if not len(cad):
             continue
         one = Scene(reference.scene.cameras, (key,), reference.scene.prepared)
-        theirs = one.index(np.array(reference.stitch.row_motion))
-        r, a, b = (
-            _read(frames, apply(m, cad)) for frames, m in ((theirs, c), (run, rivals.placed), (run, rivals.turned))
-        )
-        use = (r.std(1) > _LEAST_CONTRAST) & (_correlation(a, b) < _DIFFERENT)
-        placed += _correlation(r[use], a[use]).tolist()
-        turned += _correlation(r[use], b[use]).tolist()
-        if len(placed) >= _ENOUGH_PATCHES:
+        theirs = _read(one.index(np.array(reference.stitch.row_motion)), apply(c, cad))
+        a, b = _read(run, apply(as_placed, cad)), _read(run, apply(turned, cad))
+        use = (theirs.std(1) > _LEAST_CONTRAST) & (_correlation(a, b) < _DIFFERENT)
+        own += _correlation(theirs[use], a[use]).tolist()
+        other += _correlation(theirs[use], b[use]).tolist()
+        if len(own) >= _ENOUGH_PATCHES:
             break
-    if not placed:
+    if not own:
         return ReferenceOrientation(0.0, 0.0, 0)
-    return ReferenceOrientation(float(np.median(placed)), float(np.median(turned)), len(placed))
+    return ReferenceOrientation(float(np.median(own)), float(np.median(other)), len(own))
 
 
 def _spread(keys: tuple[FrameKey, ...]) -> list[FrameKey]:
-    """Order frames so that the first ones lie far apart: the middle one, then the middles of both halves, and so on."""
     step, order = len(keys), []
     while step > 1:
         step = -(-step // 2)
@@ -266,10 +223,8 @@ def _patches(board_type: BoardType, key: FrameKey, reference: ReferenceScene) ->
     size = _SIDE * pitch
     if (high - low < size).any():
         return np.zeros((0, _SIDE**2, 2))
-    lines = []
-    for axis in (0, 1):
-        count = min(int((high[axis] - low[axis]) / size), _ACROSS)
-        lines.append(np.linspace(low[axis] + size / 2, high[axis] - size / 2, count))
+    count = np.minimum((high - low) / size, _ACROSS).astype(int)
+    lines = [np.linspace(a, b, n) for a, b, n in zip(low + size / 2, high - size / 2, count, strict=True)]
     centres = np.stack(np.meshgrid(*lines), -1).reshape(-1, 1, 2)
     step = (np.arange(_SIDE) - (_SIDE - 1) / 2) * pitch
     return np.asarray(centres + np.stack(np.meshgrid(step, step), -1).reshape(1, -1, 2))

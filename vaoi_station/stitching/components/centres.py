@@ -1,32 +1,12 @@
-"""Reasons of a verdict about components that are centred elsewhere than C puts them.
-
-Pictures of components: the frame that shows each of them most central, its extent there, and the patch around it.
-
-Find the centre of a component in a frame, as the centre about which its picture is point symmetric.
-
-Chips and most packages with leads look alike if they are turned by 180° about their centre: body, leads, pads and
-solder. The patch around a component is correlated with itself turned by 180°. The highest correlation gives the centre
-of symmetry without a model of the component. Markings and neighbours are not symmetric; they reduce the correlation.
-
-The shift of all components together against the places where C puts their centres.
+"""Where the pictures of components are centred, against the places where C puts them.
 
 Fiducials define where the CAD data lie on the board. An error of one fiducial of two, or of three under one camera,
-leaves no residual: height and scale of the board explain it. The components are mounted on pads of the same artwork.
-The centres of some of them are measured in the frames, and shift, turn and stretch of all together are estimated.
-
-What is seen of a component follows its pads on the board and its top, which leans away from the camera's foot. Under
-one camera this looks like a stretch of the board. The height that explains the lean is therefore a fifth unknown.
-
-Components of one kind, of the same size and turned alike, are seen off their places alike: light, shadow and shape of a
-package displace what looks symmetric. Each kind has an offset of its own, whose size the run shows, so that the
-accuracy of the shift follows from the number of kinds, not only from that of components. Single kinds may look off by
-much more than the others: like single centres, they then lose their weight.
-
-An error of one of two fiducials, as the components show it.
-
-Two fiducials determine the four numbers of C and leave no residual. An error of one of them shifts, turns and stretches
-what C predicts, and leaves the other in place. The components test this one hypothesis, of two numbers, against none:
-that is sharper than their test of any shift, turn and stretch.
+leaves no residual. The components are mounted on pads of the same artwork, and most look alike if they are turned by
+180° about their centre: the highest correlation of a patch with itself turned shows the centre, without a model.
+Shift, turn and stretch of all together are estimated, with a height (what is seen leans away from the camera's foot)
+and an offset of each kind of components, of one size and turned alike (light, shadow and shape displace what looks
+symmetric). Single kinds and centres may look off by much more: they lose their weight. An error of one of two
+fiducials, which leaves the other in place, is a sharper hypothesis of two numbers.
 """
 
 from __future__ import annotations
@@ -44,23 +24,51 @@ from vaoi_station.frame_index import FootprintViews
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Ints
+from vaoi_station.stitching.adjustment.problem import FiducialPoints, Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.matching.frames import Scene
 
 _MOST = 32
 """Largest number of components of which a view is returned."""
+_MARGIN_MM = 0.1
+"""Width of the rim around a footprint that is compared too. A rim of 0.3 mm contained the silkscreen of neighbours."""
+REACH_MM = 0.3
+"""Largest distance, along each axis, of a centre of symmetry from its predicted place."""
+_MOST_NODES, _MOST_REDUCED = 40, 5
+"""Half the side of a compared patch in nodes, at most, and the largest factor by which a frame is reduced for it."""
+_LEAST_SCORE, _LEAST_CONTRAST = 0.6, 4.0
+"""Least correlation of a patch with itself turned by 180°, and least standard deviation of its grey levels."""
+_LEAST = 6
+"""Least number of centres from which a shift is estimated."""
+_SCATTER_MM, _SCATTER_WEIGHT = 0.017, 3.0
+"""Expected scatter of the centres, per axis, mm, and its weight against what the run shows, in centres. Measured:
+uncertainty.md."""
+_PLACING_MM, _ALIKE_MM = np.array([0.012, 0.012, 0.008, 0.008]), np.array([0.012, 0.012, 0.004, 0.004])
+"""Standard deviations of what placement and light change in all components alike: shift, turn and stretch, mm, as in
+`ComponentShift.measured`; and those beside the hypothesis of an error of one fiducial."""
+_HEIGHT_MM, _HEIGHT_SHARE = (0.0, 1.0), (0.5, 0.5)
+"""Mean and standard deviation of the seen height of components, mm, and, if the board type states all heights, as a
+share of these: between pads and top."""
+_KIND_MM, _KIND_WEIGHT = 0.01, 4.0
+"""Expected standard deviation, per axis, of the offset that components of one kind have in common, mm, and its weight
+against what the run shows, in offsets. Measured: 0.010 mm (hostile.md)."""
+_KNEE, _ROUNDS = 2.0, 12
+_LIMIT, _ERROR_LIMIT = 20.0, 10.0
+"""Largest χ² of shift, turn and stretch (4 degrees of freedom) that is no contradiction: 1 in 2000 exceeds it; and
+largest part of it that an error of one fiducial explains. Measured: correct boards reach 6.1 (hostile.md)."""
+_SURELY = 2.0
+"""Number of standard deviations beyond the limit at which an error is shown with a probability of 98 %."""
+_LIMIT_PX = 0.30
+"""Largest error of one of two fiducials that is accepted, px: that of a fiducial's residual where there are more."""
 
 
 class PartView(NamedTuple):
     """The most central view of a component."""
 
     part: int
-    """Number of the component."""
     frame: FrameKey
     px: Floats
-    """(2,) the component's centre, raw pixels."""
     half_px: Floats
     """(2,) half the extent of its footprint along the image's axes."""
 
@@ -68,15 +76,17 @@ class PartView(NamedTuple):
 def central_views(
     plane: BoardPlane, cad_matrix: Floats, scene: Scene, motion: Motion, views: FootprintViews
 ) -> list[PartView]:
-    """Return one view for each of up to `_MOST` components, frame by frame: the view nearest to the frame's centre.
-
-    Args:
-        views: views of the components' centres.
-    """
+    """Return, frame by frame, one view for each of up to `_MOST` components: that nearest to the frame's centre."""
     if not plane.components.addresses:
         # The views of a board type without components are those of two of its corners.
         return []
-    best = _nearest_to_centre(scene, views)
+    present = np.zeros((len(scene.cameras), len(motion.angle)), np.bool_)
+    present[tuple(np.array(scene.present, np.int_).reshape(-1, 2).T)] = True
+    use = np.flatnonzero(present[views.camera, views.row])
+    centre = np.array([camera.center_px for camera in scene.cameras])[views.camera[use]]
+    order = use[np.lexsort((np.hypot(*(views.px[use] - centre).T), views.point[use]))]
+    each = order[np.flatnonzero(np.diff(views.point[order], prepend=-1))]
+    best = each[np.unique(np.linspace(0, len(each) - 1, min(len(each), _MOST)).round().astype(np.int_))]
     half_mm = np.ptp(apply(cad_matrix, plane.components.corners[views.point[best]]), axis=1) / 2
     found = []
     # frame by frame, so that each frame is fetched only once
@@ -92,26 +102,10 @@ def central_views(
     return found
 
 
-def _nearest_to_centre(scene: Scene, views: FootprintViews) -> Ints:
-    """Return the indices of one view for each of up to `_MOST` components: the view nearest to the frame's centre."""
-    present = np.zeros((len(scene.cameras), int(views.row.max(initial=0)) + 1), np.bool_)
-    for i, j in scene.present:
-        if j < present.shape[1]:
-            present[i, j] = True
-    use = np.flatnonzero(present[views.camera, views.row])
-    centre = np.array([camera.center_px for camera in scene.cameras])[views.camera[use]]
-    order = use[np.lexsort((np.hypot(*(views.px[use] - centre).T), views.point[use]))]
-    each = order[np.flatnonzero(np.diff(views.point[order], prepend=-1))]
-    return np.asarray(each[np.unique(np.linspace(0, len(each) - 1, min(len(each), _MOST)).round().astype(np.int_))])
-
-
 def reduced_patch(
     grey: NDArray[np.uint8], px: Floats, nodes: NDArray[np.int_], factor: int
 ) -> NDArray[np.float32] | None:
-    """Return the patch of 2·`nodes` + 1 nodes per axis about the pixel nearest to `px`; None if it is not in view.
-
-    Each node is the mean of `factor` × `factor` pixels.
-    """
+    """Return the patch of 2·`nodes` + 1 nodes per axis about the pixel nearest to `px`; None if it is not in view."""
     (x, y), (far_x, far_y) = np.rint(px).astype(int), factor * nodes + factor // 2
     if min(x - far_x, y - far_y) < 0 or x + far_x >= grey.shape[1] or y + far_y >= grey.shape[0]:
         return None
@@ -121,38 +115,16 @@ def reduced_patch(
 
 
 def reduction(half_px: Floats, most_nodes: int) -> int:
-    """Return the factor by which a patch is reduced to `most_nodes` nodes on each side of its middle, or one more.
-
-    An odd factor keeps the middle of the patch in the middle of a pixel.
-    """
+    """Return the factor by which a patch is reduced to `most_nodes` nodes on each side of its middle, or one more."""
     return 2 * math.ceil((float(half_px.max()) / most_nodes - 1) / 2) + 1
-
-
-_MARGIN_MM = 0.1
-"""Width of the rim around a footprint that is compared too: it contains the edges of pads and body.
-
-A rim of 0.3 mm contained the silkscreen of neighbours: chips at the ends of a row were found up to 0.1 mm off."""
-REACH_MM = 0.3
-"""Largest distance, along each axis, of a centre of symmetry from its predicted place."""
-_MOST_NODES, _MOST_REDUCED = 40, 5
-"""Half the side of a compared patch in nodes, at most, and the largest factor by which a frame is reduced for it.
-
-With 20 nodes a chip 0805 at 15 px/mm had nodes of 0.2 mm, too coarse for the gap to its neighbour."""
-_LEAST_SCORE, _LEAST_CONTRAST = 0.6, 4.0
-"""Least correlation of a patch with itself turned by 180°, and least standard deviation of its grey levels."""
 
 
 def centre_of_symmetry(
     grey: NDArray[np.uint8], px: Floats, half_px: Floats, px_per_mm: float
 ) -> tuple[float, float] | None:
-    """Return how far the centre of symmetry of a component lies from its predicted place, px.
+    """Return how far (x, y), px, the centre of symmetry of a component lies from its predicted place `px` (2,).
 
-    Args:
-        px: (2,) the predicted place of the component's centre, raw pixels.
-        half_px: (2,) half the extent of its footprint along the image's axes.
-
-    Returns:
-        The distance along x and y; None if the component is too large, too near to the border, or not symmetric.
+    None if the component is too large, too near to the border, or not symmetric; `half_px` (2,) is half its extent.
     """
     half = half_px + _MARGIN_MM * px_per_mm
     factor = reduction(half, _MOST_NODES)
@@ -184,27 +156,6 @@ def _vertex(values: NDArray[np.float32]) -> float:
     return 0.5 * (before - after) / bend if bend < 0 else 0.0
 
 
-_LEAST = 6
-"""Least number of centres from which a shift is estimated."""
-_SCATTER_MM, _SCATTER_WEIGHT = 0.017, 3.0
-"""Expected scatter of the centres, per axis, mm, and its weight against what the run shows, in centres. Measured:
-0.017 mm (uncertainty.md)."""
-_PLACING_MM = np.array([0.012, 0.012, 0.008, 0.008])
-"""Standard deviations of what placement and light change in all components alike: shift, turn and stretch, mm.
-
-Turn and stretch are the displacement that they cause at the rms distance of the components from their middle."""
-_HEIGHT_MM = (0.0, 1.0)
-"""Mean and standard deviation of the seen height of components, if the board type does not state all heights, mm."""
-_HEIGHT_SHARE = (0.5, 0.5)
-"""Mean and standard deviation of the seen height as a share of the stated heights: between pads and top."""
-_KIND_MM, _KIND_WEIGHT = 0.01, 4.0
-"""Expected standard deviation, per axis, of the offset that components of one kind have in common, mm, and its weight
-against what the run shows, in offsets. Measured: 0.010 mm (hostile.md)."""
-_KNEE, _ROUNDS = 2.0, 12
-_LIMIT = 20.0
-"""Largest χ² of shift, turn and stretch (4 degrees of freedom) that is no contradiction: 1 in 2000 exceeds it."""
-
-
 @dataclass(frozen=True, eq=False)
 class ComponentShift:
     """Shift, turn and stretch of the components' centres against the places where C puts them."""
@@ -214,11 +165,9 @@ class ComponentShift:
     by_centres: Floats
     """(4, 4) covariance of `measured`, mm², by the scatter of the centres and the offsets of kinds alone."""
     middle_mm: Floats
-    """(2,) mean of the components' places in tester coordinates."""
     arm_mm: float
     """Rms distance of the components from their middle."""
     components: int
-    """Number of components that were measured."""
 
     @property
     def covariance(self) -> Floats:
@@ -238,11 +187,7 @@ class ComponentShift:
 def measure_component_shift(
     plane: BoardPlane, cad_matrix: Floats, scene: Scene, motion: Motion, views: Sequence[PartView]
 ) -> ComponentShift | None:
-    """Measure the shift of the components against the places where C puts them.
-
-    Returns:
-        The shift; None if the centres of too few components can be measured.
-    """
+    """Measure the shift of the components against the places where C puts them; None if too few show their centres."""
     if len(views) < _LEAST:
         return None
     part = np.array([view.part for view in views])
@@ -258,48 +203,17 @@ def measure_component_shift(
     found = np.isfinite(off_mm).all(1)
     if found.sum() < _LEAST:
         return None
-    part, off_mm = part[found], off_mm[found]
-    heights, prior = _heights(plane, part)
-    seen = _Seen(
-        apply(cad_matrix, plane.components.center)[part],
-        off_mm,
-        lean_mm[found] * heights[:, None],
-        _kinds(plane, part),
-    )
-    return _fitted(seen, prior)
-
-
-class _Seen(NamedTuple):
-    """Centres of k components as they are seen."""
-
-    board_mm: Floats
-    """(k, 2) places of the components, tester coordinates."""
-    off_mm: Floats
-    """(k, 2) offsets of their centres from these places."""
-    lean_mm: Floats
-    """(k, 2) offsets that a height factor of 1 causes."""
-    kind: Ints
-    """(k,) numbers of their kinds, from 0 on without a gap."""
-
-
-def _kinds(plane: BoardPlane, part: Ints) -> Ints:
-    """Return the kinds (k,) of components: those of one size that are turned alike, or by 180°, are of one kind."""
-    parts = plane.components.take(part)
+    part, off_mm, lean_mm = part[found], off_mm[found], lean_mm[found]
+    parts, prior = plane.components.take(part), _HEIGHT_MM
+    stated = [plane.board_type.components[n].body_height for n in part.tolist()]
+    known = np.array([height for height in stated if height is not None])
+    if len(known) == len(stated):
+        lean_mm, prior = lean_mm * (known * plane.board_type.mm_per_unit)[:, None], _HEIGHT_SHARE
+    # Components of one size that are turned alike, or by 180°, are of one kind.
     half_turns = np.rint(np.degrees(parts.angle_rad)).astype(int) % 180
     size_um = np.rint(1e3 * parts.mm_per_unit * parts.size).astype(int)
-    return np.asarray(np.unique(np.column_stack([size_um, half_turns]), axis=0, return_inverse=True)[1]).ravel()
-
-
-def _heights(plane: BoardPlane, part: np.ndarray) -> tuple[Floats, tuple[float, float]]:
-    """Return the heights (k,) of components and the prior (mean, standard deviation) of their common factor.
-
-    The heights are 1 mm, and the factor is the height in mm, unless the board type states the height of all k.
-    """
-    stated = [plane.board_type.components[n].body_height for n in part.tolist()]
-    known = [height * plane.board_type.mm_per_unit for height in stated if height is not None]
-    if len(known) < len(stated):
-        return np.ones(len(stated)), _HEIGHT_MM
-    return np.array(known), _HEIGHT_SHARE
+    kind = np.unique(np.column_stack([size_um, half_turns]), axis=0, return_inverse=True)[1].ravel()
+    return _fitted(apply(cad_matrix, plane.components.center)[part], off_mm, lean_mm, kind, prior)
 
 
 def _equations(board_mm: Floats, middle_mm: Floats, arm_mm: float) -> Floats:
@@ -310,19 +224,18 @@ def _equations(board_mm: Floats, middle_mm: Floats, arm_mm: float) -> Floats:
     return out
 
 
-def _fitted(seen: _Seen, prior: tuple[float, float]) -> ComponentShift | None:
+def _fitted(
+    board_mm: Floats, off_mm: Floats, lean_mm: Floats, kind: Ints, prior: tuple[float, float]
+) -> ComponentShift | None:
     """Estimate the common shift of k components; wrong centres and kinds lose their weight.
 
-    Args:
-        prior: mean and standard deviation of the height factor.
+    Their centres are seen `off_mm` (k, 2) from their places `board_mm` (k, 2); a height factor of 1 causes `lean_mm`
+    (k, 2). `kind` (k,) are numbers from 0 without a gap, `prior` mean and standard deviation of the factor.
     """
-    board_mm, off_mm = seen.board_mm, seen.off_mm
-    middle, kinds = board_mm.mean(0), np.eye(int(seen.kind.max()) + 1)[seen.kind]
+    middle, kinds = board_mm.mean(0), np.eye(int(kind.max()) + 1)[kind]
     arm = max(float(np.sqrt(((board_mm - middle) ** 2).sum(1).mean())), 1e-6)
     # unknowns: shift x and y, turn, stretch, height factor, and the offsets of the kinds along x and y
-    j = np.concatenate(
-        [_equations(board_mm, middle, arm), seen.lean_mm[:, :, None], np.kron(kinds[:, None], np.eye(2))], 2
-    )
+    j = np.concatenate([_equations(board_mm, middle, arm), lean_mm[:, :, None], np.kron(kinds[:, None], np.eye(2))], 2)
     of_kinds, weight, trust = slice(5, None), np.ones(len(board_mm)), np.ones(kinds.shape[1])
     scatter, kind_mm = 3 * _SCATTER_MM, _KIND_MM
     expected, precision = np.zeros(j.shape[2]), np.zeros(j.shape[2])
@@ -355,47 +268,19 @@ def _fitted(seen: _Seen, prior: tuple[float, float]) -> ComponentShift | None:
 
 
 def _weights(lengths: Floats) -> Floats:
-    """Return the robust weights (k,) of errors of these lengths (k,), in standard deviations per axis."""
     return np.asarray((1 + (lengths / _KNEE) ** 2) ** -2.0)
 
 
-_ALIKE_MM = np.array([0.012, 0.012, 0.004, 0.004])
-"""Standard deviations of what placement and light change in all components alike: shift, turn and stretch, mm, as in
-`ComponentShift.measured`. A light from one side shifts what is seen of all components, but hardly turns it."""
-_ERROR_LIMIT = 10.0
-"""Largest part of χ² that an error of one fiducial explains (2 degrees of freedom) and that is none. Measured: correct
-boards reach 6.1 (hostile.md)."""
-_SURELY = 2.0
-"""Number of standard deviations beyond the limit at which an error is shown with a probability of 98 %."""
-
-
 class FiducialError(NamedTuple):
-    """An error of one of two fiducials that explains where the components are seen."""
+    """An error of one of two fiducials, 0 or 1, that explains where the components are seen."""
 
     which: int
-    """0 or 1: which of the two."""
     mm: float
-    """Distance of the fiducial from its CAD position."""
     chi2: float
-    """Part of χ² that the error explains."""
-
-
-def two_that_place(plane: BoardPlane, points: FiducialPoints | None) -> Ints | None:
-    """Return the numbers (2,) of the two fiducials that alone determine C; None if more points do."""
-    if points is None or (points.which < 0).any():
-        return None
-    found = set(points.which.tolist())
-    # Fiducials of components and boards have no part in C.
-    used = np.array(sorted(found - plane.board_type.apart_from_c(found)), np.int_)
-    return used if len(used) == 2 else None
 
 
 def likely_errors(shift: ComponentShift, fiducials_mm: Floats) -> list[FiducialError]:
-    """Return the errors of one of two fiducials that the components show, the likeliest first; none if both fit.
-
-    Args:
-        fiducials_mm: (2, 2) places of the fiducials by C, tester coordinates, mm.
-    """
+    """Return the errors of one of two fiducials that the components show, the likeliest first; none if both fit."""
     weight, out = _information(shift), []
     for n, effect in enumerate(_effects(shift, fiducials_mm)):
         information, product = effect.T @ weight @ effect, effect.T @ weight @ shift.measured
@@ -405,10 +290,7 @@ def likely_errors(shift: ComponentShift, fiducials_mm: Floats) -> list[FiducialE
 
 
 def unnoticed_mm(shift: ComponentShift, fiducials_mm: Floats) -> float:
-    """Return the error of one of two fiducials (2, 2), tester coordinates, mm, that the components surely show.
-
-    A smaller error in the least favourable direction may leave all checks silent.
-    """
+    """Return the error of one of two fiducials (2, 2), tester coordinates, mm, that the components surely show."""
     weight = _information(shift)
     weakest = min(float(np.linalg.eigvalsh(e.T @ weight @ e)[0]) for e in _effects(shift, fiducials_mm))
     return (math.sqrt(_ERROR_LIMIT) + _SURELY) / math.sqrt(max(weakest, 1e-12))
@@ -430,21 +312,13 @@ def _effects(shift: ComponentShift, fiducials_mm: Floats) -> list[Floats]:
     return out
 
 
-_LIMIT_PX = 0.30
-"""Largest error of one of two fiducials that is accepted, px: that of a fiducial's residual where there are more."""
-
-
 def component_reasons(
-    shift: ComponentShift | None,
-    plane: BoardPlane,
-    adjusted: AdjustmentResult,
-    points: FiducialPoints | None,
-    px_per_mm: float,
+    shift: ComponentShift | None, plane: BoardPlane, cad_matrix: Floats, points: FiducialPoints, px_per_mm: float
 ) -> list[Reason]:
     """Return a reason if the pictures of the components are centred elsewhere than C puts them."""
-    if shift is None or adjusted.similarity is None:
+    if shift is None:
         return []
-    places = apply(plane.matrix(adjusted.similarity), plane.cad(plane.fiducials))
+    places = apply(cad_matrix, plane.cad(plane.fiducials))
     names = [fiducial.name for fiducial in plane.board_type.fiducials]
     if shift.contradicts:
         off_mm = np.hypot(*shift.at(places).T) if len(places) else np.zeros(0)
@@ -459,9 +333,9 @@ def component_reasons(
             "at its CAD position, or the centres of the components in the CAD data are not those of the parts"
         )
         return [Reason(ReasonCode.COMPONENTS_SHIFTED, text)]
-    used = two_that_place(plane, points)
-    errors = [] if used is None else likely_errors(shift, places[used])
-    if used is None or not errors or errors[0].mm * px_per_mm <= _LIMIT_PX:
+    used = plane.placing(points)
+    errors = likely_errors(shift, places[used]) if len(used) == 2 and (points.which >= 0).all() else []
+    if not errors or errors[0].mm * px_per_mm <= _LIMIT_PX:
         return []
     each = ", or ".join(f"{names[used[e.which]]} by {e.mm:.2f} mm ({e.mm * px_per_mm:.1f} px)" for e in errors)
     text = (

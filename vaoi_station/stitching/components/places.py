@@ -1,10 +1,9 @@
 """Places that do not follow C: of the boards of a panel, and of components beside local fiducials.
 
-Boards of a panel are shifted and turned against each other by tenths of a millimetre, because panels are assembled of
-boards, and because their webs give way. Artwork stretches and bends, so that C puts a fine-pitch component hundredths
-of a millimetre from its pads. The fiducials of a board, and local ones beside a component, have no part in C
-(`BoardType.apart_from_c`, `fiducials.LOCAL_MM`), unless they alone locate the panel: what remains between their
-pictures and C is the displacement of their board or component.
+Boards of a panel are shifted and turned against each other by tenths of a millimetre. Artwork stretches and bends, so
+that C puts a fine-pitch component hundredths of a millimetre from its pads. The fiducials of a board, and local ones
+beside a component, have no part in C (`BoardType.apart_from_c`, `fiducials.LOCAL_MM`), unless they alone locate the
+panel: what remains between their pictures and C is the displacement of their board or component.
 """
 
 from __future__ import annotations
@@ -22,15 +21,13 @@ from vaoi_station.stitching.board.fiducials import LOCAL_MM
 from vaoi_station.stitching.geometry import ComponentIndex
 
 _LOCAL_LIMIT_MM, _BOARD_LIMIT_MM = 0.3, 1.0
-"""Largest accepted displacement of a component and of a board: artwork bends by less, and a wrong mark may lie so far.
-"""
+"""Largest accepted displacement of a component and of a board: artwork bends by less."""
 _AGREEMENT_MM = 0.1
 """Largest difference of the displacements of two local fiducials of one component, and largest distance of a fiducial
 from the place that shift and turn of its board give it."""
-_TURN_RAD = np.radians(0.1)
-"""Standard deviation of the turn of a board that one fiducial places."""
-_UNPLACED_MM = 0.15
-"""Least standard deviation of the places on a board that its fiducials do not place."""
+_TURN_RAD, _UNPLACED_MM = np.radians(0.1), 0.15
+"""Standard deviation of the turn of a board that one fiducial places, and least one of the places on a board that its
+fiducials do not place."""
 _ARTWORK_MM, _MARK_MM = 0.02, 0.005
 """Standard deviations of what artwork displaces: all local fiducials of one component together, and each of them."""
 _COMMON_SIGMAS, _LEAST_LOCAL = 3.0, 3
@@ -45,29 +42,20 @@ class OwnPlace:
     """The displacement of a board of a panel, or of a component, against C, as its fiducials show it."""
 
     fiducials: tuple[str, ...]
-    """Names of its fiducials that were found."""
     lost: tuple[str, ...] = ()
     """Names of its fiducials that were not found; of a component, only if none was."""
     shift_mm: Floats = field(default_factory=lambda: np.zeros(2))
     """(2,) displacement of the component's centre, or of the middle of the board's components, tester coordinates."""
     turn_rad: float = 0.0
-    """Turn; 0 with one fiducial."""
     sigma_mm: float = 0.0
     """Standard deviation of the shift, per axis; of every place on a board that follows C."""
     sigma_turn_rad: float = 0.0
     middle_mm: Floats = field(default_factory=lambda: np.zeros(2))
     """(2,) middle of the found fiducials by C, tester coordinates."""
     off_mm: float = 0.0
-    """Largest distance of a fiducial from the place that shift and turn give it."""
     matrix: Floats | None = None
     """C of this board or component (3, 3); None if it follows the panel's or the board's C."""
     refusal: str = ""
-    """Why it does so."""
-
-    def sigma_at(self, tester_mm: Floats) -> Floats:
-        """Return the standard deviation (k,) of places (k, 2) on a board, mm per axis, beyond that of C."""
-        arm = np.hypot(*(tester_mm - self.middle_mm).T)
-        return np.asarray(np.hypot(self.sigma_mm, self.sigma_turn_rad * arm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +63,7 @@ class OwnPlaces:
     """What the fiducials of boards and of components show of places that C does not give."""
 
     boards: dict[str, OwnPlace] = field(default_factory=dict)
-    """Places of the boards of a panel, by position."""
     local: dict[str, OwnPlace] = field(default_factory=dict)
-    """Places of components by their local fiducials, by address."""
     matrices: dict[str, Floats] = field(default_factory=dict)
     """C (3, 3) of each component that does not follow C of the panel or board, by address."""
     sigma_mm: dict[str, float] = field(default_factory=dict)
@@ -89,21 +75,22 @@ class OwnPlaces:
         return {position: place.matrix for position, place in self.boards.items() if place.matrix is not None}
 
 
-def own_places(
-    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, cad_matrix: Floats
-) -> OwnPlaces:
-    """Return the places that do not follow C.
-
-    Local fiducials place their component on its board, wherever that lies.
-    """
+def own_places(plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints, cad_matrix: Floats) -> OwnPlaces:
+    """Return the places that do not follow C; local fiducials place their component on its board."""
     boards = board_places(plane, adjusted, points, cad_matrix)
     places = OwnPlaces(boards)
     local = local_places(plane, adjusted, points, cad_matrix, places.of_boards)
-    matrices, sigma = matrices_of_components(plane, boards), sigmas_of_components(plane, boards, cad_matrix)
+    for position, board in boards.items():
+        parts = [c for c in plane.board_type.components if str(c.panel) == position]
+        arm = np.hypot(*(apply(cad_matrix, np.array([c.center for c in parts])) - board.middle_mm).T)
+        sigma = np.hypot(board.sigma_mm, board.sigma_turn_rad * arm).tolist()
+        places.sigma_mm.update(zip((c.address for c in parts), sigma, strict=True))
+        if board.matrix is not None:
+            places.matrices.update({c.address: board.matrix for c in parts})
     for address, place in local.items():
         if place.matrix is not None:
-            matrices[address], sigma[address] = place.matrix, place.sigma_mm
-    return OwnPlaces(boards, local, matrices, sigma)
+            places.matrices[address], places.sigma_mm[address] = place.matrix, place.sigma_mm
+    return replace(places, local=local)
 
 
 class ShiftAndTurn(NamedTuple):
@@ -112,18 +99,13 @@ class ShiftAndTurn(NamedTuple):
     matrix: Floats
     """(3, 3) from the place by C to the place that the fiducials show."""
     turn_rad: float
-    """Turn about the middle of the fiducials; 0 with one fiducial."""
     middle_mm: Floats
-    """(2,) middle of the fiducials by C."""
     spread_mm2: float
     """Sum of the squared distances of the fiducials from their middle: the σ of the turn is σ of one / √spread."""
 
 
 def fit_shift_and_turn(at: Floats, shifts: Floats) -> ShiftAndTurn:
-    """Fit shift and turn to displacements (k, 2) of k ≥ 1 fiducials, which C puts at `at` (k, 2), mm.
-
-    One fiducial shows a shift only. The turn is the sine of the angle: up to 0.5° the difference is at most 1.2e-7 rad.
-    """
+    """Fit shift and turn to displacements (k, 2) of k ≥ 1 fiducials, which C puts at `at` (k, 2), mm."""
     middle, shift = at.mean(0), shifts.mean(0)
     arm = at - middle
     spread, turn = float((arm**2).sum()), 0.0
@@ -135,56 +117,56 @@ def fit_shift_and_turn(at: Floats, shifts: Floats) -> ShiftAndTurn:
     return ShiftAndTurn(matrix, turn, middle, spread)
 
 
-def displacement(points: FiducialPoints, residual_px: Floats, number: int) -> tuple[Floats, float] | None:
-    """Return the mean displacement (2,) of a fiducial against C, mm, and its standard deviation; None if not found."""
-    mine = points.which == number
-    if not mine.any():
-        return None
-    off = residual_px[mine] / points.px_per_mm[mine, None]
-    own = np.maximum(points.sigma_mm[mine] ** 2 - LOCAL_MM**2, 0.0).mean()
-    scatter = float(off.var(axis=0, ddof=1).mean()) if len(off) > 1 else 0.0
-    common = (_COMMON_PX / float(points.px_per_mm[mine].mean())) ** 2
-    return off.mean(0), float(np.sqrt(max(own, scatter) / len(off) + common))
+def _displacements(
+    points: FiducialPoints, residual_px: Floats, numbers: Collection[int]
+) -> dict[int, tuple[Floats, float]]:
+    """Return the mean displacement (2,) against C, mm, and its σ, of those fiducials that were found."""
+    out = {}
+    for n in numbers:
+        mine = points.which == n
+        if mine.any():
+            off = residual_px[mine] / points.px_per_mm[mine, None]
+            own = np.maximum(points.sigma_mm[mine] ** 2 - LOCAL_MM**2, 0.0).mean()
+            scatter = float(off.var(axis=0, ddof=1).mean()) if len(off) > 1 else 0.0
+            common = (_COMMON_PX / float(points.px_per_mm[mine].mean())) ** 2
+            out[n] = off.mean(0), float(np.sqrt(max(own, scatter) / len(off) + common))
+    return out
 
 
 def local_places(
     plane: BoardPlane,
     adjusted: AdjustmentResult,
-    points: FiducialPoints | None,
+    points: FiducialPoints,
     cad_matrix: Floats,
-    of_boards: Mapping[str, Floats] | None = None,
+    of_boards: Mapping[str, Floats],
 ) -> dict[str, OwnPlace]:
     """Return the places of components that have local fiducials, by address.
 
     `of_boards` holds C of the boards of a panel that have one, by position; it takes the place of `cad_matrix`.
     """
-    board = plane.board_type
-    if points is None:
-        return {}
-    measured = {n: displacement(points, adjusted.fiducial_px, n) for n in sorted(board.local_fiducials)}
-    cad = plane.cad(plane.fiducials)
-    by_panel, names = apply(cad_matrix, cad), [f.name for f in board.fiducials]
-    wanted: dict[str, list[int]] = {}
-    for n in measured:
+    board, cad, wanted = plane.board_type, plane.cad(plane.fiducials), dict[str, list[int]]()
+    local, names = sorted(board.local_fiducials), [f.name for f in board.fiducials]
+    measured = _displacements(points, adjusted.fiducial_px, local)
+    for n in local:
         for address in board.fiducials[n].components or ():
             wanted.setdefault(address, []).append(n)
     out = {}
-    for component in board.components:
-        numbers = wanted.get(component.address)
-        if numbers is None:
+    for component in board.components if wanted else ():
+        numbers = wanted.get(component.address, [])
+        seen = [n for n in numbers if n in measured]
+        if not numbers:
             continue
-        values = {n: value for n in numbers if (value := measured[n]) is not None}
-        if not values:
+        if not seen:
             lost = tuple(names[n] for n in numbers)
             out[component.address] = OwnPlace((), lost, refusal=f"{', '.join(lost)} was not found")
             continue
-        matrix = (of_boards or {}).get(str(component.panel), cad_matrix)
-        at = apply(matrix, cad[list(values)])
+        matrix = of_boards.get(str(component.panel), cad_matrix)
+        at = apply(matrix, cad[seen])
         # Displacements were measured against C of the panel.
-        shifts = np.array([shift for shift, _ in values.values()]) - (at - by_panel[list(values)])
-        sigmas = np.array([sigma for _, sigma in values.values()])
+        shifts = np.array([measured[n][0] for n in seen]) - (at - apply(cad_matrix, cad[seen]))
+        sigmas = np.array([measured[n][1] for n in seen])
         body = np.vstack([[component.center], board.footprint(component)])
-        out[component.address] = _placed_part(tuple(names[n] for n in values), at, shifts, sigmas, matrix, body)
+        out[component.address] = _placed_part(tuple(names[n] for n in seen), at, shifts, sigmas, matrix, body)
     return out
 
 
@@ -196,13 +178,10 @@ def _placed_part(
     C puts them at `at` (k, 2); `body` (5, 2) are centre and corners of the component, CAD coordinates.
     """
     matrix, turn, middle, spread = fit_shift_and_turn(at, shifts)
-    own = matrix @ cad_matrix
-    sigma = float(np.sqrt((sigmas**2).sum())) / len(at)
+    own, place = matrix @ cad_matrix, apply(cad_matrix, body)
+    moved, sigma, refusal = apply(own, body) - place, float(np.sqrt((sigmas**2).sum())) / len(at), ""
     if len(at) > 1:
-        reach = float(np.hypot(*(apply(cad_matrix, body[0]) - middle)))
-        sigma = float(np.hypot(sigma, float(np.sqrt((sigmas**2).mean() / spread)) * reach))
-    moved = apply(own, body) - apply(cad_matrix, body)
-    refusal = ""
+        sigma = float(np.hypot(sigma, float(np.sqrt((sigmas**2).mean() / spread)) * np.hypot(*(place[0] - middle))))
     # A turn explains any error of one fiducial of two across their distance, so the displacements themselves are
     # compared.
     apart = float(np.hypot(*(shifts[:, None] - shifts[None]).reshape(-1, 2).T).max())
@@ -210,9 +189,8 @@ def _placed_part(
         refusal = f"{', '.join(names)} would displace it by {off:.2f} mm (limit {_LOCAL_LIMIT_MM:g} mm)"
     elif apart > _AGREEMENT_MM:
         refusal = f"{', '.join(names)} disagree by {apart:.2f} mm (limit {_AGREEMENT_MM:g} mm)"
-    return OwnPlace(
-        names, (), moved[0], turn, sigma, middle_mm=middle, matrix=None if refusal else own, refusal=refusal
-    )
+    out = OwnPlace(names, (), moved[0], turn, sigma, middle_mm=middle, refusal=refusal)
+    return out if refusal else replace(out, matrix=own)
 
 
 def common_displacement_mm(
@@ -223,11 +201,10 @@ def common_displacement_mm(
     Artwork displaces the fiducials of one component independently of those of others. What all have in common is an
     error of C. Fewer than three fiducials, or those of one component, do not show it.
     """
-    fiducials = plane.board_type.fiducials
     # Boards of a panel lie displaced, and their local fiducials with them.
     local = [] if plane.board_type.board_fiducials else sorted(plane.board_type.local_fiducials)
-    measured = {n: value for n in local if (value := displacement(points, adjusted.fiducial_px, n)) is not None}
-    parts = [fiducials[n].components for n in measured]
+    measured = _displacements(points, adjusted.fiducial_px, local)
+    parts = [plane.board_type.fiducials[n].components for n in measured]
     if len(measured) < _LEAST_LOCAL or len(set(parts)) < 2:
         return 0.0
     at = apply(cad_matrix, plane.cad(plane.fiducials))[list(measured)]
@@ -248,22 +225,16 @@ def common_displacement_mm(
 
 
 def board_places(
-    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, cad_matrix: Floats
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints, cad_matrix: Floats
 ) -> dict[str, OwnPlace]:
     """Return the places of the boards of a panel, by position; empty if no board has fiducials."""
-    boards = plane.board_type.board_fiducials
-    if not boards:
-        return {}
-    points = points if points is not None else FiducialPoints.empty()
+    board, out = plane.board_type, dict[str, OwnPlace]()
     found = set(points.which[points.which >= 0].tolist())
-    apart = plane.board_type.apart_from_c(found, points.fixture_marks)
-    names, at = [f.name for f in plane.board_type.fiducials], apply(cad_matrix, plane.cad(plane.fiducials))
-    out = {}
-    for position, numbers in boards.items():
-        seen = [n for n in numbers if n in found]
+    apart = board.apart_from_c(found, points.fixture_marks)
+    names, at = [f.name for f in board.fiducials], apply(cad_matrix, plane.cad(plane.fiducials))
+    for position, numbers in board.board_fiducials.items():
+        seen, of_c = [n for n in numbers if n in found], not apart.intersection(numbers)
         place = OwnPlace(tuple(names[n] for n in seen), tuple(names[n] for n in numbers if n not in found))
-        values = [v for n in seen if (v := displacement(points, adjusted.fiducial_px, n)) is not None]
-        of_c = not apart.intersection(numbers)
         if of_c and len(seen) > 1:
             # It is the board that determines C.
             out[position] = replace(place, matrix=cad_matrix)
@@ -271,10 +242,11 @@ def board_places(
             # C is drawn to the fiducials of several displaced boards, so that their residuals show no displacement.
             refusal = f"{place.fiducials[0]} alone was found, and not two of the panel's own"
             out[position] = replace(place, refusal=refusal)
-        elif not values:
-            out[position] = replace(place, refusal=f"{', '.join(place.lost or place.fiducials)} was not found")
+        elif not seen:
+            out[position] = replace(place, refusal=f"{', '.join(place.lost)} was not found")
         else:
-            centers = np.array([c.center for c in plane.board_type.components if str(c.panel) == position])
+            centers = np.array([c.center for c in board.components if str(c.panel) == position])
+            values = _displacements(points, adjusted.fiducial_px, seen).values()
             shifts, sigmas = np.array([shift for shift, _ in values]), np.array([sigma for _, sigma in values])
             out[position] = _placed_board(place, at[seen], shifts, sigmas, cad_matrix, apply(cad_matrix, centers))
     # A board that follows C is as uncertain as the other boards are displaced.
@@ -294,16 +266,14 @@ def _placed_board(
     `centers` (n, 2) is where C puts the components of the board.
     """
     matrix, turn, middle, spread = fit_shift_and_turn(at, shifts)
-    left = at + shifts - apply(matrix, at)
+    left, every = at + shifts - apply(matrix, at), np.vstack([centers, at])
     off, variance, sigma_turn = float(np.hypot(*left.T).max()), float((sigmas**2).mean()), float(_TURN_RAD)
     if len(at) > 1:
         # Fiducials that disagree show less than their own standard deviations state.
         variance = max(variance, float((left**2).sum()) / (2 * len(at) - 3))
         sigma_turn = float(np.sqrt(variance / spread))
-    every = np.vstack([centers, at])
-    moved = apply(matrix, every) - every
-    far, refusal = float(np.hypot(*moved.T).max()), ""
-    if far > _BOARD_LIMIT_MM:
+    moved, refusal = apply(matrix, every) - every, ""
+    if (far := float(np.hypot(*moved.T).max())) > _BOARD_LIMIT_MM:
         refusal = f"{', '.join(place.fiducials)} would displace it by {far:.2f} mm (limit {_BOARD_LIMIT_MM:g} mm)"
     elif off > _AGREEMENT_MM:
         refusal = f"{', '.join(place.fiducials)} lie {off:.2f} mm from their places on it (limit {_AGREEMENT_MM:g} mm)"
@@ -320,23 +290,6 @@ def _placed_board(
     )
 
 
-def matrices_of_components(plane: BoardPlane, places: Mapping[str, OwnPlace]) -> dict[str, Floats]:
-    """Return C of each component whose board has one, by address."""
-    own = {position: place.matrix for position, place in places.items() if place.matrix is not None}
-    parts = plane.board_type.components if own else ()
-    return {c.address: own[str(c.panel)] for c in parts if str(c.panel) in own}
-
-
-def sigmas_of_components(plane: BoardPlane, places: Mapping[str, OwnPlace], cad_matrix: Floats) -> dict[str, float]:
-    """Return the standard deviation of the board's place at each component of a panel, mm, by address."""
-    out: dict[str, float] = {}
-    for position, place in places.items():
-        parts = [c for c in plane.board_type.components if str(c.panel) == position]
-        sigma = place.sigma_at(apply(cad_matrix, np.array([c.center for c in parts])))
-        out |= dict(zip((c.address for c in parts), sigma.tolist(), strict=True))
-    return out
-
-
 def components_of(plane: BoardPlane, positions: Collection[str]) -> frozenset[str]:
     """Return the addresses of the components of the boards at these positions."""
     parts = plane.board_type.components if positions else ()
@@ -344,10 +297,7 @@ def components_of(plane: BoardPlane, positions: Collection[str]) -> frozenset[st
 
 
 def placed_landmarks(plane: BoardPlane, cad_matrix: Floats, matrices: Mapping[str, Floats]) -> Floats:
-    """Return the `landmarks` (n, 2) of a board such that C puts each where it lies.
-
-    A component that does not follow C is where C puts another point of the board.
-    """
+    """Return the `landmarks` (n, 2) of a board such that C puts each where it lies."""
     parts = placed_parts(plane, cad_matrix, matrices)
     return parts.center if parts.addresses else landmarks(plane)[1]
 
@@ -355,5 +305,4 @@ def placed_landmarks(plane: BoardPlane, cad_matrix: Floats, matrices: Mapping[st
 def placed_parts(plane: BoardPlane, cad_matrix: Floats, matrices: Mapping[str, Floats]) -> ComponentIndex:
     """Return the components of a board such that C puts each where it lies; `matrices` are their own C, by address."""
     back = np.linalg.inv(cad_matrix)
-    moves = {address: back @ matrix for address, matrix in matrices.items()}
-    return plane.components.moved(moves) if moves else plane.components
+    return plane.components.moved({address: back @ matrix for address, matrix in matrices.items()})

@@ -1,8 +1,7 @@
 """Whether fiducials, CAD data, calibration, outline and reference agree; reasons in words and numbers if not.
 
-Fiducials that lie where the CAD data have them fit together to a few hundredths of a pixel. If they do not, one of them
-may be off by far more than its residual: bow, tilt and scale of the board, and the others, take a part of the error,
-and the residual may be that of another fiducial.
+Of fiducials that do not fit together, one may be off by far more than its residual: bow, tilt and scale of the board,
+and the others, take a part of the error, and the residual may be that of another fiducial.
 """
 
 from __future__ import annotations
@@ -33,15 +32,12 @@ _FIDUCIAL_LIMIT_PX = 0.30
 _SCALE_LIMIT = 5e-4
 """Largest accepted scale error, relative. Laminate stays below it; a wrong position of a fiducial may exceed it."""
 _SURFACE_LIMIT, _SURFACE_LIMIT_TOGETHER = 4.0, 5.6
-"""Largest accepted tilt, twist and bow of the board's surface, in standard deviations of their prior: each, and the
-root of the sum of their squares.
-
-A fiducial that is not at its CAD position bends the computed surface instead of leaving a residual, with three of them
-as a mixture of tilt, twist and bow. Of correct boards, 1 in 10⁵ exceeds the second limit."""
+"""Largest accepted tilt, twist and bow of the surface, in standard deviations of their prior: each, and the root of the
+sum of their squares, which 1 in 10⁵ correct boards exceeds. A wrong fiducial bends the surface, with three of them as a
+mixture."""
 _LAMINATE, _ARTWORK_MM, _PLACE_MM = 3e-4, 0.01, 0.03
 """In the search for a wrong fiducial: standard deviations of a board's relative scale, of a fiducial's position (mm),
-and of its place where links alone give the motion of the rows (mm). Without the last, an error of the motion over some
-rows passes for a wrong fiducial, and a right one is named."""
+and of its place where links alone give the motion of the rows (mm)."""
 _PLAINLY = 4.0
 """A fiducial is named as wrong only if leaving out any other gives a χ² that is larger by at least this factor."""
 _LEAST, _CONTRADICTION = 3, 4.0
@@ -52,17 +48,14 @@ _C_COLUMNS = slice(3, 5)
 _LEAST_REFERRED, _LEAST_AGREEING = 12, 0.5
 """Number of points of a reference from which on they are compared with the fiducials, and least share that agrees."""
 _REFERENCE_SIGMAS, _REFERENCE_LIMIT_PX = 4.0, 0.3
-"""The median residual of a reference's points is a contradiction if it exceeds both: standard deviations, and px.
-
-False links to a reference scatter about 0; points of a board that lies elsewhere do not."""
+"""The median residual of a reference's points is a contradiction if it exceeds both: standard deviations, and px."""
 _FACTORS = (0.7, 1.4, 0.83, 1.2, 0.5, 2.0)
-"""Sizes of fiducials that are searched if none were found, relative to those of the board type.
-
-A search for one size finds marks whose size differs by up to about 15 %."""
+"""Sizes of fiducials that are searched if none were found, relative to those of the board type; each search finds marks
+whose size differs by up to about 15 %."""
 
 
 def fiducial_reasons(
-    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion, px_per_mm: float
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints, moved: Motion, px_per_mm: float
 ) -> list[Reason]:
     """Return a reason for each disagreement between fiducials and CAD data: residuals, scale, surface, wrong fiducial.
 
@@ -70,13 +63,16 @@ def fiducial_reasons(
     """
     if adjusted.similarity is None:
         return []
-    out, fiducials = [], plane.board_type.fiducials
-    places = _places(adjusted, points, moved)
-    apart = plane.board_type.apart_from_c(places, points.fixture_marks if points is not None else 0)
-    seen = {n: of for n, of in places.items() if n not in apart}
-    for n, (_, off_px) in seen.items():
-        if off_px > _FIDUCIAL_LIMIT_PX:
-            text = f"fiducial {fiducials[n].name} lies {off_px:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})"
+    # Of the surface only the lift is used: a fiducial that is not at its CAD position bends the other terms, which
+    # would hide its error.
+    lift = adjusted.surface_mm[0] if len(adjusted.surface_mm) else 0.0
+    place = moved.board(points.row, points.ground_mm) + moved.turned(points.row, points.lean) * lift
+    off_px = np.hypot(*adjusted.fiducial_px.T)
+    used, out = plane.placing(points), []
+    for n in used:
+        if (off := float(off_px[points.which == n].mean())) > _FIDUCIAL_LIMIT_PX:
+            name = plane.board_type.fiducials[n].name
+            text = f"fiducial {name} lies {off:.2f} px from its place (limit {_FIDUCIAL_LIMIT_PX})"
             out.append(Reason(ReasonCode.FIDUCIAL_OFF_PLACE, text))
     out += _scale_reasons(plane, adjusted, px_per_mm)
     out += _surface_reasons(adjusted.surface_mm)
@@ -84,26 +80,8 @@ def fiducial_reasons(
         out += contradiction_reasons(plane, adjusted, points, px_per_mm)
     # A wrong fiducial is searched only if another check fails, since correct data contain none.
     if out:
-        out += _wrong_fiducial(plane, {n: place for n, (place, _) in seen.items()}, px_per_mm)
+        out += _wrong_fiducial(plane, {n: place[points.which == n].mean(0) for n in used}, px_per_mm)
     return out
-
-
-FiducialPlaces = dict[int, tuple[Floats, float]]
-"""For each fiducial, by its index in the board type: its position, and the mean length of its residuals (px).
-
-The position is in tester mm. It is computed for a flat board, with the motion of the rows from links alone."""
-
-
-def _places(adjusted: AdjustmentResult, points: FiducialPoints | None, moved: Motion) -> FiducialPlaces:
-    if points is None:
-        return {}
-    # Of the surface only the lift is used: a fiducial that is not at its CAD position bends the other terms, which
-    # would hide its error.
-    lift = adjusted.surface_mm[0] if len(adjusted.surface_mm) else 0.0
-    place = moved.board(points.row, points.ground_mm) + moved.turned(points.row, points.lean) * lift
-    off_px = np.hypot(*adjusted.fiducial_px.T)
-    numbers = np.unique(points.which[points.which >= 0]).tolist()
-    return {n: (place[points.which == n].mean(0), float(off_px[points.which == n].mean())) for n in numbers}
 
 
 def _scale_reasons(plane: BoardPlane, adjusted: AdjustmentResult, px_per_mm: float) -> list[Reason]:
@@ -150,24 +128,31 @@ def _surface_reasons(surface_mm: Floats) -> list[Reason]:
             f"is tilted and bent at once ({together:.1f} standard deviations together, limit "
             f"{_SURFACE_LIMIT_TOGETHER}; most of it by a {what} of {surface_mm[k + 1]:+.2f} mm)"
         )
-    text = (
-        f"fiducials and links agree only if the board {shape}: a fiducial is not at its CAD position, or the board is "
-        "bent"
-    )
-    return [Reason(ReasonCode.SURFACE_UNLIKELY, text)]
+    text = f"fiducials and links agree only if the board {shape}"
+    return [Reason(ReasonCode.SURFACE_UNLIKELY, f"{text}: a fiducial is not at its CAD position, or the board is bent")]
 
 
 def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: float) -> list[Reason]:
-    """Return a reason that names the one fiducial that contradicts all others; none for fewer than three fiducials."""
     if len(places) < _LEAST:
         return []
-    without = {n: _fit_without(n, plane, places) for n in places}
-    costs = sorted((cost, n) for n, (cost, _) in without.items())
-    (best, n), (second, _) = costs[0], costs[1]
+    costs = []
+    for n, place in places.items():
+        # χ² of fit and scale without fiducial n. Flat coordinates have the handedness of tester coordinates.
+        others = [k for k in places if k != n]
+        cad, board = plane.fiducials, np.array([places[k] for k in others])
+        fit = fit_similarity(board, cad[others], System.TESTER, System.CAD, mirrored=False)
+        if isinstance(fit, Failure):
+            costs.append((np.inf, n, 0.0))
+            continue
+        scale, apart_mm = fit.scale / plane.board_type.mm_per_unit - 1, float(np.hypot(*np.ptp(board, axis=0)))
+        cost = float(((fit(cad[others]) - board) ** 2).sum()) / (_ARTWORK_MM**2 + _PLACE_MM**2)
+        cost += scale**2 / (_LAMINATE**2 + 2 * (_PLACE_MM / apart_mm) ** 2)
+        costs.append((cost, n, float(np.hypot(*(fit(cad[n]) - place)))))
+    (best, n, off_mm), (second, *_) = sorted(costs)[:2]
     # A fiducial is named only if the result is clear: otherwise the engineer would search for a fault in a correct one.
     if second < _PLAINLY * max(best, 1.0):
         return []
-    off_mm, name = without[n][1], plane.board_type.fiducials[n].name
+    name = plane.board_type.fiducials[n].name
     text = (
         f"without fiducial {name} the others agree: {name} lies {off_mm:.2f} mm ({off_mm * px_per_mm:.1f} px) from "
         f"its CAD position; check {name} in the CAD data and on the board"
@@ -175,46 +160,26 @@ def _wrong_fiducial(plane: BoardPlane, places: dict[int, Floats], px_per_mm: flo
     return [Reason(ReasonCode.FIDUCIAL_WRONG, text)]
 
 
-def _fit_without(n: int, plane: BoardPlane, places: dict[int, Floats]) -> tuple[float, float]:
-    """Fit C to all fiducials but number n; return χ² of fit and scale, and the distance (mm) of n from its place."""
-    others = [k for k in places if k != n]
-    cad, board = plane.fiducials, np.array([places[k] for k in others])
-    # Flat coordinates have the handedness of tester coordinates, so the fit never mirrors.
-    fit = fit_similarity(board, cad[others], System.TESTER, System.CAD, mirrored=False)
-    if isinstance(fit, Failure):
-        return np.inf, 0.0
-    misfit = fit(cad[others]) - board
-    scale = fit.scale / plane.board_type.mm_per_unit - 1
-    apart_mm = float(np.hypot(*np.ptp(board, axis=0)))
-    cost = float((misfit**2).sum()) / (_ARTWORK_MM**2 + _PLACE_MM**2)
-    cost += scale**2 / (_LAMINATE**2 + 2 * (_PLACE_MM / apart_mm) ** 2)
-    return cost, float(np.hypot(*(fit(cad[n]) - places[n])))
-
-
 def contradiction_reasons(
-    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, px_per_mm: float
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints, px_per_mm: float
 ) -> list[Reason]:
-    """Return a reason if fiducials do not fit together, and the error of one that would explain it is too large.
-
-    Each is left out in turn: its distance from the place that the rest predicts is the error that would explain all.
-    """
-    if points is None or adjusted.similarity is None or (points.which < 0).any():
+    """Return a reason if fiducials do not fit together, and the error of one that would explain it is too large."""
+    if adjusted.similarity is None or (points.which < 0).any():
         return []
-    found = set(points.which.tolist())
-    used = sorted(found - plane.board_type.apart_from_c(found))
+    used = plane.placing(points)
     if len(used) < _LEAST:
         return []
     off = _residuals(points, adjusted.fiducial_px, used)
-    worst = max(off, key=lambda n: off[n][1])
-    if off[worst][1] <= _CONTRADICTION:
+    worst, (px, sigmas) = max(off.items(), key=lambda item: item[1][1])
+    if sigmas <= _CONTRADICTION:
         return []
     every = {n: _without(adjusted, n, [k for k in used if k != n]) for n in used}
     # Those without which the others still do not fit are left out, unless that holds for all.
-    errors = {n: mm for n, (mm, sigmas) in every.items() if sigmas <= _CONTRADICTION}
+    errors = {n: mm for n, (mm, left) in every.items() if left <= _CONTRADICTION}
     errors = errors or {n: mm for n, (mm, _) in every.items()}
     if max(errors.values(), default=0.0) * px_per_mm <= _FIDUCIAL_LIMIT_PX:
         return []
-    names, (px, sigmas) = [fiducial.name for fiducial in plane.board_type.fiducials], off[worst]
+    names = [fiducial.name for fiducial in plane.board_type.fiducials]
     each = ", or ".join(f"{names[n]} by {mm:.2f} mm ({mm * px_per_mm:.1f} px)" for n, mm in errors.items())
     text = (
         f"the fiducials do not fit together: {names[worst]} lies {px:.2f} px from its place, {sigmas:.0f} standard "
@@ -225,7 +190,6 @@ def contradiction_reasons(
 
 
 def _residuals(points: FiducialPoints, off_px: Floats, used: Collection[int]) -> dict[int, tuple[float, float]]:
-    """Return the length of the mean residual of each fiducial, px, and in its standard deviations per axis."""
     weight = (detection_sigma_mm(points) * points.px_per_mm) ** -2.0
     out = {}
     for n in used:
@@ -236,10 +200,7 @@ def _residuals(points: FiducialPoints, off_px: Floats, used: Collection[int]) ->
 
 
 def _without(adjusted: AdjustmentResult, n: int, others: Collection[int]) -> tuple[float, float]:
-    """Adjust the run without fiducial n; return its distance (mm) from its place, and the others' largest residual.
-
-    The cameras stay where the adjustment has found them. The residual is in standard deviations.
-    """
+    """Adjust the run without fiducial n, with the same cameras."""
     problem, points, c = adjusted.problem, adjusted.problem.fiducials, adjusted.similarity
     assert points is not None
     assert c is not None
@@ -248,23 +209,16 @@ def _without(adjusted: AdjustmentResult, n: int, others: Collection[int]) -> tup
     kept = surface and replace(surface, at_fiducials=basis[rest])
     fitted = adjust(replace(problem, fiducials=points.select(rest), surface=kept, cameras=()), adjusted.motion, c)
     assert fitted.similarity is not None
-    alone = points.select(own)
-    off_mm = fiducial_residuals(alone, fitted.motion, fitted.similarity, basis[own], fitted.surface_mm)[0]
+    off_mm = fiducial_residuals(points.select(own), fitted.motion, fitted.similarity, basis[own], fitted.surface_mm)[0]
     misfits = _residuals(points.select(rest), fitted.fiducial_px, others)
     return float(np.hypot(*off_mm.mean(0))), max(sigmas for _, sigmas in misfits.values())
 
 
 def common_local_reasons(
-    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints | None, px_per_mm: float
+    plane: BoardPlane, adjusted: AdjustmentResult, points: FiducialPoints, px_per_mm: float
 ) -> list[Reason]:
-    """Return a reason if local fiducials together lie elsewhere than C puts them, where only two fiducials place C.
-
-    Two fiducials leave no residuals, and the places of components would follow the error of one of them.
-    """
-    if adjusted.similarity is None or points is None or (points.which < 0).any():
-        return []
-    found = set(points.which.tolist())
-    if len(found - plane.board_type.apart_from_c(found)) > 2:
+    """Return a reason if local fiducials together lie elsewhere than C puts them, where only two fiducials place C."""
+    if adjusted.similarity is None or (points.which < 0).any() or len(plane.placing(points)) > 2:
         return []
     off_mm = common_displacement_mm(plane, adjusted, points, plane.matrix(adjusted.similarity))
     if off_mm * px_per_mm <= _FIDUCIAL_LIMIT_PX:
@@ -277,21 +231,20 @@ def common_local_reasons(
     return [Reason(ReasonCode.FIDUCIAL_OFF_PLACE, text)]
 
 
-def uncertain_detections(plane: BoardPlane, points: FiducialPoints | None, limit_px: float) -> str:
+def uncertain_detections(plane: BoardPlane, points: FiducialPoints, limit_px: float) -> str:
     """Return a clause that names fiducials whose best detection has a σ above a limit (px); empty if none."""
-    if points is None:
-        return ""
-    sigma_px, found = points.sigma_mm * points.px_per_mm, set(points.which[points.which >= 0].tolist())
-    numbers = sorted(found - plane.board_type.apart_from_c(found, points.fixture_marks))
-    best = {n: float(sigma_px[points.which == n].min()) for n in numbers}
+    sigma_px = points.sigma_mm * points.px_per_mm
+    best = {n: float(sigma_px[points.which == n].min()) for n in plane.placing(points)}
     unsure = ", ".join(f"{plane.board_type.fiducials[n].name} ± {px:.2f} px" for n, px in best.items() if px > limit_px)
     return f"; fiducials that are partly covered, smudged or in a glare: {unsure}" if unsure else ""
 
 
 def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[Reason]:
     """Return a reason if the outline is shifted or turned against the position that the fiducials predict."""
+    if shift is None:
+        return []
     out = []
-    if shift is not None and shift.excess_mm:
+    if shift.excess_mm:
         (x, y), (sx, sy) = shift.mm, shift.sigma_mm
         text = (
             f"the board's outline lies {shift.excess_mm:.2f} mm ({shift.excess_mm * px_per_mm:.0f} px) from where "
@@ -300,7 +253,7 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[Reason
             "with the board"
         )
         out.append(Reason(ReasonCode.OUTLINE_SHIFTED, text))
-    if shift is not None and shift.turned_mm:
+    if shift.turned_mm:
         turn, sigma = 1e3 * shift.turn_rad, 1e3 * shift.turn_sigma_rad
         text = (
             f"the board's outline is turned by {turn:+.1f} ± {sigma:.1f} mrad against the fiducials, "
@@ -311,9 +264,9 @@ def outline_reasons(shift: OutlineShift | None, px_per_mm: float) -> list[Reason
     return out
 
 
-def reference_reasons(points: FiducialPoints | None, residual_px: Floats) -> list[Reason]:
+def reference_reasons(points: FiducialPoints, residual_px: Floats) -> list[Reason]:
     """Return a reason if most points of a reference lie elsewhere than the fiducials put them, and agree about it."""
-    if points is None or not (points.which >= 0).any():
+    if not (points.which >= 0).any():
         return []
     referred = points.which == REFERENCE
     count, fitting = int(referred.sum()), int((inliers(points, residual_px) & referred).sum())
@@ -337,20 +290,28 @@ def reference_reasons(points: FiducialPoints | None, residual_px: Floats) -> lis
 def wrong_size(
     board_type: BoardType, scene: Scene, expectation: Expectation, motion: Motion, texture_mm: Floats
 ) -> Reason | None:
-    """Return a reason if marks of another size lie where the fiducials, which were not found, should be.
-
-    The search for fiducials finds only marks of about the stated size. If marks of another size lie at the distances
-    of the fiducials, and the outline is visible where they put it, the diameter in the board type is wrong.
-    """
-    costs = []
+    """Return a reason if marks of another size lie where the fiducials, which were not found, should be."""
+    cameras, costs = scene.cameras, []
     for factor in _FACTORS:
         resized = tuple(f.model_copy(update={"diameter": f.diameter * factor}) for f in board_type.fiducials)
         other = board_type.model_copy(update={"fiducials": resized})
-        cost = _cost_of_size(other, scene, expectation, motion, texture_mm)
-        costs += [] if cost is None else [(cost, factor)]
+        plane = board_plane(other, cameras[0])
+        detections = [
+            detect_marks(Task("marks", key), scene.prepared(key), cameras[key[0]], other) for key in scene.present
+        ]
+        angle = expected_angle(plane, typical_camera(cameras), expectation)
+        found = find_board(plane, merge_detections(detections, cameras, motion), angle, expectation, texture_mm)
+        if isinstance(found, Failure):
+            continue
+        outline = measure_outline_contrast(other, plane.matrix(found.c), scene, motion)
+        count = len(found.fiducials)
+        # With fewer fiducials, the outline must confirm the board's position.
+        confirmed = count >= _LEAST if outline is None else outline.visible
+        if confirmed and count >= min(_LEAST, len(resized)):
+            costs.append((found.cost, factor))
     if not costs:
         return None
-    _, factor = min(costs, key=lambda found: found[0])
+    factor = min(costs, key=lambda found: found[0])[1]
     stated = [size * board_type.mm_per_unit for size in sorted({f.diameter for f in board_type.fiducials})]
     text = (
         f"marks of {', '.join(f'about {mm * factor:.2g} mm' for mm in stated)} are where fiducials of "
@@ -358,23 +319,3 @@ def wrong_size(
         "board type"
     )
     return Reason(ReasonCode.FIDUCIAL_SIZE, text)
-
-
-def _cost_of_size(
-    board_type: BoardType, scene: Scene, expectation: Expectation, motion: Motion, texture_mm: Floats
-) -> float | None:
-    """Return the cost of the best position of the board; None if no position is found or confirmed."""
-    plane, cameras = board_plane(board_type, scene.cameras[0]), scene.cameras
-    detections = [
-        detect_marks(Task("marks", key), scene.prepared(key), cameras[key[0]], board_type) for key in scene.present
-    ]
-    places = merge_detections(detections, cameras, motion)
-    angle = expected_angle(plane, typical_camera(cameras), expectation)
-    found = find_board(plane, places, angle, expectation, np.asarray(texture_mm))
-    if isinstance(found, Failure):
-        return None
-    outline = measure_outline_contrast(board_type, plane.matrix(found.c), scene, motion)
-    if len(found.fiducials) < min(_LEAST, len(board_type.fiducials)) or (outline is not None and not outline.visible):
-        return None
-    # With fewer fiducials, the outline must confirm the board's position.
-    return found.cost if outline is not None or len(found.fiducials) >= _LEAST else None

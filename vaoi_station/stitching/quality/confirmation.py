@@ -8,7 +8,7 @@ beside the board, the edge of the board, and whether the frame repeats the pictu
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,41 +37,22 @@ from vaoi_station.stitching.matching.patches import patch_centres
 _LEAST_FITTING, _LEAST_SHARE, _DECIDING = 3, 0.5, 5
 """Least number and share of a frame's links or points that must fit; number of them that decides it.
 
-In sound frames of recordings and twin, a share of 0.7 or more fits. In a picture of another row, up to 7 of 31 fit by
-chance: a board has equal parts at equal distances."""
+Measured: in sound frames 0.7 or more fit. In a picture of another row, up to 7 of 31 fit by chance."""
 _SURE = 12
 """Number of fitting links from which no picture of another row is to be expected."""
-_BESIDE_SHARE = 0.7
-"""Least share of the links beside the board that must fit where they alone confirm a frame."""
-_BESIDE_MM, _BESIDE_OF_WAY = 0.05, 0.02
-"""Largest residual of a link beside the board: constant, and per mm of the way between its rows.
-
-The carrier or the belt may lie below the board by 2 % of the working distance, so that its pictures move less."""
-_ALIKE_MM = 0.05
-"""Largest deviation of such a residual from the median of its pair of frames.
-
-What lies beside the board is one plane, so that all residuals of a pair are alike: of sound frames of hostile drawings,
-0.98 and more. Along an edge of the carrier, links of a frame of another row fit by chance, but differ."""
-
+_BESIDE_SHARE, _BESIDE_MM, _BESIDE_OF_WAY, _ALIKE_MM = 0.7, 0.05, 0.02, 0.05
+"""Of links beside the board that alone confirm a frame: least share that must fit; largest residual, constant and per
+mm of the way between its rows, as they may lie below the board; largest deviation from the median of its pair."""
 _EDGE_MM, _BEYOND_MM = 0.15, 0.6
-"""Largest distance of the edge from its place by C, and distance from it at which its step has ended.
-
-Rows are millimetres apart, boards are cut to 0.1 or 0.2 mm; steps are differences over 0.7 mm."""
+"""Largest distance of the edge from its place by C, and distance from it at which its step has ended."""
 _LEAST_EDGE, _STANDS_OUT = 8.0, 3.0
-"""Least step of grey level at the edge, and least ratio to all other steps within 3.5 mm.
-
-In seven sound frames of the hostile suite that nothing else confirms, the edge has 24 to 52 grey levels, 6.5 to 7.2
-times as many as the next line. Of 714 frames that nothing else confirms, in drawings with frames of another moment, 80
-are confirmed, and all of these are of their moment (docs/measured/uncertainty.md)."""
+"""Least step of grey level at the edge, and least ratio to all other steps within 3.5 mm. Measured: 24 to 52 grey
+levels and 6.5 to 7.2 times in sound frames (docs/measured/uncertainty.md)."""
 _ACROSS, _LEAST_PIECES = 0.9, 2
 """Least cosine of the angle between the outward normal of a piece and the motion, and least number of such pieces."""
-
 _LEAST_MOVED_PX, _LEAST_SAME, _MOST_MOVED = 4 * STATIC_PX, 5, 0.5
 """Least motion of the board that two frames must show; least number of corners on it in the same place in a repeated
-frame, and largest number of corners, per such one, where the motion puts them.
-
-A smear on the lens and a light spot stay in their place too, but then the board shows corners that moved."""
-
+frame, and largest number of corners, per such one, where the motion puts them."""
 _STEP_PX = 8
 """Distance of the pixels by which the contrast of a frame is measured."""
 _NOISE_LEVELS, _DARK_SHARE, _SOUND_LEVELS = 8.0, 0.05, 40.0
@@ -84,7 +65,6 @@ class CheckedFrames(NamedTuple):
     """The good frames of a run by what their pictures show. Those that show too little are in neither set."""
 
     confirmed: frozenset[FrameKey]
-    """Frames that fit the board's motion."""
     refuted: frozenset[FrameKey]
     """Frames that show another part of the board than their row: they are copies, or most of their links contradict."""
     sure: frozenset[FrameKey] = frozenset()
@@ -92,38 +72,28 @@ class CheckedFrames(NamedTuple):
     repeated: frozenset[FrameKey] = frozenset()
     """Refuted frames that show the moment of the frame before, in other pixels."""
 
-    def plus(self, confirmed: frozenset[FrameKey]) -> CheckedFrames:
-        """Return the same with further frames confirmed."""
-        return self._replace(confirmed=self.confirmed | confirmed)
 
-    def without(self, repeated: frozenset[FrameKey]) -> CheckedFrames:
-        """Return the same with frames refuted that show the moment of the frame before."""
-        return CheckedFrames(self.confirmed - repeated, self.refuted | repeated, self.sure, repeated)
-
-
-@dataclass(frozen=True)
 class Fits:
     """For each frame that has any, the number of its links or points, and of those that fit the board's motion."""
 
-    frames: dict[FrameKey, tuple[int, int]]
+    def __init__(self, seen: Iterable[tuple[FrameKey, int, int]]) -> None:
+        """Add up a frame, its links and the fitting ones of several entries."""
+        self.frames: dict[FrameKey, tuple[int, int]] = {}
+        for key, own, fits in seen:
+            n, fitting = self.frames.get(key, (0, 0))
+            self.frames[key] = n + own, fitting + fits
 
     @staticmethod
     def of_links(links: Observations, fit: NDArray[np.bool_]) -> Fits:
         """Count the links of every frame, and those that `fit` (k,)."""
-        count, frames = len(links.groups), dict[FrameKey, tuple[int, int]]()
+        count = len(links.groups)
         every, fitting = np.bincount(links.group, minlength=count), np.bincount(links.group[fit], minlength=count)
-        for group, own, fits in zip(links.groups, every.tolist(), fitting.tolist(), strict=True):
-            for key in (group.task.a, group.task.b):
-                if key is not None:
-                    before = frames.get(key, (0, 0))
-                    frames[key] = before[0] + own, before[1] + fits
-        return Fits(frames)
+        each = zip(links.groups, every.tolist(), fitting.tolist(), strict=True)
+        return Fits((key, n, fits) for e, n, fits in each for key in (e.task.a, e.task.b) if key is not None)
 
-    @property
-    def enough(self) -> set[FrameKey]:
-        """The frames of which enough links or points fit."""
-        every = self.frames.items()
-        return {key for key, (n, fit) in every if fit >= _LEAST_FITTING and fit >= _LEAST_SHARE * n}
+    def enough(self, least: int = _LEAST_FITTING, share: float = _LEAST_SHARE) -> set[FrameKey]:
+        """Return the frames of which enough links or points fit."""
+        return {key for key, (n, fit) in self.frames.items() if fit >= least and fit >= share * n}
 
     @property
     def decided(self) -> set[FrameKey]:
@@ -148,10 +118,10 @@ def check_frames(
     sure = set(frames)
     if method.links:
         fits = Fits.of_links(links, adjusted.weight > USED)
-        sure |= {key for key, (_, fit) in fits.frames.items() if fit >= _SURE}
-        frames, decided = frames | fits.enough, decided | fits.decided
+        sure |= fits.enough(_SURE, 0.0)
+        frames, decided = frames | fits.enough(), decided | fits.decided
         if beside is not None:
-            frames |= confirmed_beside(beside, adjusted.motion, possible - frames - decided)
+            frames |= confirmed_beside(beside, adjusted.motion) & (possible - decided)
     elif method.marks:
         # Marks are far apart: nothing could confirm a frame between two of them.
         return CheckedFrames(possible, copies & present, possible)
@@ -164,35 +134,25 @@ def confirmed_by_points(points: FiducialPoints, residual_px: Floats) -> tuple[se
 
     One mark of the board confirms a frame. Parts at equal distances let single points of the reference fit by chance.
     """
-    fits, of_reference = inliers(points, residual_px), points.which == REFERENCE
-    frames, marked = dict[FrameKey, tuple[int, int]](), set[FrameKey]()
-    for camera, row, fit, by_reference in np.column_stack([points.camera, points.row, fits, of_reference]).tolist():
-        if by_reference:
-            n, fitting = frames.get((camera, row), (0, 0))
-            frames[camera, row] = n + 1, fitting + fit
-        elif fit:
-            marked.add((camera, row))
-    return marked | Fits(frames).enough, Fits(frames).decided
+    each = zip(points.camera.tolist(), points.row.tolist(), inliers(points, residual_px).tolist(), strict=True)
+    seen = [((i, j), fit) for i, j, fit in each]
+    of_reference = Fits((key, 1, fit) for (key, fit), n in zip(seen, points.which, strict=True) if n == REFERENCE)
+    marked = {key for (key, fit), n in zip(seen, points.which, strict=True) if n != REFERENCE and fit}
+    return marked | of_reference.enough(), of_reference.decided
 
 
-def confirmed_beside(beside: Observations, motion: Motion, undecided: Collection[FrameKey]) -> set[FrameKey]:
-    """Return those of the undecided frames whose links beside the board fit the motion of the board.
-
-    A carrier moves with the board, and a belt nearly so. A frame at the end of a board may show little else: its few
-    links on the board decide nothing then, but what lies beside the board shows that the frame is of its row.
-    """
+def confirmed_beside(beside: Observations, motion: Motion) -> set[FrameKey]:
+    """Return the frames whose links beside the board fit the motion of the board."""
     # The height of what lies beside the board is not known. It displaces links between cameras too far to compare them.
     links = beside.select(np.flatnonzero(beside.p != beside.q))
-    if not undecided or not len(links):
-        return set()
     apart_mm = motion.board(links.p, links.a_mm) - motion.board(links.q, links.b_mm)
     way_mm = np.hypot(*(links.a_mm - links.b_mm).T)
     fits = np.hypot(*apart_mm.T) <= _BESIDE_MM + _BESIDE_OF_WAY * way_mm
+    # It is one plane, so that the residuals of a pair are alike. Along an edge of it, links of another row differ.
     for group in np.unique(links.group):
         mine = links.group == group
         fits[mine] &= np.hypot(*(apart_mm[mine] - np.median(apart_mm[mine], axis=0)).T) <= _ALIKE_MM
-    counts = Fits.of_links(links, fits).frames.items()
-    return {key for key, (n, fit) in counts if key in undecided and fit >= _DECIDING and fit >= _BESIDE_SHARE * n}
+    return Fits.of_links(links, fits).enough(_DECIDING, _BESIDE_SHARE)
 
 
 def linked_to_before(links: Observations, weight: Floats) -> set[FrameKey]:
@@ -211,9 +171,8 @@ def frames_with_edge(
 ) -> frozenset[FrameKey]:
     """Return those of the frames that show an end of the board where C and the motion put it; none without an outline.
 
-    A frame at the end of a run may show a strip of the board without a corner that is found again. Corners on a bed
-    beside the board prove nothing, since a bed looks the same at any time. But the edge of the board that lies across
-    the motion is elsewhere in a picture of any other moment.
+    A frame at the end of a run may show a strip of the board without a corner that is found again. The edge of the
+    board that lies across the motion is elsewhere in a picture of any other moment.
     """
     pieces = straight_pieces(outline_polygons(plane.board_type), plane.board_type.mm_per_unit)
     # A board type with fixture marks describes its carrier, whose edge nothing is known of.
@@ -239,13 +198,12 @@ def frames_with_edge(
                 return True
         return False
 
-    def is_repeated(key: FrameKey) -> bool:
-        # A picture of the moment before shows what it shows in the same pixels. On a carrier, another edge than the
-        # board's may then lie where that is expected (seed 104256).
-        before = (key[0], key[1] - 1)
-        return before in there and shows_end(key, before)
-
-    return frozenset(key for key in frames if shows_end(key, key) and not is_repeated(key))
+    # A picture of the moment before shows what it shows in the same pixels. On a carrier, another edge than the board's
+    # may then lie where that is expected (seed 104256).
+    before = {key: (key[0], key[1] - 1) for key in frames}
+    return frozenset(
+        key for key, last in before.items() if shows_end(key, key) and not (last in there and shows_end(key, last))
+    )
 
 
 def repeated_frames(
@@ -253,9 +211,8 @@ def repeated_frames(
 ) -> frozenset[FrameKey]:
     """Return those of the frames that show the board where the frame before shows it; none without an outline.
 
-    A camera or driver sent it twice, with noise of its own. Links to the frame before and after fit where a board has
-    equal parts at equal distances. If only few links of a frame fit, its pixels decide: a board that has moved shows
-    its texture elsewhere, a repeated one in the same place.
+    A camera or driver sent it twice, with noise of its own. Links fit by chance where a board has equal parts at equal
+    distances, but a board that has moved shows its texture elsewhere.
     """
     # Without an outline, a bed that stands still beside the board would count as the board.
     if not outline_polygons(plane.board_type) or plane.board_type.fixture_marks:
@@ -274,22 +231,13 @@ def repeated_frames(
         if len(px) < _LEAST_SAME or np.hypot(*(now_px - px).T).min() < _LEAST_MOVED_PX:
             return False
         grey, now = before.grey, scene.prepared((camera, row)).grey
+        # A smear on the lens and a light spot stay in their place too, but then the board shows corners that moved.
         same = int(shows_patches(grey, now, px, px, STATIC_PX)[0].sum())
-        if same < _LEAST_SAME:
-            return False
-        return int(shows_patches(grey, now, px, now_px, STATIC_PX)[0].sum()) < _MOST_MOVED * same
+        return (
+            same >= _LEAST_SAME and int(shows_patches(grey, now, px, now_px, STATIC_PX)[0].sum()) < _MOST_MOVED * same
+        )
 
     return frozenset((i, j) for i, j in frames if (i, j - 1) in there and is_repeated(i, j))
-
-
-@dataclass(frozen=True)
-class RowLights:
-    """The light of every row, and the outputs of the controller that light it."""
-
-    names: tuple[str, ...] = ()
-    """Name of the light of every row; empty if the lights have no names."""
-    channels: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    """LED channels of every light, as far as they are known."""
 
 
 @dataclass(frozen=True)
@@ -299,20 +247,24 @@ class DarkLight:
     name: str
     rows: tuple[int, ...]
     of_rows: int
-    """Number of rows of this light."""
     channels: tuple[int, ...] = ()
     """The LED channels that light it; empty if they are not known."""
 
 
-def dark_lights(scene: Scene, lights: RowLights, confirmed: Collection[FrameKey]) -> tuple[DarkLight, ...]:
+def dark_lights(
+    scene: Scene,
+    lights: Sequence[str],
+    channels: Mapping[str, tuple[int, ...]],
+    confirmed: Collection[FrameKey],
+) -> tuple[DarkLight, ...]:
     """Return the lights with rows that are black between bright ones, in the order of their first one.
 
-    A row is a candidate if none of its frames is `confirmed`. It counts as dark if all its frames are nearly without
-    contrast, while the frames of the same cameras in the nearest sound rows before and after it have contrast. So
-    neither a bare belt at the ends of a run nor one covered camera looks like a dark light.
+    A row is dark if none of its frames is `confirmed` and all are nearly without contrast, while the same cameras show
+    contrast in the nearest sound rows before and after it: no bare belt, no covered camera. `lights` are the names of
+    the lights of all rows, `channels` their LED channels as far as known.
     """
     sound = sorted({row for _, row in confirmed})
-    if not lights.names or not sound:
+    if not lights or not sound:
         return ()
     present, contrasts = set(scene.present), dict[FrameKey, float]()
 
@@ -337,11 +289,11 @@ def dark_lights(scene: Scene, lights: RowLights, confirmed: Collection[FrameKey]
 
     dark: dict[str, list[int]] = {}
     # One row beyond the sound ones may still show the board. Farther away it may have left the view.
-    for row in range(max(sound[0] - 1, 0), min(sound[-1] + 2, len(lights.names))):
+    for row in range(max(sound[0] - 1, 0), min(sound[-1] + 2, len(lights))):
         if row not in sound and is_dark(row):
-            dark.setdefault(lights.names[row], []).append(row)
+            dark.setdefault(lights[row], []).append(row)
     return tuple(
-        DarkLight(name, tuple(rows), lights.names.count(name), lights.channels.get(name, ()))
+        DarkLight(name, tuple(rows), lights.count(name), channels.get(name, ()))
         for name, rows in dark.items()
         if rows[0] < sound[-1] and rows[-1] > sound[0]
     )

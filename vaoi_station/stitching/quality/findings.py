@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from vaoi_station.stitching.adjustment.row_motion import connected_rows
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.reference import ReferenceScene
-from vaoi_station.stitching.components.bad_boards import BoardMarks, MarkedPanel, read_bad_marks
+from vaoi_station.stitching.components.bad_boards import BoardMarks, read_bad_marks
 from vaoi_station.stitching.components.centres import ComponentShift, PartView, central_views, measure_component_shift
 from vaoi_station.stitching.components.places import (
     OwnPlaces,
@@ -66,6 +67,16 @@ _SEAM_LINKS = 12
 """Least number of links between two cameras from which it can be decided whether the cameras agree."""
 
 
+class PlacedBoard(NamedTuple):
+    """A board that was found."""
+
+    plane: BoardPlane
+    mapping: CadMapping
+    c: Floats
+    """(4,) C as (a, b, x, y)."""
+    matrix: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class Findings:
     """The inputs, solutions and derived values of the stitching of one run; the latter are computed at first use."""
@@ -80,9 +91,7 @@ class Findings:
     calibrated: tuple[Camera, ...]
     """The cameras as calibrated. The cameras in `scene` include the displacements that the adjustment estimated."""
     found: CadMapping | Failure
-    """The CAD mapping of the board, or the failure that says why the board was not found."""
     visibility: Visibility = VISIBILITY
-    """How much of every component the frames must show; the board type may ask for something else."""
     reference_sigma_px: float = 0.0
     """Standard deviation of positions on account of the reference's own CAD mapping, px; 0 without a reference."""
     taught: ReferenceScene | None = None
@@ -92,7 +101,6 @@ class Findings:
     copies: frozenset[FrameKey] = frozenset()
     """Good frames that equal the frame before in every pixel, and so do not show the board of their row."""
     dark: tuple[DarkLight, ...] = ()
-    """Lights with rows that are black while the rows beside them are bright."""
 
     @property
     def mapping(self) -> CadMapping | None:
@@ -110,24 +118,47 @@ class Findings:
         return self.adjusted.problem
 
     @property
+    def points(self) -> FiducialPoints:
+        """The observed points with known CAD coordinates."""
+        return self.problem.fiducials or FiducialPoints.empty()
+
+    @property
     def rows(self) -> int:
         """Number of rows (m in the paper)."""
         return len(self.adjusted.motion.angle)
+
+    @property
+    def px_per_mm(self) -> float:
+        """Mean resolution of the cameras in the calibrated plane."""
+        return float(np.mean([camera.px_per_mm for camera in self.scene.cameras]))
+
+    @cached_property
+    def board(self) -> PlacedBoard | None:
+        """The board in its place; None if it was not found."""
+        mapping, c = self.mapping, self.adjusted.similarity
+        if self.plane is None or mapping is None or c is None:
+            return None
+        return PlacedBoard(self.plane, mapping, c, self.plane.matrix(c))
+
+    @property
+    def cad_matrix(self) -> Floats | None:
+        """C as a 3×3 matrix; None without a CAD mapping."""
+        return self.board and self.board.matrix
 
     @cached_property
     def sigma(self) -> PredictedSigma:
         """Predicted standard deviations of component positions, and of the rows."""
         predicted = predict_sigma(self.scene, self.plane, self.adjusted, self.views)
-        share = reference_share(self.problem.fiducials, self.adjusted.fiducial_px) * self.reference_sigma_px
-        predicted, camera = predicted.with_common_error(share), predicted.seen_in[:, 0]
-        if self.own_places.sigma_mm:
+        share = reference_share(self.points, self.adjusted.fiducial_px) * self.reference_sigma_px
+        camera, names, own = predicted.seen_in[:, 0], predicted.names, self.own_places.sigma_mm
+        lens = position_errors_px(self.lens_errors, len(self.calibrated))
+        error_px = np.hypot(share, np.array([lens.get(i, 0.0) for i in range(len(self.calibrated))])[camera])
+        if own:
             # Of fiducials that place a component, or the board of a panel on which it is.
-            names, px_per_mm = predicted.names, np.array([c.px_per_mm for c in self.scene.cameras])[camera]
-            own_mm = np.array([self.own_places.sigma_mm.get(name, 0.0) for name in names])[predicted.part]
-            demanded = np.array([name not in self.skipped_parts for name in names], np.bool_)[predicted.part]
-            predicted = predicted.with_errors(own_mm * px_per_mm, demanded)
-        of_lenses = position_errors_px(self.lens_errors, len(self.calibrated))
-        return predicted.with_errors(np.array([of_lenses.get(i, 0.0) for i in range(len(self.calibrated))])[camera])
+            px_per_mm = np.array([c.px_per_mm for c in self.scene.cameras])[camera]
+            error_px = np.hypot(error_px, np.array([own.get(name, 0.0) for name in names])[predicted.part] * px_per_mm)
+        demanded = np.array([name not in self.skipped_parts for name in names], np.bool_)
+        return predicted.with_errors(error_px, demanded[predicted.part])
 
     @cached_property
     def lens_errors(self) -> dict[int, LensError]:
@@ -144,21 +175,14 @@ class Findings:
         return to_surface(self.plane.board_type, self.adjusted.surface_mm)
 
     @cached_property
-    def cad_matrix(self) -> Floats | None:
-        """C as a 3×3 matrix; None without a CAD mapping."""
-        c = self.adjusted.similarity
-        return None if self.plane is None or self.mapping is None or c is None else self.plane.matrix(c)
-
-    @cached_property
     def own_places(self) -> OwnPlaces:
         """Places of boards of a panel and of components that do not follow C; empty without C."""
-        if self.plane is None or self.cad_matrix is None:
+        if (b := self.board) is None:
             return OwnPlaces()
-        return own_places(self.plane, self.adjusted, self.problem.fiducials, self.cad_matrix)
+        return own_places(b.plane, self.adjusted, self.points, b.matrix)
 
     @cached_property
     def _frames(self) -> FrameIndex:
-        """The good frames, with the poses that the adjustment estimated."""
         index = self.scene.index(self.adjusted.motion.rows_from_tester, self.surface)
         return index if self.cad_matrix is None else replace(index, tester_from_cad=self.cad_matrix)
 
@@ -169,65 +193,69 @@ class Findings:
 
     @cached_property
     def _every_view(self) -> FootprintViews | None:
-        """The views in all frames with a position, whatever they show; None without C."""
-        if self.plane is None or self.cad_matrix is None:
+        if (b := self.board) is None:
             return None
-        cad = placed_landmarks(self.plane, self.cad_matrix, self.own_places.matrices)
+        cad = placed_landmarks(b.plane, b.matrix, self.own_places.matrices)
         return self._frames.views(cad).without_rows(self.unplaced)
 
     @cached_property
     def bad_marks(self) -> dict[str, BoardMarks]:
         """What the bad-board marks of a panel show, by position of the board; empty without C or such marks."""
-        if self.plane is None or self.cad_matrix is None:
+        if (b := self.board) is None:
             return {}
-        at = self.own_places.of_boards, self.adjusted.motion.rows_from_tester, self.surface
-        panel = MarkedPanel(self.plane.board_type, self.cad_matrix, *at)
-        return read_bad_marks(panel, self.scene, self.checked.confirmed)
+        frames = replace(self._frames, present=tuple(self.checked.confirmed))
+        return read_bad_marks(b.plane.board_type, self.own_places.of_boards, frames)
+
+    @cached_property
+    def bad_boards(self) -> tuple[str, ...]:
+        """Positions of the boards of a panel that are crossed out."""
+        return tuple(position for position, marks in self.bad_marks.items() if marks.state == "bad")
 
     @cached_property
     def skipped_parts(self) -> frozenset[str]:
         """Addresses of the components of bad boards, which are not demanded."""
-        bad = {position for position, marks in self.bad_marks.items() if marks.state == "bad"}
-        return frozenset() if self.plane is None else components_of(self.plane, bad)
+        return frozenset() if self.plane is None else components_of(self.plane, self.bad_boards)
 
     @cached_property
     def part_views(self) -> list[PartView]:
         """One view of each of some demanded components; empty without C."""
-        if self.plane is None or self.views is None or self.cad_matrix is None:
+        if (b := self.board) is None or self.views is None:
             return []
-        views = self.views.without_points([self.plane.components.addresses.index(ref) for ref in self.skipped_parts])
-        return central_views(self.plane, self.cad_matrix, self.scene, self.adjusted.motion, views)
+        views = self.views.without_points([b.plane.components.addresses.index(ref) for ref in self.skipped_parts])
+        return central_views(b.plane, b.matrix, self.scene, self.adjusted.motion, views)
 
     @cached_property
     def component_shift(self) -> ComponentShift | None:
         """Shift of the components' pictures against their places by C; None without C, or if too few show it."""
-        if self.plane is None or self.cad_matrix is None:
+        if (b := self.board) is None:
             return None
-        return measure_component_shift(self.plane, self.cad_matrix, self.scene, self.adjusted.motion, self.part_views)
+        return measure_component_shift(b.plane, b.matrix, self.scene, self.adjusted.motion, self.part_views)
 
     @cached_property
     def fiducials_in_view(self) -> dict[int, FrameKey]:
         """One confirmed frame for each fiducial that a frame shows with its bare rim, by number; empty without C."""
-        if self.plane is None or self.cad_matrix is None:
+        if (b := self.board) is None:
             return {}
-        views = self._frames.views(self.plane.cad(self.plane.fiducials))
-        return frames_of_marks(self.plane.board_type, views, self.scene.cameras, self.checked.confirmed)
+        views = self._frames.views(b.plane.cad(b.plane.fiducials))
+        return frames_of_marks(b.plane.board_type, views, self.scene.cameras, self.checked.confirmed)
 
     @cached_property
     def checked(self) -> CheckedFrames:
         """Which good frames fit the board's motion, and which contradict it."""
         beside = self.mapping.left_out.links if self.mapping and self.mapping.left_out else None
         checked = check_frames(frozenset(self.scene.present), self.copies, self.method, self.adjusted, beside)
-        undecided = self._seen - checked.confirmed - checked.refuted
-        if undecided and self.plane is not None and self.cad_matrix is not None:
-            board = self.plane, self.cad_matrix, self.scene, self.adjusted.motion, self.problem.velocity_mm_s
-            checked = checked.plus(frames_with_edge(undecided, *board))
-        # Where a board gets stuck and a camera repeats a frame, other rows confirm both frames (seed 107464).
-        linked = linked_to_before(self.adjusted.problem.links, self.adjusted.weight)
-        c, doubtful = self.adjusted.similarity, self._seen - (checked.sure & linked) - checked.refuted
-        if self.plane is None or c is None or not doubtful:
+        if (b := self.board) is None:
             return checked
-        return checked.without(repeated_frames(doubtful, self.plane, c, self.scene, self.adjusted.motion))
+        motion, undecided = self.adjusted.motion, self._seen - checked.confirmed - checked.refuted
+        if undecided:
+            edges = frames_with_edge(undecided, b.plane, b.matrix, self.scene, motion, self.problem.velocity_mm_s)
+            checked = checked._replace(confirmed=checked.confirmed | edges)
+        # Where a board gets stuck and a camera repeats a frame, other rows confirm both frames (seed 107464).
+        linked = linked_to_before(self.problem.links, self.adjusted.weight)
+        doubtful = self._seen - (checked.sure & linked) - checked.refuted
+        repeated = repeated_frames(doubtful, b.plane, b.c, self.scene, motion)
+        confirmed, refuted = checked.confirmed - repeated, checked.refuted | repeated
+        return CheckedFrames(confirmed, refuted, checked.sure, repeated)
 
     @cached_property
     def _seen(self) -> frozenset[FrameKey]:
@@ -243,12 +271,12 @@ class Findings:
     @cached_property
     def unseen(self) -> tuple[UnseenComponent, ...]:
         """The components of which the good frames show less than is asked for; empty without C."""
-        if self.plane is None or self.cad_matrix is None:
+        if (b := self.board) is None:
             return ()
-        parts = placed_parts(self.plane, self.cad_matrix, self.own_places.matrices)
-        board = FilmedBoard(parts, self._frames)
-        required = required_visibility(self.plane.board_type, self.visibility)
-        unseen = find_unseen(board, self.checked.confirmed, self.problem.velocity_mm_s, required)
+        parts = placed_parts(b.plane, b.matrix, self.own_places.matrices)
+        filmed = FilmedBoard(parts, self._frames)
+        required = required_visibility(b.plane.board_type, self.visibility)
+        unseen = find_unseen(filmed, self.checked.confirmed, self.problem.velocity_mm_s, required)
         return tuple(part for part in unseen if part.address not in self.skipped_parts)
 
     @cached_property
@@ -270,39 +298,35 @@ class Findings:
 
     @cached_property
     def _misplaced(self) -> frozenset[FrameKey]:
-        """The frames that should show the board, but show another part of it."""
         return self.checked.refuted & frozenset(self.unconfirmed)
 
     @cached_property
     def connected_groups(self) -> list[np.ndarray]:
         """Groups of rows that are connected by links or CAD points. Rows without texture belong to no group."""
-        points = self.problem.fiducials or FiducialPoints.empty()
-        marked = set(points.row.tolist())
+        marked = set(self.points.row.tolist())
         # A row that shows only the belt, before or after the board, has no links. It must not count as a second group.
         every = connected_rows(self.problem.links, self.rows, self._used_between_rows)
         groups = [g for g in every if len(g) > 1 or g[0] in marked]
         # Groups that CAD points fix are connected to one another through C.
-        together = [r for g in groups if points.place(g) for r in g.tolist()]
-        apart = [g for g in groups if not points.place(g)]
+        together = [r for g in groups if self.points.place(g) for r in g.tolist()]
+        apart = [g for g in groups if not self.points.place(g)]
         return sorted([np.array(sorted(together)), *apart] if together else apart, key=lambda g: int(g.min()))
 
     @cached_property
     def _used_between_rows(self) -> np.ndarray:
-        """Which links are between rows and have a weight in the adjustment, (k,)."""
         return np.asarray((self.adjusted.weight > USED) & (self.problem.links.p != self.problem.links.q))
 
     @cached_property
     def unknown_rows(self) -> tuple[int, ...]:
         """Rows in which the position of the board is not known: only the belt's nominal speed predicts it.
 
-        Belts may stop, so that prediction is not relied on. These are the rows of each group that has no CAD point and
-        that no link connects with rows placed by CAD points. Rows beside such a group are added if a position in them
-        has a standard deviation above `_PLACED_SIGMA_PX`, or if all that places them are too few links to connect them.
+        These are the rows of each group that has no CAD point and that no link connects with rows placed by CAD points.
+        Rows beside such a group are added if a position in them has a standard deviation above `_PLACED_SIGMA_PX`, or
+        if all that places them are too few links to connect them.
         """
         if self.mapping is None or not self.method.links:
             return ()
-        main = self._rows_fixed_by_cad
-        with_points = set((self.problem.fiducials or FiducialPoints.empty()).row.tolist())
+        main, with_points = self._rows_fixed_by_cad, set(self.points.row.tolist())
         groups = [set(g.tolist()) for g in self.connected_groups]
         unknown = {row for g in groups if not main & g and not with_points & g for row in g}
         o, used = self.problem.links, self._used_between_rows
@@ -321,15 +345,11 @@ class Findings:
     @cached_property
     def _rows_fixed_by_cad(self) -> set[int]:
         """The rows of those connected groups that have enough CAD points to be placed on the board by themselves."""
-        points = self.problem.fiducials or FiducialPoints.empty()
-        return {row for g in self.connected_groups if points.place(g) for row in g.tolist()}
+        return {row for g in self.connected_groups if self.points.place(g) for row in g.tolist()}
 
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
-        """For each pair of neighbouring cameras, the length of the median residual of their links, px (`seam_px`).
-
-        If it is large, a camera has moved, or the board has a shape that the surface model cannot express.
-        """
+        """For each pair of neighbouring cameras, the length of the median residual of their links, px (`seam_px`)."""
         every = (np.flatnonzero(self.problem.links.seam == i) for i in range(len(self.scene.cameras) - 1))
         found = (seam_px(self.problem, self.adjusted, mine, _SEAM_LINKS) for mine in every)
         return {(i, i + 1): px for i, px in enumerate(found) if px is not None}
@@ -341,16 +361,17 @@ class Findings:
         Each entry holds the camera, its displacement (3,) px, and the cameras that may have moved instead of it.
         """
         estimate = self.adjusted.cameras
-        if estimate is None:
-            return ()
         # If the run does not show a displacement clearly, none is reported, but σ contains it. The covariance does not
         # decide: it is large where two explanations name different cameras, although both are displaced.
-        if estimate.fit(estimate.displacement_px) < _SIGNIFICANT**2:
+        if estimate is None or estimate.fit(estimate.displacement_px) < _SIGNIFICANT**2:
             return ()
         # An error that the calibration leaves at the seams looks like a displacement.
         limits = [max(DISPLACED_PX, _SIGNIFICANT * seam_sigma_px(camera)) for camera in self.calibrated]
         each = enumerate(zip(estimate.displacement_px, limits, strict=True))
-        large = [i for i, (own, limit) in each if rms_displacement_px(own) > limit and i not in self._unexplained]
+        # False links also suggest a displacement. It is accepted if the camera then agrees with at least one neighbour.
+        agreeing = {camera for pair in set(self.seams_px) - self.seams_apart for camera in pair}
+        unexplained = {camera for pair in self.seams_apart for camera in pair} - agreeing
+        large = [i for i, (own, limit) in each if rms_displacement_px(own) > limit and i not in unexplained]
         return tuple((i, estimate.displacement_px[i], estimate.rivals) for i in large)
 
     @cached_property
@@ -375,23 +396,20 @@ class Findings:
         used = float(self.adjusted.surface_mm[0]) if len(self.adjusted.surface_mm) else 0.0
         return abs(self.lift.mm - used) > _OTHER_LIFT_MM
 
-    @cached_property
-    def _unexplained(self) -> set[int]:
-        """Cameras that disagree with a neighbour even after correction of displacements, and agree with none."""
-        apart = {pair for pair, px in self.seams_px.items() if px > SEAM_LIMIT_PX} | set(self.non_overlapping_pairs)
-        agreeing = {camera for pair in set(self.seams_px) - apart for camera in pair}
-        # False links also suggest a displacement. It is accepted if the camera then agrees with at least one neighbour.
-        return {camera for pair in apart for camera in pair} - agreeing
+    @property
+    def seams_apart(self) -> set[tuple[int, int]]:
+        """The pairs of neighbouring cameras that disagree, even after correction of displacements."""
+        return {pair for pair, px in self.seams_px.items() if px > SEAM_LIMIT_PX} | set(self.non_overlapping_pairs)
 
     @cached_property
     def non_overlapping_pairs(self) -> dict[tuple[int, int], int]:
         """Pairs of neighbouring cameras whose overlap has texture but too few matches, with the number of such rows."""
-        unmatched = Counter(e.task.a[0] for e in self.links if e.task.kind == "neighbours" and e.unmatched)
+        seams = [e for e in self.links if e.task.kind == "neighbours"]
         out = {}
-        for i, rows in sorted(unmatched.items()):
+        for i, rows in sorted(Counter(e.task.a[0] for e in seams if e.unmatched).items()):
             # A failed match in a single row is no evidence of a moved camera.
             if rows >= 2 and (i, i + 1) not in self.seams_px:
-                seam = [e for e in self.links if e.task.kind == "neighbours" and e.task.a[0] == i]
+                seam = [e for e in seams if e.task.a[0] == i]
                 if agreeing_links(self.problem, self.adjusted, seam, i) < _SEAM_LINKS:
                     out[i, i + 1] = rows
         return out
@@ -399,6 +417,5 @@ class Findings:
     @cached_property
     def row_offsets(self) -> dict[tuple[int, int], int]:
         """For each pair of cameras whose rows do not match: the error, −1 or +1, of the second camera's row numbers."""
-        apart = {pair for pair, px in self.seams_px.items() if px > SEAM_LIMIT_PX} | set(self.non_overlapping_pairs)
-        found = {pair: row_offset(self.scene, self.links, pair[0]) for pair in sorted(apart)}
+        found = {pair: row_offset(self.scene, self.links, pair[0]) for pair in sorted(self.seams_apart)}
         return {pair: offset for pair, offset in found.items() if offset}

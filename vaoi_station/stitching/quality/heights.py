@@ -1,24 +1,13 @@
 """Heights of components above the board, from the links on their bodies.
 
-The adjustment estimates a height for every component, so that links on it do not disturb the other unknowns; they may
-lie on the body, on a lead, or on the board between leads. The height of the body must come from links on the body.
-The footprint covers its body, its leads, pads and bare board, and how much of it the body covers is not known.
-Therefore many hypotheses are compared. Each hypothesis
-states the *extent* of the body, a rectangle inside the footprint, and its height H. The extent sorts the links:
+A footprint covers body, leads, pads and bare board; how much of it the body covers is not known. Hypotheses are
+compared, each with the *extent* of the body, a rectangle inside the footprint, and its height H. A link wholly in the
+extent measures H (rarely a place below the top); one wholly beside it measures the board (rarely a lead, between 0 and
+H); one across an edge measures anything from 0 to H, with the same likelihood for all, since mixtures on one edge agree
+by themselves. Each link may be an outlier.
 
-- *inside*: the link's patch lies wholly in the extent. The link measures H. In rare cases it measures a place below the
-  top, such as an opening in a connector.
-- *outside*: the patch lies wholly beside the extent. The link measures the board. In rare cases it measures a lead, at
-  a height between 0 and H.
-- *across*: the patch lies on an edge of the extent. The link measures a mixture of body and board: any value from 0 to
-  H. Several links on the same edge give similar mixtures, so their agreement is no evidence of a height. Their
-  likelihood is therefore the same for all values from 0 to H.
-
-Each link may also be an outlier. Three kinds of H are compared: 0 (the component has no body), each height on which
-several links agree, and "none of these" (a height that no link measures). The evidence for an H is the sum of the
-likelihoods of all its extents. Divided by the sum for all H, it is the probability of H. A height is reported only if
-its probability is at least `_SURE`. Otherwise the height is unknown. So a component is reported as without body only if
-links that are inside every probable extent measure the level of the board.
+H is 0 (no body), a height on which several links agree, or none of these. The likelihoods of all extents are summed and
+give the probability of H, which is reported only if it is at least `_SURE`.
 """
 
 from __future__ import annotations
@@ -37,49 +26,33 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
 _WORST_MM, _ASIDE = 0.5, 3.5
-"""Links whose height has a larger standard deviation are left out, and those with a larger residual in the direction
-that no height explains, in standard deviations."""
+"""Links with a larger standard deviation are left out, and those with a larger residual, in standard deviations, in the
+direction that no height explains."""
 _SHARED_PX, _SHARED_FLOOR = np.array([0.004, 0.015]), np.array([0.5, 1.0])
-"""Error that all links of one pair of frames on one component have in common, because neighbouring links err alike.
-
-It is the larger of a constant, `_SHARED_PX`, and of a multiple, `_SHARED_FLOOR`, of the run's noise floor. Each has two
-values: for two rows of one camera, and for two cameras."""
+"""Error that all links of one pair of frames on one component have in common: the larger of a constant and of a
+multiple of the run's noise floor, each for two rows of one camera and for two cameras."""
 _PATCH_PX = WINDOW_PX / 2 + 1
-"""Distance from the centre of a patch to its edge. Its blur extends further, but with little weight."""
+"""Distance from the centre of a patch to its edge."""
 _OUTLIER, _INSIDE, _WIDE, _BELOW = 0.05, 0.84, 0.03, 0.05
-"""Prior probabilities for a link: that it is an outlier, and three for links inside the extent of the body.
-
-These three are: that the link measures the body's height H with its stated error, that it measures H with three times
-that error, and that it measures a place below the top."""
+"""Prior probabilities of an outlier, and of a link inside the extent that it measures H with its stated error, with
+three times that error, and a place below the top."""
 _OUTSIDE, _LEAD, _ACROSS = 0.85, 0.10, 0.5
-"""Prior probabilities that a link outside the extent measures the board, or a lead; likelihood of links across an edge.
-
-The likelihood is relative to the largest likelihood of a link that measures a height. 0.5 is about the mean likelihood
-of a link that measures the body's height."""
+"""Prior probabilities that a link outside the extent measures the board, or a lead; likelihood of links across an edge,
+relative to the largest of a link that measures a height."""
 _FLAT_PRIOR, _RANGE_MM, _WIDTH_MM = 0.1, 5.0, 0.05
-"""Prior probability of no body; range over which all other heights are equally probable; width of one height.
-
-Two heights that differ by less than `_WIDTH_MM` count as the same height."""
-_FLAT_MM = 0.06
-"""Heights below this count as 0, mm."""
-_AGREE = 2.5
-"""Two heights agree if they differ by at most this, in standard deviations of their difference."""
+"""Prior probability of no body; range over which all other heights are equally probable; heights that differ by less
+than the last count as the same."""
+_FLAT_MM, _AGREE = 0.06, 2.5
+"""Heights below this count as 0, mm; two heights agree up to this, in standard deviations of their difference."""
 _SCATTER_MM = 0.006
 """Standard deviation of the height from place to place on one body: bodies are not exactly flat."""
-_MOST_HEIGHTS = 8
-"""Largest number of heights that are compared for one component; the height 0 is one of them."""
-_SURE = 0.99
-"""Least probability of a height that is reported."""
-_LEAST_LINKS = 2
-"""Least number of links on a body; with fewer, its height is unknown."""
+_MOST_HEIGHTS, _SURE, _LEAST_LINKS = 8, 0.99, 2
+"""Largest number of heights that are compared, with 0; least probability of a height that is reported, and least number
+of links on its body."""
 _ELSEWHERE_MM = 1.0
-"""Assumed error of the estimated height if "none of these" is true.
-
-Its square, times the probability of "none of these", is added to the variance."""
+"""Assumed error of the height if "none of these" is true."""
 _SCALE = 0.002
-"""Relative standard deviation of the working distance: 1 mm at 483 mm.
-
-All heights are proportional to the working distance, so they have the same relative error."""
+"""Relative standard deviation of the working distance, and so of all heights: 1 mm at 483 mm."""
 _PEAK = math.sqrt(2 * math.pi)
 
 
@@ -133,29 +106,21 @@ class BodyLinks(NamedTuple):
     mm: Floats
     """(k,) height above the board's surface that each link measures."""
     sigma_mm: Floats
-    """(k,) standard deviation of the height."""
     shared_mm: Floats
-    """(k,) part of the height's standard deviation that all links of one pair of frames have in common."""
+    """(k,) part of the standard deviation that all links of one pair of frames have in common."""
     pair: Ints
-    """(k,) index of the pair of frames. It is −1 for pairs of frames of two cameras, which have one error in all
-    rows."""
+    """(k,) index of the pair of frames; −1 for those of two cameras, which have one error in all rows."""
     place_mm: Floats
-    """(k, 2) centre of the patch relative to the centre of the footprint, along the footprint's width and height."""
+    """(k, 2) centre of the patch relative to that of the footprint, along the footprint's width and height."""
     reach_mm: Floats
-    """(k,) distance from the centre of the patch to its edge, mm, along the width and height of the footprint."""
+    """(k,) distance from the centre of the patch to its edge along these axes."""
 
 
 @compiled
 def body_heights(ends: Ints, links: BodyLinks, half_mm: Floats) -> tuple[Floats, Floats, Ints]:
-    """Estimate the heights of the bodies of n components.
+    """Return height, standard deviation and number of links on the body (n,) of components; all 0 where unknown.
 
-    Args:
-        ends: (n,) for each component, the index after its last link.
-        half_mm: (n, 2) half the width and half the height of the footprints.
-
-    Returns:
-        Height (n,) in mm, its standard deviation (n,), and the number of links on the body (n,). All three are 0 for a
-        component whose height is unknown.
+    `ends` (n,) are the indices after the last links of the components, `half_mm` (n, 2) half the size of footprints.
     """
     # Loops in place of expressions of arrays: Numba needs ten times as long to compile such expressions.
     mm, spread, count = np.zeros(len(ends)), np.zeros(len(ends)), np.zeros(len(ends), np.int64)
@@ -204,11 +169,7 @@ def body_heights(ends: Ints, links: BodyLinks, half_mm: Floats) -> tuple[Floats,
 
 @inlined
 def _sort_along(place: Floats, reach: Floats, half_mm: Floats, part: int, axis: int, side: Ints) -> None:
-    """Sort the n patches of a component by each of k extents along one axis (0: width, 1: height of the footprint).
-
-    The result is written to `side` (2, k, n), at the index of the axis: 0 outside, 1 across an edge, 2 inside the
-    extent.
-    """
+    """Write to `side[axis]` (k, n) whether n patches lie outside (0), across (1) or inside (2) each of k extents."""
     for e in range(len(EXTENTS)):
         low, high = -EXTENTS[e, 0] * half_mm[part, axis], EXTENTS[e, 1] * half_mm[part, axis]
         for i in range(len(place)):
@@ -218,10 +179,7 @@ def _sort_along(place: Floats, reach: Floats, half_mm: Floats, part: int, axis: 
 
 @inlined
 def _agreed_heights(h: Floats, s: Floats, heights: Floats) -> int:
-    """Find the heights on which links agree, write them to `heights`, and return their number.
-
-    The first one is 0; links near 0 or below it agree with 0. The others follow, those with most links first.
-    """
+    """Write the heights on which links agree to `heights`, 0 first, then those with most links; return their number."""
     free, m = np.ones(len(h), np.bool_), 1
     for i in range(len(h)):
         free[i] = h[i] > max(_AGREE * s[i], _FLAT_MM)
@@ -246,16 +204,7 @@ def _agreed_heights(h: Floats, s: Floats, heights: Floats) -> int:
 
 @inlined
 def _compare(h: Floats, s: Floats, heights: Floats, side: Ints, probability: Floats, on_body: Floats) -> None:
-    """Compute the probability of each height, and for each height the probability that each link lies on the body.
-
-    Args:
-        h: (n,) the heights that the links measure.
-        s: (n,) their standard deviations.
-        heights: its first m entries are the heights that are compared.
-        side: (2, k, n) whether the links lie outside, across or inside k extents, as `_sort_along` writes it.
-        probability: (m + 1,) output; the last entry belongs to "none of these".
-        on_body: (m + 1, n) output; 0 for "none of these".
-    """
+    """Compute the probability (m + 1,) of each height, the last of none, and that (m + 1, n) of links on its body."""
     m, n, k = len(on_body) - 1, len(h), len(EXTENTS)
     log, fit, evidence, best = np.zeros((3, n)), np.zeros(n), np.zeros((k, k)), -np.inf
     scale = np.zeros(m + 1)
@@ -294,17 +243,9 @@ def _compare(h: Floats, s: Floats, heights: Floats, side: Ints, probability: Flo
 
 @inlined
 def _link_likelihoods(h: Floats, s: Floats, top: float, none: bool, log: Floats, fit: Floats) -> None:
-    """Compute the likelihood of each link if the body has the height `top`.
+    """Write the log likelihoods (3, n) of links outside, across and inside a body of height `top`.
 
-    Likelihoods are relative to the largest likelihood of a link that measures a height.
-
-    Args:
-        h: (n,) the heights that the links measure.
-        s: (n,) their standard deviations.
-        top: height of the body. If no link measures it, the largest possible height.
-        none: whether no link measures the height of the body.
-        log: (3, n) output: logarithm of the likelihood of a link that lies outside, across an edge, or inside.
-        fit: (n,) output: probability that a link inside measures the height of the body.
+    Also write the probability `fit` (n,) that one inside measures it; with `none`, no link does.
     """
     for i in range(len(h)):
         below, above = -h[i] / s[i], (h[i] - top) / s[i]
@@ -323,7 +264,6 @@ def _link_likelihoods(h: Floats, s: Floats, top: float, none: bool, log: Floats,
 
 @inlined
 def _move(h: Floats, noise: Floats, heights: Floats, on_body: Floats) -> None:
-    """Replace each height but 0 by the weighted mean of the links that lie on the body if that height is true."""
     for c in range(1, len(on_body) - 1):
         weight, total = 1e-9, heights[c] * 1e-9
         for i in range(len(h)):
@@ -346,29 +286,12 @@ def _unite(heights: Floats, probability: Floats, on_body: Floats) -> None:
 
 @inlined
 def _variance(
-    h: Floats,
-    mean: float,
-    noise: Floats,
-    weight: Floats,
-    pair: Ints,
-    shared: Floats,
-    place: Floats,
-    reach: Floats,
+    h: Floats, mean: float, noise: Floats, weight: Floats, pair: Ints, shared: Floats, place: Floats, reach: Floats
 ) -> float:
-    """Return the variance (mm²) of the weighted mean of the heights that n links measure.
+    """Return the variance (mm²) of the mean of n links' heights with `weight` (n,), whose sum is 1.
 
-    The links of one pair of frames have a part of their error in common. Links whose patches overlap have a part of
-    their noise in common.
-
-    Args:
-        h: (n,) heights that the links measure.
-        mean: their weighted mean.
-        noise: (n,) standard deviations without the part that a pair of frames has in common.
-        weight: (n,) weights; their sum is 1.
-        pair: (n,) index of the pair of frames; links of one pair are adjacent.
-        shared: (n,) standard deviation of the part that a pair of frames has in common.
-        place: (n, 2) centres of the patches, mm.
-        reach: (n,) distance from the centre of each patch to its edge, mm.
+    Links of one pair of frames, which are adjacent, have a part of their error in common; those with overlapping
+    patches have a part of their noise in common.
     """
     squares, expected, largest = 0.0, 0.0, 0.0
     common, own, group, worst = 0.0, 0.0, 0.0, 0.0

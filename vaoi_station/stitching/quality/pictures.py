@@ -19,10 +19,7 @@ _LEAST_LINKS, _LEAST_WEIGHT = 40, 0.1
 _STABLE = 1e-9
 """Share of the normal matrix's trace that is added to its diagonal: links in one line do not determine a turn."""
 _SHARE = 0.2
-"""Rms error of a position, per axis, divided by the radial error at the corner.
-
-With ρ, the distance from the middle relative to that of a corner, the rms of ρ³ over a frame is 0.3, and 0.12 after the
-best scale is subtracted. Boards of the twin show 0.15 to 0.25."""
+"""Rms error of a position, per axis, divided by the radial error at the corner. Measured: 0.15 to 0.25."""
 _SIGNIFICANT = 4.0
 """Number of standard deviations from which on an error counts as more than noise."""
 _LIMIT_PX = 0.4
@@ -50,10 +47,9 @@ class LensError(NamedTuple):
 def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Camera, ...]) -> dict[int, LensError]:
     """Estimate the radial error of every camera that has enough links from row to row.
 
-    If a calibration leaves out a distortion and states no covariance, positions are wrong and no other check notices
-    it. A point of the board appears at two places of the picture, and the distortion displaces it differently at each.
-    Before that, what the adjustment can explain in each pair of frames is eliminated: shift and turn of the row, and
-    tilt of the board.
+    No other check notices a distortion that a calibration without covariance leaves out. It displaces a point of the
+    board differently at two places of the picture. What the adjustment can explain in each pair of frames is eliminated
+    first: shift and turn of the row, and tilt of the board.
     """
     o = problem.links
     use = np.flatnonzero((o.p != o.q) & (adjusted.weight > _LEAST_WEIGHT))
@@ -94,11 +90,7 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
 
 
 def position_errors_px(errors: Mapping[int, LensError], cameras: int) -> dict[int, float]:
-    """Return for each camera the rms error of a position, px per axis, that radial errors cause; empty without any.
-
-    A calibration that leaves out the lens of one camera may leave out that of all. Cameras whose links show their own
-    error badly, or not at all, therefore have that which the other cameras show.
-    """
+    """Return for each camera the rms error of a position, px per axis, that radial errors cause; empty without any."""
     every = [(e.beyond_noise_px2, e.sigma_px**-4.0) for e in errors.values()]
     shown = sum(px2 * weight for px2, weight in every) / sum(weight for _, weight in every) if every else 0.0
     out = {}
@@ -126,11 +118,7 @@ def lens_reasons(errors: Mapping[int, LensError]) -> Iterator[Reason]:
 
 
 def camera_blurs(plane: BoardPlane, scene: Scene, points: FiducialPoints) -> dict[int, float]:
-    """Return for each camera that shows a fiducial the blur of the sharpest one, px (standard deviation of an edge).
-
-    In blurred pictures the patches of corners near the board's edge show the edge and what lies beyond it, and a last
-    row that few corners place is off by up to 1.5 px (seed 111791), beyond its σ.
-    """
+    """Return for each camera that shows a fiducial the blur of the sharpest one, px (standard deviation of an edge)."""
     blurs, board = dict[int, float](), plane.board_type
     for n in np.flatnonzero(points.which >= 0).tolist():
         key = (int(points.camera[n]), int(points.row[n]))

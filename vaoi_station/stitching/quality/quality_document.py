@@ -8,7 +8,7 @@ import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import measured_velocity
-from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE, USED, FiducialPoints
+from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE, USED
 from vaoi_station.stitching.board.reference import inliers
 from vaoi_station.stitching.components.centres import unnoticed_mm
 from vaoi_station.stitching.components.places import OwnPlace
@@ -22,6 +22,15 @@ AMBIGUOUS = "ambiguous"
 
 def quality_document(f: Findings) -> dict[str, Any]:
     """Collect the numbers behind the verdict of a run, as the `quality` entry of its result."""
+    unseen = {
+        u.address: {
+            "coverage": _rounded(u.coverage),
+            "views": u.views,
+            "in_one_frame": u.in_one_frame,
+            "cause": u.cause,
+        }
+        for u in f.unseen
+    }
     return {
         **_links(f),
         **_cameras(f),
@@ -29,15 +38,7 @@ def quality_document(f: Findings) -> dict[str, Any]:
         **_own_places(f),
         **_board(f),
         **_uncertainties(f),
-        "unseen": {
-            u.address: {
-                "coverage": _rounded(u.coverage),
-                "views": u.views,
-                "in_one_frame": u.in_one_frame,
-                "cause": u.cause,
-            }
-            for u in f.unseen
-        },
+        "unseen": unseen,
         "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
         "height_sigma_mm": {address: _rounded(h.sigma_mm) for address, h in f.heights.items()},
         "belt": _belt(f),
@@ -45,15 +46,19 @@ def quality_document(f: Findings) -> dict[str, Any]:
 
 
 def _links(f: Findings) -> dict[str, Any]:
-    """Return how many links there are, between which frames, and how far they scatter."""
-    a, links = f.adjusted, f.problem.links
-    used = a.weight > USED
+    a, links, which = f.adjusted, f.problem.links, f.points.which
+    used, fits = a.weight > USED, inliers(f.points, a.fiducial_px)
+    counted = {
+        "rows": (links.seam < 0, used),
+        "neighbours": (links.seam >= 0, used),
+        "fiducials": (which >= 0, fits),
+        "fixture": (which == FIXTURE, fits),
+        "reference": (which == REFERENCE, fits),
+    }
     return {
         "links": {
-            kind: {"found": int(mine.sum()), "used": int((mine & used).sum())}
-            for kind, mine in (("rows", links.seam < 0), ("neighbours", links.seam >= 0))
-        }
-        | _points_used(f),
+            kind: {"found": int(mine.sum()), "used": int((mine & good).sum())} for kind, (mine, good) in counted.items()
+        },
         "unlinked": [
             {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
         ],
@@ -70,7 +75,6 @@ def _links(f: Findings) -> dict[str, Any]:
 
 
 def _link_pairs(f: Findings) -> list[dict[str, Any]]:
-    """Return for every pair of linked frames how many links there are, where on the board, and their residual."""
     links, a = f.problem.links, f.adjusted
     if not len(links):
         return []
@@ -98,24 +102,7 @@ def _link_pairs(f: Findings) -> list[dict[str, Any]]:
     ]
 
 
-def _points_of(f: Findings) -> FiducialPoints:
-    """Return the points with known CAD coordinates; none without a CAD mapping."""
-    return (f.mapping.problem.fiducials if f.mapping else None) or FiducialPoints.empty()
-
-
-def _points_used(f: Findings) -> dict[str, dict[str, int]]:
-    """Count the points with known CAD coordinates, by kind: all of them, and those that are not outliers."""
-    points = _points_of(f)
-    fits = np.zeros(0, np.bool_)
-    if len(points.which):
-        fits = inliers(points, f.adjusted.fiducial_px)
-    which = points.which
-    kinds = {"fiducials": which >= 0, "fixture": which == FIXTURE, "reference": which == REFERENCE}
-    return {kind: {"found": int(mine.sum()), "used": int((mine & fits).sum())} for kind, mine in kinds.items()}
-
-
 def _cameras(f: Findings) -> dict[str, Any]:
-    """Return x, y and turn (px) of every camera's displacement, and their σ; None if none were estimated."""
     estimate = f.adjusted.cameras
     displacement = sigma = None
     if estimate is not None:
@@ -126,20 +113,16 @@ def _cameras(f: Findings) -> dict[str, Any]:
 
 
 def _fiducials(f: Findings) -> dict[str, Any]:
-    """Return the sightings of every fiducial, and what would show that one is not at its CAD position."""
-    points, listed, check = _points_of(f), [], None
+    points, listed, check = f.points, [], None
     for n, fiducial in enumerate(f.plane.board_type.fiducials if f.plane and f.mapping else ()):
         at = np.flatnonzero(points.which == n)
-        residual = f.adjusted.fiducial_px[at].mean(0).tolist() if len(at) else None
-        residual_px = None if residual is None else [_rounded(v) for v in residual]
+        residual_px = [_rounded(v) for v in f.adjusted.fiducial_px[at].mean(0).tolist()] if len(at) else None
         listed.append({"name": fiducial.name, "sightings": len(at), "residual_px": residual_px})
-    if f.plane is not None and f.cad_matrix is not None and f.mapping and f.mapping.problem.fiducials is not None:
+    if (b := f.board) is not None:
         # Fiducials of components and boards have no part in C, so they show no error of it.
-        found = set(points.which[points.which >= 0].tolist())
-        used = np.array(sorted(found - f.plane.board_type.apart_from_c(found, points.fixture_marks)), np.int_)
-        shift, unnoticed = f.component_shift, None
+        used, shift, unnoticed = b.plane.placing(points), f.component_shift, None
         if shift is not None and len(used) == 2:
-            unnoticed = _rounded(unnoticed_mm(shift, apply(f.cad_matrix, f.plane.cad(f.plane.fiducials[used]))))
+            unnoticed = _rounded(unnoticed_mm(shift, apply(b.matrix, b.plane.cad(b.plane.fiducials[used]))))
         check = {
             "fiducials": len(used),
             # Two fiducials determine the four numbers of C and leave no residual.
@@ -152,7 +135,6 @@ def _fiducials(f: Findings) -> dict[str, Any]:
 
 
 def _own_places(f: Findings) -> dict[str, Any]:
-    """Return what fiducials show of boards of a panel and of components that do not follow C; no entry without any."""
 
     def shown(place: OwnPlace) -> dict[str, Any]:
         return {
@@ -169,17 +151,16 @@ def _own_places(f: Findings) -> dict[str, Any]:
         sigma_turn_deg = _rounded(float(np.degrees(place.sigma_turn_rad)))
         boards[position] = shown(place) | {"lost": list(place.lost), "sigma_turn_deg": sigma_turn_deg}
     for position, marks in f.bad_marks.items():
-        read = [{"name": m.name, "look": m.look, "shares": m.shares, "frames": m.frames} for m in marks.marks]
+        read = [{"name": m.mark.name, "look": m.look, "shares": m.shares, "frames": m.frames} for m in marks.marks]
         boards.setdefault(position, {}).update({"state": marks.state, "marks": read})
     return ({"local_fiducials": local} if local else {}) | ({"boards": boards} if boards else {})
 
 
 def _board(f: Findings) -> dict[str, Any]:
-    """Return how the board lies by its CAD mapping, and how its outline agrees."""
     mapping, scale_error, outline_shift = f.mapping, None, None
-    if f.plane is not None and f.adjusted.similarity is not None:
-        scale = float(np.hypot(*f.adjusted.similarity[:2]))
-        scale_error = _rounded(scale / f.plane.board_type.mm_per_unit - 1, 7)
+    if f.board is not None:
+        scale = float(np.hypot(*f.board.c[:2]))
+        scale_error = _rounded(scale / f.board.plane.board_type.mm_per_unit - 1, 7)
     if mapping and (shift := mapping.shift) is not None:
         outline_shift = {
             "mm": [_rounded(v, 3) for v in shift.mm.tolist()],
@@ -197,7 +178,6 @@ def _board(f: Findings) -> dict[str, Any]:
 
 
 def _uncertainties(f: Findings) -> dict[str, Any]:
-    """Return the standard deviations and covariances of rows, matrices, components and surface."""
     a, sigma, rows = f.adjusted, f.sigma, row_covariances(f.adjusted)
     named, surface_sigma = f.plane is not None and bool(f.plane.board_type.components), None
     if f.plane is not None and len(a.surface_mm):
@@ -223,7 +203,6 @@ def _uncertainties(f: Findings) -> dict[str, Any]:
 
 
 def _belt(f: Findings) -> dict[str, Any]:
-    """Return the nominal and the measured velocity of the belt."""
     nominal, velocity = f.problem.velocity_mm_s, None
     if f.connected_groups:
         # Only connected rows show the speed of the belt. Between groups of rows, the nominal speed was assumed.

@@ -1,21 +1,19 @@
 """Whether neighbouring cameras agree where they overlap, and why they do not.
 
 If the links between two cameras are missing or contradict one another, the pixels of the overlap are tested for causes,
-in this order: the board lies far off the calibrated plane; one camera shows many saturated or black pixels there, or is
-much brighter; the corners are so faint that noise alone prevents a link; the same picture appears at several places.
-Otherwise the reason states the measured values. A displaced camera is not among the causes: the adjustment corrects it
-wherever links show it.
+in this order: the board far off the calibrated plane; many saturated or black pixels, or much more brightness, in one
+camera; corners so faint that noise alone prevents a link; the same picture at several places. A displaced camera is not
+among them: the adjustment corrects it.
 
 All cameras of a row are fired by one pulse. If their overlaps match when the row of one camera is changed by one, its
-frames are in wrong rows (`acquisition.pairing.latency`); a moved camera would show this only if it had moved by exactly
-one step of the belt.
+frames are in wrong rows (`acquisition.pairing.latency`).
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -32,11 +30,10 @@ from vaoi_station.stitching.matching.link import choose_corners, find_shift, lin
 
 _LEAST_REJECTED, _MOSTLY_USED, _REJECTED_PX = 6, 0.5, 0.3
 """Least number of links of a seam from which most can be rejected, share of used ones, and residual of rejected links,
-px, that shows that the cameras disagree; a smaller one shows nothing."""
+px, that shows that the cameras disagree."""
 _SAME_HEIGHT_PX, _ALIKE_SHARE = 0.5, 0.6
-"""Two heights of a component, by links across the seam and by others, agree up to this displacement at the seam, px.
-
-If at least the share `_ALIKE_SHARE` of the corners in an overlap is found again, both pictures are of one place."""
+"""Two heights of a component, by links across the seam and by others, agree up to this displacement at the seam, px;
+least share of the corners in an overlap that is found again if both pictures are of one place."""
 LIFT_LIMIT_MM = 2.0
 """Largest expected lift of a board: two standard deviations of its prior (`problem.SIGMA_MM`)."""
 _HIGHEST_MM, _SAME_LIFT_MM, _SAME_LIFT_SHARE, _SIDEWAYS_PX = 12.0, 0.5, 0.15, 3.0
@@ -45,19 +42,18 @@ a share of it; largest shift of an overlap in the direction in which a lift has 
 _ROWS = 6
 """Number of rows that are examined: those with the most texture."""
 _SATURATED, _BLACK, _CLIPPED_SHARE = 250, 1, 0.15
-"""Grey levels from which on, and up to which, a pixel is saturated or black. A camera's exposure is wrong if its share
-of such pixels exceeds that of the other camera by the last value."""
+"""Grey levels from which on, and up to which, a pixel is saturated or black, and by how much its share in one camera
+exceeds that in the other if the exposure is wrong."""
 _BRIGHTNESS_RATIO = 2.5
 """Ratio of the brightness of two overlaps above which different exposure is named as the cause."""
 _HALF_PX, _LINK_SCORE, _CLEAR_CORNERS = 12, 0.80, 8
 """Half the side of a patch, least correlation of a link, and least number of corners of an overlap with texture."""
 _REPEATED, _APART_PX, _SEARCH_MM = 0.85, 8, 4.0
-"""A corner is repeated if its patch has at least the correlation `_REPEATED` with another place of the same frame, at
-least `_APART_PX` and at most `_SEARCH_MM` away: the range in which a displaced camera is searched."""
+"""Least correlation of a repeated corner's patch with another place of the same frame, and least and largest distance
+of that: the range in which a displaced camera is searched."""
 _MOSTLY, _NEARLY_ALL = 0.5, 0.9
-"""Share of repeated corners from which on a pattern repeats, and from which on links that agree show no displacement.
-
-On ordinary boards, half of the corners resemble another place; the other half then shows the true displacement."""
+"""Share of repeated corners from which on a pattern repeats, and from which on links that agree show no displacement:
+on ordinary boards, half of the corners resemble another place."""
 _QUARTILE = 0.3186
 """Lower quartile of the absolute values of a normal distribution with standard deviation 1."""
 _TRIED_ROWS, _AGREEING, _LINKS, _PLAINLY = 4, 2, 12, 2.0
@@ -65,7 +61,6 @@ _TRIED_ROWS, _AGREEING, _LINKS, _PLAINLY = 4, 2, 12, 2.0
 the same offset; least number of links of frames of one pulse, and their least ratio to the links without offset."""
 
 Grey = NDArray[np.uint8]
-Cause = tuple[ReasonCode, str]
 Sides = tuple[float, float]
 """A value of the left and of the right camera."""
 
@@ -79,15 +74,13 @@ class Lift(NamedTuple):
 
 
 class _Overlap(NamedTuple):
-    """Measured values of the overlap in one row."""
+    """Measured values of the overlap of a row, or their means over several rows."""
 
     saturated: Sides
     black: Sides
     """Share of black pixels: the smaller of the share in the overlap and that in the whole frame."""
     brightness: Sides
-    """Mean grey level of the overlap."""
     frame_brightness: Sides
-    """Mean grey level of the whole frame."""
     corners: float
     standing_out: Sides
     """Number of corners whose texture stands out of the noise, in each frame."""
@@ -97,41 +90,11 @@ class _Overlap(NamedTuple):
     """Number of the clear corners whose patch the left frame shows at another place too."""
 
 
-class _Evidence(NamedTuple):
-    """Measured values about two cameras that disagree, as the input of the tests for causes."""
-
-    names: tuple[str, str]
-    lift: Lift | None
-    rows: int
-    mean: _Overlap
-    """Means of the measured values over the examined rows."""
-
-    def share(self, number: float) -> str:
-        """Return the words "n of m corners" for all examined rows, from the mean number per row."""
-        return f"{number * self.rows:.0f} of {self.mean.corners * self.rows:.0f} corners"
-
-    def enough(self, corners: float) -> bool:
-        """Return whether a number of corners per row is that of an overlap with texture."""
-        return corners * self.rows >= _CLEAR_CORNERS and corners >= _MOSTLY * self.mean.corners
-
-    @property
-    def brighter(self) -> tuple[int, float]:
-        """Which camera (0: left, 1: right) shows the overlap brighter, and by which factor, at least 1.
-
-        If the ratio of the brightness of the whole frames is smaller than that in the overlap, it is the factor.
-        """
-        over, frame = np.array(self.mean.brightness) + 1, np.array(self.mean.frame_brightness) + 1
-        k = int(over.argmax())
-        return k, float(max(min(over[k] / over[1 - k], frame[k] / frame[1 - k]), 1))
-
-
 def seam_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) -> float | None:
     """Return by how much two cameras disagree, px, by the links `at` between them; None if these do not show it.
 
-    Links on components are left out, since the height of a component is no error of the seam, if `least` others are
-    left. If nearly all links lie on components, and most were rejected, the camera may have moved by pixels: without
-    links on the bare board, their noise floor is not widened. Then all of them count, across the lean, to which heights
-    do not contribute.
+    Links on components are left out, since their heights are no error of the seam, if `least` others are left. If
+    nearly all lie on components, and most were rejected, the camera may have moved: all count across the lean.
     """
     bare = at[problem.component[at] < 0]
     if len(bare) >= least:
@@ -145,8 +108,7 @@ def seam_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) 
 def seam_offset_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least: int) -> float:
     """Return the length of the median residual, px, of links between two cameras that lie beside components.
 
-    A link whose patch reaches a component may lie on its side. Its residual along the lean then shows the height of the
-    side, not an error of the seam. Only links on the bare board count along the lean, and only if there are `least`.
+    Along the lean only links on the bare board count, if there are `least`: the others show heights.
     """
     o, off_px = problem.links, adjusted.link_px[at]
     lean = o.b_lean[at] - o.a_lean[at]
@@ -178,33 +140,81 @@ def explain_seam(
     scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str, lift: Lift | None
 ) -> Reason:
     """Return a reason for two cameras that disagree: the symptom, followed by the cause that the tests found."""
-    evidence = _gather(scene, links, pair, lift)
-    if evidence is None:
+    rows, mean = _examine(scene, links, pair[0])
+    if mean is None:
         return Reason(ReasonCode.NOT_EXPLAINED, f"{symptom}: no row has good frames of both cameras to compare")
-    causes = (test(evidence) for test in (_off_plane, _clipped, _faint, _repetitive, _unexplained))
-    code, text = next(cause for cause in causes if cause is not None)
+    code, text = _cause(pair, rows, mean, lift)
     return Reason(code, f"{symptom}: {text}")
 
 
-def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str) -> Reason | None:
-    """Return a reason if the overlap of two cameras shows a repeated pattern, otherwise None.
+def _cause(pair: tuple[int, int], rows: int, mean: _Overlap, lift: Lift | None) -> tuple[ReasonCode, str]:
+    """Return the cause that the means over `rows` rows of an overlap show, as a code and in words."""
+    if lift is not None and abs(lift.mm) > LIFT_LIMIT_MM:
+        where, about = "above" if lift.mm > 0 else "below", "" if lift.overlaps is None else "about "
+        # If there is only one overlap, a displacement of a camera shifts it in the same way as a lift.
+        other = "; or one of the two cameras is displaced along the array by as much" if lift.overlaps == 1 else ""
+        return ReasonCode.BOARD_OFF_PLANE, (
+            f"the board lies {about}{abs(lift.mm):.1f} mm {where} the calibrated plane (limit {LIFT_LIMIT_MM:.0f} mm); "
+            f"lay it into the calibrated plane, or calibrate at its height{other}"
+        )
+    for what, share in (("saturated", mean.saturated), ("black", mean.black)):
+        k = int(np.argmax(share))
+        if share[k] - share[1 - k] > _CLIPPED_SHARE:
+            return ReasonCode.OVERLAP_EXPOSURE, (
+                f"{share[k]:.0%} of the overlap is {what} in camera {pair[k]}, {share[1 - k]:.0%} in camera "
+                f"{pair[1 - k]}; correct exposure, gain or light of camera {pair[k]}"
+            )
 
-    Links on a repeated pattern can agree with one another at a wrong place, off by whole periods of the pattern. This
-    looks like a displacement of a camera.
-    """
-    evidence = _gather(scene, links, pair, None)
-    if evidence is None or evidence.mean.clear < _CLEAR_CORNERS:
+    def enough(corners: float) -> bool:
+        """Return whether a number of corners per row is that of an overlap with texture."""
+        return corners * rows >= _CLEAR_CORNERS and corners >= _MOSTLY * mean.corners
+
+    # Which camera is brighter, and by which factor: in the overlap, or in the whole frames if it is smaller there.
+    over, frame = np.array(mean.brightness) + 1, np.array(mean.frame_brightness) + 1
+    k = int(over.argmax())
+    ratio = float(max(min(over[k] / over[1 - k], frame[k] / frame[1 - k]), 1))
+    clear = f"{mean.clear * rows:.0f} of {mean.corners * rows:.0f} corners stand out"
+    if not enough(mean.clear) and ratio > _BRIGHTNESS_RATIO:
+        return ReasonCode.OVERLAP_EXPOSURE, (
+            f"camera {pair[k]} shows the overlap {ratio:.1f} times as bright as camera {pair[1 - k]}, and the noise "
+            f"hides its texture ({clear} in both); give both the same exposure, gain and light"
+        )
+    # An overlap with texture in one camera is not blank: the other camera shows another place, or something hides it.
+    if not enough(mean.clear) and not any(map(enough, mean.standing_out)):
+        return ReasonCode.OVERLAP_BLANK, (
+            f"the overlap shows no texture beyond noise ({clear} in {rows} rows), so that nothing confirms where the "
+            "two cameras are; if the board is not blank there, check light and focus"
+        )
+    if mean.repeated > _MOSTLY * mean.clear:
+        return ReasonCode.OVERLAP_REPETITIVE, _repetitive(rows, mean)
+    height = "" if lift is None else f", nor by height ({lift.mm:+.2f} mm)"
+    return ReasonCode.NOT_EXPLAINED, (
+        f"the two cameras do not show the same there; not explained by a displacement within ±{_SEARCH_MM:.0f} mm that "
+        f"leaves an overlap, nor by exposure (brightness {ratio:.1f} : 1, {max(mean.saturated):.0%} saturated), nor by "
+        f"missing texture ({clear} in both){height}; compare the frames of both"
+    )
+
+
+def _repetitive(rows: int, mean: _Overlap) -> str:
+    return (
+        f"the overlap shows a repeated pattern ({mean.repeated * rows:.0f} of {mean.corners * rows:.0f} corners fit at "
+        "several places), so that nothing confirms where the two cameras are; use a reference, or a larger overlap"
+    )
+
+
+def repeated_overlap(scene: Scene, links: Iterable[Links], pair: tuple[int, int], symptom: str) -> Reason | None:
+    """Return a reason if the overlap of two cameras shows a repeated pattern, otherwise None."""
+    rows, mean = _examine(scene, links, pair[0])
+    if mean is None or mean.clear < _CLEAR_CORNERS or mean.repeated <= _NEARLY_ALL * mean.clear:
         return None
-    cause = _repetitive(evidence) if evidence.mean.repeated > _NEARLY_ALL * evidence.mean.clear else None
-    return None if cause is None else Reason(cause[0], f"{symptom}: {cause[1]}")
+    return Reason(ReasonCode.OVERLAP_REPETITIVE, f"{symptom}: {_repetitive(rows, mean)}")
 
 
 def measure_lift(scene: Scene, links: Iterable[Links]) -> Lift | None:
     """Measure the height of the board above the calibrated plane from the shifts of the overlaps of calibrated cameras.
 
-    A lift shifts all overlaps along the array in the same direction. A displaced camera shifts the overlaps on its two
-    sides in opposite directions. With one overlap alone, the two cases cannot be distinguished. The lift is None if no
-    overlap shows one, or if the overlaps show different ones.
+    A lift shifts all overlaps in one direction, a displaced camera those on its two sides in opposite ones. None if no
+    overlap shows a lift, or if they show different ones.
     """
     links, each = tuple(links), []
     for left in range(len(scene.cameras) - 1):
@@ -222,7 +232,6 @@ def _same_lift(a_mm: float, b_mm: float) -> bool:
 
 
 def _at_rest(scene: Scene, left: FrameKey, right: FrameKey) -> FramePair:
-    """Return two frames as those of one pulse."""
     cameras = scene.cameras[left[0]], scene.cameras[right[0]]
     return FramePair(scene.prepared(left), scene.prepared(right), *cameras, np.zeros(2))
 
@@ -248,85 +257,22 @@ def _seam(links: Iterable[Links], left: int, scene: Scene) -> list[Links]:
 
 
 def _most_textured(seam: Iterable[Links], most: int = _ROWS) -> Iterator[FrameKey]:
-    """Yield the left frames of a seam, those with most texture in the overlap first."""
     for e in sorted(seam, key=lambda e: (-e.tried, e.task.a))[:most]:
         yield e.task.a
 
 
-def _gather(scene: Scene, links: Iterable[Links], pair: tuple[int, int], lift: Lift | None) -> _Evidence | None:
-    """Measure texture and grey levels in the overlap of two cameras; None if no row has good frames of both."""
-    seam = _seam(links, pair[0], scene)
+def _examine(scene: Scene, links: Iterable[Links], left: int) -> tuple[int, _Overlap | None]:
+    """Measure texture and grey levels in the overlap of two cameras; return the number of rows, and their means."""
+    seam = _seam(links, left, scene)
     # If links failed in some rows, only these rows are examined.
     rows = _most_textured([e for e in seam if e.unmatched] or seam)
-    seen = [overlap for key in rows if (overlap := _examine(scene, key)) is not None]
+    seen = [overlap for key in rows if (overlap := _overlap(scene, key)) is not None]
     if not seen:
-        return None
-    mean = _Overlap(*(np.mean([o[k] for o in seen], 0) for k in range(len(_Overlap._fields))))
-    return _Evidence((f"camera {pair[0]}", f"camera {pair[1]}"), lift, len(seen), mean)
+        return 0, None
+    return len(seen), _Overlap(*(np.mean(values, 0) for values in zip(*seen, strict=True)))
 
 
-def _off_plane(e: _Evidence) -> Cause | None:
-    if e.lift is None or abs(e.lift.mm) <= LIFT_LIMIT_MM:
-        return None
-    where = "above" if e.lift.mm > 0 else "below"
-    about = "" if e.lift.overlaps is None else "about "
-    # If there is only one overlap, a displacement of a camera shifts it in the same way as a lift.
-    other = "; or one of the two cameras is displaced along the array by as much" if e.lift.overlaps == 1 else ""
-    return ReasonCode.BOARD_OFF_PLANE, (
-        f"the board lies {about}{abs(e.lift.mm):.1f} mm {where} the calibrated plane (limit {LIFT_LIMIT_MM:.0f} mm); "
-        f"lay it into the calibrated plane, or calibrate at its height{other}"
-    )
-
-
-def _clipped(e: _Evidence) -> Cause | None:
-    for what, share in (("saturated", e.mean.saturated), ("black", e.mean.black)):
-        k = int(np.argmax(share))
-        if share[k] - share[1 - k] > _CLIPPED_SHARE:
-            return ReasonCode.OVERLAP_EXPOSURE, (
-                f"{share[k]:.0%} of the overlap is {what} in {e.names[k]}, {share[1 - k]:.0%} in {e.names[1 - k]}; "
-                f"correct exposure, gain or light of {e.names[k]}"
-            )
-    return None
-
-
-def _faint(e: _Evidence) -> Cause | None:
-    if e.enough(e.mean.clear):
-        return None
-    k, ratio = e.brighter
-    if ratio > _BRIGHTNESS_RATIO:
-        return ReasonCode.OVERLAP_EXPOSURE, (
-            f"{e.names[k]} shows the overlap {ratio:.1f} times as bright as {e.names[1 - k]}, and the noise hides its "
-            f"texture ({e.share(e.mean.clear)} stand out in both); give both the same exposure, gain and light"
-        )
-    # An overlap with texture in one camera is not blank: the other camera shows another place, or something hides it.
-    if any(map(e.enough, e.mean.standing_out)):
-        return None
-    return ReasonCode.OVERLAP_BLANK, (
-        f"the overlap shows no texture beyond noise ({e.share(e.mean.clear)} stand out in {e.rows} rows), so that "
-        "nothing confirms where the two cameras are; if the board is not blank there, check light and focus"
-    )
-
-
-def _repetitive(e: _Evidence) -> Cause | None:
-    if e.mean.repeated <= _MOSTLY * e.mean.clear:
-        return None
-    return ReasonCode.OVERLAP_REPETITIVE, (
-        f"the overlap shows a repeated pattern ({e.share(e.mean.repeated)} fit at several places), so that nothing "
-        "confirms where the two cameras are; use a reference, or a larger overlap"
-    )
-
-
-def _unexplained(e: _Evidence) -> Cause | None:
-    height = "" if e.lift is None else f", nor by height ({e.lift.mm:+.2f} mm)"
-    return ReasonCode.NOT_EXPLAINED, (
-        f"the two cameras do not show the same there; not explained by a displacement within ±{_SEARCH_MM:.0f} mm that "
-        f"leaves an overlap, nor by exposure (brightness {e.brighter[1]:.1f} : 1, {max(e.mean.saturated):.0%} "
-        f"saturated), nor by missing texture ({e.share(e.mean.clear)} stand out in both){height}; compare the frames "
-        "of both"
-    )
-
-
-def _examine(scene: Scene, left: FrameKey) -> _Overlap | None:
+def _overlap(scene: Scene, left: FrameKey) -> _Overlap | None:
     """Measure the overlap of a left frame with the next camera's frame of the same row; None if they do not overlap."""
     pair = _at_rest(scene, left, (left[0] + 1, left[1]))
     box, back = pair.overlap(), overlap_box(pair.camera_b, pair.camera_a, np.zeros(2))
@@ -334,40 +280,32 @@ def _examine(scene: Scene, left: FrameKey) -> _Overlap | None:
         return None
     a, b = pair.a, pair.b
     strips = [frame.grey[max(y0, 0) : y1, max(x0, 0) : x1] for frame, (x0, y0, x1, y1) in ((a, box), (b, back))]
-    noise, corners = [_noise_variance(strip) for strip in strips], choose_corners(a, box)
+    corners, noise = choose_corners(a, box), np.array([_noise_variance(strip) for strip in strips])
     places = pair.predict(corners.astype(np.float64)) if len(corners) else np.zeros((0, 2))
     variance = np.array(
         [[float(_patch(a.grey, p).var()), float(_patch(b.grey, q).var())] for p, q in zip(corners, places, strict=True)]
     ).reshape(-1, 2)
-    share = np.maximum(1 - np.array(noise) / np.maximum(variance, 1e-9), 0.0)
+    share = np.maximum(1 - noise / np.maximum(variance, 1e-9), 0.0)
     # Noise reduces the correlation of two pictures of a patch to √(s₁·s₂), s being the share of texture in the
     # variance.
     clear = np.sqrt(share.prod(1)) >= _LINK_SCORE
     reach = round(_SEARCH_MM * pair.camera_a.px_per_mm)
-    left_out, right_out = (share >= _LINK_SCORE).sum(0).tolist()
-    (sat_a, sat_b), (mean_a, mean_b) = ([f(s) for s in strips] for f in (_saturated_share, _mean))
-    black_a, black_b = (
-        min(float((grey <= _BLACK).mean()) for grey in both)
-        for both in zip(strips, (a.reduced(4), b.reduced(4)), strict=True)
-    )
+
+    def both(values: Iterable[Any]) -> Sides:
+        left_value, right_value = map(float, values)
+        return left_value, right_value
+
+    frames = list(zip(strips, (a.reduced(4), b.reduced(4)), strict=True))
     return _Overlap(
-        (sat_a, sat_b),
-        (black_a, black_b),
-        (mean_a, mean_b),
-        (_mean(a.reduced(4)), _mean(b.reduced(4))),
+        both((strip >= _SATURATED).mean() for strip in strips),
+        both(min((strip <= _BLACK).mean(), (whole <= _BLACK).mean()) for strip, whole in frames),
+        both(strip.mean() for strip in strips),
+        both(whole.mean() for _, whole in frames),
         len(corners),
-        (left_out, right_out),
+        both((share >= _LINK_SCORE).sum(0)),
         int(clear.sum()),
         sum(_is_repeated(a.grey, corner, reach) for corner in corners[clear]),
     )
-
-
-def _mean(grey: Grey) -> float:
-    return float(grey.mean())
-
-
-def _saturated_share(grey: Grey) -> float:
-    return float((grey >= _SATURATED).mean())
 
 
 def _patch(grey: Grey, place: Floats | NDArray[np.int64]) -> Grey:
@@ -402,10 +340,7 @@ def _is_repeated(grey: Grey, corner: NDArray[np.int64], reach: int) -> bool:
 
 
 def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
-    """Return by how many rows (−1, 0, +1) the row numbers of camera left + 1 are too high against those of camera left.
-
-    The overlaps with most texture are compared with those of the rows before and after.
-    """
+    """Return by how many rows (−1, 0, +1) the numbers of camera left + 1 are too high against those of camera left."""
     present = set(scene.present)
     seam = [e for e in links if e.task.kind == "neighbours" and e.task.a[0] == left and e.tried]
     votes, total = Counter[int](), Counter[int]()
@@ -425,10 +360,7 @@ def row_offset(scene: Scene, links: Iterable[Links], left: int) -> int:
 
 
 def shifted_cameras(offsets: Mapping[tuple[int, int], int], cameras: int) -> dict[int, int]:
-    """Return, for each camera with wrong row numbers, by how many rows they are too high; most cameras must be right.
-
-    `offsets` holds the offset of the second camera against the first of neighbours; 0 for pairs not listed.
-    """
+    """Return for each camera with wrong row numbers by how many rows they are too high; most must be right."""
     place = [0]
     for i in range(cameras - 1):
         place.append(place[-1] + offsets.get((i, i + 1), 0))
