@@ -282,8 +282,8 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
     `port` replaces the configured port; `file` is the station.toml, to examine the station or set it up.
     """
     with no_collections():
-        from vaoi_station.api import create_app
         from vaoi_station.api.access import AccessControl
+        from vaoi_station.api.app import create_app
         from vaoi_station.api.audit import AuditLog
         from vaoi_station.api.certificate import CertificateFiles
         from vaoi_station.api.routes.waiting_page import WaitingPage

@@ -13,8 +13,8 @@ from fastapi.testclient import TestClient
 
 from tests.api.held_station import HeldStation
 from tests.peers.certificates import Certificate
-from vaoi_station.api import create_app
 from vaoi_station.api.access import AccessControl
+from vaoi_station.api.app import create_app
 from vaoi_station.api.certificate import CertificateFiles
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.web_server import IDLE_S, WebServer, open_listener

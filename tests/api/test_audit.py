@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from tests.soak.small_disk import SmallDisk
-from tests.test_supervised_thread import kill
 from vaoi_station.api import audit as module
 from vaoi_station.api.audit import FILES_KEPT, AuditLog
 from vaoi_station.supervised_thread import ThreadFault
@@ -69,19 +68,6 @@ def test_a_disk_that_refuses_does_not_end_the_log(tmp_path: Path) -> None:
     audit.close()
 
 
-def test_a_thread_that_ends_is_a_fault_and_no_reader_waits_for_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "READ_WAIT_S", 0.01)
-    audit = AuditLog(tmp_path / "audit.jsonl")
-    kill(audit.thread)
-    audit.add(path="/a")  # it waits for entries without a limit, so it ends when one comes
-    assert str(fault_of(audit)) == "Thread 'audit' has ended (SystemExit)."
-    audit.add(path="/b")
-    assert "/b" not in [entry["path"] for entry in audit.newest(5)]
-    audit.close()
-
-
 def test_a_disk_that_hangs_is_a_fault_and_delays_neither_requests_nor_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,15 +105,6 @@ def test_what_came_while_the_disk_was_full_is_written_when_there_is_room(disk: S
     audit.add(number=200)
     assert [entry["number"] for entry in written(audit, 201)] == list(range(200, -1, -1))
     audit.close()
-
-
-def test_an_end_while_the_disk_is_full_waits_for_no_room(disk: SmallDisk) -> None:
-    audit = AuditLog(disk.directory / "audit.jsonl")
-    disk.fill()
-    for n in range(5):
-        audit.add(number=n)
-    audit.close()
-    assert not audit.thread.is_alive()
 
 
 def test_a_line_that_a_power_failure_has_cut_costs_no_later_entry(tmp_path: Path) -> None:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import io
 import threading
 from collections.abc import AsyncIterator
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
-from tests.api.held.pictures import RUNS, picture
+from tests.api.held.pictures import RUNS
 from tests.api.held.unpacked import documents, unpacked
 from vaoi_station.api.batch import PARTS_AHEAD, CutThreads, stream
-from vaoi_station.errors import GoneError
 from vaoi_station.runs.batches.batch_job import CutPart
 from vaoi_station.runs.batches.batches import Batch, BatchPart
 from vaoi_station.runs.batches.containers import CONTAINERS, MEDIA_TYPES, Member, Packed, pack
@@ -51,14 +48,6 @@ def test_each_file_is_the_picture_at_its_address(shared_client: Any) -> None:
     assert "components/R1/views.json" not in files
 
 
-def test_numpy_opens_the_answer(shared_client: Any) -> None:
-    answer = shared_client.get(f"{RUNS}/r000001/images?component=R1&container=zip&format=npy")
-    arrays = np.load(io.BytesIO(answer.content))
-    single = shared_client.get(f"{RUNS}/r000001/components/R1/images/0?format=npy")
-    np.testing.assert_array_equal(arrays["components/R1/0"], picture(single))
-    assert arrays["end.json"].startswith(b"{")
-
-
 @pytest.mark.parametrize(
     ("query", "status", "code"),
     [
@@ -82,13 +71,6 @@ def test_what_cannot_be_answered_is_refused_before_the_stream(
     assert (answer.status_code, answer.json()["code"]) == (status, code)
 
 
-def test_gone_frames_and_unknown_runs(client: Any, station: Any) -> None:
-    run = station.film()
-    station.release(run)
-    assert client.get(f"{RUNS}/{run}/images").status_code == 410
-    assert client.get(f"{RUNS}/never/images").status_code == 404
-
-
 def test_frames_that_go_meanwhile_end_the_batch_with_the_cause(
     client: Any, station: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -106,29 +88,6 @@ def test_frames_that_go_meanwhile_end_the_batch_with_the_cause(
     assert end["complete"] is False
     assert end["error"]["code"] == "frames-gone"
     assert list(files) == ["run.json", "end.json"]
-
-
-def test_a_fault_of_the_station_ends_the_batch_too(shared_client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any) -> Any:
-        raise RuntimeError("a secret path /etc/passwd")
-
-    monkeypatch.setattr("vaoi_station.runs.batches.batches.BatchAccess.cut", fail)
-    content = shared_client.get(f"{RUNS}/r000001/images?container=zip").content
-    end = documents(unpacked(content, "zip"))["end.json"]
-    assert end["error"]["code"] == "internal"
-    assert b"passwd" not in content
-
-
-def test_head_cuts_nothing(shared_client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vaoi_station.runs.batches.batches.BatchAccess.cut", lambda *_: pytest.fail("it is not read"))
-    answer = shared_client.head(f"{RUNS}/r000001/images?container=zip")
-    assert (answer.status_code, answer.content) == (200, b"")
-    assert answer.headers["content-type"] == "application/zip"
-    assert "content-length" not in answer.headers, "GET states none"
-
-
-def test_only_a_few_parts_are_cut_ahead_of_the_reader() -> None:
-    assert PARTS_AHEAD <= 4
 
 
 def batch(count: int) -> Any:
@@ -188,33 +147,6 @@ def test_a_reader_that_waits_stops_the_work() -> None:
         assert len(begun) <= PARTS_AHEAD
         await answer.aclose()  # type: ignore[attr-defined]  # it is a generator
         assert len(begun) <= PARTS_AHEAD
-
-    asyncio.run(check())
-
-
-def test_the_rest_of_a_part_is_cut_before_later_parts() -> None:
-    async def check() -> None:
-        begun = []
-
-        async def cut(part: BatchPart) -> tuple[CutPart, BatchPart | None]:
-            begun.append(part.image)
-            return reply(b"x"), BatchPart((), 100) if part.image == 0 else None
-
-        await read(stream(batch(PARTS_AHEAD + 5), cut))
-        assert begun[PARTS_AHEAD] == 100
-
-    asyncio.run(check())
-
-
-@pytest.mark.parametrize("fault", [GoneError("gone", code="frames-gone"), RuntimeError("a bug")])
-def test_a_fault_ends_the_stream_with_a_last_file(fault: Exception) -> None:
-    async def check() -> None:
-        async def cut(part: BatchPart) -> tuple[CutPart, None]:
-            raise fault
-
-        *_, end, closing = await read(stream(batch(9), cut))
-        assert b'"complete":false' in end
-        assert closing.endswith(b"--\r\n")
 
     asyncio.run(check())
 

@@ -20,13 +20,6 @@ def certificate(tmp_path: Path) -> Certificate:
     return make_certificate(tmp_path)
 
 
-def test_files_that_do_not_change_are_not_read_again(certificate: Certificate) -> None:
-    files = CertificateFiles(*certificate)
-    before = files._current
-    files.refresh()
-    assert files._current is before
-
-
 def test_a_pair_that_does_not_fit_yet_leaves_the_present_one_in_use(
     certificate: Certificate, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -41,14 +34,6 @@ def test_a_pair_that_does_not_fit_yet_leaves_the_present_one_in_use(
         files.refresh()
     assert files._current is not before
     assert "read again" in caplog.text
-
-
-def test_files_that_vanish_leave_the_present_certificate_in_use(certificate: Certificate) -> None:
-    files = CertificateFiles(*certificate)
-    before = files._current
-    certificate.certificate.unlink()
-    files.refresh()
-    assert files._current is before
 
 
 def test_a_certificate_that_cannot_be_used_is_refused(certificate: Certificate, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -12,32 +11,10 @@ import pytest
 
 from vaoi_station.api import event_hub as module
 from vaoi_station.api.event_hub import EventHub
-from vaoi_station.api.limits import PICTURES_OF_CALLER, Seats
-from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.api.limits import Seats
+from vaoi_station.errors import DeviceError
 
 NEXT = "/api/v1/runs/next"
-
-
-def test_a_time_out_is_an_empty_reply(client: Any) -> None:
-    answer = client.get(NEXT, params={"timeout": 0.05})
-    assert (answer.status_code, answer.content) == (204, b"")
-    assert answer.headers["cache-control"] == "no-store"
-
-
-def test_a_finished_run_is_returned_at_once(client: Any, station: Any) -> None:
-    first, second = station.film(), station.film(board_id="B2")
-    answer = client.get(NEXT, params={"after": first, "timeout": 30})
-    assert (answer.json()["id"], answer.json()["board_id"]) == (second, "B2")
-    assert client.get(NEXT, params={"after": second, "timeout": 0}).status_code == 204
-
-
-def test_waiting_after_an_unknown_run_is_refused(client: Any) -> None:
-    assert client.get(NEXT, params={"after": "r999999", "timeout": 30}).status_code == 404
-
-
-@pytest.mark.parametrize("timeout", ["-1", "61", "nan", "inf", "soon"])
-def test_the_time_out_is_limited(client: Any, timeout: str) -> None:
-    assert client.get(NEXT, params={"timeout": timeout}).status_code == 422
 
 
 @pytest.mark.parametrize("follows", [True, False])
@@ -54,15 +31,6 @@ def test_a_waiting_request_is_woken_when_a_run_finishes(served: Any, follows: bo
         assert waiting.result(timeout=20).json()["id"] == unfinished
 
 
-def test_following_the_ids_returns_every_run_once(served: Any) -> None:
-    seen = [served.station.film()]
-    with ThreadPoolExecutor() as pool:
-        filming = pool.submit(lambda: [served.station.film() for _ in range(20)])
-        while len(seen) < 21:
-            seen.append(served.client.get(NEXT, params={"after": seen[-1], "timeout": 20}).json()["id"])
-        assert seen[1:] == filming.result()
-
-
 def test_many_waiting_requests_delay_neither_commands_nor_pictures(served: Any) -> None:
     run = served.station.film()
     limits = httpx2.Limits(max_connections=200)
@@ -73,26 +41,6 @@ def test_many_waiting_requests_delay_neither_commands_nor_pictures(served: Any) 
         assert served.client.get(f"/api/v1/runs/{run}/frames/0/0").status_code == 200
         last = served.station.film()
         assert {w.result(timeout=30).json()["id"] for w in waiting} == {last}
-
-
-def test_slow_pictures_do_not_delay_commands(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = served.station.film()
-    begun, go_on = threading.Semaphore(0), threading.Event()
-    frame = served.station.frame
-
-    def slow(*args: Any) -> Any:
-        begun.release()
-        go_on.wait(20)
-        return frame(*args)
-
-    monkeypatch.setattr(served.station, "frame", slow)
-    with ThreadPoolExecutor(20) as pool:
-        pictures = [pool.submit(served.client.get, f"/api/v1/runs/{run}/frames/0/0") for _ in range(20)]
-        for _ in range(PICTURES_OF_CALLER):
-            begun.acquire()
-        assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
-        go_on.set()
-        assert {p.result().status_code for p in pictures} == {200}
 
 
 def test_a_caller_with_too_many_long_polls_is_refused_and_keeps_its_streams(served: Any) -> None:
@@ -107,21 +55,6 @@ def test_a_caller_with_too_many_long_polls_is_refused_and_keeps_its_streams(serv
             assert stream.status_code == 200
         served.station.film()
         assert waiting.result(20).status_code == 200
-
-
-def test_an_unreadable_event_log_ends_all_waits(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: Any) -> Any:
-        raise StateError("the log is closed")
-
-    async def wait() -> tuple[Any, bool]:
-        hub = EventHub(station)
-        monkeypatch.setattr(station, "events", broken)
-        async with hub.listening():
-            found = await hub.events(0, 30), hub.closed
-            await hub.closing()
-            return found
-
-    assert asyncio.run(wait()) == ((), True)
 
 
 @pytest.mark.parametrize("fault", [RuntimeError("can't start new thread"), DeviceError("the disk does not answer")])

@@ -4,41 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import anyio
 import pytest
-from fastapi.routing import APIRoute
 
-from vaoi_station.api.cameras.frames import CameraTrials
-from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub
 from vaoi_station.api.limits import (
-    PICTURES_OF_CALLER,
-    SEARCHES_OF_CALLER,
     QueuedSeats,
     Seats,
-    ThreadLimit,
     caller_address,
-    caller_in,
-    set_caller,
 )
-from vaoi_station.api.parameters import PREFIX
-from vaoi_station.api.routes import board_types, cameras, mosaics, pictures
-from vaoi_station.api.routes.services import Services
+from vaoi_station.api.routes.services import COMMAND_THREADS, SEARCHES_OF_CALLER
 from vaoi_station.errors import BusyError
-
-
-def test_a_caller_is_known_by_its_address() -> None:
-    scope: dict[str, Any] = {"client": ("fd00::1", 4711), "state": {"app": 1}}
-    assert set_caller(scope).name == "fd00::/64"
-    assert caller_in(scope).name == "fd00::/64"
-    assert scope["state"]["app"] == 1
-
-
-def test_a_caller_without_an_address_is_local() -> None:
-    assert set_caller({"client": None}).name == "local"
 
 
 def test_a_caller_with_too_many_is_refused_and_another_is_not() -> None:
@@ -51,14 +28,6 @@ def test_a_caller_with_too_many_is_refused_and_another_is_not() -> None:
             with pytest.raises(BusyError, match="All callers together have 3 streams; the limit is 3"), seats.take("c"):
                 pass
     assert seats.taken == 0
-
-
-def test_a_seat_is_free_again_after_an_error() -> None:
-    seats = Seats("streams", 1, 1)
-    with pytest.raises(ZeroDivisionError), seats.take("a"):
-        raise ZeroDivisionError
-    with seats.take("a"):
-        assert seats.taken == 1
 
 
 def test_a_caller_waits_for_its_own_seats_while_another_gets_one() -> None:
@@ -97,51 +66,6 @@ def test_waiting_ends_after_its_time_and_the_queue_has_an_end() -> None:
     asyncio.run(run())
 
 
-def test_one_caller_has_a_limited_number_of_pictures_made_at_a_time(
-    served: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run, frame = served.station.film(), served.station.frame
-    lock, full, now, most = threading.Lock(), threading.Event(), 0, 0
-
-    def counted(*arguments: Any) -> Any:
-        nonlocal now, most
-        with lock:
-            now += 1
-            most = max(most, now)
-            if now == PICTURES_OF_CALLER:
-                full.set()
-        full.wait(20)
-        try:
-            return frame(*arguments)
-        finally:
-            with lock:
-                now -= 1
-
-    monkeypatch.setattr(served.station, "frame", counted)
-    with ThreadPoolExecutor(20) as pool:
-        wanted = [pool.submit(served.client.get, f"/api/v1/runs/{run}/frames/0/0") for _ in range(20)]
-        assert {w.result(30).status_code for w in wanted} == {200}
-    assert most == PICTURES_OF_CALLER
-
-
-def test_every_picture_of_a_camera_or_run_takes_a_seat(station: Any) -> None:
-    """Its thread and its memory are limited until it is read; a route without a seat would have neither limit."""
-    services = Services(station, EventHub(station))
-    routers = [module.router(services) for module in (board_types, pictures, mosaics)]
-    routers.append(cameras.router(services, CameraTrials(services.coordinator)))
-    routes = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
-    of_pictures, unlimited = set(), set()
-    for route in routes:
-        media = {media for reply in route.responses.values() for media in reply.get("content", {})}
-        # A pulse with settings on trial has a limit of its own: one at a time.
-        if ("/cameras/" in route.path and "GET" in (route.methods or ())) or any(m.startswith("image/") for m in media):
-            of_pictures.add(route.path)
-            if not any(of.call == services.picture_seats.hold for of in route.dependant.dependencies):
-                unlimited.add(route.path)
-    assert {f"{PREFIX}/cameras/{{camera}}/frame", f"{PREFIX}/runs/{{run}}/mosaics/kept.jpg"} < of_pictures
-    assert unlimited == set()
-
-
 PATIENCE_S = 20.0
 
 
@@ -176,50 +100,6 @@ def test_commands_and_matrices_do_not_wait_for_searches(
         finally:
             release.set()
         assert {search.result(PATIENCE_S).status_code for search in searches} == {200}
-
-
-def test_a_pool_runs_no_more_calls_at_a_time_than_it_has_threads() -> None:
-    running, most, guard = 0, 0, threading.Lock()
-    pair = threading.Barrier(2)
-
-    def call(number: int) -> int:
-        nonlocal running, most
-        with guard:
-            running += 1
-            most = max(most, running)
-        pair.wait(20)  # Passed only by two at the same time.
-        with guard:
-            running -= 1
-        pair.wait(20)  # The next two begin after both have ended.
-        return number
-
-    async def ask_all() -> list[int]:
-        pool, found = ThreadLimit(2), list[int]()
-
-        async def ask(number: int) -> None:
-            found.append(await pool.ask(call, number))
-
-        async with anyio.create_task_group() as group:
-            for number in range(8):
-                group.start_soon(ask, number)
-        return sorted(found)
-
-    assert anyio.run(ask_all) == list(range(8))
-    assert most == 2
-
-
-def test_a_cancelled_request_does_not_wait_for_a_call_that_changes_nothing() -> None:
-    ended = threading.Event()
-
-    async def listen() -> float:
-        began = time.monotonic()
-        with anyio.move_on_after(0.05):
-            await ThreadLimit(1).listen(ended.wait, 20)
-        return time.monotonic() - began
-
-    waited_s = anyio.run(listen)
-    ended.set()
-    assert waited_s < 10
 
 
 @pytest.mark.parametrize(

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
 import socket
-import statistics
-import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from typing import Any
 
-import httpx2
 import pytest
 from starlette.types import Message
 
@@ -49,10 +44,6 @@ def test_commands_from_the_stations_page_and_from_programs_are_accepted(client: 
     assert client.post(ARM, content=ORDER, headers=headers).status_code == 200
 
 
-def test_other_sites_without_an_origin_are_refused_by_sec_fetch_site(untouched_client: Any) -> None:
-    assert untouched_client.post(ARM, content=ORDER, headers={"sec-fetch-site": "cross-site"}).status_code == 403
-
-
 def test_bodies_are_limited_with_and_without_content_length(untouched_client: Any) -> None:
     def drops() -> Iterator[bytes]:
         for _ in range(MAX_BODY_BYTES // 65536 + 1):
@@ -62,11 +53,6 @@ def test_bodies_are_limited_with_and_without_content_length(untouched_client: An
         answer = untouched_client.put("/api/v1/board-types/x", content=body)
         assert (answer.status_code, answer.json()["code"]) == (413, "too-large")
         assert str(MAX_BODY_BYTES) in answer.json()["detail"]
-
-
-def test_a_huge_content_length_is_refused(untouched_client: Any) -> None:
-    answer = untouched_client.put("/api/v1/board-types/x", content=b"{}", headers={"content-length": "9" * 5000})
-    assert answer.status_code == 413
 
 
 @pytest.mark.parametrize(
@@ -79,24 +65,6 @@ def test_unknown_host_names_are_refused(client: Any, station: Any, host: str) ->
             answer.json()["action"] == "Use the station's IP address, or add the name to [api] names in station.toml."
         )
     assert station.armed is None
-
-
-@pytest.mark.parametrize(
-    "host",
-    [
-        "localhost",
-        "LOCALHOST:8350",
-        "localhost.",
-        "127.0.0.1:1",
-        "10.0.0.7",
-        "[::1]:8350",
-        "[fe80::1]",
-        "testserver",
-        "",
-    ],
-)
-def test_addresses_and_station_names_are_accepted(untouched_client: Any, host: str) -> None:
-    assert untouched_client.get("/api/v1/station", headers={"host": host}).status_code == 200
 
 
 def test_a_repeated_key_is_refused(client: Any, station: Any) -> None:
@@ -144,21 +112,6 @@ def test_head_is_get_without_its_body(untouched_client: Any, path: str) -> None:
     assert head.headers.get("etag") == full.headers.get("etag")
 
 
-def test_head_of_the_event_stream_is_refused(untouched_client: Any) -> None:
-    assert untouched_client.head("/api/v1/events").status_code == 405
-
-
-@pytest.mark.parametrize(
-    "path", ["/api/v1/runs/x/components/U1/images/0?px_per_mm=900", "/api/v1/runs", "/api/v1/events"]
-)
-def test_pictures_on_foreign_pages_are_refused(untouched_client: Any, path: str) -> None:
-    """An <img> of a foreign page needs no permission, and would let the station render for every visitor."""
-    image = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "no-cors", "sec-fetch-dest": "image"}
-    answer = untouched_client.get(f"/api/v1/{path}", headers=image)
-    assert (answer.status_code, answer.json()["code"]) == (403, "foreign-origin")
-    assert answer.headers["cross-origin-resource-policy"] == "same-origin"
-
-
 @pytest.mark.parametrize("missing", ["sec-fetch-mode", "sec-fetch-dest", "sec-fetch-user"])
 def test_a_link_that_a_person_follows_is_accepted(untouched_client: Any, missing: str) -> None:
     link = {
@@ -187,11 +140,6 @@ def test_a_body_with_two_lengths_is_refused_and_the_connection_closed(served: An
     assert answer.count(b"HTTP/1.1") == 1
 
 
-def test_commands_have_short_bodies(untouched_client: Any) -> None:
-    answer = untouched_client.post(ARM, content=b" " * 70_000)
-    assert (answer.status_code, answer.json()["code"]) == (413, "too-large")
-
-
 def test_large_bodies_of_one_caller_are_limited_and_its_commands_are_not(served: Any) -> None:
     """Otherwise every connection could hold 8 MB of a body that never ends."""
     head = b"PUT /api/v1/board-types/x HTTP/1.1\r\nHost: localhost\r\nContent-Length: 8000000\r\n\r\n{"
@@ -204,29 +152,3 @@ def test_large_bodies_of_one_caller_are_limited_and_its_commands_are_not(served:
         assert (answer.status_code, answer.json()["code"]) == (503, "busy")
         assert "bytes of requests in memory" in answer.json()["detail"]
         assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
-
-
-def test_large_board_types_do_not_delay_other_requests(served: Any) -> None:
-    """10,000 corners and 1,000 fiducials took 10 to 34 s, in which nothing else was answered."""
-    turn = [2 * math.pi * i / 10_000 for i in range(10_000)]
-    large = {
-        "name": "large",
-        "outline": [[100 * math.cos(t), 100 * math.sin(t)] for t in turn],
-        "fiducials": [{"name": f"F{i}", "x": i % 32 - 16, "y": i // 32 - 16, "diameter": 0.2} for i in range(1000)],
-        "components": [
-            {"ref": f"R{i}", "center": [i % 100 - 50, i // 100 - 50], "width": 1, "height": 1} for i in range(10_000)
-        ],
-    }
-    with ThreadPoolExecutor(2) as pool:
-        stored = [
-            pool.submit(httpx2.put, f"{served.url}/api/v1/board-types/large", json=large, timeout=60) for _ in range(2)
-        ]
-        waits = []
-        while wait(stored, timeout=0.01).not_done:
-            begun = time.perf_counter()
-            assert served.client.get("/healthz").status_code == 200
-            waits.append(time.perf_counter() - begun)
-    assert sorted(s.result().status_code for s in stored) == [200, 201]
-    # a blocked event loop answers once or twice meanwhile
-    assert len(waits) >= 10
-    assert statistics.median(waits) < 0.1 * sum(waits)

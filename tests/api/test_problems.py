@@ -19,7 +19,6 @@ from vaoi_station.errors import (
     StateError,
     VaoiError,
 )
-from vaoi_station.runs.states.tables import StationState
 
 API = "/api/v1"
 
@@ -91,12 +90,6 @@ def test_allow_names_every_method_of_every_address(untouched_client: Any) -> Non
                 assert detail.endswith(f"does not take {method}, only {answer.headers['allow']}.")
 
 
-def test_allow_of_a_file_of_the_page(untouched_client: Any) -> None:
-    answer = untouched_client.delete("/web/app.js")
-    problem(answer, 405, "wrong-method")
-    assert answer.headers["allow"] == "GET, HEAD"
-
-
 @pytest.mark.parametrize(
     ("error", "status"),
     [
@@ -141,26 +134,3 @@ def test_every_invalid_field_is_named(untouched_client: Any) -> None:
     where = {fault["where"] for fault in content["errors"]}
     assert {"body.components.0.center.1", "body.components.0.width"} <= where
     assert "(given: -1)" in str(content["errors"])
-
-
-@pytest.mark.parametrize("body", [b"{", b"[1,", b"nonsense", b"\xff\xfe", b"[" * 20_000])
-def test_a_body_that_is_not_json_is_refused(untouched_client: Any, body: bytes) -> None:
-    problem(untouched_client.post(f"{API}/station/arm", content=body), 400, "malformed")
-
-
-@pytest.mark.parametrize("body", ["[]", '"demo-board"', "3"])
-def test_a_body_that_is_not_an_object_is_refused(untouched_client: Any, body: str) -> None:
-    problem(untouched_client.post(f"{API}/station/arm", content=body), 422, "invalid-input")
-
-
-def test_a_second_arm_while_a_board_passes(client: Any, station: Any) -> None:
-    client.post(f"{API}/station/arm?board_type=demo-board")
-    station.state = StationState.FILMING
-    answer = client.post(f"{API}/station/arm?board_type=demo-board&passing=refuse")
-    content = problem(answer, 409, "wrong-state")
-    assert content["action"] == "Wait until it has left, then arm again."
-
-
-@pytest.mark.parametrize("code", list(KINDS))
-def test_problem_types_are_explained(untouched_client: Any, code: str) -> None:
-    assert KINDS[code][2] in untouched_client.get(f"/problems/{code}").text

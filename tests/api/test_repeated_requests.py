@@ -85,13 +85,6 @@ def test_a_key_belongs_to_its_caller(service: Service) -> None:
     assert [service.ask(KEY, caller=caller) for caller in callers] == [(200, str(k)) for k in range(1, 5)]
 
 
-@pytest.mark.parametrize("key", ["", "x" * 201, '"open', "two words", '"\xe9"'])
-def test_a_key_of_another_form_is_refused(service: Service, key: str) -> None:
-    assert service.ask(key) == (400, "malformed")
-    assert service.ask("a", "b") == (400, "malformed")
-    assert service.done == 0
-
-
 @pytest.mark.parametrize("status", [404, 409, 500, 503])
 def test_a_refused_command_may_be_tried_again(service: Service, status: int) -> None:
     service.status = status
@@ -144,17 +137,6 @@ def test_a_repetition_does_not_wait_for_good(monkeypatch: pytest.MonkeyPatch) ->
         return refused
 
     assert asyncio.run(both()) == (409, "request-under-way")
-
-
-def test_a_command_that_fails_is_not_kept(service: Service) -> None:
-    async def broken(send: Send) -> None:
-        raise RuntimeError("broken")
-
-    work, service.work = service.work, broken  # type: ignore[method-assign]
-    with pytest.raises(RuntimeError):
-        service.ask(KEY)
-    service.work = work  # type: ignore[method-assign]
-    assert service.ask(KEY) == (200, "1")
 
 
 def test_replies_are_kept_for_a_time_a_number_and_a_size(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
 import ssl
 import subprocess
@@ -18,12 +17,8 @@ from typing import Any
 import httpx2
 import pytest
 from fastapi import FastAPI
-from fastapi.testclient import TestClient
-from pydantic import TypeAdapter
 
-from tests.api.held_station import HeldStation
 from tests.peers.certificates import Certificate, make_certificate
-from vaoi_station.api import create_app
 from vaoi_station.api import web_server as module
 from vaoi_station.api.certificate import CertificateFiles
 from vaoi_station.api.web_server import WebServer, open_listener
@@ -46,32 +41,12 @@ def server(ended: threading.Event) -> Iterator[WebServer]:
         made.stop()
 
 
-@pytest.mark.usefixtures("server")
-def test_threads_of_a_process_that_serves_take_short_turns() -> None:
-    """A reply waits for the interpreter each time that it returns from the kernel while another thread computes."""
-    assert sys.getswitchinterval() == pytest.approx(module.SWITCH_S)
-
-
 def test_it_serves_at_its_address_until_it_is_stopped(server: WebServer, ended: threading.Event) -> None:
     assert httpx2.get(server.address, timeout=20).json() == "served"
     assert not ended.is_set()
     server.stop()
     assert ended.wait(20)
     server.check()
-
-
-def test_the_first_request_finds_all_routes_prepared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """FastAPI prepares included routes when they are first needed, which takes a quarter second for all of them."""
-    made, create = list[object](), TypeAdapter.__init__
-
-    def counted(adapter: TypeAdapter[object], kind: Any, **options: Any) -> None:
-        made.append(kind)
-        create(adapter, kind, **options)
-
-    with TestClient(create_app(HeldStation(), ["testserver"])) as client:
-        monkeypatch.setattr(TypeAdapter, "__init__", counted)
-        assert client.get("/healthz").status_code == 200
-    assert made == []
 
 
 # uvicorn ends its thread with SystemExit when the application does not start.
@@ -195,24 +170,6 @@ def test_a_connection_without_a_request_is_closed(impatient: Any, sent: bytes) -
         assert (b"200 OK" in until_closed(s)) == sent.startswith(REQUEST[:16])
 
 
-def test_single_bytes_of_a_head_do_not_keep_a_connection_open(impatient: Any) -> None:
-    """Each byte ends the time-out for idle connections, which uvicorn starts after an answer."""
-    closed = threading.Event()
-    with socket.create_connection(("127.0.0.1", impatient.port), 20) as s:
-        s.sendall(REQUEST + b"GET /")
-
-        def trickle() -> None:
-            with suppress(OSError):
-                while not closed.wait(0.1):
-                    s.send(b"a")
-
-        thread = threading.Thread(target=trickle)
-        thread.start()
-        assert b"200 OK" in until_closed(s)
-        closed.set()
-        thread.join()
-
-
 def test_a_caller_that_does_not_read_is_disconnected(station: Any, serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "STALL_S", 1.0)
     served = serve(station)
@@ -252,22 +209,6 @@ def exchange(s: socket.socket) -> float:
     while len(body) < length:
         body += s.recv(65536)
     return time.perf_counter() - begun
-
-
-def test_head_and_body_of_a_reply_are_written_at_once(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each write is a call of the kernel, after which another thread of this process may have the interpreter."""
-    written: list[bytes] = []
-    write = asyncio.selector_events._SelectorSocketTransport.write  # type: ignore[attr-defined]
-
-    def noted(self: Any, data: bytes) -> None:
-        written.append(data)
-        write(self, data)
-
-    monkeypatch.setattr(asyncio.selector_events._SelectorSocketTransport, "write", noted)  # type: ignore[attr-defined]
-    assert served.client.get("/healthz").status_code == 200
-    assert len(written) == 1
-    with served.client.stream("GET", "/api/v1/events") as events:
-        assert next(events.iter_lines()).startswith("event: heartbeat")
 
 
 def _trusts(context: ssl.SSLContext, address: str) -> bool:

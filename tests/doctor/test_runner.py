@@ -96,7 +96,7 @@ def test_checks_beside_a_running_station(station_toml: Path) -> None:
     import socket
     import threading
 
-    from vaoi_station.api import create_app
+    from vaoi_station.api.app import create_app
     from vaoi_station.api.web_server import WebServer, open_listener
 
     config = read_config(station_toml)

@@ -27,7 +27,7 @@ from tests.api.held_station import HeldStation
 from tests.fuzz import station_targets
 from tests.fuzz.board_targets import board_archive, board_data, import_options, odb_design, unix_compressed
 from vaoi_station.acquisition.controller.protocol import PAYLOAD_LONGEST, FrameReader, Link, Message, encode
-from vaoi_station.api import create_app
+from vaoi_station.api.app import create_app
 from vaoi_station.config import read_config
 from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.files.access_keys import KeyFile

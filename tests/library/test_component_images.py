@@ -19,12 +19,6 @@ def test_a_figure_has_a_tile_for_every_image(stitched: vaoi.StitchedRun) -> None
     assert figure.std() > 10, "pictures were drawn, not an empty sheet"
 
 
-def test_images_come_best_first(stitched: vaoi.StitchedRun) -> None:
-    for ref in stitched.refs:
-        coverage = [round(image.coverage, 3) for image in stitched.component(ref)]
-        assert coverage == sorted(coverage, reverse=True)
-
-
 def made_image(loads: list[int], shape: tuple[int, ...] = (30, 40)) -> ComponentImage:
     """Return an image that counts how often its pixels are loaded."""
 
@@ -52,11 +46,6 @@ def test_pixels_are_loaded_at_each_access_and_not_before() -> None:
     assert loads == []
     assert image.pixels.shape == image.pixels.shape == (30, 40)
     assert len(loads) == 2
-
-
-def test_matrix_back_to_cad_is_the_inverse() -> None:
-    image = made_image([])
-    np.testing.assert_allclose(image.cad_from_crop @ image.crop_from_cad, np.eye(3), atol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(30, 40), (30, 40, 3)])

@@ -21,18 +21,6 @@ def test_documents_are_written_as_they_are_read(recording: vaoi.RecordedRun, tmp
     assert vaoi.read_board_type(tmp_path / "b.json") == board_type == recording.board_type
 
 
-def test_images_keep_their_pixels(tmp_path: Path) -> None:
-    pixels = np.random.default_rng(1).integers(0, 65536, (20, 30), dtype=np.uint16)
-    for name in ("a.png", "a.tiff"):
-        vaoi.write_image(str(tmp_path / "folder" / name), pixels)
-        np.testing.assert_array_equal(vaoi.read_image(tmp_path / "folder" / name), pixels)
-
-
-def test_a_missing_document_is_named(tmp_path: Path) -> None:
-    with pytest.raises(vaoi.NotFoundError, match=r"absent\.json"):
-        vaoi.read_calibration(tmp_path / "absent.json")
-
-
 @pytest.mark.parametrize(
     ("name", "pixels", "words"),
     [

@@ -45,14 +45,6 @@ def test_runs_are_listed_and_waited_for(served: Served) -> None:
     assert station.snapshot()["state"]
 
 
-def test_refusals_are_the_errors_of_the_station(served: Served) -> None:
-    station = vaoi.connect(served.url)
-    with pytest.raises(vaoi.NotFoundError):
-        station.run("r999999")
-    with pytest.raises(vaoi.NotFoundError, match="U999"):
-        station.run().component("U999")
-
-
 def test_an_address_without_a_station_is_refused() -> None:
     with pytest.raises(vaoi.InputError, match="must start with http"):
         vaoi.connect("localhost:8350")
@@ -105,21 +97,13 @@ def test_a_missing_key_and_an_unknown_authority_are_refused(closed: tuple[Served
         vaoi.connect(served.url, key=secret.encode())  # type: ignore[arg-type]
 
 
-def test_released_frames_are_gone(served: Served) -> None:
-    run = vaoi.connect(served.url).run()
-    images = run.component("U1")
-    run.release()
-    with pytest.raises(vaoi.GoneError):
-        _ = images[0].pixels
-
-
 def test_the_line_is_armed_and_disarmed(served: Served) -> None:
     station = vaoi.connect(served.url)
     assert station.arm("demo-board", board_id="SN-2", job_id="J", runs=3)["state"] == "armed"
     assert served.station.armed is not None
     assert (served.station.armed.job_id, served.station.armed.runs_left) == ("J", 3)
     assert station.disarm()["state"] == "idle"
-    with pytest.raises(vaoi.InputError, match="arm"):
+    with pytest.raises(vaoi.InputError, match="runs"):
         station.arm("demo-board", runs=0)
     served.station.lose(1)
     with pytest.raises(vaoi.VaoiError) as refused:
@@ -152,7 +136,7 @@ def test_a_frame_is_an_array(run: vaoi.StationRun) -> None:
     with pytest.raises(vaoi.StateError, match="has holes"):
         run.frame(0, 1)
     assert run.frame(0, 1, incomplete=True).shape == frame.shape
-    with pytest.raises(vaoi.InputError, match="row is -1"):
+    with pytest.raises(vaoi.InputError, match="row"):
         run.frame(0, -1)
 
 
@@ -163,27 +147,6 @@ def test_the_verdict_of_the_run_counts_with_its_reasons(run: vaoi.StationRun) ->
     degraded = replace(run, summary=run.summary | {"verdict": "degraded", "reasons": [differs]})
     assert degraded.result.status == "ok"
     assert (degraded.status, degraded.reasons) == ("degraded", (*run.result.reasons, "The code states SN-2."))
-
-
-def test_a_region_has_pictures(run: vaoi.StationRun) -> None:
-    found = run.region((10, 10, 20, 20), limit=1)
-    assert (found.address, len(found.pixels)) == ("region", 1)
-
-
-@pytest.mark.parametrize("region", [(1, 2, 3), "1,2,3,4", (0, 0, float("nan"), 1), 7])
-def test_a_wrong_region_is_refused(run: vaoi.StationRun, region: object) -> None:
-    with pytest.raises(vaoi.InputError, match="region is"):
-        run.region(region)  # type: ignore[arg-type]
-
-
-def test_a_hold_says_how_long_it_lasts_and_is_ended(run: vaoi.StationRun) -> None:
-    assert run.hold("tester", "reads").expires_in_s > 0
-    run.end_hold("tester")
-
-
-def test_a_decision_needs_a_reason(run: vaoi.StationRun) -> None:
-    with pytest.raises(vaoi.InputError, match="decide: reason is ''"):
-        run.decide("use", "J. Doe", "")
 
 
 def test_two_files_that_are_written_at_once_are_both_complete(tmp_path: Path) -> None:
@@ -225,19 +188,6 @@ def test_a_change_with_the_tag_of_an_earlier_version_is_refused(board_types: vao
     with pytest.raises(vaoi.VaoiError) as refusal:
         board_types.put(board, new=True)
     assert refusal.value.code == "changed"
-
-
-def test_a_reference_is_taught_and_forgotten(board_types: vaoi.StationBoardTypes) -> None:
-    assert board_types.reference("demo-board") is None
-    assert board_types.teach("demo-board", "r000001").run == "r000001"
-    board_types.forget_reference("demo-board")
-    with pytest.raises(vaoi.NotFoundError):
-        board_types.reference("unheard")
-
-
-def test_a_wrong_name_is_refused_before_a_request(board_types: vaoi.StationBoardTypes) -> None:
-    with pytest.raises(vaoi.InputError, match="get: name is ''"):
-        board_types.get("")
 
 
 async def whole_cycle(served: Served) -> None:

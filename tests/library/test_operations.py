@@ -6,7 +6,6 @@ for is compared with the document, so that a new operation cannot be forgotten.
 
 from __future__ import annotations
 
-import asyncio
 import inspect
 import io
 import json
@@ -267,35 +266,3 @@ def test_programs_with_asyncio_have_the_same_methods(blocking: type, asynchronou
 
     others = parameters(asynchronous)
     assert {name: others.get(name) for name in parameters(blocking)} == parameters(blocking)
-
-
-def test_asynchronous_methods_reply_as_the_blocking_ones(address: str, tmp_path: Path) -> None:
-    async def compared() -> None:
-        blocking, station = vaoi.connect(address), await vaoi.connect_async(address)
-        calls = _calls(blocking, tmp_path)
-        run, of_run = blocking.run("r1"), await station.run("r1")
-        # Iterators and arrays are tested with a real station.
-        apart = {
-            "component",
-            "pictures",
-            "region",
-            "frame",
-            "merged",
-            "run",
-            "wait_for_run",
-            "events",
-            "upload_board_data",
-        }
-        for one, other in (
-            ((blocking, vaoi.Station), station),
-            ((run, vaoi.StationRun), of_run),
-            ((blocking.board_types, vaoi.StationBoardTypes), station.board_types),
-        ):
-            for name, call in calls[one[1]].items():
-                if inspect.iscoroutinefunction(getattr(type(other), name, None)) and name not in apart:
-                    found = call(other)
-                    # A property of the blocking class is a method here.
-                    found = await (found() if inspect.ismethod(found) else found)
-                    assert repr(found) == repr(call(one[0])), name
-
-    asyncio.run(compared())

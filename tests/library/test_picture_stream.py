@@ -26,15 +26,6 @@ def test_pictures_of_all_components_are_those_of_single_requests(served: Served)
             np.testing.assert_array_equal(image.pixels, pixels)
 
 
-def test_pictures_of_some_components(served: Served) -> None:
-    run = vaoi.connect(served.url).run()
-    assert [(c.address, len(c.pixels)) for c in run.pictures("2/R1", "U1", limit=1)] == [("2/R1", 1), ("U1", 1)]
-    with pytest.raises(vaoi.NotFoundError, match="U9"):
-        next(run.pictures("U9"))
-    with pytest.raises(vaoi.InputError, match="pictures"):
-        next(run.pictures(""))
-
-
 VIEW = {"width_px": 2, "height_px": 1, "channels": 3, "dtype": "uint16"}
 VIEWS = Member("components/U1/views.json", "", json.dumps({"address": "U1", "views": [VIEW, VIEW]}).encode())
 IMAGES = [Member(f"components/U1/{k}.raw", "", bytes([k]) * 12) for k in range(2)]
@@ -46,15 +37,6 @@ def read(*members: Member, cut: int = 0) -> list[ComponentPictures]:
     writer = ContainerWriter("multipart", 0)
     content = b"".join(writer.add(pack("multipart", [member], 0)) for member in members) + writer.end()
     return list(read_pictures(io.BytesIO(content[: len(content) - cut]), "http://station/images"))
-
-
-def test_components_whose_parts_alternate_are_put_together() -> None:
-    other = Member("components/R1/views.json", "", json.dumps(REFUSED).encode())
-    refused, found = read(VIEWS, IMAGES[0], other, IMAGES[1], DONE)
-    assert (refused.address, refused.refused, refused.pixels) == ("R1", "too large", ())
-    assert [p.shape for p in found.pixels] == [(1, 2, 3)] * 2
-    assert found.pixels[1].dtype == np.uint16
-    assert found.pixels[1][0, 0, 0] == 0x0101
 
 
 def test_an_end_that_reports_a_cause_is_raised() -> None:

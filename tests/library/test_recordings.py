@@ -15,13 +15,6 @@ from vaoi_station.board_check.correction import Move, moved_board_type
 from vaoi_station.geometry import apply
 
 
-def test_every_frame_has_the_size_of_its_camera(recording: vaoi.RecordedRun) -> None:
-    frames = list(recording.frames())
-    assert len(frames) == recording.cameras * recording.rows
-    assert [row for _, row, _ in frames] == sorted(row for _, row, _ in frames), "row by row"
-    assert {pixels.shape for *_, pixels in frames} == {(480, 640)}
-
-
 @pytest.mark.parametrize(("camera", "row"), [(-1, 0), (99, 0), (0, -1), (0, 99)])
 def test_a_frame_outside_the_recording_is_refused_with_the_limits(
     recording: vaoi.RecordedRun, camera: int, row: int
@@ -46,34 +39,10 @@ def test_a_recording_without_a_board_type_gives_matrices_but_no_components(
         run.component("U1")
 
 
-def test_an_unknown_method_is_refused_by_name(recording: vaoi.RecordedRun) -> None:
-    with pytest.raises(vaoi.InputError, match="must be one of auto, features, fiducials, reference, paper"):
-        recording.stitch("magic")  # type: ignore[arg-type]
-
-
-def test_the_method_reference_needs_a_reference(recording: vaoi.RecordedRun) -> None:
-    with pytest.raises(vaoi.InputError, match="reference"):
-        recording.stitch("reference")
-
-
 def test_the_method_of_the_paper_places_the_frames(recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun) -> None:
     by_paper = recording.stitch("paper")
     assert by_paper.result.method == "paper"
     assert len(by_paper.result.image_matrices) == len(stitched.result.image_matrices)
-
-
-def test_a_missing_recording_is_named(tmp_path: Path) -> None:
-    with pytest.raises(vaoi.NotFoundError, match=r"recording\.json"):
-        vaoi.open_recording(tmp_path / "absent")
-
-
-def test_stitching_takes_a_directory_or_an_opened_recording(
-    recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun
-) -> None:
-    again = vaoi.stitch(str(recording.directory))
-    assert again.cad_matrix is not None
-    assert stitched.cad_matrix is not None
-    np.testing.assert_array_equal(again.cad_matrix, stitched.cad_matrix)
 
 
 def test_the_expected_rotation_is_an_argument(recording: vaoi.RecordedRun) -> None:
@@ -84,17 +53,6 @@ def test_the_expected_rotation_is_an_argument(recording: vaoi.RecordedRun) -> No
     assert vaoi.open_recording(recording.directory, rotation_deg=0).stitch().status == "ok"
     with pytest.raises(vaoi.InputError, match="must be 0, 90, 180 or 270"):
         vaoi.open_recording(recording.directory, rotation_deg=91)
-
-
-def test_positions_agree_with_the_truth(recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun) -> None:
-    truth = json.loads((recording.directory / "truth.json").read_text())
-    assert stitched.status == vaoi.Status.OK, stitched.reasons
-    assert stitched.result.components is not None
-    for ref, views in truth["views"].items():
-        found = {(i, j): (x, y) for i, j, x, y in stitched.result.components[ref]}
-        for i, j, x, y in views:
-            if (i, j) in found:
-                np.testing.assert_allclose(found[i, j], (x, y), atol=0.3)
 
 
 def test_the_matrices_of_an_image_take_the_centre_of_the_component_to_its_pixel(stitched: vaoi.StitchedRun) -> None:
@@ -113,19 +71,6 @@ def test_the_matrices_of_an_image_take_the_centre_of_the_component_to_its_pixel(
         if not image.distorted and (image.camera, image.row) in expected:
             pixel = apply(image.image_from_crop, crop[None])[0]
             np.testing.assert_allclose(pixel, expected[image.camera, image.row], atol=0.05)
-
-
-def test_covariances_belong_to_their_frames(stitched: vaoi.StitchedRun) -> None:
-    given = [image.covariance_px2 for image in stitched.component("U1") if image.covariance_px2 is not None]
-    assert given
-    for covariance in given:
-        assert covariance.shape == (2, 2)
-        assert (np.linalg.eigvalsh(covariance) > 0).all()
-
-
-def test_the_resolution_of_images_can_be_chosen(stitched: vaoi.StitchedRun) -> None:
-    coarse, fine = (stitched.component("U1", px_per_mm=r)[0].pixels.shape for r in (5.0, 10.0))
-    assert fine[0] == pytest.approx(2 * coarse[0], abs=1)
 
 
 def test_directions_and_coverage_are_those_of_the_simulator(
@@ -164,21 +109,6 @@ def test_directions_and_coverage_are_those_of_the_simulator(
     assert checked > 20
 
 
-def test_images_are_chosen_by_their_options(stitched: vaoi.StitchedRun) -> None:
-    every = stitched.component("U1", measure=True)
-    for image in every:
-        assert image.sharpness_per_mm is not None
-        assert image.saturated is not None
-        head = stitched.recording.head
-        assert image.time_s == pytest.approx(head.row_times_s()[image.row] - head.row_times_s()[0])
-        assert image.exposure_us == head.exposure_us(image.camera, image.row)
-    sharpest = stitched.component("U1", order="sharpest", limit=2, margin_mm=1.0, plane="top")
-    assert len(sharpest) == min(2, len(every))
-    assert sharpest[0].pixels.shape > every[0].pixels.shape
-    with pytest.raises(vaoi.InputError, match="must be one of the lights of this run: ring"):
-        stitched.component("U1", light="left")
-
-
 def test_the_pictures_of_all_components_are_those_of_each(stitched: vaoi.StitchedRun) -> None:
     pictures = stitched.all_pictures(min_coverage=0.3)
     assert tuple(pictures) == stitched.refs
@@ -189,11 +119,6 @@ def test_the_pictures_of_all_components_are_those_of_each(stitched: vaoi.Stitche
     assert stitched.all_pictures(px_per_mm=4.0)["U1"][0].shape < pictures["U1"][0].shape
     with pytest.raises(vaoi.InputError, match="px_per_mm"):
         stitched.all_pictures(px_per_mm=-1.0)
-
-
-def test_an_unknown_component_is_refused_with_known_ones(stitched: vaoi.StitchedRun) -> None:
-    with pytest.raises(vaoi.NotFoundError, match=r"no component 'U999'\. It has "):
-        stitched.component("U999")
 
 
 def test_a_saved_result_comes_back_equal(
@@ -227,17 +152,6 @@ def test_a_result_of_another_board_of_the_same_array_is_refused(
         other.with_result(stitched.result)
 
 
-@pytest.mark.parametrize("key", ["component_covariance_px2", "heights_mm"])
-@pytest.mark.parametrize("garbage", [5, [], {"U1": "x"}, {"U1": [[1]]}])
-def test_quality_of_other_types_is_refused_by_its_key(
-    recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun, key: str, garbage: object
-) -> None:
-    quality = {**stitched.result.quality, key: garbage}
-    run = recording.with_result(stitched.result.model_copy(update={"quality": quality}))
-    with pytest.raises(vaoi.InputError, match=f"quality.{key}"):
-        run.component("U1")
-
-
 def test_frames_that_never_arrived_give_no_images(recording: vaoi.RecordedRun, tmp_path: Path) -> None:
     case = tmp_path / "case"
     shutil.copytree(recording.directory, case)
@@ -255,46 +169,6 @@ def test_frames_that_never_arrived_give_no_images(recording: vaoi.RecordedRun, t
     }
 
 
-@pytest.mark.parametrize(("camera", "row"), [(-1, 0), (9, 0), (0, -1), (0, 99), ("0", 0), (0.5, 0)])
-def test_a_matrix_outside_the_run_is_refused(stitched: vaoi.StitchedRun, camera: int, row: int) -> None:
-    with pytest.raises(vaoi.InputError, match="cameras are 0 … 1"):
-        stitched.image_matrix(camera, row)
-
-
-def test_local_fiducials_place_their_components(recording: vaoi.RecordedRun, tmp_path: Path) -> None:
-    """The data put a fiducial and the components beside it 0.18 mm (3 px) from where they are."""
-    board = vaoi.read_board_type(recording.directory / "board.json")
-    near = tuple(c.address for c in board.components if math.dist(c.center, (53.6, 35.6)) < 22)[:6]
-    assert near
-    document = board.model_dump(mode="json", exclude_none=True)
-    for part in (*document["fiducials"][2:], *(c for c in document["components"] if c["ref"] in near)):
-        if "center" in part:
-            part["center"] = [part["center"][0] + 0.15, part["center"][1] - 0.1]
-        else:
-            part |= {"x": part["x"] + 0.15, "y": part["y"] - 0.1, "kind": "local", "components": near}
-    changed = tmp_path / "board.json"
-    changed.write_text(json.dumps(document))
-    run = vaoi.open_recording(recording.directory, board_type=changed).stitch()
-    assert run.status == vaoi.Status.OK, run.reasons
-    assert set(run.result.local_matrices or ()) == set(near)
-    for ref in run.refs:
-        assert (np.array(run.component_matrix(ref)) == np.array(run.cad_matrix)).all() == (ref not in near)
-    with pytest.raises(vaoi.NotFoundError):
-        run.component_matrix("U99")
-    assert run.result.quality["local_fiducials"][near[0]]["sigma_mm"] < 0.003
-    assert run.result.quality["fiducial_check"]["fiducials"] == len(board.fiducials[:2])
-    truth = json.loads((recording.directory / "truth.json").read_text())
-    for ref in near:
-        where = {(i, j): (x, y) for i, j, x, y in truth["views"][ref]}
-        found = {(i, j): (x, y) for i, j, x, y in (run.result.components or {})[ref]}
-        assert max(math.dist(found[key], where[key]) for key in found.keys() & where.keys()) < 0.1
-        # The pictures are cut where the component is: the middle of each maps to its true place in the frame.
-        for image in run.component(ref, min_coverage=1.0):
-            middle = apply(image.crop_from_cad, np.array(run.center(ref)))
-            there = apply(image.image_from_crop, middle)
-            assert math.dist(there, where[image.camera, image.row]) < 0.1
-
-
 def test_data_of_another_origin_are_corrected(stitched: vaoi.StitchedRun) -> None:
     board = stitched.board_type
     assert board is not None
@@ -310,11 +184,3 @@ def test_data_of_another_origin_are_corrected(stitched: vaoi.StitchedRun) -> Non
 def test_a_recording_is_never_overwritten(recording: vaoi.RecordedRun) -> None:
     with pytest.raises(vaoi.InputError, match="already holds a recording"):
         vaoi.simulate("small", recording.directory)
-
-
-def test_a_negative_board_and_an_unknown_scenario_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(vaoi.InputError, match="board is -1"):
-        vaoi.simulate("small", tmp_path, board=-1)
-    with pytest.raises(vaoi.VaoiError, match="absent"):
-        vaoi.simulate("absent", tmp_path)
-    assert not list(tmp_path.iterdir()), "nothing is left behind"

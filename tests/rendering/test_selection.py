@@ -14,7 +14,6 @@ import pytest
 from tests.rendering.computed import compute_views
 from vaoi_station.api.rest_models import ViewEntry
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.library.component_images import FIELDS
 from vaoi_station.rendering import (
     ChosenImages,
     View,
@@ -271,4 +270,3 @@ def test_names_are_those_of_the_rest_interface_and_of_the_library(make: Any) -> 
     view = compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras)[0]
     known = describe(ChosenView(view, FrameFacts()), None)
     assert set(known) == set(ViewEntry.model_fields) - {"k", "url"}
-    assert set(FIELDS) <= set(known)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tests.api.generated_requests import Requests, answer_to, wrong_with
 from tests.needs import LONG
 from tests.system.conftest import config_of, until_state
-from vaoi_station.api import create_app
+from vaoi_station.api.app import create_app
 from vaoi_station.api.web_server import WebServer, open_listener
 from vaoi_station.config import ReplayConfig, RingConfig, StationConfig
 from vaoi_station.files import Recording, open_recording

@@ -14,7 +14,6 @@ import re
 import secrets
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, NamedTuple
 
@@ -25,7 +24,7 @@ from starlette.types import Scope as Request
 from vaoi_station.api.addresses import is_loopback, path_of
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.api.limits import Caller, caller_in, set_caller
-from vaoi_station.api.problems import problem_response
+from vaoi_station.api.problems import SAFE, problem_response
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.access_keys import AccessKey, KeyFile, Scope
 
@@ -44,7 +43,6 @@ _COMMANDS: tuple[tuple[re.Pattern[str], Scope], ...] = (
 )
 OPEN_SCOPES = frozenset({"read", "operate", "teach"})
 """Scopes of callers on the station's own machine that have no key. Keys are made with `vaoi keys`."""
-LOCAL = "loopback"
 _FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-prefix", "x-real-ip", "via")
 """Headers of a request that a proxy made for another."""
 _REFUSALS_PER_MINUTE = 60
@@ -62,7 +60,7 @@ def scope_needed(method: str, path: str) -> Scope | None:
         return None
     if _ADMIN.fullmatch(path):
         return "admin"
-    if method in ("GET", "HEAD", "OPTIONS"):
+    if method in SAFE:
         return "read"
     # A command that is not listed needs the highest scope, so that a new command is not open by mistake.
     return next((scope for pattern, scope in _COMMANDS if pattern.fullmatch(path)), "admin")
@@ -81,10 +79,7 @@ class Sessions:
         self._sessions: dict[str, _Session] = {}
 
     def begin(self, key: AccessKey) -> str:
-        """Begin a login with a key, and return the content of its cookie.
-
-        If there are too many logins, the oldest ends.
-        """
+        """Begin a login, and return the content of its cookie. If there are too many logins, the oldest ends."""
         now = self._clock()
         self._sessions = {t: s for t, s in self._sessions.items() if s.until > now}
         while len(self._sessions) >= MOST_SESSIONS:
@@ -114,30 +109,26 @@ class AccessControl:
         self._minute, self._refused = 0, 0
 
     def refusal(self, scope: Request) -> Response | None:
-        """Identify the caller and store it in the request.
-
-        Return a refusal if the request is not permitted, else None.
-        """
-        headers, path = Headers(scope=scope), path_of(scope)
+        """Identify the caller and store it in the request; return a refusal if the request is not permitted."""
+        headers, path, method = Headers(scope=scope), path_of(scope), scope["method"]
         try:
             caller, with_cookie = self._caller(scope, headers)
         except VaoiError as error:
             return problem_response(scope, error.code, error.message, status=error.status, action=error.action)
-        needed = scope_needed(scope["method"], path)
+        needed = scope_needed(method, path)
         if caller is None:
             if needed is None:
-                set_caller(scope)
                 return None
-            detail = f"{scope['method']} {path} needs a key with the scope {needed}; the request has no valid one."
+            detail = f"{method} {path} needs a key with the scope {needed}; the request has no valid one."
             return problem_response(scope, "no-key", detail, headers={"WWW-Authenticate": 'Bearer realm="vaoi"'})
         set_caller(scope, caller)
         scope["state"][_STILL_KNOWN] = lambda: self._still_known(caller)
         states_origin = "origin" in headers or "sec-fetch-site" in headers
-        if with_cookie and not states_origin and scope["method"] not in ("GET", "HEAD", "OPTIONS"):
+        if with_cookie and not states_origin and method not in SAFE:
             return problem_response(scope, "foreign-origin", "The command with a cookie does not state its origin.")
         if needed is not None and needed not in caller.scopes:
             scopes = ", ".join(sorted(caller.scopes))
-            detail = f"{scope['method']} {path} needs the scope {needed}; {caller.name} has {scopes or 'none'}."
+            detail = f"{method} {path} needs the scope {needed}; {caller.name} has {scopes or 'none'}."
             # Commands to addresses that do not exist need this scope too, so that the address may be wrong.
             action = _ADDRESS_OR_KEY if needed == "admin" else ""
             return problem_response(scope, "missing-scope", detail, action=action)
@@ -145,16 +136,9 @@ class AccessControl:
 
     def log_in(self, scope: Request, key: AccessKey) -> tuple[Caller, str]:
         """Begin the login of a page, name its key in the audit log, and return caller and token of its cookie."""
-        caller = self._logged_in(scope, Headers(scope=scope), caller_in(scope).address, key)
+        caller = self._with_login(scope, key)
         set_caller(scope, caller)
         return caller, self.sessions.begin(key)
-
-    def _still_known(self, caller: Caller) -> bool:
-        """Return whether the key of a caller is the same as when its request began; a reply may last for hours."""
-        try:
-            return caller.access_key is None or caller.access_key in self.keys.entries()
-        except VaoiError:
-            return False
 
     def note(self, scope: Request, status: int, begun: float) -> None:
         """Write a command, or a refusal because of a missing key, to the audit log."""
@@ -163,11 +147,11 @@ class AccessControl:
             self._minute, self._refused = minute, self._refused + 1 if minute == self._minute else 1
             if self._refused > _REFUSALS_PER_MINUTE:
                 return
-        elif scope["method"] in ("GET", "HEAD", "OPTIONS") or path_of(scope) in _CHANGE_NOTHING:
+        elif scope["method"] in SAFE or path_of(scope) in _CHANGE_NOTHING:
             return
-        caller: Caller = scope["state"]["caller"]
+        caller = caller_in(scope)
         entry: dict[str, Any] = {
-            "key": caller.key or (LOCAL if caller.scopes else "none"),
+            "key": caller.key or ("loopback" if caller.scopes else "none"),
             "address": caller.address,
             "method": scope["method"],
             "path": path_of(scope)[:300],
@@ -190,19 +174,23 @@ class AccessControl:
         if (token := session_token(headers)) is not None:
             key = self.sessions.key_of(token, self.keys.entries())
             if key is not None:
-                return self._logged_in(scope, headers, address, key), True
-        if self._is_open(scope, headers):
-            return Caller(address, scopes=OPEN_SCOPES), False
-        return None, False
+                return self._with_login(scope, key), True
+        return (Caller(address, scopes=OPEN_SCOPES) if self._is_open(scope) else None), False
 
-    def _is_open(self, scope: Request, headers: Headers) -> bool:
+    def _is_open(self, scope: Request) -> bool:
         """Return whether the caller may do without a key: it is on this machine, and that is open."""
+        headers = Headers(scope=scope)
         return self._open_loopback and not any(name in headers for name in _FORWARDED) and is_loopback(scope)
 
-    def _logged_in(self, scope: Request, headers: Headers, address: str, key: AccessKey) -> Caller:
-        """Return the caller of a page that has logged in. A login takes nothing away that is permitted without one."""
-        caller = _with_key(address, key)
-        return replace(caller, scopes=caller.scopes | OPEN_SCOPES) if self._is_open(scope, headers) else caller
+    def _with_login(self, scope: Request, key: AccessKey) -> Caller:
+        # A login takes nothing away that is permitted without one.
+        return _with_key(caller_in(scope).address, key, OPEN_SCOPES if self._is_open(scope) else frozenset())
+
+    def _still_known(self, caller: Caller) -> bool:
+        try:
+            return caller.access_key is None or caller.access_key in self.keys.entries()
+        except VaoiError:
+            return False
 
 
 def still_known(scope: Request) -> bool:
@@ -220,9 +208,9 @@ def session_token(headers: Headers) -> str | None:
     return None if cookie is None else cookie.value
 
 
-def _with_key(address: str, key: AccessKey) -> Caller:
+def _with_key(address: str, key: AccessKey, open_scopes: frozenset[str] = frozenset()) -> Caller:
     # Every key may read: a program that arms the line must also see the state.
-    return Caller(address, key.name, frozenset({"read", *key.scopes}), key)
+    return Caller(address, key.name, frozenset({"read", *key.scopes}) | open_scopes, key)
 
 
 def _hash(token: str) -> str:

@@ -39,34 +39,27 @@ def addressed(host: str, names: frozenset[str]) -> bool:
         name = name[1:].partition("]")[0]
     elif name.count(":") == 1:
         name = name.partition(":")[0]
-    return _is_address(name) or name.rstrip(".") in names
+    return _address(name) is not None or name.rstrip(".") in names
 
 
 def is_loopback(scope: Scope) -> bool:
     """Return whether the connection of a request comes from this machine: from a program, or from a proxy."""
     client = scope.get("client")
-    try:
-        address = ipaddress.ip_address(client[0] if client else "")
-    except ValueError:
-        return False
-    mapped = getattr(address, "ipv4_mapped", None)
-    return (mapped or address).is_loopback
+    address = _address(client[0] if client else "")
+    return address is not None and (getattr(address, "ipv4_mapped", None) or address).is_loopback
 
 
 def as_addressed(scope: Scope, root_path: str) -> Scope:
     """Return the scope of a request with the path, the scheme and the caller that a proxy states.
 
-    Args:
-        scope: the request as it arrives.
-        root_path: the prefix of paths that a proxy passes on unchanged, from station.toml; empty if there is none.
-
-    A proxy that removes the prefix states it in a header. Headers count only from this machine: elsewhere every caller
-    could send them. A request that a proxy has passed on is none of this machine any more.
+    `root_path` is the prefix, from station.toml, of paths that a proxy passes on unchanged. A proxy that removes the
+    prefix states it in a header. Headers count only from this machine: elsewhere every caller could send them. A
+    request that a proxy has passed on is none of this machine any more.
     """
-    path, prefix = scope["path"], _stated(scope)
+    path, prefix = scope["path"], _forwarded(scope, HEADER).rstrip("/")
     if _forwarded(scope, SCHEME) == "https":
         scope = {**scope, "scheme": "https"}
-    if _is_address(caller := _forwarded(scope, CALLER).rpartition(",")[2].strip()):
+    if _address(caller := _forwarded(scope, CALLER).rpartition(",")[2].strip()) is not None:
         scope = {**scope, "client": (caller, 0)}
     if root_path and f"{path}/".startswith(f"{root_path}/"):
         return {**scope, "root_path": root_path}
@@ -75,7 +68,7 @@ def as_addressed(scope: Scope, root_path: str) -> Scope:
 
 def prefix_fault(scope: Scope) -> str | None:
     """Return a message if the proxy states something that is no prefix, else None."""
-    prefix = _stated(scope)
+    prefix = _forwarded(scope, HEADER).rstrip("/")
     if not prefix or is_root_path(prefix):
         return None
     return f"{HEADER} is {prefix!r:.100}, but must be {IN_WORDS}, at most {LONGEST} characters."
@@ -94,17 +87,11 @@ def path_of(scope: Scope) -> str:
     return path[len(root_of(scope)) :]
 
 
-def _is_address(text: str) -> bool:
+def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
-        ipaddress.ip_address(text)
+        return ipaddress.ip_address(text)
     except ValueError:
-        return False
-    return True
-
-
-def _stated(scope: Scope) -> str:
-    """Return the prefix that a proxy on this machine states; empty without one."""
-    return _forwarded(scope, HEADER).rstrip("/")
+        return None
 
 
 def _forwarded(scope: Scope, header: str) -> str:

@@ -40,6 +40,7 @@ class AuditLog:
         self._waiting: queue.Queue[dict[str, Any] | None] = queue.Queue(_MOST_WAITING)
         self._dropped = 0
         self._refused = False
+        """Whether the disk refuses entries: no reader waits for what it refuses."""
         self._closing = threading.Event()
         self.thread = SupervisedThread(self._run, "audit", WRITE_LIMIT_S)
         self.thread.start()
@@ -68,8 +69,11 @@ class AuditLog:
             if path.is_file():
                 with path.open(encoding="utf-8", errors="replace") as file:
                     lines.extend(file)
-        # A power failure may have cut the last line short.
-        return [entry for line in reversed(lines) if (entry := _parsed(line)) is not None]
+        entries = []
+        for line in reversed(lines):
+            with suppress(ValueError):  # a power failure may have cut the last line short
+                entries.append(json.loads(line))
+        return [entry for entry in entries if isinstance(entry, dict)]
 
     def close(self) -> None:
         """Write the waiting entries, and end the thread. What the disk refuses now is lost."""
@@ -84,31 +88,25 @@ class AuditLog:
         while True:
             with self.thread.waiting():
                 record = self._waiting.get()
-            if record is None:
-                self._waiting.task_done()
-                return
-            while not self._is_written(record) and not self._closing.is_set():
+            while record is not None and not self._is_written(record) and not self._closing.is_set():
                 with self.thread.waiting():
                     self._closing.wait(RETRY_S)
             self._waiting.task_done()
+            if record is None:
+                return
 
     def _is_written(self, record: dict[str, Any]) -> bool:
-        """Write an entry; return False if the disk refuses it."""
+        refused = False
         try:
             self._write(record)
         except OSError as error:
+            refused = True
             if not self._refused:
                 _log.error("the audit log cannot be written: %s; it is tried again", error)
-            self._note_refusal(True)
-            return False
-        self._note_refusal(False)
-        return True
-
-    def _note_refusal(self, refused: bool) -> None:
-        """Record whether the disk refuses entries: no reader waits for what it refuses."""
         with self._waiting.all_tasks_done:
             self._refused = refused
             self._waiting.all_tasks_done.notify_all()
+        return not refused
 
     def _write(self, record: dict[str, Any]) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -121,11 +119,3 @@ class AuditLog:
 
     def _old(self, n: int) -> Path:
         return self.path.with_name(f"{self.path.name}.{n}")
-
-
-def _parsed(line: str) -> dict[str, Any] | None:
-    try:
-        entry = json.loads(line)
-    except ValueError:
-        return None
-    return entry if isinstance(entry, dict) else None

@@ -10,18 +10,19 @@ import asyncio
 import logging
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 from urllib.parse import quote
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import StreamingResponse
+from pydantic import BaseModel, Field
 
 from vaoi_station.api.limits import QueuedSeats, ThreadLimit
 from vaoi_station.api.middleware import is_head
-from vaoi_station.api.parameters import RunId, parse_box, rest_router
+from vaoi_station.api.parameters import RunId, file_reply, parse_box, rest_router
 from vaoi_station.api.routes.pictures import Wanted, picture_query
 from vaoi_station.api.routes.services import Services
-from vaoi_station.errors import InputError, InternalError, VaoiError
+from vaoi_station.errors import InternalError, VaoiError
 from vaoi_station.runs.batches.batch_job import CutPart
 from vaoi_station.runs.batches.batches import Batch, BatchPart, BatchRequest
 from vaoi_station.runs.batches.containers import MEDIA_TYPES, ContainerName, ContainerWriter
@@ -30,16 +31,9 @@ PARTS_AHEAD = 4
 """Number of parts of a batch that are being cut or wait for its reader."""
 BATCHES, BATCHES_OF_CALLER, BATCHES_WAITING, BATCH_WAIT_S = 4, 2, 4, 20.0
 """Limits of batches under way in total and of one caller, and of those of one caller that wait; longest wait, s."""
-STREAMS: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The files of the batch: run.json first, end.json last.",
-        "content": {
-            media.partition(";")[0]: {"schema": {"type": "string", "format": "binary"}}
-            for media in MEDIA_TYPES.values()
-        },
-    }
-}
-_LONGEST_ADDRESS = 200
+STREAMS = file_reply(
+    "The files of the batch: run.json first, end.json last.", *(m.partition(";")[0] for m in MEDIA_TYPES.values())
+)
 _log = logging.getLogger(__name__)
 
 Done = tuple[CutPart, BatchPart | None]
@@ -102,42 +96,40 @@ async def stream(batch: Batch, cut: Cut) -> AsyncIterator[bytes]:
     yield writer.end()
 
 
-async def _request(
-    wanted: Wanted,
-    component: Annotated[
-        list[str] | None,
-        Query(
-            description="Component, `ref` or `panel/ref`; give it once for each. Without it: all.", max_length=20_000
-        ),
-    ] = None,
-    within: Annotated[
-        str | None,
-        Query(description="Only components whose centre is in this box: `x0,y0,x1,y1`, CAD.", max_length=200),
-    ] = None,
-    region: Annotated[
-        str | None,
-        Query(description="This part of the board in place of components: `x0,y0,x1,y1`, CAD.", max_length=200),
-    ] = None,
-    hdr: Annotated[
-        bool, Query(description="One picture per component, merged of all its frames under one light.")
-    ] = False,
-    format: Annotated[
-        Literal["png", "jpeg", "tiff", "npy", "raw"],
-        Query(description="Format of the pictures; `raw` is the pixels alone."),
-    ] = "png",
-    container: Annotated[ContainerName, Query(description="How files are packed; none is compressed.")] = "multipart",
-) -> BatchRequest:
-    for ref in component or ():
-        if not 0 < len(ref) <= _LONGEST_ADDRESS:
-            raise InputError.field("query", "component", ref, f"1 to {_LONGEST_ADDRESS} characters long")
+class BatchQuery(BaseModel):
+    """What a batch has; its pictures are as `ImageQuery` says."""
+
+    component: list[Annotated[str, Field(min_length=1, max_length=200)]] | None = Field(
+        default=None,
+        description="Component, `ref` or `panel/ref`; give it once for each. Without it: all.",
+        max_length=20_000,
+    )
+    within: str | None = Field(
+        default=None,
+        description="Only components whose centre is in this box: `x0,y0,x1,y1`, CAD.",
+        max_length=200,
+    )
+    region: str | None = Field(
+        default=None,
+        description="This part of the board in place of components: `x0,y0,x1,y1`, CAD.",
+        max_length=200,
+    )
+    hdr: bool = Field(default=False, description="One picture per component, merged of all its frames under one light.")
+    format: Literal["png", "jpeg", "tiff", "npy", "raw"] = Field(
+        default="png", description="Format of the pictures; `raw` is the pixels alone."
+    )
+    container: ContainerName = Field(default="multipart", description="How files are packed; none is compressed.")
+
+
+async def _request(images: Wanted, query: Annotated[BatchQuery, Query()]) -> BatchRequest:
     return BatchRequest(
-        components=tuple(component or ()),
-        within=parse_box("within", within),
-        region=parse_box("region", region),
-        images=wanted,
-        hdr=hdr,
-        format=format,
-        container=container,
+        components=tuple(query.component or ()),
+        within=parse_box("within", query.within),
+        region=parse_box("region", query.region),
+        images=images,
+        hdr=query.hdr,
+        format=query.format,
+        container=query.container,
     ).check()
 
 

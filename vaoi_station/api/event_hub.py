@@ -1,7 +1,4 @@
-"""One listener that wakes all requests that wait for events.
-
-Long polls and event streams hold no thread: the listener waits for the next event and wakes them.
-"""
+"""One listener that wakes all requests that wait for events. Long polls and event streams hold no thread."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import logging
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
-from typing import TypeVar
 
 from vaoi_station.api.limits import Seats, ThreadLimit
 from vaoi_station.errors import StateError
@@ -18,14 +14,10 @@ from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import EventRecord
 from vaoi_station.runs.states.tables import StationState
 
-T = TypeVar("T")
 log = logging.getLogger(__name__)
 
-COMMAND_THREADS = 16
-MAX_WAITING = 128
-"""Limit of simultaneous long polls, and of simultaneous event streams."""
-MAX_POLLS_OF_CALLER = 32
-MAX_STREAMS_OF_CALLER = 24
+MAX_WAITING, MAX_POLLS_OF_CALLER, MAX_STREAMS_OF_CALLER = 128, 32, 24
+"""Limits of simultaneous long polls, and of simultaneous event streams, in all and of one caller."""
 EVENTS_AT_ONCE = 100
 """Number of events that are read at once: a stream that is not read keeps no more in memory."""
 RETRY_S = 1.0
@@ -39,10 +31,10 @@ class EventHub:
 
     def __init__(self, coordinator: StationCoordinator) -> None:
         self._coordinator = coordinator
-        self._readers = ThreadLimit(4)
-        self._listener = ThreadLimit(1)
+        self._readers, self._listener = ThreadLimit(4), ThreadLimit(1)
         self._wakeup = asyncio.Event()
-        self._newest = 0
+        self.newest = 0
+        """Number of the newest event of the log."""
         # These limits are separate, so that a caller with too many streams can still wait for its next run.
         self.polls = Seats("long polls", MAX_WAITING, MAX_POLLS_OF_CALLER)
         self.streams = Seats("event streams", MAX_WAITING, MAX_STREAMS_OF_CALLER)
@@ -52,7 +44,7 @@ class EventHub:
     async def listening(self) -> AsyncIterator[None]:
         """Listen for new events, and wake waiting requests, while the application runs."""
         self._wakeup = asyncio.Event()
-        self._newest = (await self._readers.ask(self._coordinator.snapshot)).last_event
+        self.newest = (await self._readers.ask(self._coordinator.snapshot)).last_event
         task = asyncio.create_task(self._listen())
         try:
             yield
@@ -79,33 +71,19 @@ class EventHub:
 
     async def events(self, after: int, timeout_s: float) -> tuple[EventRecord, ...]:
         """Wait for events numbered above `after`. Return the oldest ones; none on time-out or after `close`."""
-        if await self.changed(after, timeout_s):
-            return await self._readers.ask(self._coordinator.events, after, 0.0, EVENTS_AT_ONCE)
-        return ()
-
-    async def changed(self, after: int, timeout_s: float) -> bool:
-        """Wait for an event numbered above `after`. Return False on time-out or if the hub closes."""
-        until = time.monotonic() + timeout_s
-        while self._newest <= after and not self.closed:
-            left_s = until - time.monotonic()
-            if left_s <= 0:
-                return False
-            try:
-                await asyncio.wait_for(self._wakeup.wait(), left_s)
-            except TimeoutError:
-                return False
-        return self._newest > after
-
-    @property
-    def newest(self) -> int:
-        """Number of the newest event of the log."""
-        return self._newest
+        with suppress(TimeoutError):
+            async with asyncio.timeout(max(0.0, timeout_s)):
+                while self.newest <= after and not self.closed:
+                    await self._wakeup.wait()
+        if self.newest <= after:
+            return ()
+        return await self._readers.ask(self._coordinator.events, after, 0.0, EVENTS_AT_ONCE)
 
     async def _listen(self) -> None:
         while not self.closed:
             asked = time.monotonic()
             try:
-                records = await self._listener.listen(self._coordinator.events, self._newest, LISTEN_S)
+                records = await self._listener.listen(self._coordinator.events, self.newest, LISTEN_S)
             except StateError:
                 self.close()  # The log is closed, because the station stops.
                 return
@@ -115,7 +93,7 @@ class EventHub:
                     await asyncio.wait_for(self.closing(), RETRY_S)
                 continue
             if records:
-                self._newest = records[-1].number
+                self.newest = records[-1].number
                 # Setting the old asyncio.Event wakes the tasks that wait now. Later tasks need one that is not set.
                 self._wakeup.set()
                 self._wakeup = asyncio.Event()

@@ -1,6 +1,6 @@
-"""HTTP caching: results and pictures may be cached for ever, live state never.
+"""HTTP caching and conditions: results and pictures of finished runs may be cached for ever, live state never.
 
-Results and pictures of a finished run do not change. Their replies carry an ETag (a hash of the bytes) and `immutable`.
+Their replies carry an ETag, a hash of the bytes, which is also the condition of a change (If-Match, If-None-Match).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import hashlib
 from collections.abc import Mapping
 
 from fastapi import Request, Response
+from pydantic import BaseModel
 
 from vaoi_station.errors import VaoiError
 
@@ -35,6 +36,17 @@ def conditional_response(
     return Response(content, media_type=media_type, headers={**kept, **(headers or {})})
 
 
+def json_of(document: BaseModel) -> bytes:
+    """Return a document as JSON, in which fields without a value are left out."""
+    return document.model_dump_json(exclude_none=True).encode()
+
+
+def json_response(request: Request, document: BaseModel | bytes, cache: str = IMMUTABLE) -> Response:
+    """Return `conditional_response` with a document."""
+    content = document if isinstance(document, bytes) else json_of(document)
+    return conditional_response(request, content, "application/json", cache=cache)
+
+
 def tag_of(content: bytes) -> str:
     """Return the ETag of a document."""
     # 32 hex digits are 128 bits of SHA-256: no accidental collision.
@@ -51,36 +63,29 @@ class ChangedError(VaoiError):
 def require_unchanged(request: Request, present: bytes | None, what: str) -> None:
     """Raise ChangedError if a change is asked under a condition that does not hold (If-Match, If-None-Match).
 
-    Args:
-        request: the request for the change.
-        present: the document as it is now; None if there is none.
-        what: what is to be changed, for the message.
+    `present` is the document as it is now, None if there is none; `what` is what is to be changed, for the message.
     """
     tag = None if present is None else tag_of(present)
     if_match, if_none_match = request.headers.get("if-match"), request.headers.get("if-none-match")
-    if if_match is not None and (tag is None or not _named(if_match, tag)):
+    # RFC 9110, section 13.1.1: If-Match uses the strong comparison, in which a weak tag never matches.
+    if if_match is not None and (tag is None or not {"*", tag} & _tags(if_match)):
         state = "does not exist any more" if tag is None else f"has changed since it was read; its ETag is {tag}"
         raise ChangedError(
             f"{what} {state}, but If-Match is {if_match!r:.80}; nothing was changed.",
             action="Read it again, make the change to what is there now, and send it with the new ETag.",
         )
-    if if_none_match is not None and tag is not None and matches(if_none_match, tag):
+    if tag is not None and matches(if_none_match, tag):
         raise ChangedError(
             f"{what} exists, but If-None-Match is {if_none_match!r:.80}; nothing was changed.",
             action="Choose another name, or replace it without If-None-Match.",
         )
 
 
-def _named(if_match: str, tag: str) -> bool:
-    # RFC 9110, section 13.1.1: If-Match uses the strong comparison, in which a weak tag never matches.
-    tags = [t.strip() for t in if_match.split(",")]
-    return "*" in tags or tag in tags
-
-
 def matches(if_none_match: str | None, tag: str) -> bool:
     """Return whether an If-None-Match header contains the ETag `tag`."""
-    if if_none_match is None:
-        return False
     # RFC 9110, section 13.1.2: If-None-Match uses the weak comparison, which ignores the prefix W/.
-    tags = [t.strip().removeprefix("W/") for t in if_none_match.split(",")]
-    return "*" in tags or tag in tags
+    return bool({"*", tag} & {named.removeprefix("W/") for named in _tags(if_none_match or "")})
+
+
+def _tags(header: str) -> set[str]:
+    return {tag.strip() for tag in header.split(",")}

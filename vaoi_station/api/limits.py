@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
-import sys
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
@@ -25,19 +24,8 @@ from vaoi_station.errors import BusyError
 from vaoi_station.files.access_keys import AccessKey
 
 T = TypeVar("T")
-
-PICTURE_THREADS = 8
-"""Number of pictures that are made at the same time."""
-PICTURES_OF_CALLER = 6
-"""Largest number of pictures of one caller that are being made or have not been read yet."""
-SEARCH_THREADS = 2
-"""Number of searches at the same time; the database has more readers, which stay for others."""
-SEARCHES, SEARCHES_OF_CALLER = 4, 2
-"""Largest number of searches and long lists, in all and of one caller, that are made or not yet read."""
 WAITING, WAIT_S = 24, 20.0
-"""Number of requests for pictures, and for searches, of one caller that wait for a seat, and their longest wait, s."""
-FILES, FILES_OF_CALLER = 2, 1
-"""Largest number of files of whole boards, in all and of one caller, that are being made or have not been read yet."""
+"""Requests of one caller that wait for a seat for pictures, searches or figures, and their longest wait, s."""
 _KEY = "caller"
 
 
@@ -50,7 +38,6 @@ class Caller:
     key: str | None = None
     """Name of the caller's key; None without a key."""
     scopes: frozenset[str] = frozenset()
-    """Scopes that the caller has."""
     access_key: AccessKey | None = None
     """The key itself, as it was when the request began."""
 
@@ -62,8 +49,8 @@ class Caller:
 
 def set_caller(scope: Scope, caller: Caller | None = None) -> Caller:
     """Store the caller of a request in its scope, and return it; by default one without a key."""
-    client = scope.get("client")
     if caller is None:
+        client = scope.get("client")
         caller = Caller(caller_address(client[0]) if client else "local")
     scope.setdefault("state", {})[_KEY] = caller
     return caller
@@ -96,7 +83,7 @@ def caller_address(host: str) -> str:
 
 
 class Seats:
-    """A number of seats, limited in total and for each caller. A request for which no seat is free is refused."""
+    """Seats that are limited in total and for each caller. A request for which no seat is free is refused."""
 
     def __init__(self, what: str, total: int, per_caller: int) -> None:
         """Create the seats; `what` is what callers have seats for, in the plural, for messages, such as "pictures"."""
@@ -118,14 +105,8 @@ class Seats:
             )
         if self.taken + count > self._total:
             raise BusyError(f"All callers together have {self.taken} {self._what}; the limit is {self._total}.")
-        self._taken[caller] += count
-        try:
+        with _counted(self._taken, caller, count):
             yield
-        finally:
-            self._taken[caller] -= count
-            if not self._taken[caller]:
-                # If callers without seats stayed in the counter, it would grow with every new address.
-                del self._taken[caller]
 
     async def hold(self, request: Request) -> AsyncIterator[None]:
         """Hold a seat until the caller has read its answer: a dependency of a route ends after the reply was sent."""
@@ -136,12 +117,11 @@ class Seats:
 class QueuedSeats:
     """Seats for which callers wait in turn: a limited number of requests, for a limited time."""
 
-    def __init__(self, what: str, total: int, per_caller: int, queue: int, wait_s: float) -> None:
+    def __init__(self, what: str, total: int, per_caller: int, queue: int = WAITING, wait_s: float = WAIT_S) -> None:
         """Create the seats. Of each caller `queue` requests may wait, each for at most `wait_s`."""
         # The limit of connections also limits the total number of waiting requests.
-        self._queue = Seats(f"{what}, waiting ones included", sys.maxsize, per_caller + queue)
-        self._what = what
-        self._total, self._per_caller, self._wait_s = total, per_caller, wait_s
+        self._queue = Seats(f"{what}, waiting ones included", 1 << 30, per_caller + queue)
+        self._what, self._total, self._per_caller, self._wait_s = what, total, per_caller, wait_s
         self._held: Counter[str] = Counter()
         self._changed = asyncio.Event()
 
@@ -151,7 +131,7 @@ class QueuedSeats:
         with self._queue.take(caller):
             try:
                 async with asyncio.timeout(self._wait_s):
-                    while not self._free(caller):
+                    while self._held.total() >= self._total or self._held[caller] >= self._per_caller:
                         await self._changed.wait()
             except TimeoutError:
                 raise BusyError(
@@ -160,23 +140,29 @@ class QueuedSeats:
                     action="Send fewer such requests at a time, and read each answer.",
                 ) from None
             # There was no `await` since the test, so no other request can have taken the seat.
-            self._held[caller] += 1
             try:
-                yield
+                with _counted(self._held, caller):
+                    yield
             finally:
-                self._held[caller] -= 1
-                if not self._held[caller]:
-                    del self._held[caller]
                 self._changed.set()
                 self._changed = asyncio.Event()
 
     async def hold(self, request: Request) -> AsyncIterator[None]:
-        """Hold a seat until the caller has read its answer: a dependency of a route ends after the reply was sent."""
+        """Hold a seat as `Seats.hold` does."""
         async with self.take(caller_of(request).name):
             yield
 
-    def _free(self, caller: str) -> bool:
-        return self._held.total() < self._total and self._held[caller] < self._per_caller
+
+@contextmanager
+def _counted(seats: Counter[str], caller: str, count: int = 1) -> Iterator[None]:
+    seats[caller] += count
+    try:
+        yield
+    finally:
+        seats[caller] -= count
+        if not seats[caller]:
+            # If callers without seats stayed in the counter, it would grow with every new address.
+            del seats[caller]
 
 
 class ThreadLimit:
@@ -191,30 +177,4 @@ class ThreadLimit:
 
     async def listen(self, call: Callable[..., T], *args: object) -> T:
         """Run a blocking call that changes nothing. If the request is cancelled, do not wait for the call's end."""
-        task = partial(call, *args)
-        return await anyio.to_thread.run_sync(task, limiter=self._limiter, abandon_on_cancel=True)
-
-
-class Searches(QueuedSeats):
-    """The seats for searches and long lists, and the threads in which they are made.
-
-    A search reads up to 20,000 rows. In the threads of commands, many of them would let disarming and matrices wait.
-    """
-
-    def __init__(self) -> None:
-        super().__init__("searches and long lists", SEARCHES, SEARCHES_OF_CALLER, WAITING, WAIT_S)
-        self._threads = ThreadLimit(SEARCH_THREADS)
-
-    async def ask(self, call: Callable[..., T], *args: object) -> T:
-        """Run a search in one of the threads, for a request that holds a seat."""
-        return await self._threads.ask(call, *args)
-
-
-def picture_seats() -> QueuedSeats:
-    """Return the seats for frames and temporary images. A seat is the right to one picture in memory."""
-    return QueuedSeats("pictures", PICTURE_THREADS, PICTURES_OF_CALLER, WAITING, WAIT_S)
-
-
-def file_seats() -> Seats:
-    """Return the seats for files of whole boards. One takes a worker for minutes, and over a gigabyte of the disk."""
-    return Seats("files of whole boards that are made or read", FILES, FILES_OF_CALLER)
+        return await anyio.to_thread.run_sync(partial(call, *args), limiter=self._limiter, abandon_on_cancel=True)

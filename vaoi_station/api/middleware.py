@@ -1,20 +1,17 @@
-"""What every request passes before the application: one class for each concern, outermost first in `guards`.
+"""What every request passes before the application, in three steps (`guards`).
 
-- `SafetyHeaders`: pages may load nothing from other sites (Content-Security-Policy); a reply about which no route has
-  said anything to caches holds for no other moment.
-- `Addressed`: requests to a host name that is not the station's are refused, and so are those whose end or address is
-  ambiguous: a proxy and the station could disagree about it, so that the rest would count as a request of another
-  caller. The prefix and the caller that a proxy states become those of the request.
-- `Audited`: commands and refusals are in the audit log.
-- `SameOrigin`: without a check of the Content-Type any web page could send commands from an operator's browser, and an
-  image on it could make the station render pictures. Browsers state where a request comes from; programs state nothing.
-- `Permitted`: each request needs the scope of its address.
-- `HeadAsGet`: a reply to HEAD is that to GET without its body.
-- `Streams`: an event stream whose reader has gone ends without an error.
-- `Bodies`: bodies are limited in size and time, and in the memory that they take, in total and for each caller. A key
-  that appears twice in an object is refused, because JSON readers differ in which value they take. The API accepts JSON
-  only, so a body counts as JSON whatever its Content-Type is: the HTTP libraries of LabVIEW, Delphi and C, and curl,
-  send none or a wrong one. A command that is repeated with the same Idempotency-Key acts once.
+1. `Addressed`: requests to a host name that is not the station's are refused, and so are those whose end or address is
+   ambiguous: a proxy and the station could disagree about it, so that the rest would count as a request of another
+   caller. The prefix and the caller that a proxy states become those of the request. Replies get security headers:
+   pages may load nothing from other sites, and a reply about which no route says anything to caches is not kept.
+2. `Permitted`: commands and refusals are in the audit log. Without a check of the Content-Type any web page could send
+   commands from an operator's browser, and an image on it could make the station render pictures: browsers state where
+   a request comes from, programs state nothing. Each request needs the scope of its address.
+3. `Bodies`: bodies are limited in size and time, and in the memory that they take, in total and for each caller. A key
+   that appears twice in an object is refused, because JSON readers differ in which value they take. The API accepts
+   JSON only, so a body counts as JSON whatever its Content-Type is: the HTTP libraries of LabVIEW, Delphi and C, and
+   curl, send none or a wrong one. A command that is repeated with the same Idempotency-Key acts once. A reply to HEAD
+   is that to GET without its body, and an event stream whose reader has gone ends without an error.
 """
 
 from __future__ import annotations
@@ -23,7 +20,6 @@ import asyncio
 import json
 import re
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -32,13 +28,13 @@ from http import HTTPStatus
 import anyio
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
-from starlette.responses import RedirectResponse
+from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.addresses import addressed, allowed_names, as_addressed, path_of, prefix_fault, root_of
 from vaoi_station.api.limits import Seats, ThreadLimit, caller_in, set_caller
-from vaoi_station.api.problems import STREAM, problem_response
+from vaoi_station.api.problems import SAFE, STREAM, problem_response
 from vaoi_station.api.repeated_requests import RepeatedRequests
 from vaoi_station.errors import BusyError, InputError
 from vaoi_station.files.documents import DuplicateKeyError, refuse_duplicate_keys
@@ -54,7 +50,6 @@ PIECE_BYTES = 128 * 1024
 """Largest piece in which a reply is passed to its connection, bytes."""
 BODY_LIMIT_S = 20.0
 """Longest accepted time until a body has arrived. On a slow network 8 MB take a second."""
-SAFE = ("GET", "HEAD", "OPTIONS")
 BOARD_TYPE = re.compile(r"/api/v1/board-types/[^/]+")
 UPLOAD = "/api/v1/board-data/previews"
 """Path of the uploads of board data. They are written to a file while they arrive, and are no JSON."""
@@ -67,6 +62,8 @@ _DECIDING = ("Host", "Origin", "Authorization", "Sec-Fetch-Site", "Sec-Fetch-Mod
 """Headers by which a request is permitted or refused."""
 _CLOSE = {"Connection": "close"}
 _HEAD = "vaoi.head"
+_LINK = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document", "sec-fetch-user": "?1"}
+"""Headers of a browser in which a person followed a link to the address."""
 
 CSP = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'"
 SAFETY = {
@@ -85,12 +82,11 @@ def guards(names: Iterable[str] = (), access: AccessControl | None = None, root_
         access: keys and audit log; without them every caller may send every request.
         root_path: prefix of paths that a proxy passes on unchanged.
     """
-    checked = [Middleware(SafetyHeaders), Middleware(Addressed, names=allowed_names(names), root_path=root_path)]
-    if access is None:
-        permitted = [Middleware(SameOrigin)]
-    else:
-        permitted = [Middleware(Audited, access=access), Middleware(SameOrigin), Middleware(Permitted, access=access)]
-    return [*checked, *permitted, Middleware(HeadAsGet), Middleware(Streams), Middleware(Bodies)]
+    return [
+        Middleware(Addressed, names=allowed_names(names), root_path=root_path),
+        Middleware(Permitted, access=access),
+        Middleware(Bodies),
+    ]
 
 
 def is_head(scope: Scope) -> bool:
@@ -98,60 +94,22 @@ def is_head(scope: Scope) -> bool:
     return scope.get(_HEAD) is True
 
 
-class HttpMiddleware(ABC):
-    """Base of the classes: passes on what is no request."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle a request."""
-        await (self.handle if scope["type"] == "http" else self.app)(scope, receive, send)
-
-    @abstractmethod
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or pass it on."""
-
-
-class SafetyHeaders(HttpMiddleware):
-    """Adds security headers to each reply, and passes large ones to their connection piece by piece."""
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-
-        async def send_safely(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                # A route may set a stricter policy for a document that may contain anything, such as a picture.
-                headers.setdefault("Content-Security-Policy", CSP)
-                headers.update(SAFETY)
-                headers.setdefault("Cache-Control", "no-store")
-                if message["status"] == HTTPStatus.NO_CONTENT:
-                    del headers["Content-Type"]
-            body = message.get("body", b"")
-            # Each piece waits until most of the one before was read, so that an unread reply takes little memory.
-            while len(body) > PIECE_BYTES:
-                await send({**message, "body": body[:PIECE_BYTES], "more_body": True})
-                body = body[PIECE_BYTES:]
-            await send(message if body is message.get("body", body) else {**message, "body": body})
-
-        await self.app(scope, receive, send_safely)
-
-
-class Addressed(HttpMiddleware):
+class Addressed:
     """Refuses requests that do not clearly address the station; notes caller and prefix of the others."""
 
     def __init__(self, app: ASGIApp, names: frozenset[str], root_path: str) -> None:
-        super().__init__(app)
-        self._names, self._root_path = names, root_path
+        self._app, self._names, self._root_path = app, names, root_path
 
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check the headers of a request, then pass it on as its caller has addressed it."""
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
         headers = Headers(scope=scope)
         fault = _ambiguous(headers) or prefix_fault(scope)
         scope = as_addressed(scope, self._root_path)
         set_caller(scope)
-        answer: ASGIApp = self.app
+        answer: ASGIApp = self._app
         if fault is not None:
             answer = problem_response(scope, "malformed", fault, headers=_CLOSE)
         elif not addressed(headers.get("host", ""), self._names):
@@ -160,201 +118,24 @@ class Addressed(HttpMiddleware):
         elif not path_of(scope) and scope["method"] in SAFE:
             # The page names its files relative to its own address, which therefore ends with a slash.
             answer = RedirectResponse(f"{root_of(scope)}/", HTTPStatus.TEMPORARY_REDIRECT)
-        await answer(scope, receive, send)
+        await answer(scope, receive, partial(_send_safely, send))
 
 
-class Audited(HttpMiddleware):
-    """Notes requests and what became of them in the audit log."""
-
-    def __init__(self, app: ASGIApp, access: AccessControl) -> None:
-        super().__init__(app)
-        self._access = access
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-        begun = time.monotonic()
-
-        async def noting(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                self._access.note(scope, message["status"], begun)
-            await send(message)
-
-        await self.app(scope, receive, noting)
-
-
-class SameOrigin(HttpMiddleware):
-    """Refuses commands from pages of other sites, and everything of the API that such a page would show."""
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check where a request comes from."""
-        headers, answer = Headers(scope=scope), self.app
-        if _foreign(headers):
-            if scope["method"] not in SAFE:
-                page = f"{headers.get('origin', 'another site'):.100}"
-                detail = f"The command came from a page of {page}, not from this station's page."
-                answer = problem_response(scope, "foreign-origin", detail)
-            elif path_of(scope).startswith(API) and not _followed_link(headers):
-                detail = "The request came from a page of another site, not from this station's page."
-                answer = problem_response(scope, "foreign-origin", detail)
-        await answer(scope, receive, send)
-
-
-class Permitted(HttpMiddleware):
-    """Refuses requests whose caller lacks the scope that they need."""
-
-    def __init__(self, app: ASGIApp, access: AccessControl) -> None:
-        super().__init__(app)
-        self._access = access
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check the key of a request."""
-        await (self._access.refusal(scope) or self.app)(scope, receive, send)
-
-
-class HeadAsGet(HttpMiddleware):
-    """Handles HEAD as GET, except for the event stream, which would start and never end."""
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, and drop the body of a reply to HEAD."""
-        if scope["method"] != "HEAD" or path_of(scope) == STREAM:
-            await self.app(scope, receive, send)
-            return
-
-        async def headers_only(message: Message) -> None:
-            await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
-
-        await self.app({**scope, "method": "GET", _HEAD: True}, receive, headers_only)
-
-
-class Streams(HttpMiddleware):
-    """Ends an event stream whose reader has disconnected while messages waited for it: FastAPI raises an error then."""
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-        if path_of(scope) != STREAM:
-            await self.app(scope, receive, send)
-            return
-        try:
-            await self.app(scope, receive, send)
-        except* anyio.BrokenResourceError:
-            pass
-
-
-class Bodies(HttpMiddleware):
-    """Reads the body of each command within limits, and performs a command that is repeated with its key once."""
-
-    def __init__(self, app: ASGIApp, max_body_bytes: int = MAX_BODY_BYTES, body_limit_s: float = BODY_LIMIT_S) -> None:
-        super().__init__(app)
-        self._max_body_bytes, self._body_limit_s = max_body_bytes, body_limit_s
-        self._bodies = Seats("bytes of requests in memory", BODIES, BODIES_OF_CALLER)
-        self._parsing = ThreadLimit(1)
-        self._repeated = RepeatedRequests()
-
-    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Read the body of a command, then pass it on."""
-        if scope["method"] in SAFE:
-            await self.app(scope, receive, send)
-        elif scope["method"] == "POST" and path_of(scope) == UPLOAD:
-            await self._upload(scope, receive, send)
-        else:
-            await self._command(scope, receive, send)
-
-    async def _upload(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass an upload on as it arrives, if it is announced with an accepted size."""
-        announced = Headers(scope=scope).get("content-length", "")
-        if not announced.isdecimal() or len(announced) > 15 or int(announced) > MAX_UPLOAD_BYTES:
-            known = f"{announced:.20} bytes" if announced else "not stated"
-            detail = f"The size of the upload (Content-Length) is {known}; it must be at most {MAX_UPLOAD_BYTES} bytes."
-            await problem_response(scope, "too-large", detail, headers=_CLOSE)(scope, receive, send)
-            return
-        deadline = time.monotonic() + UPLOAD_LIMIT_S
-
-        async def receive_in_time() -> Message:
-            try:
-                async with asyncio.timeout(max(0.0, deadline - time.monotonic())):
-                    return await receive()
-            except TimeoutError:
-                # The connection is closed after the refusal, because the rest of its body was not read.
-                late = f"The upload did not arrive within {UPLOAD_LIMIT_S:g} s."
-                raise InputError(late, code="upload-too-slow") from None
-
-        performed = False
-
-        async def work(send: Send) -> None:
-            nonlocal performed
-            performed = True
-            await self.app(scope, receive_in_time, send)
-
-        async def send_after_body(message: Message) -> None:
-            # A caller whose upload is not performed again still sends it, and would not read the reply before its end.
-            if not performed and message["type"] == "http.response.start":
-                await _discard(receive_in_time)
-            await send(message)
-
-        # The file itself is not compared, because it is not kept: one of the same size is the same command.
-        await self._repeated.serve(scope, announced.encode(), work, send_after_body)
-
-    async def _command(self, scope: Scope, receive: Receive, send: Send) -> None:
-        limit = self._max_body_bytes if BOARD_TYPE.fullmatch(path_of(scope)) else MAX_COMMAND_BYTES
-        announced = Headers(scope=scope).get("content-length", "")
-        # More than 15 digits are not converted, since `int` is slow on very long numbers.
-        size = int(announced) if announced.isdecimal() and len(announced) <= 15 else limit
-        with ExitStack() as memory:
-            # Short bodies are not counted, so that large ones cannot prevent a caller's commands.
-            if MAX_COMMAND_BYTES < size <= limit:
-                try:
-                    memory.enter_context(self._bodies.take(caller_in(scope).name, size))
-                except BusyError as busy:
-                    answer = problem_response(scope, "busy", busy.message, action=busy.action, headers=_CLOSE)
-                    await answer(scope, receive, send)
-                    return
-            body = await self._body(scope, receive, limit)
-            if isinstance(body, bytes):
-                work = partial(self.app, _as_json(scope), _replay(body, receive))
-                await self._repeated.serve(scope, body, work, send)
-            else:
-                await body(scope, receive, send)
-
-    async def _body(self, scope: Scope, receive: Receive, limit: int) -> bytes | ASGIApp:
-        """Return the whole body of a request, or a refusal if the body is too slow, too large or has a repeated key."""
-        try:
-            async with asyncio.timeout(self._body_limit_s):
-                body = await _read(Headers(scope=scope), receive, limit)
-        except TimeoutError:
-            detail = f"The body did not arrive within {self._body_limit_s:g} s."
-            # The rest of the body may still arrive. If the connection stayed open, it would be read as the next
-            # request.
-            return problem_response(scope, "too-slow", detail, headers=_CLOSE)
-        if body is None:
-            return problem_response(scope, "too-large", f"The body is larger than {limit} bytes.")
-        # A large body is parsed in a thread, so that other requests are answered meanwhile.
-        large = len(body) > MAX_COMMAND_BYTES
-        twin = await self._parsing.ask(_repeated_key, body) if large else _repeated_key(body)
-        return body if twin is None else problem_response(scope, "malformed", f"body: {twin}.")
-
-
-async def _discard(receive: Receive) -> None:
-    """Read the body of a request to its end, or until it is too late."""
-    with suppress(InputError):
-        while (message := await receive())["type"] != "http.disconnect" and message.get("more_body", False):
-            pass
-
-
-async def _read(headers: Headers, receive: Receive, limit: int) -> bytes | None:
-    """Read the whole body; return None if it is larger than `limit` bytes."""
-    # If Content-Length is too large, the body is refused before it is read. The header may be wrong, so bytes are
-    # counted too.
-    announced = headers.get("content-length", "")
-    if announced.isdecimal() and (len(announced) > 15 or int(announced) > limit):
-        return None
-    body = bytearray()
-    while True:
-        message = await receive()
-        body += message.get("body", b"")
-        if len(body) > limit:
-            return None
-        if message["type"] == "http.disconnect" or not message.get("more_body", False):
-            return bytes(body)
+async def _send_safely(send: Send, message: Message) -> None:
+    if message["type"] == "http.response.start":
+        headers = MutableHeaders(scope=message)
+        # A route may set a stricter policy for a document that may contain anything, such as a picture.
+        headers.setdefault("Content-Security-Policy", CSP)
+        headers.update(SAFETY)
+        headers.setdefault("Cache-Control", "no-store")
+        if message["status"] == HTTPStatus.NO_CONTENT:
+            del headers["Content-Type"]
+    body = message.get("body", b"")
+    # Each piece waits until most of the one before was read, so that an unread reply takes little memory.
+    while len(body) > PIECE_BYTES:
+        await send({**message, "body": body[:PIECE_BYTES], "more_body": True})
+        body = body[PIECE_BYTES:]
+    await send({**message, "body": body} if "body" in message else message)
 
 
 def _ambiguous(headers: Headers) -> str | None:
@@ -366,36 +147,184 @@ def _ambiguous(headers: Headers) -> str | None:
     return None if twice is None else f"The request has several headers {twice}; send one."
 
 
-def _foreign(headers: Headers) -> bool:
-    """Return whether a browser states that a request comes from a page of another origin."""
+class Permitted:
+    """Refuses requests of pages of other sites, and those whose caller lacks the scope; keeps the audit log."""
+
+    def __init__(self, app: ASGIApp, access: AccessControl | None) -> None:
+        self._app, self._access = app, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request."""
+        access, begun = self._access, time.monotonic()
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def noting(message: Message) -> None:
+            if access is not None and message["type"] == "http.response.start":
+                access.note(scope, message["status"], begun)
+            await send(message)
+
+        refusal = _of_another_site(scope) or (access.refusal(scope) if access else None)
+        await (refusal or self._app)(scope, receive, noting)
+
+
+def _of_another_site(scope: Scope) -> Response | None:
+    """Return the refusal of a command from a page of another site, or of anything of the API that it would show."""
+    headers = Headers(scope=scope)
     # With some requests older browsers send Sec-Fetch-Site but no Origin. Programs send neither.
     origin = headers.get("origin")
     if origin is None:
-        return headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
-    return origin.lower().partition("://")[2] != headers.get("host", "").lower()
-
-
-def _followed_link(headers: Headers) -> bool:
-    """Return whether a browser states that a person followed a link to this address."""
-    wanted = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document", "sec-fetch-user": "?1"}
-    return all(headers.get(name) == value for name, value in wanted.items())
-
-
-def _repeated_key(body: bytes) -> str | None:
-    """Return a message if a key appears twice in a JSON object, else None. Other faults are found by later parsing."""
-    try:
-        json.loads(body, object_pairs_hook=refuse_duplicate_keys)
-    except DuplicateKeyError as twin:
-        return str(twin)
-    except (ValueError, RecursionError):
+        foreign = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
+    else:
+        foreign = origin.lower().partition("://")[2] != headers.get("host", "").lower()
+    if not foreign:
         return None
+    if scope["method"] not in SAFE:
+        page = f"{headers.get('origin', 'another site'):.100}"
+        detail = f"The command came from a page of {page}, not from this station's page."
+        return problem_response(scope, "foreign-origin", detail)
+    if path_of(scope).startswith(API) and any(headers.get(name) != value for name, value in _LINK.items()):
+        detail = "The request came from a page of another site, not from this station's page."
+        return problem_response(scope, "foreign-origin", detail)
     return None
 
 
-def _as_json(scope: Scope) -> Scope:
-    headers = MutableHeaders(raw=list(scope["headers"]))
-    headers["content-type"] = "application/json"
-    return {**scope, "headers": headers.raw}
+class Bodies:
+    """Reads the body of each command within limits, and performs a command that is repeated with its key once."""
+
+    def __init__(self, app: ASGIApp, max_body_bytes: int = MAX_BODY_BYTES, body_limit_s: float = BODY_LIMIT_S) -> None:
+        self._app, self._max_body_bytes, self._body_limit_s = app, max_body_bytes, body_limit_s
+        self._bodies = Seats("bytes of requests in memory", BODIES, BODIES_OF_CALLER)
+        self._parsing = ThreadLimit(1)
+        self._repeated = RepeatedRequests()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+        elif path_of(scope) == STREAM and scope["method"] in SAFE:
+            # FastAPI raises an error if the reader has disconnected while messages waited for it.
+            try:
+                await self._app(scope, receive, send)
+            except* anyio.BrokenResourceError:
+                pass
+        elif scope["method"] == "HEAD":
+
+            async def headers_only(message: Message) -> None:
+                await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
+
+            await self._app({**scope, "method": "GET", _HEAD: True}, receive, headers_only)
+        elif scope["method"] in SAFE:
+            await self._app(scope, receive, send)
+        elif scope["method"] == "POST" and path_of(scope) == UPLOAD:
+            await self._upload(scope, receive, send)
+        else:
+            await self._command(scope, receive, send)
+
+    async def _upload(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass an upload on as it arrives, if it is announced with an accepted size."""
+        announced = Headers(scope=scope).get("content-length", "")
+        if (size := _size(announced)) is None or size > MAX_UPLOAD_BYTES:
+            known = f"{announced:.20} bytes" if announced else "not stated"
+            detail = f"The size of the upload (Content-Length) is {known}; it must be at most {MAX_UPLOAD_BYTES} bytes."
+            await problem_response(scope, "too-large", detail, headers=_CLOSE)(scope, receive, send)
+            return
+        deadline = asyncio.get_running_loop().time() + UPLOAD_LIMIT_S
+
+        async def receive_in_time() -> Message:
+            try:
+                async with asyncio.timeout_at(deadline):
+                    return await receive()
+            except TimeoutError:
+                # The connection is closed after the refusal, because the rest of its body was not read.
+                late = f"The upload did not arrive within {UPLOAD_LIMIT_S:g} s."
+                raise InputError(late, code="upload-too-slow") from None
+
+        performed = False
+
+        async def work(send: Send) -> None:
+            nonlocal performed
+            performed = True
+            await self._app(scope, receive_in_time, send)
+
+        async def send_after_body(message: Message) -> None:
+            # A caller whose upload is not performed again still sends it, and would not read the reply before its end.
+            if not performed and message["type"] == "http.response.start":
+                with suppress(InputError):
+                    while (await receive_in_time()).get("more_body", False):
+                        pass
+            await send(message)
+
+        # The file itself is not compared, because it is not kept: one of the same size is the same command.
+        await self._repeated.serve(scope, announced.encode(), work, send_after_body)
+
+    async def _command(self, scope: Scope, receive: Receive, send: Send) -> None:
+        limit = self._max_body_bytes if BOARD_TYPE.fullmatch(path_of(scope)) else MAX_COMMAND_BYTES
+        announced = Headers(scope=scope).get("content-length", "")
+        size = _size(announced)
+        with ExitStack() as memory:
+            try:
+                # Short bodies are not counted, so that large ones cannot prevent a caller's commands.
+                if MAX_COMMAND_BYTES < (limit if size is None else size) <= limit:
+                    memory.enter_context(self._bodies.take(caller_in(scope).name, limit if size is None else size))
+                # The header may be wrong, so bytes are counted too.
+                too_large = announced.isdecimal() and (size is None or size > limit)
+                async with asyncio.timeout(self._body_limit_s):
+                    body = None if too_large else await _read(receive, limit)
+            except BusyError as busy:
+                answer: Response | None = problem_response(
+                    scope, "busy", busy.message, action=busy.action, headers=_CLOSE
+                )
+            except TimeoutError:
+                detail = f"The body did not arrive within {self._body_limit_s:g} s."
+                # Closed, because the rest of the body may still arrive, and would be read as the next request.
+                answer = problem_response(scope, "too-slow", detail, headers=_CLOSE)
+            else:
+                answer = await self._refusal(scope, body, limit)
+            if answer is not None:
+                await answer(scope, receive, send)
+                return
+            assert body is not None
+            headers = MutableHeaders(raw=list(scope["headers"]))
+            headers["content-type"] = "application/json"
+            work = partial(self._app, {**scope, "headers": headers.raw}, _replay(body, receive))
+            await self._repeated.serve(scope, body, work, send)
+
+    async def _refusal(self, scope: Scope, body: bytes | None, limit: int) -> Response | None:
+        if body is None:
+            return problem_response(scope, "too-large", f"The body is larger than {limit} bytes.")
+        # A large body is parsed in a thread, so that other requests are answered meanwhile.
+        large = len(body) > MAX_COMMAND_BYTES
+        twin = await self._parsing.ask(_repeated_key, body) if large else _repeated_key(body)
+        return None if twin is None else problem_response(scope, "malformed", f"body: {twin}.")
+
+
+def _size(announced: str) -> int | None:
+    # More than 15 digits are not converted, since `int` is slow on very long numbers.
+    return int(announced) if announced.isdecimal() and len(announced) <= 15 else None
+
+
+async def _read(receive: Receive, limit: int) -> bytes | None:
+    """Read the whole body; return None if it is larger than `limit` bytes."""
+    body = bytearray()
+    while True:
+        message = await receive()
+        body += message.get("body", b"")
+        if len(body) > limit:
+            return None
+        if message["type"] == "http.disconnect" or not message.get("more_body", False):
+            return bytes(body)
+
+
+def _repeated_key(body: bytes) -> str | None:
+    """Return a message if a key appears twice in a JSON object. Other faults are found by later parsing."""
+    with suppress(ValueError, RecursionError):
+        try:
+            json.loads(body, object_pairs_hook=refuse_duplicate_keys)
+        except DuplicateKeyError as twin:
+            return str(twin)
+    return None
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:

@@ -14,7 +14,6 @@ from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.openapi.utils import get_openapi
-from pydantic import BaseModel
 
 from vaoi_station.api.access import scope_needed
 from vaoi_station.api.addresses import root_of
@@ -54,7 +53,7 @@ EVENTS = {
 URL = "/api/v1/openapi.json"
 """Address of the document."""
 _SERVER = b'"servers": [{"url": "/"'
-"""Begin of the address of the station, to which paths of the document are relative, in the document's text."""
+"""Begin of the address of the station, in the text of the document."""
 _EXAMPLES = Path(__file__).with_name("openapi_examples.json")
 """Examples from a station on the twin: values of parameters by name or `operation.name`, bodies and answers."""
 NULL = {"type": "null"}
@@ -89,8 +88,6 @@ _OF_A_COMMAND = frozenset({408, 409, 413})
 _OF_A_RUN = frozenset({404, 409, 410})
 _ABSENT = ("/station/arm", "/runs", "/runs/latest", "/runs/next", "/doctor", "/calibration/trial", "/trial/calibration")
 """Ends of paths without parameters that may name something that does not exist, or ask for it."""
-_BODY_NAMES_A_RUN = ("/calibration/marks",)
-"""Ends of paths whose body names a run from whose frames the answer is made."""
 
 
 def install(app: FastAPI) -> None:
@@ -132,16 +129,22 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
     for name in ("HTTPValidationError", "ValidationError"):
         known.pop(name, None)
     for model in (Fault, Problem, EventRecord, Heartbeat):
-        known[model.__name__] = _schema_of(model)
+        schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
+        known[model.__name__] = {key: part for key, part in schema.items() if key != "$defs"}
     known["EventStream"] = EVENTS
     for schema in known.values():
-        _optional_not_null(schema)
         _simplify(schema)
-    for path, operations in document["paths"].items():
-        for method, operation in operations.items():
-            _complete(method, path, operation)
-    asked = [o["requestBody"] for operations in document["paths"].values() for o in operations.values() if _asks(o)]
-    _open_answers(known, _used_by(known, asked))
+    examples = json.loads(_EXAMPLES.read_text(encoding="utf-8"))
+    operations = [
+        (method, path, operation) for path, all_of in document["paths"].items() for method, operation in all_of.items()
+    ]
+    for method, path, operation in operations:
+        _complete(method, path, operation, examples)
+    asked = _used_by(known, [operation["requestBody"] for _, _, operation in operations if "requestBody" in operation])
+    for name, schema in known.items():
+        # Answers may get further fields in later versions.
+        if name not in asked and schema.get("additionalProperties") is False:
+            del schema["additionalProperties"]
     document["components"] |= {
         "schemas": dict(sorted(known.items())),
         "responses": {name: _refusal(status) for status, name in sorted(REFUSALS.items())},
@@ -153,8 +156,8 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
     return document
 
 
-def _complete(method: str, path: str, operation: dict[str, Any]) -> None:
-    """Complete one operation: its refusals, examples and scope."""
+def _complete(method: str, path: str, operation: dict[str, Any], examples: dict[str, Any]) -> None:
+    """Complete one operation: its parameters, answers, refusals, examples and scope."""
     answers = operation["responses"]
     answers.pop("422", None)
     for answer in answers.values():
@@ -162,17 +165,15 @@ def _complete(method: str, path: str, operation: dict[str, Any]) -> None:
             answer["content"] = {STREAM: {"schema": {"$ref": "#/components/schemas/EventStream"}}}
         for content in answer.get("content", {}).values():
             _simplify(content.get("schema", {}))
-    if "parameters" in operation:
-        operation["parameters"] = _sent_parameters(operation["parameters"])
-    streamed = "application/octet-stream" in operation.get("requestBody", {}).get("content", {})
-    if method != "get" and not streamed:
-        operation.setdefault("parameters", []).append(IDEMPOTENCY_KEY)
+    operation["parameters"] = parameters = _sent_parameters(method, operation)
+    if not parameters:
+        del operation["parameters"]
     if method == "get" and path.startswith(API):
         answers["304"] = UNCHANGED
     if not path.startswith(API):
         # The health addresses give the same document with 503; refusals of their requests come as everywhere.
         answers["503"] = {**answers["200"], "description": "Not able, and why."}
-    _add_examples(operation)
+    _add_examples(operation, examples)
     for status in _statuses(method, path, operation):
         answers.setdefault(str(status), {"$ref": f"#/components/responses/{REFUSALS[status]}"})
     operation["responses"] = dict(sorted(answers.items()))
@@ -183,43 +184,50 @@ def _complete(method: str, path: str, operation: dict[str, Any]) -> None:
         operation["x-scope"] = scope
 
 
-def _asks(operation: dict[str, Any]) -> bool:
-    return "requestBody" in operation
+def _sent_parameters(method: str, operation: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the parameters of an operation without the headers that OpenAPI describes by other means."""
+    kept = [p for p in operation.get("parameters", ()) if p["in"] != "header" or p["name"].title() not in _NOT_SENT]
+    for parameter in kept:
+        parameter["schema"] = _not_null(parameter["schema"])
+        _simplify(parameter["schema"], parameter["name"])
+        if parameter["in"] == "header":
+            parameter["name"] = {"last-event-id": "Last-Event-ID"}.get(parameter["name"], parameter["name"].title())
+    streamed = "application/octet-stream" in operation.get("requestBody", {}).get("content", {})
+    return kept if method == "get" or streamed else [*kept, dict(IDEMPOTENCY_KEY)]
 
 
-def _schema_of(model: type[BaseModel]) -> dict[str, Any]:
-    schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
-    schema.pop("$defs", None)
-    return schema
+def _add_examples(operation: dict[str, Any], known: dict[str, Any]) -> None:
+    name = operation["operationId"]
+    for parameter in operation.get("parameters", ()):
+        for key in (parameter["name"], f"{name}.{parameter['name']}"):
+            value = known["parameters"].get(key)
+            # A general example does not fit a parameter of the same name with other values.
+            if value is not None and value in parameter.get("schema", {}).get("enum", [value]):
+                parameter["example"] = value
+    for kind in operation.get("requestBody", {}).get("content", {}).values():
+        if name in known["bodies"]:
+            kind["example"] = known["bodies"][name]
+    for status, answer in operation["responses"].items():
+        content = answer.get("content", {}).get("application/json")
+        if content is not None and status in ("200", "201", "202") and name in known["answers"]:
+            content["example"] = known["answers"][name]
 
 
-# --- refusals
-
-
-def _statuses(method: str, path: str, operation: dict[str, Any]) -> list[int]:
-    """Return the status codes with which an operation may be refused, sorted.
-
-    Args:
-        method: in lower case.
-        path: as in the document, with the names of its parameters in braces.
-        operation: its description; its answers and parameters decide about 406, 410, 412 and 416.
-    """
-    found = set(_OF_THE_API if path.startswith("/api/") else _ALWAYS)
+def _statuses(method: str, path: str, operation: dict[str, Any]) -> set[int]:
+    """Return the status codes with which an operation may be refused; parameters of the path are in braces."""
+    found = set(_OF_THE_API if path.startswith(API) else _ALWAYS)
     if method != "get":
         found |= _OF_A_COMMAND
     if "{" in path or path.endswith(_ABSENT):
         found.add(404)
     of_a_run = ("/runs/{run}", "/cameras/{camera}/picture", "reference")
-    if any(part in path for part in of_a_run) or path.endswith(("/next", *_BODY_NAMES_A_RUN)):
+    if any(part in path for part in of_a_run) or path.endswith(("/next", "/calibration/marks")):
         found |= _OF_A_RUN
-    kinds = [kind for answer in operation["responses"].values() for kind in answer.get("content", {})]
-    if "application/x-npy" in kinds:
-        found.add(406)
-    if "206" in operation["responses"] and "application/x-npy" in kinds:
-        found.add(416)
+    if any("application/x-npy" in answer.get("content", {}) for answer in operation["responses"].values()):
+        found |= {406, 416} if "206" in operation["responses"] else {406}
     if any(parameter["name"] == "If-Match" for parameter in operation.get("parameters", ())):
         found.add(412)
-    return sorted(found)
+    return found
 
 
 def _refusal(status: int) -> dict[str, Any]:
@@ -244,27 +252,31 @@ def _refusal(status: int) -> dict[str, Any]:
     return {"description": f"{words}.", "content": {MEDIA_TYPE: content}}
 
 
-# --- schemas and examples
-
-
 def _simplify(schema: Any, name: str = "") -> None:
     """Change a schema in place: numbers state their size, signs their names, and some rarer kinds become common ones.
 
-    Args:
-        schema: schema, or a part of one.
-        name: name of the field that it describes.
+    `name` is that of the field that it describes. Fields that may be null become optional fields that are never null.
     """
     if isinstance(schema, list):
         for part in schema:
             _simplify(part, name)
     if not isinstance(schema, dict):
         return
+    for field, part in schema.get("properties", {}).items():
+        # The result file uses null for "no CAD matrix", so clients must expect it.
+        plain = part if (schema.get("title"), field) == ("Matrices", "cad_matrix") else _not_null(part)
+        if plain is not part:
+            schema["properties"][field] = plain
+            if field in schema.get("required", []):
+                schema["required"].remove(field)
+        _simplify(plain, field)
     for key, part in schema.items():
-        if key == "properties":
-            for field, inner in part.items():
-                _simplify(inner, field)
-        elif key not in ("example", "examples", "default", "enum", "const"):
+        if key not in ("properties", "example", "examples", "default", "enum", "const"):
             _simplify(part, name)
+    _plain_kind(schema, name)
+
+
+def _plain_kind(schema: dict[str, Any], name: str) -> None:
     # Without a format, some generators make 32-bit integers and decimals, which overflow.
     if schema.get("type") == "integer" and (name in _LARGE or name.endswith("_bytes") or name == "counters"):
         schema.setdefault("format", "int64")
@@ -277,18 +289,11 @@ def _simplify(schema: Any, name: str = "") -> None:
         # The first is read by openapi-generator, the second by NSwag, which otherwise names every sign `_`.
         names = [_SIGNS.get(value, value) for value in schema["enum"]]
         schema |= {"x-enum-varnames": names, "x-enumNames": list(names)}
-    _plain_list(schema)
-
-
-def _plain_list(schema: dict[str, Any]) -> None:
     # `prefixItems` is JSON Schema 2020-12; generators for older OpenAPI versions ignore it.
-    kinds = schema.get("prefixItems")
-    if not kinds:
-        return
-    whole = all(kind.get("type") in ("integer", "number") for kind in kinds)
-    if all(kind == kinds[0] for kind in kinds):
+    kinds = schema.get("prefixItems", [])
+    if kinds and all(kind == kinds[0] for kind in kinds):
         schema["items"] = schema.pop("prefixItems")[0]
-    elif whole:
+    elif kinds and all(kind.get("type") in ("integer", "number") for kind in kinds):
         del schema["prefixItems"]
         schema["items"] = {"type": "number", "format": "double"}
 
@@ -301,37 +306,6 @@ def _not_null(schema: dict[str, Any]) -> dict[str, Any]:
     rest = [c for c in choices if c != NULL]
     kept = {k: v for k, v in schema.items() if k not in ("anyOf", "default") or (k == "default" and v is not None)}
     return {**kept, **(rest[0] if len(rest) == 1 else {"anyOf": rest})}
-
-
-def _optional_not_null(schema: dict[str, Any]) -> None:
-    """Change the fields of an object schema that may be null to optional fields that are never null."""
-    for name, field in schema.get("properties", {}).items():
-        if (schema.get("title"), name) == ("Matrices", "cad_matrix"):
-            # The result file uses null here for "no CAD matrix", so clients must expect it.
-            continue
-        plain = _not_null(field)
-        if plain is not field:
-            schema["properties"][name] = plain
-            if name in schema.get("required", []):
-                schema["required"].remove(name)
-
-
-def _open_answers(schemas: dict[str, Any], asked: set[str]) -> None:
-    """Let answers have further fields: later versions may add some. `asked` are the names of schemas of requests."""
-    for name, schema in schemas.items():
-        if name not in asked and schema.get("additionalProperties") is False:
-            del schema["additionalProperties"]
-
-
-def _sent_parameters(parameters: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the parameters of an operation without the headers that OpenAPI describes by other means."""
-    kept = [p for p in parameters if not (p["in"] == "header" and p["name"].title() in _NOT_SENT)]
-    for parameter in kept:
-        parameter["schema"] = _not_null(parameter["schema"])
-        _simplify(parameter["schema"], parameter["name"])
-        if parameter["in"] == "header":
-            parameter["name"] = {"last-event-id": "Last-Event-ID"}.get(parameter["name"], parameter["name"].title())
-    return kept
 
 
 def _used_by(schemas: dict[str, Any], roots: Any) -> set[str]:
@@ -349,28 +323,3 @@ def _used_by(schemas: dict[str, Any], roots: Any) -> set[str]:
         elif isinstance(part, list):
             waiting += part
     return found
-
-
-@cache
-def _examples() -> dict[str, dict[str, Any]]:
-    """Return the examples: values of parameters by name or `operation.name`, bodies and answers by operation."""
-    read: dict[str, dict[str, Any]] = json.loads(_EXAMPLES.read_text(encoding="utf-8"))
-    return read
-
-
-def _add_examples(operation: dict[str, Any]) -> None:
-    """Add the examples of one operation to its parameters, its body and its answers, in place."""
-    known, name = _examples(), operation["operationId"]
-    for parameter in operation.get("parameters", ()):
-        for key in (parameter["name"], f"{name}.{parameter['name']}"):
-            value = known["parameters"].get(key)
-            # A general example does not fit a parameter of the same name with other values.
-            if value is not None and value in parameter.get("schema", {}).get("enum", [value]):
-                parameter["example"] = value
-    for kind in operation.get("requestBody", {}).get("content", {}).values():
-        if name in known["bodies"]:
-            kind["example"] = known["bodies"][name]
-    for status, answer in operation["responses"].items():
-        content = answer.get("content", {}).get("application/json")
-        if content is not None and status in ("200", "201", "202") and name in known["answers"]:
-            content["example"] = known["answers"][name]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import mimetypes
 import stat
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,29 +66,25 @@ class StaticFiles:
         if scope["method"] not in ("GET", "HEAD"):
             raise HTTPException(405)
         name = scope["path"][len(scope["root_path"]) + 1 :]
-        await self.reply(name, Headers(scope=scope))(scope, receive, send)
+        await self._reply(Headers(scope=scope), name)(scope, receive, send)
 
-    def page(self, name: str) -> Callable[[Request], Awaitable[Response]]:
-        """Return the handler of an address of its own for one of the files."""
+    def page(self, *names: str) -> Callable[[Request], Awaitable[Response]]:
+        """Return the handler of an address of its own for a file, or for several of one type as one file."""
 
         async def reply(request: Request) -> Response:
-            return self.reply(name, request.headers)
+            return self._reply(request.headers, *names)
 
         return reply
 
-    def joined(self, names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
-        """Return the handler of an address for several files of one type, one after another, as one file."""
-
-        async def reply(request: Request) -> Response:
-            files = [self._read(name) for name in names]
-            content = b"".join(file.content for file in files)
-            return _reply(files[0]._replace(content=content, tag=tag_of(content)), request.headers)
-
-        return reply
-
-    def reply(self, name: str, asked: Headers) -> Response:
-        """Return a reply with a file, or 304 if the browser has it. Directories, and names that lead out, give 404."""
-        return _reply(self._read(name), asked)
+    def _reply(self, asked: Headers, *names: str) -> Response:
+        """Return a reply with files, or 304 if the browser has them. Directories, and names that lead out, give 404."""
+        files = [self._read(name) for name in names]
+        content = b"".join(file.content for file in files)
+        tag = files[0].tag if len(files) == 1 else tag_of(content)
+        headers = {"ETag": tag, "Cache-Control": REVALIDATE}
+        if matches(asked.get("if-none-match"), tag):
+            return Response(status_code=304, headers=headers)
+        return Response(content, media_type=files[0].media_type, headers=headers)
 
     def _read(self, name: str) -> _Kept:
         """Return a file of the folder, which is read again only after a change."""
@@ -109,18 +105,11 @@ class StaticFiles:
         return kept
 
 
-def _reply(file: _Kept, asked: Headers) -> Response:
-    headers = {"ETag": file.tag, "Cache-Control": REVALIDATE}
-    if matches(asked.get("if-none-match"), file.tag):
-        return Response(status_code=304, headers=headers)
-    return Response(file.content, media_type=file.media_type, headers=headers)
-
-
 def install(app: FastAPI) -> None:
     """Add the pages to the application. They are not part of the OpenAPI document."""
     files = StaticFiles(WEB)
     # One request in place of one for each view: a browser sends six at a time, and asks for styles before all modules.
-    app.router.routes += [Route("/web/styles.css", files.joined(_STYLES)), Mount("/web", files, name="web")]
+    app.router.routes += [Route("/web/styles.css", files.page(*_STYLES)), Mount("/web", files, name="web")]
     # Routes of Starlette: those of FastAPI would read parameters, which these addresses do not have.
     app.router.routes += [Route(address, files.page(name)) for address, name in _PAGES.items()]
 

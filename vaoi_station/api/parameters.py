@@ -1,19 +1,26 @@
-"""Path and query parameters that several routes use, with their limits, and routers that refuse unclear ones."""
+"""Path and query parameters that several routes use, with their limits, and the routes that read them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Coroutine
 from enum import Enum
 from typing import Annotated, Any, get_args, get_origin
 
-from fastapi import APIRouter, Depends, Header, Path, Query, Request
+from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.routing import APIRoute
-from pydantic import BaseModel, Field
+from pydantic import AwareDatetime, BaseModel
+from starlette.routing import Match
+from starlette.types import Scope
 
-from vaoi_station.api.fast.rest_route import RestRoute
+from vaoi_station.api.addresses import path_of
+from vaoi_station.api.http_caching import LIVE
+from vaoi_station.api.rest_models import CALLER_ID, PLAIN_TEXT, PREVIEW_ID
 from vaoi_station.errors import InputError
 from vaoi_station.model.board_type import ONE_LINE, STORED_NAME
 
 PREFIX = "/api/v1"
+FOR_CACHES = "_"
+"""Name of a query parameter without a meaning, which pages and libraries add to keep caches from an older answer."""
 
 # Patterns refuse slashes and control characters here, before a name reaches a file path or a log.
 RUN_ID = r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$"
@@ -25,17 +32,8 @@ BoardTypeName = Annotated[
         pattern=STORED_NAME,
     ),
 ]
-# Control characters would break the lines of logs and messages, and labels and other programs do not show them.
-PLAIN_TEXT = r"^[^\x00-\x1f\x7f]*$"
-PlainText = Annotated[str, Field(pattern=PLAIN_TEXT)]
-"""A text in one line."""
-# A code on a board may have the separators of ISO/IEC 15434 (EOT, FS, GS, RS, US), and its whole text may be the id.
-CALLER_ID = r"^[^\x00-\x03\x05-\x1b\x7f]*$"
-CallerId = Annotated[str, Field(pattern=CALLER_ID)]
-"""An id of a board, as the caller states it or as a code on the board has it."""
 REVISION = r"^([0-9]{8}T[0-9]{9}Z-[0-9a-f]{8}|latest)$"
 Revision = Annotated[str, Path(description="Id of a version, as listed by `revisions`, or `latest`.", pattern=REVISION)]
-PREVIEW_ID = r"^[0-9a-f]{16}$"
 MOSAIC_NAME = r"^board(,[^/\x00-\x1f\x7f]{1,400})?$"
 Camera = Annotated[int, Path(description="Camera, from 0.", ge=0, le=9999)]
 Row = Annotated[int, Path(description="Row, from 0.", ge=0, le=99999)]
@@ -49,29 +47,19 @@ PxPerMm = Annotated[
         allow_inf_nan=False,
     ),
 ]
-MinCoverage = Annotated[
-    float,
-    Query(
-        description="Omit frames that show less than this share of the component.",
-        gt=0,
-        le=1,
-        allow_inf_nan=False,
-    ),
-]
 FormatName = Annotated[
-    str | None,
-    Query(description="png, jpeg, tiff, npy or raw; has precedence over Accept.", max_length=20),
+    str | None, Query(description="png, jpeg, tiff, npy or raw; has precedence over Accept.", max_length=20)
 ]
 IfMatch = Annotated[
-    str | None,
-    Header(alias="If-Match", description="ETag of what the caller has read; else 412.", max_length=500),
+    str | None, Header(alias="If-Match", description="ETag of what the caller has read; else 412.", max_length=500)
 ]
 IfNoneMatch = Annotated[
     str | None, Header(alias="If-None-Match", description="`*`: only if there is none; else 412.", max_length=500)
 ]
 TimeoutS = Annotated[float, Query(description="Maximum wait, s.", alias="timeout", ge=0, le=60, allow_inf_nan=False)]
+Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
 
-
+_NO_CONTROL = "must have no control characters"
 IN_WORDS = {
     RUN_ID: "must be the id of a run, as listed by runs",
     STORED_NAME: "must be the name of a board type, as listed by board-types: no slashes, no leading dot, at most "
@@ -79,13 +67,11 @@ IN_WORDS = {
     REVISION: "must be the id of a version, as listed by revisions of the board type, or latest",
     PREVIEW_ID: "must be the id of a preview, as listed by board-data/previews",
     MOSAIC_NAME: "must be the name of a mosaic, as listed by mosaics of the run",
-    PLAIN_TEXT: "must have no control characters",
-    ONE_LINE: "must have no control characters",
-    CALLER_ID: "must have no control characters but the separators of ISO/IEC 15434",
+    PLAIN_TEXT: _NO_CONTROL,
+    ONE_LINE: _NO_CONTROL,
+    CALLER_ID: f"{_NO_CONTROL} but the separators of ISO/IEC 15434",
 }
 """What a text must be that does not match a pattern: callers do not read regular expressions."""
-FOR_CACHES = "_"
-"""Name of a query parameter without a meaning."""
 
 
 def parse_box(name: str, text: str | None) -> tuple[float, float, float, float] | None:
@@ -104,8 +90,7 @@ async def refuse_unclear_parameters(request: Request) -> None:
     """Raise InputError if the query has a parameter that the route does not have, or one value too many.
 
     An ignored parameter would give an answer to another question: `runs?verdict=failed` would list all runs, and of
-    `verdict=ok&verdict=failed` only the last would count. `_` is ignored everywhere: pages and libraries add it to
-    keep caches from giving an older answer.
+    `verdict=ok&verdict=failed` only the last would count.
     """
     route = request.scope.get("route")
     if not request.query_params or not isinstance(route, APIRoute) or not route.include_in_schema:
@@ -155,17 +140,53 @@ def file_reply(description: str, *media: str) -> dict[int | str, dict[str, Any]]
     return {200: {"description": description, "content": dict.fromkeys(media, binary)}}
 
 
+class RestRoute(APIRoute):
+    """A route whose replies leave fields without a value out, and are not cached unless they say so."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **{**options, "response_model_exclude_none": True})
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the handler of FastAPI, whose replies get the default for caches."""
+        handle = super().get_route_handler()
+
+        async def handled(request: Request) -> Response:
+            response = await handle(request)
+            if response.status_code != 204:
+                response.headers.setdefault("Cache-Control", LIVE)
+            return response
+
+        return handled
+
+    def matches(self, scope: Scope) -> tuple[Match, Scope]:
+        """Compare the path first: a request is tried by some forty routes, which read more before they compare it."""
+        path = path_of(scope) if scope.get("root_path") else scope["path"]
+        other = self.path_regex.match(path) is None
+        return (Match.NONE, {}) if other else super().matches(scope)
+
+
+class RouteWithoutQuery(RestRoute):
+    """A route for requests without a query; the route for the others follows it, and describes both.
+
+    FastAPI reads each query parameter of a route in every request. For the 19 of a picture this takes as long as the
+    rest of the request, and a tester mostly sends none of them.
+    """
+
+    def matches(self, scope: Scope) -> tuple[Match, Scope]:
+        """Match a request without a query as other routes do, and no other request."""
+        return (Match.NONE, {}) if scope.get("query_string") else super().matches(scope)
+
+
 def rest_router(prefix: str = "", tags: list[str | Enum] | None = None, base: str = PREFIX) -> APIRouter:
     """Return a router whose routes are complete, with address, checks and name: the application takes them as they are.
 
     `FastAPI.include_router` would add all this too, but it builds each route anew, which takes as long as the first
     time.
     """
-    checks = [Depends(refuse_unclear_parameters)]
     return APIRouter(
         prefix=base + prefix,
         tags=tags,
-        dependencies=checks,
+        dependencies=[Depends(refuse_unclear_parameters)],
         generate_unique_id_function=operation_id,
         route_class=RestRoute,
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import quote
@@ -19,7 +19,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
-from starlette.routing import BaseRoute, Match, Mount
+from starlette.routing import Match, Mount
 from starlette.types import Scope
 
 from vaoi_station.api.addresses import path_of, root_of
@@ -29,8 +29,7 @@ from vaoi_station.errors import VaoiError
 MEDIA_TYPE = "application/problem+json"
 STREAM = "/api/v1/events"
 """Path of the event stream, whose reply has no end."""
-METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
-"""Methods that an address may have; HEAD follows from GET."""
+SAFE = ("GET", "HEAD", "OPTIONS")
 log = logging.getLogger(__name__)
 
 
@@ -97,7 +96,6 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "busy": (503, "Busy", "Try again in a moment."),
 }
 """For each kind of problem: HTTP status, title, and the default action."""
-
 _CODE_OF_STATUS = {400: "malformed", 404: "no-route", 405: "wrong-method", 406: "not-acceptable", 413: "too-large"}
 _KIND_OF_STATUS = {
     404: "not-found",
@@ -165,13 +163,13 @@ async def _refusal(request: Request, error: Exception) -> JSONResponse:
 
 async def _invalid(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
+    found = error.errors()
     # A wrong array may have thousands of faults; the first ones are enough to correct it.
-    faults = [_fault(f) for f in error.errors()[:20]]
-    code = "malformed" if any(f["type"] == "json_invalid" for f in error.errors()) else "invalid-input"
-    detail = "; ".join(f"{f.where}: {f.message}" for f in faults[:3])
-    if len(error.errors()) > 3:
-        detail += f"; and {len(error.errors()) - 3} more"
-    return problem_response(request.scope, code, detail + ".", errors=faults)
+    faults = [_fault(fault) for fault in found[:20]]
+    code = "malformed" if any(fault["type"] == "json_invalid" for fault in found) else "invalid-input"
+    more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
+    detail = "; ".join(f"{fault.where}: {fault.message}" for fault in faults[:3]) + more
+    return problem_response(request.scope, code, f"{detail}.", errors=faults)
 
 
 def _fault(fault: Mapping[str, Any]) -> Fault:
@@ -189,12 +187,12 @@ def _fault(fault: Mapping[str, Any]) -> Fault:
 async def _http(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
     path, code = request.url.path, _CODE_OF_STATUS.get(error.status_code, "internal")
-    allow = ", ".join(allowed_methods(request))
-    detail = {
-        "no-route": f"{path} does not exist.",
-        "wrong-method": f"{path} does not take {request.method}, only {allow}.",
-    }.get(code, str(error.detail))
-    headers = {"Allow": allow} if code == "wrong-method" else error.headers
+    detail, headers = str(error.detail), error.headers
+    if code == "no-route":
+        detail = f"{path} does not exist."
+    elif code == "wrong-method":
+        allow = ", ".join(allowed_methods(request))
+        detail, headers = f"{path} does not take {request.method}, only {allow}.", {"Allow": allow}
     return problem_response(request.scope, code, detail, status=error.status_code, headers=headers)
 
 
@@ -202,17 +200,16 @@ def allowed_methods(request: Request) -> list[str]:
     """Return all methods that the address of a request takes, sorted."""
     # Starlette names the methods of one route, but each method of an address has a route of its own.
     address = {"type": "http", "path": request.scope["path"], "root_path": root_of(request.scope)}
-    found = {method for method in METHODS if _takes(request.app.routes, {**address, "method": method})}
-    # `HeadAsGet` passes HEAD on as GET, except for the event stream, which has no end.
+    found = {
+        method
+        for method in ("GET", "POST", "PUT", "PATCH", "DELETE")
+        for route in request.app.routes
+        # A mounted folder matches every method; its files are only read.
+        if route.matches({**address, "method": method})[0] is Match.FULL
+        and (method == "GET" or not isinstance(route, Mount))
+    }
+    # HEAD is passed on as GET, except for the event stream, which has no end.
     return sorted(found | {"HEAD"} if "GET" in found and path_of(request.scope) != STREAM else found)
-
-
-def _takes(routes: Iterable[BaseRoute], scope: dict[str, Any]) -> bool:
-    # A mounted folder matches every method; its files are only read.
-    return any(
-        route.matches(scope)[0] is Match.FULL and (scope["method"] == "GET" or not isinstance(route, Mount))
-        for route in routes
-    )
 
 
 async def _unexpected(request: Request, error: Exception) -> JSONResponse:

@@ -5,11 +5,10 @@ A field without a value is left out of a reply. It is never null, so that every 
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
-from vaoi_station.api.parameters import CallerId, PlainText
 from vaoi_station.config import MethodName
 from vaoi_station.model import Strict
 from vaoi_station.model.board_type import BoardTypeState
@@ -18,6 +17,15 @@ from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.schemas import BoardTypeSummary, Choice, RunSummary
 
 Matrix3 = list[list[float]]
+# Control characters would break the lines of logs and messages, and labels and other programs do not show them.
+PLAIN_TEXT = r"^[^\x00-\x1f\x7f]*$"
+PlainText = Annotated[str, Field(pattern=PLAIN_TEXT)]
+"""A text in one line."""
+# A code on a board may have the separators of ISO/IEC 15434 (EOT, FS, GS, RS, US), and its whole text may be the id.
+CALLER_ID = r"^[^\x00-\x03\x05-\x1b\x7f]*$"
+CallerId = Annotated[str, Field(pattern=CALLER_ID)]
+"""An id of a board, as the caller states it or as a code on the board has it."""
+PREVIEW_ID = r"^[0-9a-f]{16}$"
 
 
 class ArmRequest(Strict):
@@ -118,15 +126,17 @@ class ComponentEntry(Strict):
 
     address: str = Field(description="`panel/ref` on a panel, else `ref`.")
     ref: str
-    panel: str | None
+    panel: str | None = None
     center_mm: tuple[float, float] = Field(description="CAD, in mm.")
     width_mm: float
     height_mm: float
     rotation_deg: float
-    tester_mm: tuple[float, float] | None = Field(description="Position at row 0, tester coordinates.")
+    tester_mm: tuple[float, float] | None = Field(default=None, description="Position at row 0, tester coordinates.")
     views: int = Field(description="Number of frames that show at least half of it.")
-    coverage: float | None = Field(description="Share of its footprint that the good frames show together, 0 … 1.")
-    in_one_frame: bool | None = Field(description="Whether one good frame shows the whole footprint.")
+    coverage: float | None = Field(
+        default=None, description="Share of its footprint that the good frames show together, 0 … 1."
+    )
+    in_one_frame: bool | None = Field(default=None, description="Whether one good frame shows the whole footprint.")
     unseen: bool = Field(description="Whether the good frames show less of it than the board type or station asks for.")
     skipped: bool = Field(default=False, description="Whether its board on the panel is crossed out, so not demanded.")
     sigma_px: float | None = Field(
@@ -149,8 +159,10 @@ class MosaicEntry(Strict):
     """One mosaic of a run: the whole board as one picture."""
 
     name: str
-    light: str | None = Field(description="Light whose rows it shows; absent: the light of most rows.")
-    exposure_us: float | None = Field(description="Exposure of its frames; absent: each camera's most frequent one.")
+    light: str | None = Field(default=None, description="Light whose rows it shows; absent: the light of most rows.")
+    exposure_us: float | None = Field(
+        default=None, description="Exposure of its frames; absent: each camera's most frequent one."
+    )
     hdr: bool = Field(description="Whether all exposures are merged. Tiles are then tone-mapped, the file is radiance.")
     width_px: int
     height_px: int
@@ -242,7 +254,7 @@ class ComponentViews(Strict):
     """All views of one component."""
 
     address: str
-    px_per_mm: float | None = Field(description="Resolution of the images; absent if there are none.")
+    px_per_mm: float | None = Field(default=None, description="Resolution of the images; absent if there are none.")
     plane_source: Literal["measured", "board-type"] | None = Field(
         default=None,
         description="With `plane=top`, what the height of the plane is: measured in this run, or `body_height` of the "
@@ -255,6 +267,28 @@ class ComponentViews(Strict):
         default=None, description="Why the images lie in another plane than requested, if they do."
     )
     views: list[ViewEntry]
+
+
+class MergedEntry(Strict):
+    """One merged picture. Matrices act on column vectors (x, y, 1)."""
+
+    k: int
+    merged: list[tuple[int, int]] = Field(description="[camera, row] of the frames it is merged of, best first.")
+    exposures: int = Field(description="Number of different exposures; with 1, saturated places have no value.")
+    lights: list[str] = Field(description="The light of the frames; empty if lights have no names.")
+    width_px: int
+    height_px: int
+    px_per_mm: float
+    plane_height_mm: float = Field(description="Height above the board of the plane in which frames are merged.")
+    crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of the picture.")
+    cad_from_crop: Matrix3
+    url: str = Field(description="Address of the picture.")
+
+
+class MergedList(Strict):
+    """The merged pictures of a component or region: the paper's m_v pictures, and last the one of all frames."""
+
+    pictures: list[MergedEntry]
 
 
 class Matrices(BaseModel):

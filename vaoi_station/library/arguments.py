@@ -1,8 +1,7 @@
 """Checks of the arguments of public functions.
 
-An argument of a wrong type or value raises an `InputError` that names the function, the argument, its value and the
-expected value. It is raised before anything is read, computed or written. A `TypeError` is raised only for a wrong
-number or name of arguments.
+A wrong type or value raises an `InputError` that names function, argument, value and limit, before anything is read,
+computed or written.
 """
 
 from __future__ import annotations
@@ -18,16 +17,14 @@ from vaoi_station.errors import InputError
 
 def require_path(function: str, name: str, value: object) -> Path:
     """Return a path argument as `Path`."""
-    if isinstance(value, str | Path) or (isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)):
-        path = Path(value)
-        # The operating system ends a path at this character, and Python raises ValueError for it.
-        if "\0" not in str(path):
-            return path
+    # The operating system ends a path at a zero character, and Python raises ValueError for it.
+    if isinstance(value, str | os.PathLike) and isinstance(path := os.fspath(value), str) and "\0" not in path:
+        return Path(path)
     raise InputError.field(function, name, value, "a path, as text or pathlib.Path")
 
 
 def require_text(function: str, name: str, value: object) -> str:
-    """Return a text argument; raise an error for an empty text."""
+    """Return a text argument, which must not be empty."""
     if not isinstance(value, str) or not value:
         raise InputError.field(function, name, value, "a text that is not empty")
     return value
@@ -52,11 +49,10 @@ def require_number(function: str, name: str, value: Any, least: float, most: flo
     return number
 
 
-def require_instance(function: str, name: str, value: object, *kinds: type) -> None:
-    """Refuse an argument that is not an instance of one of the given classes."""
-    if not isinstance(value, kinds):
-        names = " or ".join(kind.__name__ for kind in kinds)
-        raise InputError.field(function, name, value, f"of type {names}, not {type(value).__name__}")
+def require_instance(function: str, name: str, value: object, kind: type) -> None:
+    """Refuse an argument that is not an instance of a class."""
+    if not isinstance(value, kind):
+        raise InputError.field(function, name, value, f"of type {kind.__name__}, not {type(value).__name__}")
 
 
 def whole(value: Any) -> int | None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, Unpack
 
 from vaoi_station.library.component_images import ComponentImages
-from vaoi_station.library.live_station import Box, MergedPicture, Station, StationBoardTypes, StationRun, connect
+from vaoi_station.library.live_station import MergedPicture, Station, StationBoardTypes, StationRun, connect
 from vaoi_station.library.picture_stream import ComponentPictures
 from vaoi_station.model import Stitch
 from vaoi_station.rendering.request import ImageOptions
@@ -87,27 +87,17 @@ class AsyncStationRun(_InThreads[StationRun]):
         def fetch() -> ComponentImages:
             found = self.blocking.component(ref, **options)
             # Fetched here, so that a later access does not block the event loop.
-            fetched = [(image, image.pixels) for image in found]
-            images = tuple(replace(image, _load=functools.partial(_same, pixels)) for image, pixels in fetched)
-            return replace(found, images=images)
+            images = (replace(image, _load=functools.partial(_same, image.pixels)) for image in found)
+            return replace(found, images=tuple(images))
 
         return await asyncio.to_thread(fetch)
 
-    async def merged(
-        self,
-        component: str | None = None,
-        *,
-        region: Box | None = None,
-        light: str | None = None,
-        px_per_mm: float | None = None,
-        min_coverage: float | None = None,
-    ) -> tuple[MergedPicture, ...]:
+    @functools.wraps(StationRun.merged)
+    async def merged(self, *args: Any, **options: Any) -> tuple[MergedPicture, ...]:
         """Return pictures in linear radiance, with their pixels."""
 
         def fetch() -> tuple[MergedPicture, ...]:
-            pictures = self.blocking.merged(
-                component, region=region, light=light, px_per_mm=px_per_mm, min_coverage=min_coverage
-            )
+            pictures = self.blocking.merged(*args, **options)
             for picture in pictures:
                 _ = picture.radiance
             return pictures

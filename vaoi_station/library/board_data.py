@@ -59,23 +59,20 @@ def import_board_data(
     Raises:
         InputError: the file cannot be understood; the message says what to do.
     """
-    file = require_path("import_board_data", "path", path)
-    second = None if join is None else require_path("import_board_data", "join", join)
+    function = "import_board_data"
+    file = require_path(function, "path", path)
+    second = None if join is None else require_path(function, "join", join)
     if side not in ("top", "bottom"):
-        raise InputError.field("import_board_data", "side", side, '"top" or "bottom"')
-    _known(choices)
-    task = ImportTask.model_validate({"file": file, "side": side, "join": second, **choices})
-    reply = import_limited(task, OF_PERSONS)
+        raise InputError.field(function, "side", side, '"top" or "bottom"')
+    known = ImportChoices.__annotations__
+    for name, value in choices.items():
+        if name not in known:
+            raise InputError.field(function, name, value, f"one of {', '.join(known)}")
+        if not isinstance(value, (str, Path) if name == "sizes" else str):
+            raise InputError.field(function, name, value, "a text")
+    reply = import_limited(
+        ImportTask.model_validate({"file": file, "side": side, "join": second, **choices}), OF_PERSONS
+    )
     assert reply.overview is not None
     board = BoardType.model_validate_json(reply.board_type)
     return ImportedBoard(board, tuple(remark.message for remark in reply.overview.check), reply.picture)
-
-
-def _known(choices: ImportChoices) -> None:
-    """Raise InputError for a choice that is no text, or has an unknown name."""
-    for name, value in choices.items():
-        known = ", ".join(ImportChoices.__annotations__)
-        if name not in ImportChoices.__annotations__:
-            raise InputError.field("import_board_data", name, value, f"one of {known}")
-        if not isinstance(value, (str, Path) if name == "sizes" else str):
-            raise InputError.field("import_board_data", name, value, "a text")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,6 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
 from vaoi_station.rendering.contact_sheet import Tile, contact_sheet
 from vaoi_station.rendering.request import Plane
-
-FIELDS = (
-    "camera", "row", "coverage", "px_per_mm", "distorted", "sigma_px", "sigma_mm", "view_azimuth_deg", "view_angle_deg",
-    "sharpness_per_mm", "saturated", "time_s", "exposure_us", "gain", "light", "plane", "height_mm", "minus",
-)  # fmt: skip
-"""Fields of an image that replies of a station and descriptions of recorded images have under the same names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +67,7 @@ class ComponentImage:
     @property
     def pixels(self) -> NDArray[Any]:
         """The image, (height, width) or (height, width, 3) blue-green-red. It is rendered or fetched at each access."""
-        # The image is not cached: otherwise, a caller that visits all components of a board would hold all their
-        # images.
+        # Not cached, because a caller that visits all components would hold all their images.
         return self._load()
 
 
@@ -104,7 +97,6 @@ class ComponentImages:
     def figure(self) -> NDArray[np.uint8]:
         """Draw all images side by side, with the verdict above them; return (height, width, 3) blue-green-red."""
         tiles = [Tile(image.pixels, f"c{image.camera} r{image.row}", f"{image.coverage:.0%}") for image in self]
-        # A height is estimated from parallax between views, so a component may have images and no height.
         facts = [f"{len(self)} images"]
         if self.height_mm is not None:
             sigma = f" ± {self.height_sigma_mm:.2f}" if self.height_sigma_mm is not None else ""
@@ -112,14 +104,22 @@ class ComponentImages:
         return contact_sheet(tiles, self.ref, self.status, facts)
 
 
+def made_image(known: Mapping[str, Any], load: Callable[[], NDArray[Any]]) -> ComponentImage:
+    """Return the image that a reply of a station, or `rendering.selection.describe`, describes by its fields."""
+    figures = {f.name: known[f.name] for f in fields(ComponentImage) if f.init and f.name != "_load"}
+    for name in ("crop_from_cad", "image_from_crop", "covariance_px2"):
+        figures[name] = None if figures[name] is None else np.array(figures[name])
+    return ComponentImage(**figures, _load=load)
+
+
 def component_height(result: Stitch, ref: str) -> tuple[float | None, float | None]:
     """Return the estimated height of a component above the board and its standard deviation, mm."""
-    return _figure(result, "heights_mm", ref), _figure(result, "height_sigma_mm", ref)
 
+    def figure(key: str) -> float | None:
+        figures = result.quality.get(key, {})  # from a file, whose `quality` is not checked
+        value = figures.get(ref) if isinstance(figures, dict) else str(figures)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise InputError.field("the result", f"quality.{key}", value, "an object of numbers by ref")
+        return value
 
-def _figure(result: Stitch, key: str, ref: str) -> float | None:
-    figures = result.quality.get(key, {})
-    value = figures.get(ref) if isinstance(figures, dict) else str(figures)
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-        raise InputError.field("the result", f"quality.{key}", value, "an object of numbers by ref")
-    return value
+    return figure("heights_mm"), figure("height_sigma_mm")

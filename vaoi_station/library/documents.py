@@ -49,12 +49,11 @@ def read_image(path: str | Path) -> NDArray[Any]:
 
 def write_image(path: str | Path, pixels: NDArray[Any]) -> None:
     """Write a PNG, or an uncompressed TIFF if the path ends in .tiff or .tif, atomically. Create missing folders."""
-    # Callers pass slices of frames, whose rows are not adjacent in memory.
     target = require_path("write_image", "path", path)
     if target.suffix not in (".png", ".tif", ".tiff"):
         raise InputError.field("write_image", "path", str(target), "a name that ends in .png, .tif or .tiff")
     try:
-        array = np.asarray(pixels)
+        array = np.ascontiguousarray(pixels)  # callers pass slices of frames
     except ValueError as error:  # nested lists of different lengths
         raise InputError.field("write_image", "pixels", pixels, "an array of pixels") from error
     is_image = array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)
@@ -65,4 +64,4 @@ def write_image(path: str | Path, pixels: NDArray[Any]) -> None:
             "(height, width, 3) of uint8 or uint16.",
             action="Convert them first.",
         )
-    images.write_image(target, np.ascontiguousarray(array))
+    images.write_image(target, array)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from secrets import token_hex
 from typing import Any, Literal, TypedDict, Unpack
@@ -15,7 +15,18 @@ from urllib.parse import quote, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
+from vaoi_station.api.rest_models import (
+    BoardTypeList,
+    BoardTypeVersions,
+    ComponentList,
+    ComponentViews,
+    MergedEntry,
+    MergedList,
+    MosaicEntry,
+    MosaicList,
+)
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.config import MethodName
 from vaoi_station.demo.client import Client, checked, unusable_reply
@@ -24,27 +35,13 @@ from vaoi_station.files.caller_credentials import caller_credentials
 from vaoi_station.files.documents import read_text
 from vaoi_station.library.arguments import (
     require_instance,
-    require_number,
     require_path,
     require_text,
     require_whole,
 )
 from vaoi_station.library.board_data import ImportChoices
-from vaoi_station.library.component_images import FIELDS, ComponentImage, ComponentImages, component_height
+from vaoi_station.library.component_images import ComponentImages, component_height, made_image
 from vaoi_station.library.picture_stream import ComponentPictures, read_pictures
-from vaoi_station.library.replies import (
-    BoardTypeListReply,
-    ComponentListReply,
-    ComponentReply,
-    MergedListReply,
-    MergedReply,
-    MosaicListReply,
-    MosaicReply,
-    RunIdReply,
-    RunListReply,
-    VersionListReply,
-    ViewReply,
-)
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.model.board_type import BoardTypeState
@@ -83,106 +80,91 @@ class StationBoardTypes:
 
     def list(self) -> tuple[BoardTypeSummary, ...]:
         """Return a summary of each board type, sorted by name; `fault` says why a file cannot be used."""
-        return self._listing().board_types
+        return tuple(self._client.read(BoardTypeList, "/board-types").board_types)
 
     def deleted(self) -> tuple[str, ...]:
         """Return the names of deleted board types, of which a version can be restored."""
-        return self._listing().deleted
+        return tuple(self._client.read(BoardTypeList, "/board-types").deleted)
 
     def get(self, name: str) -> BoardType:
         """Return a board type."""
-        return self._client.read(BoardType, _path("get", name))
+        return self._client.read(BoardType, _path(name))
 
     def get_tagged(self, name: str) -> tuple[BoardType, str]:
         """Return a board type, and the tag of this version."""
-        path = _path("get_tagged", name)
+        path = _path(name)
         document, tag = self._client.tagged(path)
         return checked(BoardType, document, self._client.url(path)), tag
 
     def put(self, board_type: BoardType, *, tag: str | None = None, new: bool = False) -> BoardType:
-        """Store a board type, or replace it; the version before can be restored. Return what was stored.
+        """Store a board type under its name, or replace it; the version before can be restored.
 
-        Args:
-            board_type: the board type, under its name.
-            tag: replace only the version with this tag.
-            new: replace none: refuse if there is a board type of this name.
+        `tag`: replace only the version with this tag. `new`: refuse if there is a board type of this name.
         """
         require_instance("put", "board_type", board_type, BoardType)
         document = board_type.model_dump(mode="json", exclude_none=True)
-        path = _path("put", board_type.name)
-        return self._client.write(BoardType, "PUT", path, document, _conditions(tag, new=new))
+        return self._client.write(BoardType, "PUT", _path(board_type.name), document, _conditions(tag, new=new))
 
     def delete(self, name: str, *, tag: str | None = None) -> None:
         """Delete a board type, of which a version is kept; refused while the line is armed with it."""
-        self._client.act("DELETE", _path("delete", name), headers=_conditions(tag))
+        self._client.act("DELETE", _path(name), headers=_conditions(tag))
 
     def set_state(self, name: str, state: BoardTypeState, revision: str | None = None) -> BoardType:
         """Set the state `draft`, `approved` or `retired`, and the revision of the data if it is given."""
-        document = {"state": require_text("set_state", "state", state)}
-        document |= {} if revision is None else {"revision": require_text("set_state", "revision", revision)}
-        return self._client.write(BoardType, "PUT", _path("set_state", name, "/state"), document)
+        document = {"state": state} | ({} if revision is None else {"revision": revision})
+        return self._client.write(BoardType, "PUT", _path(name, "state"), document)
 
     def versions(self, name: str) -> tuple[BoardTypeVersion, ...]:
         """Return the versions that were replaced or deleted, newest first."""
-        return self._client.read(VersionListReply, _path("versions", name, "/revisions")).revisions
+        return tuple(self._client.read(BoardTypeVersions, _path(name, "revisions")).revisions)
 
     def version(self, name: str, version: str) -> BoardType:
         """Return the document of a version; `latest` is the one before the present."""
-        escaped = quote(require_text("version", "version", version), safe="")
-        return self._client.read(BoardType, _path("version", name, f"/revisions/{escaped}"))
+        return self._client.read(BoardType, _path(name, "revisions", version))
 
     def restore(self, name: str, version: str = "latest") -> BoardType:
         """Put a version in force again; the present one becomes a version itself."""
-        escaped = quote(require_text("restore", "version", version), safe="")
-        return self._client.write(BoardType, "POST", _path("restore", name, f"/revisions/{escaped}/restore"), {})
+        return self._client.write(BoardType, "POST", _path(name, "revisions", version, "restore"), {})
 
     def reference(self, name: str) -> ReferenceStatus | None:
         """Return the run against which boards of the type are placed; None if there is none."""
         try:
-            return self._client.read(ReferenceStatus, _path("reference", name, "/reference"))
+            return self._client.read(ReferenceStatus, _path(name, "reference"))
         except NotFoundError as error:
             if error.code != "no-reference":
                 raise
             return None
 
     def teach(self, name: str, run: str, *, confirm_orientation: bool = False) -> ReferenceStatus:
-        """Make a finished run the reference of its board type.
+        """Make a finished run, whose verdict is `ok` and whose frames are in memory, the reference of its board type.
 
-        Args:
-            name: name of the board type.
-            run: id of a run whose verdict is `ok`, and whose frames are in memory.
-            confirm_orientation: a person has checked that the board did not lie turned by 180°.
+        `confirm_orientation`: a person has checked that the board did not lie turned by 180°.
         """
-        document: dict[str, Any] = {"run": require_text("teach", "run", run)}
-        document |= {"confirm_orientation": True} if confirm_orientation else {}
-        return self._client.write(ReferenceStatus, "PUT", _path("teach", name, "/reference"), document)
+        document = {"run": run, "confirm_orientation": confirm_orientation}
+        return self._client.write(ReferenceStatus, "PUT", _path(name, "reference"), document)
 
     def forget_reference(self, name: str) -> None:
         """Delete the reference of a board type."""
-        self._client.act("DELETE", _path("forget_reference", name, "/reference"))
+        self._client.act("DELETE", _path(name, "reference"))
 
     def method(self, name: str) -> StitchingMethod:
         """Return the stitching method of a board type, and whether it was set for it."""
-        return self._client.read(StitchingMethod, _path("method", name, "/method"))
+        return self._client.read(StitchingMethod, _path(name, "method"))
 
     def set_method(self, name: str, method: MethodName) -> StitchingMethod:
         """Set the stitching method of a board type."""
-        document = {"method": require_text("set_method", "method", method)}
-        return self._client.write(StitchingMethod, "PUT", _path("set_method", name, "/method"), document)
+        return self._client.write(StitchingMethod, "PUT", _path(name, "method"), {"method": method})
 
     def forget_method(self, name: str) -> StitchingMethod:
         """Delete the method that was set for a board type; return the station's, which applies then."""
-        return self._client.write(StitchingMethod, "DELETE", _path("forget_method", name, "/method"))
-
-    def _listing(self) -> BoardTypeListReply:
-        return self._client.read(BoardTypeListReply, "/board-types")
+        return self._client.write(StitchingMethod, "DELETE", _path(name, "method"))
 
 
 @dataclass(frozen=True, eq=False)
 class MergedPicture:
     """A picture in linear radiance that was merged of frames of several exposures."""
 
-    facts: MergedReply
+    facts: MergedEntry
     """Its frames, exposures, lights, size and matrices."""
     _load: Callable[[bool], NDArray[Any]] = field(repr=False)
 
@@ -227,7 +209,7 @@ class StationRun:
     @cached_property
     def refs(self) -> tuple[str, ...]:
         """Addresses of all components of the board type."""
-        listing = self._client.read(ComponentListReply, self._path("components"))
+        listing = self._client.read(ComponentList, self._path("components"))
         return tuple(entry.address for entry in listing.components)
 
     def component(self, ref: str, **options: Unpack[ImageOptions]) -> ComponentImages:
@@ -235,10 +217,7 @@ class StationRun:
 
         Args:
             ref: address of the component.
-            **options: `px_per_mm`, `margin_mm`, `align` ("cad", "part") and `plane` ("board", "top") frame the images;
-                `light`, `seen_from` with `within_deg`, and bounds of coverage, exposure, angle, sharpness and
-                saturation choose them; `order` ("best", "sharpest") and `limit` follow; `minus` subtracts another
-                light; `measure` measures sharpness and saturation of each. docs/rest.md describes all of them.
+            **options: the fields of `ImageOptions`, which docs/rest.md describes ("Choosing images").
 
         Raises:
             InputError: an option is not of its type, or outside its limits, or the run has no such light.
@@ -248,56 +227,38 @@ class StationRun:
         require_text("component", "ref", ref)
         wanted = ImageRequest.of(options)
         # On a panel, `ref` is `panel/ref`; `quote` keeps the slash, which the path of the component contains as well.
-        reply = self._client.read(ComponentReply, self._path(f"components/{quote(ref)}"), **wanted.options())
+        reply = self._client.read(ComponentViews, self._path(f"components/{quote(ref)}"), **wanted.options())
         height, sigma = component_height(self.result, ref)
-        images = tuple(self._image(view) for view in reply.views)
+        images = tuple(made_image(dict(view), partial(self._pixels, view.url)) for view in reply.views)
         return ComponentImages(ref, images, height, sigma, self.status, reply.remark)
 
     def pictures(self, *components: str, **options: Unpack[ImageOptions]) -> Iterator[ComponentPictures]:
         """Yield the pictures of many components, each when all of its pictures have arrived, from one request.
 
-        Args:
-            *components: addresses of components; none: all components of the run.
-            **options: as for `component`.
-
-        Raises:
-            InputError: an option is not of its type, or outside its limits, or the run has no such light.
-            NotFoundError: the board type has no such component.
-            GoneError: the station no longer keeps the frames of the run, or gave up their memory meanwhile.
+        Without `components`: of all components of the run. Options and errors are as for `component`.
         """
-        for ref in components:
-            require_text("pictures", "component", ref)
-        wanted = ImageRequest.of(options).options()
-        path = self._path("images")
-        with self._client.opened(path, component=components or None, format="raw", **wanted) as reply:
-            yield from read_pictures(reply, self._client.url(path))
+        yield from self._streamed(ImageRequest.of(options), component=components or None)
 
     def region(self, region: Box, **options: Unpack[ImageOptions]) -> ComponentPictures:
         """Return the pictures of a part of the board, best first; options as for `component`."""
-        text = ",".join(f"{v!r}" for v in _box("region", region))
-        wanted = ImageRequest.of(options).options()
-        path = self._path("images")
-        with self._client.opened(path, region=text, format="raw", **wanted) as reply:
-            found = list(read_pictures(reply, self._client.url(path)))
+        found = list(self._streamed(ImageRequest.of(options), region=_box(region)))
         if len(found) != 1:
-            raise unusable_reply(self._client.url(path), f"{len(found)} regions where one was asked for")
+            path = self._client.url(self._path("images"))
+            raise unusable_reply(path, f"{len(found)} regions where one was asked for")
         return found[0]
+
+    def _streamed(self, wanted: ImageRequest, **query: object) -> Iterator[ComponentPictures]:
+        path = self._path("images")
+        with self._client.opened(path, **query, format="raw", **wanted.options()) as reply:
+            yield from read_pictures(reply, self._client.url(path))
 
     def frame(self, camera: int, row: int, *, incomplete: bool = False) -> NDArray[Any]:
         """Return a frame as the camera delivered it, (h, w) or (h, w, 3), 8 or 16 bit.
 
-        Args:
-            camera: number of the camera.
-            row: number of the row.
-            incomplete: return it also if packets are missing, or if nothing proves that it is of this row.
-
-        Raises:
-            StateError: the frame is incomplete or unproven, and `incomplete` is False.
-            GoneError: the station no longer keeps the frames of the run.
+        `incomplete`: also if packets are missing, or if nothing proves that it is of this row; else StateError.
         """
-        numbers = require_whole("frame", "camera", camera, 0, 10_000), require_whole("frame", "row", row, 0, 1_000_000)
-        path = self._path(f"frames/{numbers[0]}/{numbers[1]}")
-        return self._array(path, incomplete="show" if incomplete else None)
+        query = {"format": "npy", "incomplete": "show" if incomplete else None}
+        return self._array(self._path(f"frames/{camera}/{row}"), **query)
 
     def merged(
         self,
@@ -311,48 +272,40 @@ class StationRun:
         """Return pictures in linear radiance of a component or a region; the last one is of all frames of a light.
 
         Args:
-            component: address of the component.
-            region: a part of the board in place of a component.
+            component: address of the component; or give `region`, a part of the board.
+            region: see `component`.
             light: merge the frames under this light; by default that of most frames of the run.
             px_per_mm: resolution; by default that of the cameras.
             min_coverage: omit frames that show a smaller share.
         """
         query = {
             "component": component,
-            "region": None if region is None else ",".join(f"{v!r}" for v in _box("merged", region)),
+            "region": None if region is None else _box(region),
             "light": light,
             "px_per_mm": px_per_mm,
             "min_coverage": min_coverage,
         }
-        listing = self._client.read(MergedListReply, self._path("merged"), **query)
+        listing = self._client.read(MergedList, self._path("merged"), **query)
 
-        def picture(facts: MergedReply) -> MergedPicture:
+        def picture(facts: MergedEntry) -> MergedPicture:
             def load(sigma: bool) -> NDArray[Any]:
-                return self._array(f"{facts.url}&format=npy{'&sigma=true' if sigma else ''}", None)
+                return self._array(f"{facts.url}&format=npy{'&sigma=true' if sigma else ''}")
 
             return MergedPicture(facts, load)
 
-        return tuple(picture(facts) for facts in listing.pictures)
+        return tuple(map(picture, listing.pictures))
 
-    def mosaics(self) -> tuple[MosaicReply, ...]:
+    def mosaics(self) -> tuple[MosaicEntry, ...]:
         """Return the pictures of the whole board that the station offers: by light, by exposure, and merged."""
-        return self._client.read(MosaicListReply, self._path("mosaics")).mosaics
+        return tuple(self._client.read(MosaicList, self._path("mosaics")).mosaics)
 
     def save_mosaic(
         self, name: str, path: str | Path, *, region: Box | None = None, px_per_mm: float | None = None
     ) -> None:
-        """Write a picture of the whole board, or of a region, to a file: tiled, pyramidal TIFF.
-
-        Args:
-            name: name of one of `mosaics`.
-            path: the file, which is complete or unchanged.
-            region: a part of the board.
-            px_per_mm: resolution; by default that of the cameras.
-        """
+        """Write one of `mosaics`, or a region of it, as a tiled, pyramidal TIFF; the file is complete or unchanged."""
         target = require_path("save_mosaic", "path", path)
-        corners = (
-            {} if region is None else dict(zip(("x0", "y0", "x1", "y1"), _box("save_mosaic", region), strict=True))
-        )
+        values = () if region is None else _box(region).split(",")
+        corners = dict(zip(("x0", "y0", "x1", "y1"), values, strict=False))
         address = self._path(f"mosaics/{quote(require_text('save_mosaic', 'name', name), safe='')}.tif")
         # Calls at the same time write to several drafts, so that they do not mix them.
         part = target.with_name(f".{target.name}.{token_hex(4)}.part")
@@ -364,12 +317,7 @@ class StationRun:
             part.unlink(missing_ok=True)
 
     def heights(self) -> Mapping[str, HeightEntry]:
-        """Return the heights of the components above the board, by address.
-
-        Raises:
-            StateError: the run has no CAD mapping, or the calibration no working distance.
-            GoneError: they were not measured while the frames were there.
-        """
+        """Return the heights of the components above the board, by address; GoneError if they were not measured."""
         return self._client.read(HeightList, self._path("heights")).heights
 
     def timeline(self) -> Timeline:
@@ -379,29 +327,18 @@ class StationRun:
     def identity(self, timeout_s: float = 0.0) -> IdentityDocument:
         """Return which board the run shows: the ids that were armed, read and reported, and whether they agree.
 
-        Args:
-            timeout_s: longest wait for the codes, 0 to 60; before they are read, `state` is `pending`.
+        `timeout_s`, at most 60, is the longest wait for the codes; before they are read, `state` is `pending`.
         """
-        require_number("identity", "timeout_s", timeout_s, 0.0, 60.0)
         return self._client.read(IdentityDocument, self._path("identity"), timeout=timeout_s)
 
     def report_next_machine(self, board_id: str, machine: str = "") -> IdentityDocument:
         """Report the id that the next machine of the line has read of this board; return the ids compared."""
-        fields = {"board_id": require_text("report_next_machine", "board_id", board_id), "machine": machine}
+        fields = {"board_id": board_id, "machine": machine}
         return self._client.write(IdentityDocument, "PUT", self._path("identity/next-machine"), fields)
 
     def decide(self, choice: Choice, name: str, reason: str) -> None:
-        """Keep what a person has decided about the run: `film-again`, or `use` its pictures despite the verdict.
-
-        Args:
-            choice: the decision; the verdict stays as it is.
-            name: name of the person.
-            reason: why.
-        """
-        given = {"choice": choice, "name": name, "reason": reason}
-        for field_name, value in given.items():
-            require_text("decide", field_name, value)
-        self._client.act("PUT", self._path("decision"), given)
+        """Keep what a person has decided: `film-again`, or `use` the pictures despite the verdict, which stays."""
+        self._client.act("PUT", self._path("decision"), {"choice": choice, "name": name, "reason": reason})
 
     def pin(self) -> None:
         """Keep the run until it is unpinned: result and record, and its frames as a recording if they are there."""
@@ -412,25 +349,17 @@ class StationRun:
         self._client.act("DELETE", self._path("pin"))
 
     def hold(self, holder: str, purpose: str = "") -> LeaseStatus:
-        """Keep the frames of the run in memory until the hold expires or ends; a repeated call renews the hold.
-
-        Raises:
-            GoneError: the station no longer keeps the frames.
-        """
+        """Keep the frames of the run in memory until the hold expires or ends; a repeated call renews the hold."""
         return self._client.write(LeaseStatus, "PUT", self._path("hold"), holder=holder, purpose=purpose)
 
     def end_hold(self, holder: str) -> None:
         """End the hold of `hold`; the frames stay as long as the station has memory for them."""
-        self._client.act("DELETE", self._path("hold"), holder=require_text("end_hold", "holder", holder))
+        self._client.act("DELETE", self._path("hold"), holder=holder)
 
     def release(self, holder: str | None = None) -> None:
         """Give up the frames of the run, so that the next board can use their memory; the result stays.
 
-        Args:
-            holder: the name under which the caller held the run; None if it did not.
-
-        Raises:
-            StateError: another caller holds the run.
+        `holder` is the name under which the caller held it. StateError: another caller holds the run.
         """
         self._client.act("POST", self._path("release"), {}, holder=holder or None)
 
@@ -450,22 +379,15 @@ class StationRun:
     def _path(self, rest: str) -> str:
         return f"/runs/{quote(self.id, safe='')}/{rest}"
 
-    def _array(self, path: str, format: Literal["npy"] | None = "npy", **query: Any) -> NDArray[Any]:
-        content = self._client.content(path, format=format, **query)
+    def _pixels(self, url: str) -> NDArray[Any]:
+        return self._client.picture(url)[1]
+
+    def _array(self, path: str, **query: Any) -> NDArray[Any]:
+        content = self._client.content(path, **query)
         try:
-            found = np.load(io.BytesIO(content), allow_pickle=False)
+            return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
         except (ValueError, EOFError) as error:
             raise unusable_reply(self._client.url(path), f"{len(content)} bytes that are no array") from error
-        return np.asarray(found)
-
-    def _image(self, view: ViewReply) -> ComponentImage:
-        def load() -> NDArray[Any]:
-            return self._client.picture(view.url)[1]
-
-        fields: dict[str, Any] = {name: getattr(view, name) for name in FIELDS}
-        fields |= {"crop_from_cad": view.crop_from_cad, "image_from_crop": view.image_from_crop}
-        covariance = None if view.covariance_px2 is None else np.array(view.covariance_px2)
-        return ComponentImage(**fields, covariance_px2=covariance, _load=load)
 
 
 @dataclass(frozen=True, eq=False)
@@ -503,12 +425,7 @@ class StationImport:
         return StationImport(dict(reply), self._client)
 
     def confirm(self, *, tag: str | None = None, new: bool = False) -> BoardType:
-        """Store the board type on the station, so that it can be armed.
-
-        Args:
-            tag: replace only the version with this tag (`StationBoardTypes.get_tagged`).
-            new: replace none: refuse with the code `changed` if there is a board type of this name.
-        """
+        """Store the board type on the station, so that it can be armed; `tag` and `new` as for `board_types.put`."""
         headers = _conditions(tag, new=new)
         return self._client.write(BoardType, "POST", f"{self._address}/confirm", {}, headers)
 
@@ -523,6 +440,13 @@ class StationImport:
     @property
     def _address(self) -> str:
         return f"{_PREVIEWS}/{quote(str(self.document['id']))}"
+
+
+class _RunPage(BaseModel):
+    """A page of the list of runs, whose summaries are handed on as the station gives them."""
+
+    runs: list[dict[str, Any]]
+    next: str | None = None
 
 
 class RunFilters(TypedDict, total=False):
@@ -557,7 +481,9 @@ class Station:
         if not isinstance(key, str | None):
             # The type only: a value of another type may still contain the key.
             raise InputError.field("connect", "key", type(key).__name__, "a text")
-        credentials = caller_credentials(_optional_path("key_file", key_file), _optional_path("ca", ca), key=key)
+        files = {"key_file": key_file, "ca": ca}
+        paths = (None if path is None else require_path("connect", name, path) for name, path in files.items())
+        credentials = caller_credentials(*paths, key=key)
         self._client = Client(checked_address(address), credentials)
         self.board_types = StationBoardTypes(self._client)
         """The board types of the station."""
@@ -586,21 +512,10 @@ class Station:
             allow_lost_cameras: arm although cameras are missing.
             passing: while a board passes, which keeps the order before: "wait" until it has left (the default), take
                 effect "after" it and return at once, or "refuse".
-
-        Raises:
-            NotFoundError: the station has no such board type.
-            StateError: the line cannot be armed in the present state.
-            BusyError: all memory is in use, or a camera is missing.
         """
-        fields = {
-            "board_type": require_text("arm", "board_type", board_type),
-            "board_id": board_id,
-            "job_id": job_id,
-            "runs": None if runs is None else require_whole("arm", "runs", runs, 1, 1_000_000),
-            "allow_lost_cameras": allow_lost_cameras or None,
-            "passing": None if passing is None else require_text("arm", "passing", passing),
-        }
-        given = {name: value for name, value in fields.items() if value is not None}
+        order = {"board_type": board_type, "board_id": board_id, "job_id": job_id, "runs": runs, "passing": passing}
+        given = {name: value for name, value in order.items() if value is not None}
+        given |= {"allow_lost_cameras": True} if allow_lost_cameras else {}
         return self._given("/station/arm", self._client.post("/station/arm", **given))
 
     def disarm(self) -> dict[str, Any]:
@@ -628,7 +543,7 @@ class Station:
         found: list[dict[str, Any]] = []
         # One reply has at most `_PAGE` runs, and with a filter it may have fewer although more follow.
         while missing > 0:
-            page = self._client.read(RunListReply, "/runs", **query, limit=min(missing, _PAGE))
+            page = self._client.read(_RunPage, "/runs", **query, limit=min(missing, _PAGE))
             found += page.runs
             missing -= len(page.runs)
             if page.next is None:
@@ -656,11 +571,8 @@ class Station:
         Args:
             after: id of the last run that the caller knows, so that no run is missed. By default the call returns the
                 next run to finish.
-            timeout_s: 0 to 60.
+            timeout_s: at most 60.
         """
-        if after is not None:
-            require_text("wait_for_run", "after", after)
-        require_number("wait_for_run", "timeout_s", timeout_s, 0.0, 60.0)
         summary = self._client.get("/runs/next", after=after, timeout=timeout_s)
         return None if summary is None else self._run(summary, "/runs/next")
 
@@ -679,7 +591,10 @@ class Station:
         return dict(reply)
 
     def _run(self, summary: Any, path: str) -> StationRun:
-        return StationRun(checked(RunIdReply, summary, self._client.url(path)).id, dict(summary), self._client)
+        found = self._given(path, summary)
+        if not isinstance(found.get("id"), str) or not found["id"]:
+            raise unusable_reply(self._client.url(path), "another document than expected: it has no id")
+        return StationRun(found["id"], found, self._client)
 
 
 def connect(
@@ -723,10 +638,6 @@ def _filters(given: RunFilters) -> dict[str, str]:
     return query
 
 
-def _optional_path(name: str, value: str | Path | None) -> Path | None:
-    return None if value is None else require_path("connect", name, value)
-
-
 def checked_address(address: str) -> str:
     """Return the address without a slash at its end; raise InputError if it is not `http://HOST:PORT`."""
     if not isinstance(address, str) or not address.startswith(("http://", "https://")):
@@ -742,8 +653,10 @@ def checked_address(address: str) -> str:
     return address.rstrip("/")
 
 
-def _path(function: str, name: object, rest: str = "") -> str:
-    return f"/board-types/{quote(require_text(function, 'name', name), safe='')}{rest}"
+def _path(name: object, *rest: str) -> str:
+    """Return the path of a board type, or of what follows it."""
+    parts = (require_text("board types", "name", part) for part in (name, *rest))
+    return f"/board-types/{'/'.join(quote(part, safe='') for part in parts)}"
 
 
 def _conditions(tag: str | None, *, new: bool = False) -> dict[str, str]:
@@ -752,10 +665,5 @@ def _conditions(tag: str | None, *, new: bool = False) -> dict[str, str]:
     return match | ({"If-None-Match": "*"} if new else {})
 
 
-def _box(function: str, region: object) -> Box:
-    """Return a region as four numbers; raise InputError if it is none."""
-    values = tuple(region) if isinstance(region, Iterable) and not isinstance(region, str) else ()
-    if len(values) != 4:
-        raise InputError.field(function, "region", region, "four numbers: x0, y0, x1, y1")
-    x0, y0, x1, y1 = (require_number(function, "region", v, -1e6, 1e6) for v in values)
-    return x0, y0, x1, y1
+def _box(region: Box) -> str:
+    return ",".join(repr(float(value)) for value in region)

@@ -51,11 +51,7 @@ class MosaicOrder:
 
 
 def write_board(order: MosaicOrder) -> Iterator[str]:
-    """Write the mosaic and the document beside it, and yield lines that say what was written.
-
-    Raises:
-        VaoiError: an input is wrong, an output exists, or the disk is full; nothing is written then.
-    """
+    """Write the mosaic and the document beside it, or nothing, and yield lines that say what was written."""
     refuse_existing(order.out)
     refuse_existing(order.document)
     recording = open_recording(order.case)

@@ -42,33 +42,39 @@ def read_pictures(reply: BinaryIO, url: str) -> Iterator[ComponentPictures]:
         DeviceError: the answer ended early, the station had a fault, or the bytes are no such answer.
     """
     begun: dict[str, tuple[dict[str, Any], list[NDArray[Any]]]] = {}
-    ended = False
+    end: dict[str, Any] | None = None
     try:
-        for name, content in _files(reply, url):
+        for name, content in _files(reply):
             folder, _, file = name.rpartition("/")
             if file == "views.json":
                 begun[folder] = json.loads(content), []
             elif file == "end.json":
-                _check_end(json.loads(content), url)
-                ended = True
+                end = json.loads(content)
+                if not end["complete"]:
+                    error = end["error"]
+                    kind = GoneError if error["code"] in (GoneError.code, "frames-gone") else DeviceError
+                    raise kind(f"{url}: {error['message']}", action=error["action"], code=error["code"])
             elif file != "run.json":
                 document, pixels = begun[folder]
-                pixels.append(_pixels(content, document["views"][len(pixels)]))
+                view = document["views"][len(pixels)]
+                shape = (view["height_px"], view["width_px"], view["channels"])[: 2 if view["channels"] == 1 else 3]
+                pixels.append(np.frombuffer(content, np.dtype(view["dtype"])).reshape(shape))
             document, pixels = begun.get(folder, ({}, []))
             if document and len(pixels) == len(document["views"]):
                 del begun[folder]
                 refused = document["refused"]["message"] if document.get("refused") else None
                 yield ComponentPictures(document["address"], tuple(document["views"]), tuple(pixels), refused)
+    except EOFError:
+        end = None
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise unusable_reply(url, f"a batch that cannot be read ({type(error).__name__}: {error})") from error
-    if not ended or begun:
+    if end is None or begun:
         raise unusable_reply(url, "a batch that ends early")
 
 
-def _files(reply: BinaryIO, url: str) -> Iterator[tuple[str, bytes]]:
-    """Yield name and content of each part."""
-    boundary = reply.readline(_MOST_HEAD).strip()
-    line = boundary
+def _files(reply: BinaryIO) -> Iterator[tuple[str, bytes]]:
+    """Yield name and content of each part; raise EOFError if the answer ends before its last boundary."""
+    boundary = line = reply.readline(_MOST_HEAD).strip()
     while line == boundary and boundary.startswith(b"--"):
         headers = {}
         while header := reply.readline(_MOST_HEAD).strip():
@@ -76,23 +82,9 @@ def _files(reply: BinaryIO, url: str) -> Iterator[tuple[str, bytes]]:
             headers[key.lower()] = value
         content = reply.read(int(headers["content-length"]))
         if len(content) < int(headers["content-length"]):
-            raise unusable_reply(url, "a batch that ends early")
+            raise EOFError
         yield headers["content-disposition"].partition('filename="')[2].rstrip('"'), content
         reply.readline(_MOST_HEAD)
         line = reply.readline(_MOST_HEAD).strip()
     if line != boundary + b"--":
-        raise unusable_reply(url, "a batch that ends early")
-
-
-def _pixels(content: bytes, view: Mapping[str, Any]) -> NDArray[Any]:
-    channels = int(view["channels"])
-    shape = (view["height_px"], view["width_px"]) + ((channels,) if channels > 1 else ())
-    return np.frombuffer(content, np.dtype(view["dtype"])).reshape(shape)
-
-
-def _check_end(end: Mapping[str, Any], url: str) -> None:
-    if end["complete"]:
-        return
-    error = end["error"]
-    kind = GoneError if error["code"] in (GoneError.code, "frames-gone") else DeviceError
-    raise kind(f"{url}: {error['message']}", action=error["action"], code=error["code"])
+        raise EOFError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
@@ -19,7 +19,7 @@ from vaoi_station.geometry import Camera, apply
 from vaoi_station.geometry.displacement import PARAMETERS, displace_camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.library.arguments import require_path, require_text, require_whole, whole
-from vaoi_station.library.component_images import FIELDS, ComponentImage, ComponentImages, component_height
+from vaoi_station.library.component_images import ComponentImages, component_height, made_image
 from vaoi_station.model import BoardType, Calibration, Component, Status, Stitch
 from vaoi_station.rendering import (
     ChosenImages,
@@ -36,7 +36,6 @@ from vaoi_station.rendering import (
     render_chosen,
 )
 from vaoi_station.rendering.selection import component_covariances, describe, frame_facts
-from vaoi_station.stitching.matching.evidence import MethodName
 from vaoi_station.stitching.paper_method import stitch_by_paper
 from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
 from vaoi_station.stitching.recordings.origin import check_origin, with_origin
@@ -94,23 +93,17 @@ class RecordedRun:
                     yield camera, row, pixels
 
     def stitch(self, method: Method = "auto") -> StitchedRun:
-        """Stitch the recording; see `docs/measured/methods.md` for the methods.
-
-        Raises:
-            InputError: the method is unknown, or needs a reference that was not given.
-        """
-        if not isinstance(method, str) or method not in METHODS:
+        """Stitch the recording; docs/measured/methods.md describes the methods. InputError: it needs a reference."""
+        if method not in METHODS:
             raise InputError(f"method is {method!r}, but must be one of {', '.join(METHODS)}.")
-        # The paper's method is not a kind of evidence. It replaces the station's stitching below and ignores this
-        # setting.
-        evidence: MethodName = "auto" if method == "paper" else method
-        # The run is opened for each call, because the kind of evidence is part of the set-up that an opened run holds.
+        # The paper's method replaces the station's stitching below, and ignores the kind of evidence, which is part of
+        # the set-up that an opened run holds.
         opened = open_run(
             self.directory,
             calibration=self.calibration_path,
             board=self.board_path,
             reference=self.reference_path,
-            method=evidence,
+            method="auto" if method == "paper" else method,
             rotation_deg=self.rotation_deg,
         )
         recording = opened.recording
@@ -122,12 +115,10 @@ class RecordedRun:
         return self._with(with_origin(result, recording, opened.calibration, self.board_type))
 
     def with_result(self, result: Stitch | str | Path) -> StitchedRun:
-        """Combine the recording with a result, or with a result file of an earlier stitch.
+        """Combine the recording with a result, or a result file, of an earlier stitch.
 
-        Raises:
-            InputError: the result belongs to another recording, calibration or board type. This is checked by pixels
-                of a frame and by the documents, if the result was made by `stitch` or `vaoi stitch`; results of other
-                sources and of older versions are compared by calibration and numbers of cameras and rows only.
+        InputError: it belongs to another recording, calibration or board type. Results that `stitch` or `vaoi stitch`
+        made are checked by pixels and documents, others by calibration and numbers of cameras and rows only.
         """
         if isinstance(result, Stitch):
             stitch, name = result, "the result"
@@ -254,10 +245,7 @@ class StitchedRun:
 
         Args:
             ref: address of the component.
-            **options: `px_per_mm`, `margin_mm`, `align` ("cad", "part") and `plane` ("board", "top") frame the images;
-                `light`, `seen_from` with `within_deg`, and bounds of coverage, exposure, angle, sharpness and
-                saturation choose them; `order` ("best", "sharpest") and `limit` follow; `minus` subtracts another
-                light; `measure` measures sharpness and saturation of each. docs/rest.md describes all of them.
+            **options: the fields of `ImageOptions`, which docs/rest.md describes ("Choosing images").
 
         Raises:
             InputError: an option is outside its limits or gives too large an image, or the run has no such light.
@@ -268,23 +256,19 @@ class StitchedRun:
         chosen = self.choose(ref, ImageRequest.of(options))
         covariances = component_covariances(self.result, ref)
         height, sigma = component_height(self.result, ref)
-        # Images are matched by frame; a centre outside its frame has an image but no covariance.
-        images = tuple(
-            self._image(choice, chosen.covariance_px2(choice, covariances.get((choice.view.camera, choice.view.row))))
-            for choice in chosen.chosen
-        )
-        return ComponentImages(ref, images, height, sigma, self.status, chosen.remark)
+        images = []
+        for choice in chosen.chosen:
+            # A centre outside its frame has an image but no covariance.
+            covariance_px2 = chosen.covariance_px2(choice, covariances.get((choice.view.camera, choice.view.row)))
+            images.append(made_image(describe(choice, covariance_px2), partial(self.load, choice)))
+        return ComponentImages(ref, tuple(images), height, sigma, self.status, chosen.remark)
 
     def all_pictures(
         self, *, px_per_mm: float | None = None, min_coverage: float = 0.5
     ) -> dict[str, list[NDArray[Any]]]:
         """Return the pictures of all components by address, those of one as in `component(ref).images`.
 
-        All are rendered at once, frame by frame, so that each is read once.
-
-        Raises:
-            InputError: an option is outside its limits or gives too large a picture.
-            StateError: the run has no board type or no CAD mapping.
+        All are rendered frame by frame, so that each is read once.
         """
         parts, missing = self._board_type.components, set(self.recording.head.missing)
         table = self._views.compute_all(parts, px_per_mm=px_per_mm, min_coverage=min_coverage)
@@ -300,7 +284,7 @@ class StitchedRun:
         # A row with one good frame has matrices for all cameras, also for those whose frame never arrived.
         frames = set(self._facts) - set(self.recording.head.missing)
         run = self._board_type, self.result
-        return choose_all(self._views, [self._part(ref)], run, (frames, self._facts), wanted, self._measure)[0]
+        return choose_all(self._views, [self._part(ref)], run, (frames, self._facts), wanted, self._measured)[0]
 
     def center(self, ref: str) -> tuple[float, float]:
         """Return the centre of a component in CAD coordinates, in the unit of the board type."""
@@ -308,15 +292,10 @@ class StitchedRun:
         return self._part(ref).center
 
     def check_board_type(self, board_type: BoardType) -> CheckedBoardType:
-        """Lay a board type over this run, which may have been stitched with another one, and compare it.
+        """Compare a board type with the pictures of this run, which may have been stitched with another one.
 
-        Returns:
-            Shift, rotation, mirror and scale of its components against the pictures, those that do not look as if they
-            were there, and the corrected board type.
-
-        Raises:
-            InputError: the board type has too few components, or is larger than what was filmed.
-            StateError: the run has no placed frame.
+        Return shift, rotation, mirror and scale of its components, those that do not look as if they were there, and
+        the corrected board type. InputError: it has too few components, or is larger than what was filmed.
         """
         cameras, recording = self.result.cameras(self.cameras), self.recording
         lights = recording.head.lights or ()
@@ -336,8 +315,7 @@ class StitchedRun:
     def _part(self, ref: str) -> Component:
         part = self._board_type.component(ref)
         if part is None:
-            # A board type may have thousands of components; a few are enough to show the form of an address.
-            known = ", ".join(self.refs[:8])
+            known = ", ".join(self.refs[:8])  # enough to show the form of an address
             raise NotFoundError(
                 f"board type {self._board_type.name!r} has no component {ref!r}.", action=f"It has {known} …"
             )
@@ -352,7 +330,7 @@ class StitchedRun:
         """How each frame (camera, row) was taken."""
         return frame_facts(self.recording.head)
 
-    def _measure(self, view: View) -> Measures:
+    def _measured(self, view: View) -> Measures:
         return measure(view, self._frame(view))
 
     def _frame(self, view: View) -> NDArray[Any]:
@@ -364,12 +342,6 @@ class StitchedRun:
         """Read the frames of a chosen image, and render it."""
         other = None if choice.minus is None else self._frame(choice.minus.view)
         return render_chosen(choice, self._frame(choice.view), other)
-
-    def _image(self, choice: ChosenView, covariance: Floats | None) -> ComponentImage:
-        known = describe(choice, covariance)
-        fields: dict[str, Any] = {name: known[name] for name in FIELDS}
-        fields |= {"crop_from_cad": choice.view.crop_matrix, "image_from_crop": choice.view.matrix}
-        return ComponentImage(**fields, covariance_px2=covariance, _load=lambda: self.load(choice))
 
 
 def check_frame_index(camera: int, row: int, cameras: int, rows: int, name: str | Path) -> None:
@@ -383,22 +355,20 @@ def check_frame_index(camera: int, row: int, cameras: int, rows: int, name: str 
 
 
 def check_result(result: Stitch, rows: int, cameras: Sequence[Camera], name: str | Path) -> None:
-    """Refuse a result that belongs to another recording or another calibration.
-
-    Raises:
-        InputError: the number of cameras or rows differs, or M_i0 is not N_i with the displacement that the result
-            states.
-    """
+    """Raise InputError if a result has other numbers of cameras or rows than a recording, or another calibration."""
     n, m = len(result.image_matrices), len(result.row_motion)
+    difference = ""
     if (n, m) != (len(cameras), rows):
-        raise _other_recording(
-            name, f"it has {n} cameras and {m} rows, the recording has {len(cameras)} cameras and {rows} rows"
-        )
-    for i, (matrices, camera) in enumerate(zip(result.image_matrices, _as_in_run(result, cameras), strict=True)):
-        first = matrices[0]
-        # M_i0 equals N_i in every result (docs/conventions.md, gauge). So a difference means another calibration.
-        if first is not None and _apart_px(first, camera) > _SAME_PX:
-            raise _other_recording(name, f"camera {i} has another calibration")
+        difference = f"it has {n} cameras and {m} rows, the recording has {len(cameras)} cameras and {rows} rows"
+    else:
+        for i, camera in enumerate(_as_in_run(result, cameras)):
+            first = result.image_matrices[i][0]
+            # M_i0 equals N_i in every result (docs/conventions.md, gauge). So a difference means another calibration.
+            if first is not None and _apart_px(first, camera) > _SAME_PX:
+                difference = f"camera {i} has another calibration"
+                break
+    if difference:
+        raise InputError(f"{name}: belongs to another recording: {difference}.", action="Stitch this recording again.")
 
 
 def _as_in_run(result: Stitch, cameras: Sequence[Camera]) -> Sequence[Camera]:
@@ -418,7 +388,3 @@ def _apart_px(matrix: Floats, camera: Camera) -> float:
     corners = np.array([(0, 0), (w, 0), (w, h), (0, h)], dtype=np.float64)
     image_from_image = np.asarray(matrix) @ np.linalg.inv(camera.image_from_row.matrix)
     return float(np.abs(apply(image_from_image, corners) - corners).max())
-
-
-def _other_recording(name: str | Path, difference: str) -> InputError:
-    return InputError(f"{name}: belongs to another recording: {difference}.", action="Stitch this recording again.")

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -18,6 +18,7 @@ from vaoi_station.errors import VaoiError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 from vaoi_station.model import Reason
 from vaoi_station.push.mqtt import MqttBroker, Outcome, type_of
+from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.states.schemas import EventRecord
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -39,34 +40,8 @@ SAVE_S = 1.0
 """Shortest time between two writes of the state, s. After a power cut the messages of this time are repeated."""
 FAULT_PAUSE_S, STOP_S = 5.0, 3.0
 """Pause after an error of this program, and longest wait for the attempt under way when the station stops, s."""
+_UNREADABLE = "the log does not have them any more, or cannot read them"
 Count = Annotated[int, Field(ge=0)]
-
-
-class Events(Protocol):
-    """The part of the event log that the publisher uses."""
-
-    @property
-    def last(self) -> int:
-        """Number of the newest event."""
-
-    def read(self, after: int, timeout_s: float, limit: int) -> tuple[EventRecord, ...]:
-        """Return events with numbers above `after`; wait for the first of them."""
-
-    def add(self, kind: str, message: str, *, code: str = "", action: str = "") -> EventRecord:
-        """Append an event."""
-
-
-class Broker(Protocol):
-    """The connection to a broker. Each call ends within a bounded time."""
-
-    def send(self, record: EventRecord) -> Outcome:
-        """Publish one event."""
-
-    def idle(self) -> Outcome | None:
-        """Keep the connection while there is nothing to send; return what became of an attempt to connect."""
-
-    def close(self) -> None:
-        """Close the connection."""
 
 
 class PublisherState(BaseModel):
@@ -94,7 +69,7 @@ def is_wanted(record: EventRecord, types: Sequence[str]) -> bool:
 class Publisher:
     """Publishes the wanted events to one broker."""
 
-    def __init__(self, name: str, path: Path, events: Events, broker: Broker, types: Sequence[str] = ()) -> None:
+    def __init__(self, name: str, path: Path, events: EventLog, broker: MqttBroker, types: Sequence[str] = ()) -> None:
         """Prepare the thread; its state is in the file `path`. Without the file it begins with the next event."""
         self.name, self._path, self._events, self._broker, self._types = name, path, events, broker, types
         self.state = read_state(path, events.last)
@@ -106,7 +81,7 @@ class Publisher:
         self.thread = SupervisedThread(self._run, f"push {name}")
 
     @classmethod
-    def of(cls, config: StationConfig, events: Events, state: Callable[[], str]) -> Publisher | None:
+    def of(cls, config: StationConfig, events: EventLog, state: Callable[[], str]) -> Publisher | None:
         """Return the publisher of a station, or None without a broker; `state` returns the state of the station."""
         if (broker := config.push.mqtt) is None:
             return None
@@ -195,7 +170,7 @@ class Publisher:
         while self._waiting:
             record = self._waiting[0]
             if record.number > self.state.last + 1:
-                self._skip(record.number - 1, "the log does not have them any more, or cannot read them")
+                self._skip(record.number - 1, _UNREADABLE)
             if is_wanted(record, self._types):
                 return record
             self._waiting.popleft()
@@ -211,7 +186,7 @@ class Publisher:
             after = min(after + BATCH, self._earlier)
             records = self._events.read(after, READ_S, BATCH)
         if not records and after > self.state.last:
-            self._skip(after, "the log does not have them any more, or cannot read them")
+            self._skip(after, _UNREADABLE)
         return records
 
     def _skip(self, last: int, why: str) -> None:

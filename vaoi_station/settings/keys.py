@@ -13,9 +13,9 @@ import re
 from collections.abc import Iterator
 from functools import cache
 from types import ModuleType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from vaoi_station.config import StationConfig
 
@@ -38,114 +38,90 @@ UNITS = {
     "_days": "days",
 }
 """Units by the ends of names, the longest first where one ends with another."""
-
-
+_KINDS: dict[str, Kind] = {
+    "number": "number",
+    "integer": "integer",
+    "boolean": "truth",
+    "array": "list",
+    "object": "map",
+}
+_LIMITS = {"minimum": "minimum", "exclusiveMinimum": "above", "maximum": "maximum", "exclusiveMaximum": "below"}
 _LIMITLESS = 1e12
+"""Beyond it are limits of number formats, which no person has to know."""
 
 
-class Key(NamedTuple):
-    """One key of station.toml. What does not apply is None."""
+class Setting(BaseModel):
+    """One key of station.toml, as the configuration model describes it."""
 
-    key: str
-    table: str
-    """The table that has it, as a header: empty for the file's own level, `cameras[]` for each camera."""
+    key: str = Field(description="`line.tail_s`; `cameras[].width` in arrays, `controller.lights.NAME.on_us` by name.")
+    table: str = Field(description="The table that has it; empty for the file's own level.")
     kind: Kind
-    required: bool
-    """Whether its table needs it."""
-    default: Any
-    unit: str
-    choices: tuple[str, ...]
-    limits: dict[str, float]
-    """By `minimum`, `above`, `maximum`, `below`."""
+    required: bool = Field(description="Whether its table needs it.")
+    default: str | None = Field(default=None, description="As TOML; absent: none.")
+    unit: str | None = None
+    choices: list[str] = []
+    minimum: float | None = None
+    above: float | None = Field(default=None, description="The value must be above it.")
+    maximum: float | None = None
+    below: float | None = Field(default=None, description="The value must be below it.")
     description: str
-    optional_table: bool
-    """Whether the whole table may be absent."""
+    optional_table: bool = Field(description="Whether the whole table may be absent.")
 
 
 @cache
-def keys() -> tuple[Key, ...]:
+def keys() -> tuple[Setting, ...]:
     """Return all keys, in the order of the model."""
     schema = StationConfig.model_json_schema()
     return tuple(_walk(schema, schema, "", StationConfig, optional=False))
 
 
-def _walk(schema: dict[str, Any], table: dict[str, Any], prefix: str, model: Any, *, optional: bool) -> Iterator[Key]:
+def _walk(
+    schema: dict[str, Any], table: dict[str, Any], prefix: str, model: type[BaseModel], *, optional: bool
+) -> Iterator[Setting]:
+    def resolved(field: Any) -> dict[str, Any]:
+        field = field if isinstance(field, dict) else {}
+        return {**field, **schema["$defs"][field["$ref"].rsplit("/", 1)[1]]} if "$ref" in field else field
+
     texts = documentation(model)
-    later = []
+    tables = []
     for name, field in table["properties"].items():
-        inner, absent = _without_null(field)
+        given = [choice for choice in field.get("anyOf", ()) if choice.get("type") != "null"]
+        absent = len(given) == 1 and len(field["anyOf"]) == 2
+        inside = resolved({**field, **given[0]} if absent else field)
+        elements = resolved(inside.get("items")) if inside.get("type") == "array" else {}
+        named = resolved(inside.get("additionalProperties")) if inside.get("type") == "object" else {}
         where = f"{prefix}.{name}" if prefix else name
-        inside = _resolved(schema, inner)
-        elements = _resolved(schema, inside.get("items", {})) if inside.get("type") == "array" else {}
-        named = _resolved(schema, inside.get("additionalProperties") or {}) if inside.get("type") == "object" else {}
         if "properties" in inside:
-            later.append((inside, where, absent))
+            tables.append((inside, where, absent))
         elif "properties" in elements:
-            later.append((elements, f"{where}[]", True))
+            tables.append((elements, f"{where}[]", True))
         elif "properties" in named:
-            later.append((named, f"{where}.NAME", True))
+            tables.append((named, f"{where}.NAME", True))
         else:
-            yield Key(
-                where,
-                prefix,
-                _kind(inside),
-                name in table.get("required", ()),
-                field.get("default"),
-                unit_of(name),
-                _choices(inside),
-                _limits(inside),
-                texts.get(name, ""),
-                optional,
+            required, default = name in table.get("required", ()), field.get("default")
+            choices = inside.get("enum", [inside["const"]] if "const" in inside else [])
+            kind: Kind = "choice" if choices else "path" if inside.get("format") == "path" else "text"
+            limits = {ours: inside[theirs] for theirs, ours in _LIMITS.items() if theirs in inside}
+            yield Setting(
+                key=where,
+                table=prefix,
+                kind=_KINDS.get(inside.get("type", ""), kind) if kind == "text" else kind,
+                required=required,
+                default=None if default is None or required else _as_toml(default),
+                unit=next((unit for end, unit in UNITS.items() if f"_{name}".endswith(end)), None),
+                choices=list(map(str, choices)),
+                description=texts.get(name, ""),
+                optional_table=optional,
+                **{limit: value for limit, value in limits.items() if abs(value) < _LIMITLESS},
             )
-    for inside, where, absent in later:
-        yield from _walk(schema, inside, where, _class(inside["title"]), optional=optional or absent)
+    for inside, where, absent in tables:
+        yield from _walk(schema, inside, where, _models()[inside["title"]], optional=optional or absent)
 
 
-def _without_null(field: dict[str, Any]) -> tuple[dict[str, Any], bool]:
-    """Return the schema of a value that is given, and whether it may be absent (None)."""
-    choices = field.get("anyOf", ())
-    given = [c for c in choices if c.get("type") != "null"]
-    if len(given) == 1 and len(choices) == 2:
-        return {**field, **given[0]}, True
-    return field, False
+def _as_toml(value: Any) -> str:
+    from tomlkit import inline_table, item  # here, because most starts need no text
 
-
-def _resolved(schema: dict[str, Any], field: Any) -> dict[str, Any]:
-    if not isinstance(field, dict):
-        return {}
-    if "$ref" in field:
-        return {**field, **schema["$defs"][field["$ref"].rsplit("/", 1)[1]]}
-    return field
-
-
-def _kind(field: dict[str, Any]) -> Kind:
-    if "enum" in field or "const" in field:
-        return "choice"
-    if field.get("format") == "path":
-        return "path"
-    kinds: dict[str, Kind] = {
-        "number": "number",
-        "integer": "integer",
-        "boolean": "truth",
-        "array": "list",
-        "object": "map",
-    }
-    return kinds.get(field.get("type", ""), "text")
-
-
-def _choices(field: dict[str, Any]) -> tuple[str, ...]:
-    return tuple(map(str, field.get("enum", [field["const"]] if "const" in field else ())))
-
-
-def _limits(field: dict[str, Any]) -> dict[str, float]:
-    names = {"minimum": "minimum", "exclusiveMinimum": "above", "maximum": "maximum", "exclusiveMaximum": "below"}
-    # Beyond it are limits of number formats, which no person has to know.
-    return {ours: field[theirs] for theirs, ours in names.items() if abs(field.get(theirs, _LIMITLESS)) < _LIMITLESS}
-
-
-def unit_of(name: str) -> str:
-    """Return the unit that the end of a name states; an empty text if it states none."""
-    return next((unit for end, unit in UNITS.items() if f"_{name}".endswith(end)), "")
+    return (inline_table() if value == {} else item(value)).as_string()
 
 
 @cache
@@ -163,20 +139,15 @@ def documentation(model: type[BaseModel]) -> dict[str, str]:
 def _texts(module: ModuleType) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     for node in ast.walk(ast.parse(inspect.getsource(module))):
-        if not isinstance(node, ast.ClassDef):
-            continue
-        for field, text in zip(node.body, node.body[1:], strict=False):
-            match field, text:
-                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str() as said)):
-                    found.setdefault(node.name, {})[name] = _for_a_person(said)
+        if isinstance(node, ast.ClassDef):
+            for field, text in zip(node.body, node.body[1:], strict=False):
+                match field, text:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str() as said)):
+                        # For readers of the file, in which what is None is not written.
+                        said = re.sub(r"\s+", " ", said).strip().replace("`", "")
+                        said = re.sub(r"(^|[.] )None\b", r"\1Empty", said)
+                        found.setdefault(node.name, {})[name] = re.sub(r"\bNone\b", "empty", said)
     return found
-
-
-def _for_a_person(said: str) -> str:
-    """Return a text of the source for readers of the file, in which what is None is not written."""
-    text = re.sub(r"\s+", " ", said).strip().replace("`", "")
-    text = re.sub(r"(^|[.] )None\b", r"\1Empty", text)
-    return re.sub(r"\bNone\b", "empty", text)
 
 
 @cache
@@ -190,7 +161,3 @@ def _models(model: type[BaseModel] = StationConfig) -> dict[str, type[BaseModel]
             found |= _models(part)
         left += getattr(part, "__args__", ())
     return found
-
-
-def _class(name: str) -> type[BaseModel]:
-    return _models()[name]

@@ -34,35 +34,6 @@ def upload(kept: Previews, text: str = samples.KICAD, name: str = "b.kicad_pcb",
     return kept.add(path, ImportOptions.model_validate(options))
 
 
-def test_an_upload_is_imported_and_imported_again_with_other_options(kept: Previews) -> None:
-    preview = upload(kept, side="bottom")
-    assert preview.reply is not None
-    assert preview.reply.overview is not None
-    assert preview.reply.overview.side == "bottom"
-    changed = kept.change(preview.id, ImportOptions(name="other"))
-    assert kept.reply(preview.id).overview == (changed.reply and changed.reply.overview)
-    assert kept.document(changed, "/p").picture == f"/p/{preview.id}/picture"
-
-
-def test_a_refusal_names_the_file_without_its_folder_and_can_be_corrected(kept: Previews) -> None:
-    preview = upload(kept, "R1;10;20;0\nR2;600;20;0\nR3;1;1;0\n", "../a/p.csv")
-    assert preview.refusal is not None
-    assert str(preview.refusal).startswith("p.csv: states no unit")
-    with pytest.raises(InputError, match="states no unit"):
-        kept.reply(preview.id)
-    assert kept.change(preview.id, ImportOptions(units="mil")).reply is not None
-
-
-def test_two_uploads_are_joined(kept: Previews) -> None:
-    bodies = upload(kept)
-    places = upload(kept, "Ref,X(mm),Y(mm),Rot\nR1,110,10,0\nJ1,130,20,90\nFID1,105,5,0\n", "p.csv", join=bodies.id)
-    assert places.reply is not None
-    assert places.reply.overview is not None
-    assert places.reply.overview.format == "centroid + kicad"
-    with pytest.raises(NotFoundError, match="There is no preview '0000000000000000'"):
-        kept.change(places.id, ImportOptions(join="0" * 16))
-
-
 def test_an_upload_that_cannot_be_imported_leaves_no_file(kept: Previews) -> None:
     with kept.uploading("p.csv") as (_, path):
         pass
@@ -91,14 +62,6 @@ def test_the_least_recently_used_go_first_and_old_ones_go(kept: Previews) -> Non
     NOW[0] += AGE_S + 1
     assert kept.list() == ()
     assert not newest.file.exists()
-
-
-def test_the_size_of_all_is_limited(kept: Previews, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MOST_BYTES", len(samples.KICAD) + 10)
-    first = upload(kept)
-    second = upload(kept)
-    assert [p.id for p in kept.list()] == [second.id]
-    assert not first.file.exists()
 
 
 def test_the_size_of_all_replies_is_limited(kept: Previews, monkeypatch: pytest.MonkeyPatch) -> None:

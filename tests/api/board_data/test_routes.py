@@ -8,15 +8,13 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from pydantic import ValidationError
 
 from tests.api.board_data.test_previews import import_here
 from tests.api.held_station import HeldStation
 from tests.board_data.readers import samples
-from vaoi_station.api import create_app, middleware
-from vaoi_station.api.access import scope_needed
+from vaoi_station.api import middleware
+from vaoi_station.api.app import create_app
 from vaoi_station.api.board_data import previews
-from vaoi_station.api.board_data.models import ImportOptions
 from vaoi_station.model import BoardType
 
 PREVIEWS = "/api/v1/board-data/previews"
@@ -167,15 +165,3 @@ def test_a_preview_that_is_deleted_while_it_is_confirmed_is_stored(
 
     monkeypatch.setattr(held, "put_board_type", put_and_delete)
     assert client.post(f"{PREVIEWS}/{preview['id']}/confirm").status_code == 201
-
-
-def test_uploads_need_the_scope_teach() -> None:
-    assert scope_needed("POST", PREVIEWS) == "teach"
-    assert scope_needed("GET", PREVIEWS) == "read"
-
-
-def test_options_are_checked() -> None:
-    assert ImportOptions().side == "top"
-    for wrong in ({"units": "cm"}, {"join": "../x"}, {"format": "gerber"}, {"nonsense": 1}):
-        with pytest.raises(ValidationError):
-            ImportOptions.model_validate(wrong)

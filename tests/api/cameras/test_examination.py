@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,9 +12,8 @@ from typing import Any
 import pytest
 
 from vaoi_station.api.cameras import examination
-from vaoi_station.api.cameras.examination import DOCTOR, Examination, Examinations
-from vaoi_station.api.cameras.frames import SharpnessTile
-from vaoi_station.errors import DeviceError, NotFoundError
+from vaoi_station.api.cameras.examination import DOCTOR, Examinations
+from vaoi_station.errors import DeviceError
 
 FINDING = {"check": "disk", "subject": "", "level": "warning", "message": "nearly full", "action": "Make room."}
 REPORT = {"created": "2026-01-01T00:00:00+00:00", "worst": "warning", "findings": [FINDING | {"figures": {}}]}
@@ -100,41 +98,3 @@ def test_a_doctor_that_hangs_ends_with_the_station_or_at_its_limit(
 
     monkeypatch.setattr(examination, "LIMIT_S", limit_s)
     asyncio.run(run())
-
-
-def test_a_caller_that_has_gone_does_not_end_the_examination_of_others(tmp_path: Path) -> None:
-    report, go_on = tmp_path / "report.json", tmp_path / "go-on"
-    report.write_text(json.dumps(REPORT))
-    os.mkfifo(go_on)
-
-    async def run() -> None:
-        waiting = f"open({str(go_on)!r}).close()\n"  # until the other end is opened
-        line = Line(tmp_path, waiting + reporting(report))
-        gone, other = (asyncio.create_task(line.examinations.examine()) for _ in range(2))
-        await line.started(other)
-        gone.cancel()
-        await asyncio.to_thread(go_on.write_text, "")
-        assert (await other).worst == "warning"
-        assert len(line.starts()) == 1
-
-    asyncio.run(run())
-
-
-def test_a_station_without_a_file_is_not_examined() -> None:
-    with pytest.raises(NotFoundError, match=r"without a station\.toml"):
-        asyncio.run(Examinations(None, asyncio.Event().wait).examine())
-
-
-def test_a_machine_without_nice_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(DeviceError, match="FileNotFoundError"):
-        asyncio.run(Line(tmp_path, "").examinations.examine())
-
-
-def test_a_part_without_edges_has_no_blur() -> None:
-    assert SharpnessTile(column=0, row=2).model_dump(exclude_none=True) == {"column": 0, "row": 2}
-
-
-def test_a_report_of_the_doctor_with_further_fields_is_read() -> None:
-    report = {"format": "vaoi-doctor", "created": "now", "worst": "ok", "findings": []}
-    assert Examination.model_validate(report).worst == "ok"

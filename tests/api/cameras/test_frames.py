@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from typing import Any
 
 import cv2
@@ -13,7 +11,6 @@ import pytest
 from tests.api.held_station import HeldStation
 from vaoi_station.api.cameras.frames import LARGEST_PX, NewestFrames
 from vaoi_station.errors import NotFoundError
-from vaoi_station.model import Status
 
 
 def test_the_last_good_frame_of_the_newest_run_is_measured_once(
@@ -34,39 +31,6 @@ def test_the_last_good_frame_of_the_newest_run_is_measured_once(
     assert read == []
     with pytest.raises(NotFoundError, match="There is no camera 9; the station has 3"):
         frames.frame(9)
-
-
-def test_callers_who_ask_together_have_a_frame_measured_once(
-    station: HeldStation, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    frames, reading, go_on, read = NewestFrames(station), threading.Event(), threading.Event(), list[Any]()
-    whole = station.frame
-
-    def slowly(*asked: Any) -> Any:
-        read.append(asked)
-        reading.set()
-        assert go_on.wait(30)
-        return whole(*asked)
-
-    station.film()
-    monkeypatch.setattr(station, "frame", slowly)
-    with ThreadPoolExecutor(4) as pool:
-        found = [pool.submit(frames.frame, 0) for _ in range(4)]
-        assert reading.wait(30)
-        # The first has the frame in its hands; a second one that did not wait would read it too.
-        assert not wait(found, 0.2, FIRST_COMPLETED).done
-        go_on.set()
-        assert len({id(f.result(30)) for f in found}) == 1
-    assert len(read) == 1
-
-
-def test_a_run_whose_frames_are_gone_gives_way_to_an_earlier_one(station: HeldStation) -> None:
-    first, second = station.film(), station.film(verdict=Status.FAILED)
-    station.release(second)
-    assert NewestFrames(station).frame(0).run == first
-    unfinished = station.film(finish=False)
-    found = NewestFrames(station).frame(0)
-    assert (found.run, found.link_mbit_s) == (unfinished, None)
 
 
 def test_no_row_of_a_board_that_is_filmed_is_measured_while_an_earlier_frame_is_there(

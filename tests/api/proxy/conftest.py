@@ -51,16 +51,9 @@ class Prefixed(NamedTuple):
 
 STRIPPED, UNCHANGED = documented("administrator.md")
 SET_UPS = {
-    "stripped": SetUp("/aoi", STRIPPED),
     "stripped, TLS": SetUp("/aoi", STRIPPED, tls=True),
     "stripped, several names": SetUp("/plant_1/line-3.a", STRIPPED.replace("/aoi", "/plant_1/line-3.a")),
-    "stripped, slash at the end of the header": SetUp(
-        "/aoi", STRIPPED.replace("X-Forwarded-Prefix /aoi", "X-Forwarded-Prefix /aoi/")
-    ),
-    "stripped, root_path set": SetUp("/aoi", STRIPPED, "/aoi"),
     "unchanged": SetUp("/aoi", UNCHANGED, "/aoi"),
-    "unchanged, TLS": SetUp("/aoi", UNCHANGED, "/aoi", tls=True),
-    "unchanged, several names": SetUp("/plant/~3/api", UNCHANGED.replace("/aoi", "/plant/~3/api"), "/plant/~3/api"),
 }
 
 

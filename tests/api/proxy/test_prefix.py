@@ -16,9 +16,7 @@ from tests.api.held_station import BOARD
 from tests.api.proxy.conftest import Prefixed
 from tests.board_data.readers import samples
 from vaoi_station import connect
-from vaoi_station.api.addresses import HEADER
 from vaoi_station.api.middleware import CSP
-from vaoi_station.files.access_keys import KeyFile
 
 API = "/api/v1"
 
@@ -82,37 +80,6 @@ def test_what_is_new_has_a_location_that_can_be_read(prefixed: Prefixed) -> None
     client.delete(upload.headers["location"])
 
 
-def test_refusals_name_the_address_and_an_explanation_that_can_be_read(prefixed: Prefixed) -> None:
-    client, base = prefixed.client, f"{prefixed.prefix}{API}"
-    wrong = {"authorization": "Bearer vaoi_0123456789ab_wrong"}
-    for path, headers, status in (("runs/none", {}, 404), ("nothing", {}, 404), ("station", wrong, 401)):
-        refused = client.get(f"{base}/{path}", headers=headers)
-        assert (refused.status_code, refused.json()["instance"]) == (status, f"{base}/{path}")
-        assert client.get(refused.json()["type"]).status_code == 200
-
-
-def test_the_prefix_does_not_change_which_scope_an_address_needs(prefixed: Prefixed) -> None:
-    keys = KeyFile(prefixed.keys)
-    reader = {"authorization": f"Bearer {keys.create('reader', ['read']).secret}"}
-    base = f"{prefixed.prefix}{API}"
-    try:
-        assert prefixed.client.get(f"{base}/station", headers=reader).status_code == 200
-        for path in ("keys", "settings", "audit"):
-            assert prefixed.client.get(f"{base}/{path}", headers=reader).json()["code"] == "missing-scope"
-        arm = prefixed.client.post(f"{base}/station/arm?board_type=demo-board", headers=reader)
-        assert arm.json()["code"] == "missing-scope"
-    finally:
-        keys.revoke("reader")
-
-
-def test_a_prefix_that_a_caller_states_does_not_pass_the_proxy(prefixed: Prefixed) -> None:
-    path = f"{prefixed.prefix}{API}/runs/r000001/components/U1"
-    plain = prefixed.client.get(path)
-    assert plain.status_code == 200
-    for prefix in ("/other", "//evil.example", '/"><script>'):
-        assert prefixed.client.get(path, headers={HEADER: prefix}).content == plain.content
-
-
 def test_the_openapi_document_has_the_prefix_in_their_server(prefixed: Prefixed) -> None:
     document = prefixed.client.get(f"{prefixed.prefix}{API}/openapi.json").json()
     (server,) = document["servers"]
@@ -138,17 +105,6 @@ def test_a_login_is_valid_below_the_prefix_only(prefixed: Prefixed) -> None:
         assert page.get(f"{base}/station").status_code == 401
 
 
-def test_events_and_long_polls_arrive(prefixed: Prefixed) -> None:
-    base = f"{prefixed.prefix}{API}"
-    with prefixed.client.stream("GET", f"{base}/events") as events:
-        lines = events.iter_lines()
-        assert next(lines).startswith("event: heartbeat")
-        filmed = prefixed.station.film()
-        assert any(filmed in line for line in lines if line.startswith("data:"))
-    head = prefixed.client.head(f"{base}/events")
-    assert (head.status_code, head.headers["allow"]) == (405, "GET")
-
-
 @pytest.mark.parametrize("slash", ["", "/"])
 def test_the_library_works_with_an_address_that_has_a_path(
     prefixed: Prefixed, tmp_path_factory: pytest.TempPathFactory, slash: str
@@ -163,12 +119,3 @@ def test_the_library_works_with_an_address_that_has_a_path(
     target = tmp_path_factory.mktemp("mosaic") / "board.tif"
     run.save_mosaic(run.mosaics()[0].name, target)
     assert target.stat().st_size
-
-
-def test_paths_without_the_prefix_stay_valid_on_the_machine_of_the_station(prefixed: Prefixed) -> None:
-    direct = prefixed.served.client
-    run = direct.get(f"{API}/runs/latest").json()["id"]
-    found = list(addresses(direct.get(f"{API}/runs/{run}/components/U1").json()))
-    assert found
-    assert all(address.startswith(f"{API}/runs/") for address in found)
-    assert direct.get("/healthz").status_code == 200

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from tests.needs import need
-from vaoi_station.api.routes.metrics import sample
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "internals" / "metrics.md"
 SAMPLE = re.compile(r"^([a-z_:][a-z0-9_:]*)(?:\{(.*)\})? (\S+)$")
@@ -57,10 +56,6 @@ def test_every_metric_is_documented(client: Any) -> None:
     lines = client.get("/metrics").text.splitlines()
     named -= {"vaoi_station"}  # the package, in paths
     assert {line.split()[2] for line in lines if line.startswith("# TYPE")} == named
-
-
-def test_labels_are_escaped() -> None:
-    assert sample("a", {"camera": 'a"b\\c\nd'}, 1.0) == r'a{camera="a\"b\\c\nd"} 1'
 
 
 def test_prometheus_accepts_the_text(client: Any) -> None:

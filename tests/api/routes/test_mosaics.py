@@ -34,16 +34,6 @@ def test_list_leads_to_all_forms_of_a_mosaic(client: Any, board: Any) -> None:
         assert cache in answer.headers["cache-control"], "pixels depend on the station's flat fields"
 
 
-def test_addresses_of_lights_with_any_name_can_be_opened(client: Any, station: Any) -> None:
-    station.lights = ("top, left/right", "50%")
-    entries = client.get(f"{RUNS}/{station.film()}/mosaics").json()["mosaics"]
-    assert {entry.get("light") for entry in entries} == {None, *station.lights}
-    for entry in entries:
-        assert client.get(entry["dzi"]).status_code == 200
-    tile = client.get(entries[-1]["dzi"].removesuffix(".dzi") + "_files/0/0_0.jpg")
-    assert tile.status_code == 200
-
-
 def test_deep_zoom_tiles_join_to_the_board(client: Any, board: Any) -> None:
     text = client.get(board["dzi"]).text
     assert 'TileSize="256"' in text
@@ -112,22 +102,6 @@ def test_one_caller_has_one_file_made_at_a_time(
     assert (second.status_code, second.json()["code"]) == (503, "busy")
     assert "the limit for one caller is 1" in second.json()["detail"]
     assert client.get(board["tiff"], params=wanted).status_code == 200, "its seat is free again"
-
-
-def test_plan_is_made_once_and_tiles_are_validated(client: Any, station: Any, board: Any) -> None:
-    address = board["dzi"].removesuffix(".dzi") + "_files/9/0_0.jpg"
-    answer = client.get(address)
-    again = client.get(address, headers={"if-none-match": answer.headers["etag"]})
-    assert again.status_code == 304
-    assert station.mosaics.jobs.count("plan of the mosaic") == 1
-
-
-def test_tiles_of_frames_that_are_gone_are_refused(client: Any, station: Any) -> None:
-    run = station.film()
-    station.release(run)
-    answer = client.get(f"{RUNS}/{run}/mosaics/board_files/9/0_0.jpg")
-    assert (answer.status_code, answer.json()["code"]) == (410, "frames-gone")
-    assert client.get(f"{RUNS}/{run}/mosaics").status_code == 200
 
 
 def test_the_small_picture_stays_when_the_frames_are_gone(client: Any, station: Any) -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
+import asyncio
 from typing import Any
-from urllib.parse import parse_qs
 
 import numpy as np
 import pytest
 
 from tests.api.held.pictures import RUNS, picture
 from tests.runs.merging.finished_board import RADIANCE
-from vaoi_station.api.routes.pictures import _bounds, _choice, _framing, picture_query
+from vaoi_station.api.routes.pictures import ImageQuery, _wanted
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
 
 
@@ -24,35 +23,12 @@ def test_frames_are_lossless(filmed: Any, name: str) -> None:
     assert "immutable" in answer.headers["cache-control"]
 
 
-def test_accept_chooses_the_format_and_vary_declares_it(filmed: Any) -> None:
-    address = f"{RUNS}/{filmed.run}/frames/0/0"
-    jpeg = filmed.client.get(address, headers={"accept": "image/jpeg"})
-    png = filmed.client.get(address, headers={"accept": "image/png"})
-    assert (jpeg.headers["content-type"], png.headers["content-type"]) == ("image/jpeg", "image/png")
-    assert jpeg.headers["vary"] == "Accept"
-    assert jpeg.headers["etag"] != png.headers["etag"]
-    assert np.abs(picture(jpeg).astype(int) - picture(png)).mean() < 5
-
-
-@pytest.mark.parametrize("ask", [{"params": {"format": "bmp"}}, {"headers": {"accept": "text/html"}}])
-@pytest.mark.parametrize("what", ["frames/0/0", "components/U1/images/0"])
-def test_unknown_formats_are_refused_with_the_available_ones(filmed: Any, ask: Any, what: str) -> None:
-    answer = filmed.client.get(f"{RUNS}/{filmed.run}/{what}", **ask)
-    assert (answer.status_code, answer.json()["code"]) == (406, "not-acceptable")
-    assert "png" in answer.json()["detail"]
-
-
 def test_an_incomplete_frame_is_returned_on_request_only(filmed: Any) -> None:
     address = f"{RUNS}/{filmed.run}/frames/0/1"
     assert filmed.client.get(address).status_code == 409
     shown = filmed.client.get(address, params={"incomplete": "show"})
     assert (shown.status_code, shown.headers["x-frame-verdict"]) == (200, "incomplete")
     assert filmed.client.get(address, params={"incomplete": "perhaps"}).status_code == 422
-
-
-def test_a_missing_frame_is_not_found(filmed: Any) -> None:
-    answer = filmed.client.get(f"{RUNS}/{filmed.run}/frames/1/2")
-    assert (answer.status_code, answer.json()["code"]) == (404, "not-found")
 
 
 def test_the_list_of_components_leads_to_their_views(filmed: Any) -> None:
@@ -122,22 +98,6 @@ def test_images_under_one_light_best_first(filmed: Any) -> None:
     assert measured["saturated"] == 0
 
 
-def test_a_difference_of_two_lights(filmed: Any) -> None:
-    run = filmed.lit
-    params = {"light": "left", "minus": "right", "margin_mm": 0.5, "align": "part"}
-    [view, *_] = filmed.client.get(f"{RUNS}/{run}/components/U1", params=params).json()["views"]
-    assert (view["row"] % 2, view["minus"][1] % 2) == (0, 1)
-    crop = picture(filmed.client.get(view["url"]))
-    assert crop.shape == (view["height_px"], view["width_px"]) == (72, 88)
-    assert crop.std() > 1
-
-
-def test_the_top_plane_of_a_part_without_height_is_answered_with_a_remark(filmed: Any) -> None:
-    content = filmed.client.get(f"{RUNS}/{filmed.run}/components/U1", params={"plane": "top"}).json()
-    assert "U1 has no height" in content["remark"]
-    assert {v["plane"] for v in content["views"]} == {"board"}
-
-
 @pytest.mark.parametrize(
     ("params", "words"),
     [
@@ -158,30 +118,6 @@ def test_requests_that_cannot_be_met_are_refused_with_the_limit(
         answer = filmed.client.get(path, params=params)
         assert answer.status_code == 422
         assert words in answer.json()["detail"]
-
-
-@pytest.mark.parametrize("params", [{"within_deg": 181}, {"margin_mm": 101}, {"order": "worst"}, {"limit": 0}])
-def test_values_outside_their_limits_are_refused_by_name(filmed: Any, params: dict[str, Any]) -> None:
-    answer = filmed.client.get(f"{RUNS}/{filmed.run}/components/U1", params=params)
-    assert answer.status_code == 422
-    assert next(iter(params)) in answer.text
-
-
-def test_huge_images_are_refused(filmed: Any) -> None:
-    answer = filmed.client.get(f"{RUNS}/{filmed.run}/components/U1/images/0", params={"px_per_mm": 500})
-    assert answer.status_code == 422
-    assert "megapixels" in answer.json()["detail"]
-
-
-@pytest.mark.parametrize(("ref", "k", "status"), [("U1", "99", 404), ("U1", "x", 422), ("U9", "0", 404)])
-def test_unknown_views_and_components_are_refused(filmed: Any, ref: str, k: str, status: int) -> None:
-    assert filmed.client.get(f"{RUNS}/{filmed.run}/components/{ref}/images/{k}").status_code == status
-
-
-def test_an_unfinished_run_is_not_cached(client: Any, station: Any) -> None:
-    run = station.film(finish=False)
-    assert client.get(f"{RUNS}/{run}/components").headers["cache-control"] == "no-store"
-    assert client.get(f"{RUNS}/{run}/components/U1").status_code == 409
 
 
 @pytest.fixture(scope="module")
@@ -206,22 +142,6 @@ def test_the_list_leads_to_the_pictures(shared_client: Any, run: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"), [("png", "u1"), ("jpeg", "u1"), ("tiff", "f4"), ("npy", "f4"), ("raw", "f4")]
-)
-def test_merged_images_in_every_format(shared_client: Any, run: str, name: str, kind: str) -> None:
-    params = {"region": "12,8,20,14", "px_per_mm": 5, "format": name}
-    shown = picture(shared_client.get(f"{RUNS}/{run}/merged/image", params=params))
-    assert shown.shape == (30, 40)
-    assert shown.dtype == np.dtype(kind)
-
-
-def test_the_standard_deviation_of_every_pixel(shared_client: Any, run: str) -> None:
-    params = {"component": "U1", "sigma": True, "format": "tiff"}
-    sigma = picture(shared_client.get(f"{RUNS}/{run}/merged/image", params=params))
-    assert 0 < float(sigma.min()) < 0.1
-
-
-@pytest.mark.parametrize(
     ("params", "status", "words"),
     [
         ({}, 422, "exactly one of component and region"),
@@ -242,24 +162,6 @@ def test_bad_requests_are_refused_with_their_values(
     answer = shared_client.get(f"{RUNS}/{run}/merged/image", params=params)
     assert answer.status_code == status
     assert words in answer.json()["detail"]
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({}, {}),
-        ({"measure": True}, {}),
-        ({"px_per_mm": 20.0}, {"px_per_mm": ["20.0"]}),
-        ({"min_coverage": 1.0}, {"min_coverage": ["1.0"]}),
-        ({"light": "left & low", "seen_from": 90.0}, {"light": ["left & low"], "seen_from": ["90.0"]}),
-        (
-            {"order": "sharpest", "limit": 3, "plane": "top", "margin_mm": 0.5},
-            {"order": ["sharpest"], "limit": ["3"], "plane": ["top"], "margin_mm": ["0.5"]},
-        ),
-    ],
-)
-def test_the_query_repeats_what_differs_from_the_defaults(options: Any, expected: dict[str, list[str]]) -> None:
-    assert parse_qs(picture_query(ImageRequest.of(options)).removeprefix("?")) == expected
 
 
 FRAME = f"{RUNS}/r000001/frames/0/0?format=raw"
@@ -286,35 +188,6 @@ def test_some_bytes_of_a_frame(shared_client: Any, asked: str, start: int, end: 
     assert part.headers["etag"] == whole.headers["etag"]
 
 
-@pytest.mark.parametrize("asked", ["bytes=5-1", "bytes=0-1,5-9", "lines=0-1", "bytes=-", "bytes=x"])
-def test_ranges_that_are_not_understood_give_the_whole(shared_client: Any, asked: str) -> None:
-    answer = shared_client.get(FRAME, headers={"Range": asked})
-    assert (answer.status_code, len(answer.content)) == (200, SIZE)
-
-
-def test_a_range_behind_the_end_is_refused(shared_client: Any) -> None:
-    answer = shared_client.get(FRAME, headers={"Range": "bytes=76800-"})
-    assert (answer.status_code, answer.json()["code"]) == (416, "range-not-satisfiable")
-    assert answer.headers["content-range"] == f"bytes */{SIZE}"
-
-
-def test_a_range_of_other_bytes_gives_the_whole(shared_client: Any) -> None:
-    tag = shared_client.get(FRAME).headers["etag"]
-    for given, status in ((tag, 206), ('"another"', 200), (f"W/{tag}", 200)):
-        answer = shared_client.get(FRAME, headers={"Range": "bytes=0-9", "If-Range": given})
-        assert answer.status_code == status
-    again = shared_client.get(FRAME, headers={"Range": "bytes=0-9", "If-None-Match": tag})
-    assert again.status_code == 304
-
-
-def parameters() -> dict[str, Any]:
-    makers = (_framing, _bounds, _choice)
-    return {name: p.default for maker in makers for name, p in inspect.signature(maker).parameters.items()}
-
-
 def test_every_option_is_a_parameter_with_its_default() -> None:
-    assert set(parameters()) == set(ImageOptions.__annotations__)
-    defaults = ImageRequest()
-    for name, value in parameters().items():
-        owner = next(part for part in (defaults.framing, defaults.bounds, defaults.choice) if hasattr(part, name))
-        assert getattr(owner, name) == value, name
+    assert set(ImageQuery.model_fields) == set(ImageOptions.__annotations__)
+    assert asyncio.run(_wanted(ImageQuery())) == ImageRequest()

@@ -8,8 +8,7 @@ from typing import Any
 import anyio
 
 from vaoi_station.api.event_hub import EventHub
-from vaoi_station.api.limits import PICTURE_THREADS
-from vaoi_station.api.routes.services import Services
+from vaoi_station.api.routes.services import PICTURE_THREADS, Services
 
 
 def test_busy_pictures_hold_up_no_command(station: Any) -> None:
@@ -33,10 +32,3 @@ def test_busy_pictures_hold_up_no_command(station: Any) -> None:
     anyio.run(all_together)
     assert done[0] == "command"
     assert done.count("picture") == PICTURE_THREADS + 1
-
-
-def test_every_application_has_pools_of_its_own(station: Any) -> None:
-    hub = EventHub(station)
-    first, second = Services(station, hub), Services(station, hub)
-    assert first.commands is not second.commands
-    assert first.picture_seats is not second.picture_seats

@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-import threading
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from typing import Any, get_args
+from typing import Any
 
 import pytest
-
-from vaoi_station.api.routes.trends import ANSWERS_OF_CALLER, ANSWERS_WAITING, FigureName
-from vaoi_station.runs.trends.figures import FIGURES
-
-
-def test_the_parameter_names_every_figure() -> None:
-    assert get_args(FigureName) == tuple(FIGURES)
 
 
 def test_trends_are_filtered_by_type_span_and_figure(client: Any, station: Any) -> None:
@@ -36,32 +27,6 @@ def test_trends_are_filtered_by_type_span_and_figure(client: Any, station: Any) 
     assert sum(thinned["counts"]) == 20
     assert len(thinned["times"]) <= 10
     assert "runs" not in thinned
-
-
-def test_one_caller_at_a_time_reads_figures_and_few_wait(
-    client: Any, station: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    inside, at_once, go_on, trends = [0], [0], threading.Event(), station.kept.trends.trends
-
-    def counted(*args: Any) -> Any:
-        inside[0] += 1
-        at_once[0] = max(at_once[0], inside[0])
-        go_on.wait(30)
-        found = trends(*args)
-        inside[0] -= 1
-        return found
-
-    monkeypatch.setattr(station.kept.trends, "trends", counted)
-    most = ANSWERS_OF_CALLER + ANSWERS_WAITING
-    with ThreadPoolExecutor(most + 1) as pool:
-        replies = [pool.submit(client.get, "/api/v1/trends") for _ in range(most + 1)]
-        try:
-            done, _ = wait(replies, 30, FIRST_COMPLETED)
-            assert [(r.result().status_code, r.result().json()["code"]) for r in done] == [(503, "busy")]
-        finally:
-            go_on.set()
-        assert sorted(r.result().status_code for r in replies) == [200] * most + [503]
-    assert at_once == [1]
 
 
 def test_two_spans_are_compared(client: Any, station: Any) -> None:

@@ -60,18 +60,6 @@ def test_behind_a_proxy_the_page_finds_its_style_below_the_prefix(
             assert (api["code"], api["instance"]) == ("storage-full", "/aoi/api/v1/station")
 
 
-def test_nothing_is_served_without_a_cause() -> None:
-    with open_listener("127.0.0.1", 0, "test") as listener, WaitingPage(listener, []) as page:
-        assert page._server is None
-
-
-def test_an_address_that_no_interface_has_yet_is_accepted() -> None:
-    """At boot the network may come later."""
-    for host in ("192.0.2.77", "2001:db8::77"):
-        with open_listener(host, 0, "test") as listener:
-            assert listener.getsockname()[0] == host
-
-
 def test_a_name_that_is_not_known_yet_is_waited_for() -> None:
     with pytest.raises(DeviceError, match=r"cannot listen on nowhere\.invalid port 0") as refusal:
         open_listener("nowhere.invalid", 0, "test")

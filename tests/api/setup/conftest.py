@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
-from vaoi_station.api import create_app
+from vaoi_station.api.app import create_app
 from vaoi_station.api.setup.station_files import StationFiles
 
 OTHER_USER = 65534

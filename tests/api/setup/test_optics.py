@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import MISSING, fields, replace
 from typing import Any
 
 import pytest
@@ -11,16 +10,10 @@ from typer.testing import CliRunner
 
 from tests.api.held.setup_files import PITCH_MM
 from tests.api.held_station import CAMERAS, HEIGHT, PX_PER_MM, WIDTH
-from vaoi_station.api.access import scope_needed
-from vaoi_station.api.setup.optics import PlanOptions, known_requirements
+from vaoi_station.api.setup.optics import known_requirements
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.cli import app
-from vaoi_station.config import LightConfig
-from vaoi_station.errors import InputError
 from vaoi_station.files import read_calibration
-from vaoi_station.optics import Requirements, make_plan
-from vaoi_station.optics.remedies import find_remedies
-from vaoi_station.optics.report import PAPER
 
 PLAN = "/api/v1/optics/plan"
 REQUIREMENTS = "/api/v1/optics/requirements"
@@ -57,46 +50,10 @@ def test_contradictions_and_limits_are_refused_by_name(client: Any) -> None:
     assert client.get(PLAN, params=paper | {"breadth_mm": 3}).json()["code"] == "unknown-parameter"
 
 
-def test_reading_is_enough() -> None:
-    assert {scope_needed("GET", path) for path in (PLAN, REQUIREMENTS)} == {"read"}
-
-
 def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_none(v) for key, v in value.items() if v is not None}
     return [_without_none(v) for v in value] if isinstance(value, list) else value
-
-
-def test_the_parameters_are_the_requirements_of_a_plan_with_their_defaults() -> None:
-    assert list(PlanOptions.model_fields) == [f.name for f in fields(Requirements)]
-    for field in fields(Requirements):
-        option = PlanOptions.model_fields[field.name]
-        assert option.is_required() == (field.default is MISSING), field.name
-        assert option.is_required() or option.default == field.default, field.name
-        assert option.description, field.name
-    assert PlanOptions(**vars(PAPER)).requirements() == PAPER
-
-
-def _limit(name: str, key: str) -> Any:
-    schema = PlanOptions.model_json_schema()["properties"][name]
-    return (schema["anyOf"][0] if "anyOf" in schema else schema)[key]
-
-
-@pytest.mark.parametrize("key", ["minimum", "maximum"])
-def test_every_value_within_the_limits_gives_a_plan_or_a_refusal(key: str) -> None:
-    refused = {}
-    for name in PlanOptions.model_fields:
-        try:
-            plan = make_plan(replace(PAPER, **{name: _limit(name, key)}))
-        except InputError as error:
-            refused[name] = error.message
-            continue
-        if name in ("resolution_px_per_mm", "speed_mm_s"):  # the remedies of one plan take a tenth of a second
-            find_remedies(plan)
-    # What is refused contradicts another requirement.
-    contradictions = {"minimum": {"distance_max_mm"}, "maximum": {"depth_of_field_mm", "distance_min_mm"}}
-    assert refused.keys() >= contradictions[key], refused
-    assert all("mm" in message for message in refused.values())
 
 
 COVERED_MM = (CAMERAS - 1) * PITCH_MM + WIDTH / PX_PER_MM
@@ -132,14 +89,3 @@ def test_the_mounting_of_a_camera_decides_which_side_lies_across_the_motion(
     turned = tuple(c.model_copy(update={"nominal_roll_deg": roll_deg}) for c in files.config.cameras)
     known = known_requirements(files.config.model_copy(update={"cameras": turned}), None)
     assert (known["sensor_px_h"][0], known["sensor_px_v"][0]) == (px_h, WIDTH + HEIGHT - px_h)
-
-
-@pytest.mark.parametrize(
-    ("on_us", "expected"), [(80.0, (80.0, "controller.lights")), (900.0, (250.0, "cameras.exposure_us"))]
-)
-def test_light_that_ends_before_the_exposure_ends_it(files: StationFiles, on_us: float, expected: Any) -> None:
-    lights = {"ring": LightConfig(channels=(0,), on_us=on_us)}
-    controller = files.config.controller.model_copy(update={"lights": lights})
-    assert (
-        known_requirements(files.config.model_copy(update={"controller": controller}), None)["exposure_us"] == expected
-    )

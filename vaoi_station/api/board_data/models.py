@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from vaoi_station.api.parameters import PREVIEW_ID, PlainText
+from vaoi_station.api.rest_models import PREVIEW_ID, PlainText
 from vaoi_station.board_data.overview import ImportOverview
 from vaoi_station.model import Strict
 

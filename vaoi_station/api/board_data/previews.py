@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import IO
@@ -30,7 +30,7 @@ AGE_S = 3600.0
 
 @dataclass(frozen=True)
 class Preview:
-    """An uploaded file with the reply of its import."""
+    """An uploaded file with the reply of its import, or the refusal."""
 
     id: str
     file: Path
@@ -40,22 +40,9 @@ class Preview:
     reply: ImportReply | None = None
     refusal: VaoiError | None = None
 
-    @property
-    def reply_size(self) -> int:
-        """Number of characters of the reply; its overview is small."""
-        return 0 if self.reply is None else len(self.reply.board_type) + len(self.reply.picture)
-
-
-@dataclass
-class _Files:
-    """The folder of the uploads; made at the first one."""
-
-    folder: Path | None = None
-    kept: dict[str, Preview] = field(default_factory=dict)
-
 
 class Previews:
-    """All previews. Methods may be called from any thread; `import_file` takes seconds."""
+    """All previews. Methods may be called from any thread; an import takes seconds."""
 
     def __init__(
         self,
@@ -64,17 +51,17 @@ class Previews:
     ) -> None:
         self._import, self._clock = import_file, clock
         self._lock = threading.Lock()
-        self._files = _Files()
+        self._folder: Path | None = None
+        self._kept: dict[str, Preview] = {}
 
     @contextmanager
     def uploading(self, filename: str) -> Iterator[tuple[IO[bytes], Path]]:
         """Open a new file for an upload, which is deleted if the block fails."""
         with self._lock:
-            folder = self._files.folder
             # The system may delete temporary folders that were not used for days.
-            if folder is None or not folder.is_dir():
-                folder = self._files.folder = Path(tempfile.mkdtemp(prefix="vaoi-board-data-"))
-            folder /= secrets.token_hex(8)
+            if self._folder is None or not self._folder.is_dir():
+                self._folder = Path(tempfile.mkdtemp(prefix="vaoi-board-data-"))
+            folder = self._folder / secrets.token_hex(8)
         folder.mkdir()
         path = folder / _safe_name(filename)
         try:
@@ -92,7 +79,7 @@ class Previews:
             shutil.rmtree(path.parent, ignore_errors=True)
             raise
         with self._lock:
-            self._files.kept[preview.id] = preview
+            self._kept[preview.id] = preview
             self._bound(preview.id)
         return preview
 
@@ -100,26 +87,22 @@ class Previews:
         """Import the file of a preview again with other options."""
         preview = self._imported(replace(self.get(preview_id), options=options))
         with self._lock:
-            if preview_id not in self._files.kept:
-                raise _unknown(preview_id)
-            self._files.kept[preview_id] = preview
+            self._known(preview_id)
+            self._kept[preview_id] = preview
             self._bound(preview_id)
         return preview
 
     def list(self) -> tuple[Preview, ...]:
         """Return all previews, the oldest first."""
         with self._lock:
-            self._bound("")
-            return tuple(self._files.kept.values())
+            self._bound()
+            return tuple(self._kept.values())
 
     def get(self, preview_id: str) -> Preview:
         """Return a preview, and note that it is in use; `NotFoundError` if there is none."""
         with self._lock:
-            self._bound("")
-            if preview_id not in self._files.kept:
-                raise _unknown(preview_id)
-            found = replace(self._files.kept[preview_id], used=self._clock())
-            self._files.kept[preview_id] = found
+            self._bound()
+            found = self._kept[preview_id] = replace(self._known(preview_id), used=self._clock())
             return found
 
     def reply(self, preview_id: str) -> ImportReply:
@@ -132,21 +115,20 @@ class Previews:
 
     def drop(self, preview_id: str) -> None:
         """Delete a preview and its file; `NotFoundError` if there is none."""
-        self.get(preview_id)
         with self._lock:
-            self._delete(preview_id)
+            self._delete(self._known(preview_id))
 
     def close(self) -> None:
         """Delete all uploaded files."""
         with self._lock:
-            self._files.kept.clear()
-            if self._files.folder is not None:
-                shutil.rmtree(self._files.folder, ignore_errors=True)
-            self._files.folder = None
+            self._kept.clear()
+            if self._folder is not None:
+                shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
 
     def document(self, preview: Preview, prefix: str) -> ImportPreview:
         """Return the document of a preview; `prefix` is the address of all previews."""
-        ready = preview.reply is not None
+        address = f"{prefix}/{preview.id}"
         left_s = max(0.0, AGE_S - (self._clock() - preview.used))
         return ImportPreview(
             id=preview.id,
@@ -156,45 +138,48 @@ class Previews:
             options=preview.options,
             found=preview.reply.overview if preview.reply else None,
             refusal=str(preview.refusal) if preview.refusal else None,
-            picture=f"{prefix}/{preview.id}/picture" if ready else None,
-            board_type=f"{prefix}/{preview.id}/board-type" if ready else None,
+            picture=f"{address}/picture" if preview.reply else None,
+            board_type=f"{address}/board-type" if preview.reply else None,
         )
 
     def _imported(self, preview: Preview) -> Preview:
         options = preview.options
         join = self.get(options.join).file if options.join is not None else None
         given = options.model_dump(exclude={"join", "sizes"}) | {"join": join, "size_table": options.sizes}
+        reply = refusal = None
         try:
             reply = (self._import or import_limited)(ImportTask(file=preview.file, **given))
         except VaoiError as error:
             # Messages name files; the folder is of no use to the caller.
-            text = str(error.message).replace(f"{preview.file.parent}/", "")
-            text = text if join is None else text.replace(f"{join.parent}/", "")
+            text = str(error.message)
+            for file in (preview.file, join or preview.file):
+                text = text.replace(f"{file.parent}/", "")
             refusal = InputError(text, action=error.action, code="unreadable-board-data")
-            return replace(preview, reply=None, refusal=refusal, used=self._clock())
-        return replace(preview, reply=reply, refusal=None, used=self._clock())
+        return replace(preview, reply=reply, refusal=refusal, used=self._clock())
 
-    def _bound(self, newest: str) -> None:
+    def _known(self, preview_id: str) -> Preview:
+        if preview_id not in self._kept:
+            raise NotFoundError(
+                f"There is no preview {preview_id!r:.40}.",
+                action=f"Upload the file again; previews are deleted after {AGE_S / 60:g} min without use, and the "
+                f"least recently used of more than {MOST_PREVIEWS}.",
+                code="unknown-preview",
+            )
+        return self._kept[preview_id]
+
+    def _bound(self, newest: str = "") -> None:
         """Delete previews that are too old, and the least recently used ones until the limits hold."""
-        now = self._clock()
-        for preview in list(self._files.kept.values()):
-            if now - preview.used > AGE_S:
-                self._delete(preview.id)
-        while self._too_many():
-            rest = [p for p in self._files.kept.values() if p.id != newest]
-            if not rest:
-                return
-            self._delete(min(rest, key=lambda p: p.used).id)
+        for preview in sorted(self._kept.values(), key=lambda p: p.used):
+            left = self._kept.values()
+            replies = sum(len(p.reply.board_type) + len(p.reply.picture) for p in left if p.reply is not None)
+            sizes = sum(p.size_bytes for p in left)
+            too_many = len(left) > MOST_PREVIEWS or sizes > MOST_BYTES or replies > MOST_REPLIES
+            if self._clock() - preview.used > AGE_S or (too_many and preview.id != newest):
+                self._delete(preview)
 
-    def _too_many(self) -> bool:
-        kept = self._files.kept.values()
-        sizes, replies = (sum(values) for values in ((p.size_bytes for p in kept), (p.reply_size for p in kept)))
-        return len(kept) > MOST_PREVIEWS or sizes > MOST_BYTES or replies > MOST_REPLIES
-
-    def _delete(self, preview_id: str) -> None:
-        preview = self._files.kept.pop(preview_id, None)
-        if preview is not None:
-            shutil.rmtree(preview.file.parent, ignore_errors=True)
+    def _delete(self, preview: Preview) -> None:
+        del self._kept[preview.id]
+        shutil.rmtree(preview.file.parent, ignore_errors=True)
 
 
 def _safe_name(filename: str) -> str:
@@ -202,12 +187,3 @@ def _safe_name(filename: str) -> str:
     name = filename.replace("\\", "/").rpartition("/")[2]
     name = "".join(c if c.isprintable() else "_" for c in name).strip(". ")
     return name.encode()[-200:].decode(errors="ignore") or "board-data"
-
-
-def _unknown(preview_id: str) -> NotFoundError:
-    return NotFoundError(
-        f"There is no preview {preview_id!r:.40}.",
-        action=f"Upload the file again; previews are deleted after {AGE_S / 60:g} min without use, and the least "
-        f"recently used of more than {MOST_PREVIEWS}.",
-        code="unknown-preview",
-    )

@@ -18,7 +18,8 @@ from vaoi_station.api.board_data.models import (
 from vaoi_station.api.board_data.previews import Preview, Previews
 from vaoi_station.api.http_caching import REVALIDATE, conditional_response
 from vaoi_station.api.limits import Seats, ThreadLimit, caller_in
-from vaoi_station.api.parameters import PREVIEW_ID, IfMatch, IfNoneMatch, rest_router
+from vaoi_station.api.parameters import IfMatch, IfNoneMatch, rest_router
+from vaoi_station.api.rest_models import PREVIEW_ID
 from vaoi_station.api.routes.board_types import document_of, unchanged_board_type
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
@@ -44,8 +45,7 @@ def router(services: Services, previews: Previews) -> APIRouter:
     seats = Seats("imports of board data", 6, 3)
 
     def document(request: Request, preview: Preview) -> ImportPreview:
-        prefix = request.url.path.partition("/board-data")[0]
-        return previews.document(preview, f"{prefix}/board-data/previews")
+        return previews.document(preview, f"{_prefix(request)}/board-data/previews")
 
     @routes.get("/previews")
     async def list_import_previews(request: Request) -> ImportPreviewList:
@@ -130,11 +130,14 @@ def router(services: Services, previews: Previews) -> APIRouter:
         answer = conditional_response(request, content, "application/json", cache=REVALIDATE)
         async with unchanged_board_type(services, request, board_type.name):
             if await quick.ask(services.coordinator.put_board_type, board_type):
-                prefix = request.url.path.partition("/board-data")[0]
                 answer.status_code = 201
-                answer.headers["Location"] = f"{prefix}/board-types/{quote(board_type.name)}"
+                answer.headers["Location"] = f"{_prefix(request)}/board-types/{quote(board_type.name)}"
         with suppress(NotFoundError):  # deleted meanwhile: by another caller, or because others are newer
             await quick.ask(previews.drop, preview)
         return answer
 
     return routes
+
+
+def _prefix(request: Request) -> str:
+    return request.url.path.partition("/board-data")[0]

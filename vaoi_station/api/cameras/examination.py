@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import signal
 import sys
@@ -13,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vaoi_station.errors import DeviceError, NotFoundError
 
@@ -63,10 +62,6 @@ class Examination(BaseModel):
     findings: tuple[ExaminationFinding, ...]
 
 
-class _NoFindingsError(Exception):
-    """Why an examination has no findings."""
-
-
 class Examinations:
     """Examines the station of a station.toml, one examination at a time. Callers wait for it without a thread."""
 
@@ -81,7 +76,7 @@ class Examinations:
             doctor: the command to which the path of the station.toml is added.
         """
         self._config, self._closing, self._doctor = config, closing, tuple(doctor)
-        self._latest: asyncio.Task[Examination | _NoFindingsError] | None = None
+        self._latest: asyncio.Task[Examination | str] | None = None
         self._ended_s = 0.0
 
     async def examine(self) -> Examination:
@@ -102,7 +97,7 @@ class Examinations:
             task = self._latest = asyncio.create_task(self._examine(self._config))
         # The examination goes on for the other callers if this one has gone.
         found = await asyncio.shield(task)
-        if isinstance(found, _NoFindingsError):
+        if isinstance(found, str):
             raise DeviceError(
                 f"vaoi doctor did not examine the station: {found}.",
                 action=f"Run vaoi doctor --config {self._config} on the station's machine.",
@@ -110,32 +105,27 @@ class Examinations:
             )
         return found
 
-    async def _examine(self, config: Path) -> Examination | _NoFindingsError:
+    async def _examine(self, config: Path) -> Examination | str:
+        """Run the doctor; return its findings, or why there are none."""
         try:
-            return Examination.model_validate(json.loads(await self._output(config)))
-        except (_NoFindingsError, OSError, ValueError, ValidationError) as error:
-            return error if isinstance(error, _NoFindingsError) else _NoFindingsError(type(error).__name__)
+            # A session of its own, so that what the doctor has started is ended with it.
+            process = await asyncio.create_subprocess_exec(
+                "nice", "-n", str(LOWEST_PRIORITY), *self._doctor, str(config), stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL, start_new_session=True,
+            )  # fmt: skip
+            output, closing = asyncio.create_task(process.communicate()), asyncio.ensure_future(self._closing())
+            try:
+                await asyncio.wait({output, closing}, timeout=LIMIT_S, return_when=asyncio.FIRST_COMPLETED)
+                if output.done():
+                    return Examination.model_validate_json(output.result()[0])
+                return "the station is stopping" if closing.done() else f"it took longer than {LIMIT_S:g} s"
+            finally:
+                closing.cancel()
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                await process.wait()
+                output.cancel()
+        except (OSError, ValueError) as error:
+            return type(error).__name__
         finally:
             self._ended_s = time.monotonic()
-
-    async def _output(self, config: Path) -> bytes:
-        """Run the doctor and return its output; end it at the time limit and when the station stops."""
-        # A session of its own, so that what the doctor has started is ended with it.
-        process = await asyncio.create_subprocess_exec(
-            "nice", "-n", str(LOWEST_PRIORITY), *self._doctor, str(config), stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
-        output, closing = asyncio.create_task(process.communicate()), asyncio.ensure_future(self._closing())
-        try:
-            await asyncio.wait({output, closing}, timeout=LIMIT_S, return_when=asyncio.FIRST_COMPLETED)
-            if output.done():
-                return output.result()[0]
-            raise _NoFindingsError(
-                "the station is stopping" if closing.done() else f"it took longer than {LIMIT_S:g} s"
-            )
-        finally:
-            closing.cancel()
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            await process.wait()
-            output.cancel()

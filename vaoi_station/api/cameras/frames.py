@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections import defaultdict
+from contextlib import suppress
 
 import cv2
 import numpy as np
@@ -105,8 +105,7 @@ class NewestFrames:
     def __init__(self, coordinator: StationCoordinator) -> None:
         self._coordinator = coordinator
         self._measured: dict[int, CameraFrame] = {}
-        self._lock = threading.Lock()
-        self._measuring: defaultdict[int, threading.Lock] = defaultdict(threading.Lock)
+        self._measuring: dict[int, threading.Lock] = {}
         """A lock for each camera: callers who ask for the same new frame wait until one of them has measured it."""
 
     def frame(self, camera: int) -> CameraFrame:
@@ -115,38 +114,13 @@ class NewestFrames:
         Raises:
             NotFoundError: the station has no such camera, or none of its frames is in memory.
         """
-        names = [c.name for c in self._coordinator.snapshot().cameras]
-        if camera >= len(names):
+        count = len(self._coordinator.snapshot().cameras)
+        if camera >= count:
             raise NotFoundError(
-                f"There is no camera {camera}; the station has {len(names)}.", action="See cameras of GET station."
+                f"There is no camera {camera}; the station has {count}.", action="See cameras of GET station."
             )
-        with self._lock:
-            measuring = self._measuring[camera]
-        with measuring:
-            return self._newest(camera, names[camera])
-
-    def _newest(self, camera: int, name: str) -> CameraFrame:
-        """Return the figures of a camera's newest frame; the caller holds the lock of the camera."""
-        candidates = self._candidates(camera)
-        runs = {run.id for run, _ in candidates}
-        for run, record in candidates:
-            with self._lock:
-                known = self._measured.get(camera)
-            if known is not None:
-                filming = run.finished is None
-                newest = (known.run, known.row) == (run.id, record.row) and known.link_mbit_s is not None
-                # While a board is filmed, each row would be measured, and would take time from the station.
-                if newest or (filming and known.run in runs):
-                    return known
-            try:
-                pixels, _ = self._coordinator.frame(run.id, camera, record.row)
-            except VaoiError:
-                continue  # its memory was given to a later board meanwhile
-            found = _measured(run, record, pixels)
-            with self._lock:
-                self._measured[camera] = found
-            return found
-        raise NotFoundError(f"No frame of camera {name} is in memory.", action="Let a board pass.", code="no-frame-yet")
+        with self._measuring.setdefault(camera, threading.Lock()):
+            return self._newest(camera)
 
     def picture(self, camera: int, run: str | None, row: int | None) -> bytes:
         """Return a frame as JPEG of 8 bits, at most `LARGEST_PX` long: without a run and a row, the newest."""
@@ -155,19 +129,33 @@ class NewestFrames:
             run, row = newest.run, newest.row
         return for_display(self._coordinator.frame(run, camera, row)[0])
 
+    def _newest(self, camera: int) -> CameraFrame:
+        """Return the figures of a camera's newest frame; the caller holds the lock of the camera."""
+        known, candidates = self._measured.get(camera), self._candidates(camera)
+        for run, record in candidates:
+            if known is not None:
+                newest = (known.run, known.row) == (run.id, record.row) and known.link_mbit_s is not None
+                # While a board is filmed, each row would be measured, and would take time from the station.
+                if newest or (run.finished is None and any(known.run == other.id for other, _ in candidates)):
+                    return known
+            try:
+                pixels, _ = self._coordinator.frame(run.id, camera, record.row)
+            except VaoiError:
+                continue  # its memory was given to a later board meanwhile
+            self._measured[camera] = found = _measured(run, record, pixels)
+            return found
+        name = self._coordinator.snapshot().cameras[camera].name
+        raise NotFoundError(f"No frame of camera {name} is in memory.", action="Let a board pass.", code="no-frame-yet")
+
     def _candidates(self, camera: int) -> list[tuple[RunDetail, FrameRecord]]:
         """Return for each of the newest runs the last good frame of a camera, newest run first."""
         found = []
         for summary in self._coordinator.runs(_NEWEST_RUNS):
-            if not summary.frames_available and summary.finished is not None:
-                continue
-            try:
-                run = self._coordinator.run(summary.id)
-            except VaoiError:
-                continue  # it was forgotten meanwhile
-            good = [frame for frame in run.frames if frame.camera == camera and frame.usable]
-            if good:
-                found.append((run, good[-1]))
+            if summary.frames_available or summary.finished is None:
+                with suppress(VaoiError):  # it was forgotten meanwhile
+                    run = self._coordinator.run(summary.id)
+                    good = [frame for frame in run.frames if frame.camera == camera and frame.usable]
+                    found += [(run, good[-1])] if good else []
         return found
 
 
@@ -188,16 +176,9 @@ class CameraTrials:
         with self._lock:
             number = next(self._numbers)
             self._newest = camera, number, taken.pixels
-        return CameraTrialFrame(
-            camera=camera,
-            number=number,
-            light=taken.light,
-            on_us=taken.on_us,
-            exposure_us=taken.exposure_us,
-            gain_db=taken.gain_db,
-            expires_in_s=TRIAL_S,
-            **figures_of(taken.pixels).model_dump(),
-        )
+        settings_used = {name: getattr(taken, name) for name in ("light", "on_us", "exposure_us", "gain_db")}
+        figures = figures_of(taken.pixels).model_dump()
+        return CameraTrialFrame(camera=camera, number=number, expires_in_s=TRIAL_S, **settings_used, **figures)
 
     def frame(self, camera: int, number: int | None) -> Image:
         """Return the newest frame; `NotFoundError` if it is of another camera or trial, or there is none."""

@@ -14,7 +14,14 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import Field, ValidationError
 
-from vaoi_station.api.http_caching import LIVE, REVALIDATE, conditional_response, require_unchanged, tag_of
+from vaoi_station.api.http_caching import (
+    LIVE,
+    REVALIDATE,
+    conditional_response,
+    json_response,
+    require_unchanged,
+    tag_of,
+)
 from vaoi_station.api.limits import ThreadLimit
 from vaoi_station.api.parameters import BoardTypeName, IfMatch, IfNoneMatch, Revision, RunId, file_reply, rest_router
 from vaoi_station.api.rest_models import (
@@ -64,7 +71,7 @@ def router(services: Services) -> APIRouter:
     parsing = ThreadLimit(1)
 
     def shown(request: Request, board_type: BoardType, cache: str = LIVE) -> Response:
-        return conditional_response(request, document_of(board_type), "application/json", cache=cache)
+        return json_response(request, document_of(board_type), cache)
 
     @routes.get("")
     async def list_board_types(response: Response) -> BoardTypeList:
@@ -167,17 +174,16 @@ def _add_stitching(routes: APIRouter, services: Services) -> None:
     changing, teaching = asyncio.Lock(), asyncio.Lock()
 
     @asynccontextmanager
-    async def unchanged_reference(request: Request, name: str) -> AsyncIterator[None]:
-        async with teaching:
-            present = await _present(services, request, lambda: _content(coordinator.reference(name)))
-            require_unchanged(request, present, f"The reference of {name!r}")
+    async def unchanged(
+        request: Request, lock: asyncio.Lock, read: Callable[[str], Setting], name: str, what: str
+    ) -> AsyncIterator[None]:
+        async with lock:
+            present = await _present(services, request, lambda: _content(read(name)))
+            require_unchanged(request, present, f"The {what} of {name!r}")
             yield
 
-    @asynccontextmanager
-    async def unchanged_method(request: Request, name: str) -> AsyncIterator[None]:
-        async with changing:
-            require_unchanged(request, _content(await ask(coordinator.method, name)), f"The method of {name!r}")
-            yield
+    unchanged_reference = partial(unchanged, lock=teaching, read=coordinator.reference, what="reference")
+    unchanged_method = partial(unchanged, lock=changing, read=coordinator.method, what="method")
 
     @routes.get("/{name}/reference")
     async def get_reference(response: Response, name: BoardTypeName) -> ReferenceStatus:
@@ -199,7 +205,7 @@ def _add_stitching(routes: APIRouter, services: Services) -> None:
         if the reference is still the one that the caller has read: else 412 `changed`.
         """
         teach = partial(coordinator.teach_reference, confirm_orientation=wanted.confirm_orientation)
-        async with unchanged_reference(request, name):
+        async with unchanged_reference(request, name=name):
             if await ask(teach, name, wanted.run):
                 response.status_code, response.headers["Location"] = 201, quote(request.url.path)
             return _tagged(response, await ask(coordinator.reference, name))
@@ -210,7 +216,7 @@ def _add_stitching(routes: APIRouter, services: Services) -> None:
 
         With `If-Match: ETAG` only if it is still the one that the caller has read: else 412 `changed`.
         """
-        async with unchanged_reference(request, name):
+        async with unchanged_reference(request, name=name):
             await ask(coordinator.forget_reference, name)
 
     @routes.get("/{name}/method")
@@ -226,7 +232,7 @@ def _add_stitching(routes: APIRouter, services: Services) -> None:
 
         With `If-Match: ETAG` only if it is still the one that the caller has read: else 412 `changed`.
         """
-        async with unchanged_method(request, name):
+        async with unchanged_method(request, name=name):
             return _tagged(response, await ask(coordinator.set_method, name, wanted.method))
 
     @routes.delete("/{name}/method")
@@ -234,7 +240,7 @@ def _add_stitching(routes: APIRouter, services: Services) -> None:
         request: Request, response: Response, name: BoardTypeName, _: IfMatch = None
     ) -> StitchingMethod:
         """Delete the method that was set for the board type. The default (`method` of station.toml) then applies."""
-        async with unchanged_method(request, name):
+        async with unchanged_method(request, name=name):
             return _tagged(response, await ask(coordinator.set_method, name, None))
 
 
@@ -256,8 +262,7 @@ def _board_check(services: Services) -> APIRouter:
         takes some seconds. 410: the frames are no longer in memory.
         """
         made = await checking.ask(lambda: checks.check(run, stored(run, board_type)))
-        body = made.report.model_dump_json(exclude_none=True).encode()
-        return conditional_response(request, body, "application/json", cache=REVALIDATE)
+        return json_response(request, made.report, REVALIDATE)
 
     @routes.get(
         "/runs/{run}/board-check/picture",

@@ -10,7 +10,6 @@ from fastapi import APIRouter, Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from vaoi_station.api.access import still_known
-from vaoi_station.api.limits import caller_of
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.rest_models import Heartbeat
 from vaoi_station.api.routes.services import Services
@@ -37,16 +36,13 @@ def router(services: Services) -> APIRouter:
             after = int(last_event_id)
         return newest if after is None else min(after, newest)
 
-    async def reserve_place(request: Request) -> AsyncIterator[None]:
-        """Reserve a place in the event hub for this stream."""
-        # A dependency, because it runs before the first header is sent: a refusal can still be a 503. The first one, so
-        # that a refused stream asks nothing of the coordinator.
-        with services.hub.streams.take(caller_of(request).name):
-            yield
+    # The seat is taken first, so that a refused stream asks nothing of the coordinator, and before the first header is
+    # sent, so that the refusal can still be a 503.
+    seat = Depends(services.hub.streams.hold)
 
     @routes.get("/events", response_class=EventSourceResponse)
     async def stream_events(
-        request: Request, _: None = Depends(reserve_place), after: int = Depends(start)
+        request: Request, _: None = seat, after: int = Depends(start)
     ) -> AsyncIterator[ServerSentEvent]:
         """Stream every event as one message whose id is its number, in order and without gaps.
 

@@ -14,8 +14,8 @@ from starlette.background import BackgroundTask
 from starlette.datastructures import Headers
 from starlette.types import Receive, Scope, Send
 
-from vaoi_station.api.http_caching import IMMUTABLE, REVALIDATE, conditional_response
-from vaoi_station.api.limits import file_seats
+from vaoi_station.api.http_caching import REVALIDATE, conditional_response, json_response
+from vaoi_station.api.limits import Seats
 from vaoi_station.api.parameters import MOSAIC_NAME, RunId, file_reply, rest_router
 from vaoi_station.api.rest_models import KeptMosaicEntry, MosaicEntry, MosaicList
 from vaoi_station.api.routes.services import Services
@@ -33,6 +33,8 @@ Picture = Annotated[
     ),
 ]
 Side = Annotated[int, Path(ge=0, le=10_000_000)]
+FILES, FILES_OF_CALLER = 2, 1
+"""Limits of files of whole boards, in all and of one caller, that are being made or have not been read yet."""
 LARGE_FILES = File("/var/tmp")  # noqa: S108  each file is in a directory of its own, with mode 0700
 MEDIA = {"jpg": "image/jpeg", "png": "image/png"}
 TIFF = file_reply("A tiled, pyramidal TIFF.", "image/tiff")
@@ -56,7 +58,9 @@ def router(services: Services) -> APIRouter:
     """Create the routes for mosaics."""
     routes = rest_router(prefix="/runs/{run}/mosaics", tags=["pictures"])
     mosaics, kept = services.coordinator.mosaics, services.coordinator.kept.mosaics
-    ask, files, seat = services.commands.ask, file_seats(), Depends(services.picture_seats.hold)
+    ask, seat = services.commands.ask, Depends(services.picture_seats.hold)
+    # One takes a worker for minutes, and over a gigabyte of the disk.
+    files = Seats("files of whole boards that are made or read", FILES, FILES_OF_CALLER)
 
     @routes.get("", response_model=MosaicList)
     async def list_mosaics(request: Request, run: RunId) -> Response:
@@ -92,9 +96,8 @@ def router(services: Services) -> APIRouter:
             )
             return MosaicList(mosaics=entries, kept=picture)
 
-        body = (await ask(listed)).model_dump_json(exclude_none=True).encode()
         # The small picture is made later, and deleted before the run.
-        return conditional_response(request, body, "application/json", cache=REVALIDATE)
+        return json_response(request, await ask(listed), REVALIDATE)
 
     @routes.get(
         "/kept.jpg",
@@ -114,7 +117,7 @@ def router(services: Services) -> APIRouter:
         The station makes it in spare time after a run, within `[keep] mosaics_gb`. 404 `no-kept-mosaic`: there is none.
         """
         content = await ask(lambda: kept.content(run) if width is None else narrowed_jpeg(kept.content(run), width))
-        return conditional_response(request, content, "image/jpeg", cache=IMMUTABLE)
+        return conditional_response(request, content, "image/jpeg")
 
     @routes.get(
         "/{picture}.dzi",

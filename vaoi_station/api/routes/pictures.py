@@ -7,18 +7,16 @@ from typing import Annotated, Any, Literal
 from urllib.parse import quote, urlencode
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from vaoi_station.api.encoders import MEDIA_TYPES, ImageFormat, choose_format, encode_image, raw_from_npy
-from vaoi_station.api.fast.rest_route import RouteWithoutQuery
-from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, matches
+from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, json_response, matches
 from vaoi_station.api.parameters import (
     FOR_CACHES,
     Address,
     Camera,
     FormatName,
-    MinCoverage,
-    PxPerMm,
+    RouteWithoutQuery,
     Row,
     RunId,
     file_reply,
@@ -26,11 +24,17 @@ from vaoi_station.api.parameters import (
     rest_router,
 )
 from vaoi_station.api.problems import problem_response
-from vaoi_station.api.rest_models import ComponentEntry, ComponentList, ComponentViews, Matrix3, ViewEntry
+from vaoi_station.api.rest_models import (
+    ComponentEntry,
+    ComponentList,
+    ComponentViews,
+    MergedEntry,
+    MergedList,
+    ViewEntry,
+)
 from vaoi_station.api.routes.services import Services
-from vaoi_station.model import Strict
 from vaoi_station.rendering import ImageRequest
-from vaoi_station.rendering.request import MOST_IMAGES, MOST_MARGIN_MM, Bounds, Choice, Framing, direction
+from vaoi_station.rendering.request import MOST_IMAGES, MOST_MARGIN_MM, Alignment, Order, Plane, direction
 from vaoi_station.rendering.selection import component_covariances, describe
 from vaoi_station.runs.batches.batches import merged_entry
 from vaoi_station.runs.merging.merged_pictures import MergeRequest
@@ -39,7 +43,11 @@ from vaoi_station.runs.states.tables import FINISHED
 
 Accept = Annotated[str | None, Header(max_length=500)]
 Index = Annotated[int, Path(description="Index of the view, from 0.", ge=0, le=99_999)]
-Number = Annotated[float, Query(allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Resolution = Annotated[
+    Number | None,
+    Field(description="Resolution of the temporary images; default: the station's setting.", ge=0.5, le=500),
+]
 PICTURE = file_reply("The image; X-Image-* headers describe raw pixels.", *MEDIA_TYPES.values())
 RENDERED_AS: dict[ImageFormat, Rendered] = {
     ImageFormat.PNG: "png",
@@ -52,76 +60,53 @@ RENDERED_AS: dict[ImageFormat, Rendered] = {
 _ONE_RANGE = re.compile(r"bytes=(\d{0,15})-(\d{0,15})")
 
 
-# Coroutines, because FastAPI performs other functions in a thread, which takes longer than the functions.
-async def _framing(
-    px_per_mm: PxPerMm = None,
-    margin_mm: Annotated[
-        Number, Query(description="Strip of surroundings on all sides of the component.", ge=0, le=MOST_MARGIN_MM)
-    ] = 0.0,
-    align: Annotated[
-        Literal["cad", "part"],
-        Query(description="What is upright: CAD, or the component as at rotation 0."),
-    ] = "cad",
-    plane: Annotated[
-        Literal["board", "top"],
-        Query(description="Plane in which the images are right: the board's surface, or the top of the body."),
-    ] = "board",
-) -> Framing:
-    return Framing(px_per_mm, margin_mm, align, plane)
+class ImageQuery(BaseModel):
+    """The options of a request for temporary images, as `ImageRequest` has them."""
 
-
-async def _bounds(
-    min_coverage: MinCoverage = 0.5,
-    min_exposure_us: Annotated[Number | None, Query(description="Least exposure time.", ge=0)] = None,
-    max_exposure_us: Annotated[Number | None, Query(description="Longest exposure time.", ge=0)] = None,
-    min_angle_deg: Annotated[
-        Number, Query(description="Least angle between line of sight and vertical.", ge=0, le=90)
-    ] = 0.0,
-    max_angle_deg: Annotated[Number, Query(description="Largest such angle.", ge=0, le=90)] = 90.0,
-    min_sharpness_per_mm: Annotated[Number | None, Query(description="Least sharpness.", ge=0)] = None,
-    max_saturated: Annotated[Number | None, Query(description="Largest share of saturated pixels.", ge=0, le=1)] = None,
-) -> Bounds:
-    return Bounds(
-        min_coverage,
-        min_exposure_us,
-        max_exposure_us,
-        min_angle_deg,
-        max_angle_deg,
-        min_sharpness_per_mm,
-        max_saturated,
+    px_per_mm: Resolution = None
+    margin_mm: Number = Field(
+        default=0.0, description="Strip of surroundings on all sides of the component.", ge=0, le=MOST_MARGIN_MM
     )
+    align: Alignment = Field(default="cad", description="What is upright: CAD, or the component as at rotation 0.")
+    plane: Plane = Field(
+        default="board",
+        description="Plane in which the images are right: the board's surface, or the top of the body.",
+    )
+    min_coverage: Number = Field(
+        default=0.5, description="Omit frames that show less than this share of the component.", gt=0, le=1
+    )
+    min_exposure_us: Number | None = Field(default=None, description="Least exposure time.", ge=0)
+    max_exposure_us: Number | None = Field(default=None, description="Longest exposure time.", ge=0)
+    min_angle_deg: Number = Field(
+        default=0.0, description="Least angle between line of sight and vertical.", ge=0, le=90
+    )
+    max_angle_deg: Number = Field(default=90.0, description="Largest such angle.", ge=0, le=90)
+    min_sharpness_per_mm: Number | None = Field(default=None, description="Least sharpness.", ge=0)
+    max_saturated: Number | None = Field(default=None, description="Largest share of saturated pixels.", ge=0, le=1)
+    light: str | None = Field(default=None, description="Only images under this light.", max_length=200)
+    minus: str | None = Field(
+        default=None,
+        description="Subtract the image under this light, seen most nearly from the same side.",
+        max_length=200,
+    )
+    seen_from: str | None = Field(
+        default=None,
+        description="Only images that see the component from this side of the image (`left`, `right`, `front`: below, "
+        "`back`: above), or from this azimuth in CAD, 0 to 360.",
+        max_length=20,
+    )
+    within_deg: Number | None = Field(
+        default=None, description="Largest difference from `seen_from` [45]; only with it.", ge=0, le=180
+    )
+    order: Order = Field(default="best", description="What comes first; see the guide.")
+    limit: int | None = Field(default=None, description="Largest number of images.", ge=1, le=MOST_IMAGES)
+    measure: bool = Field(default=False, description="Measure sharpness and saturation of every image.")
 
 
-async def _choice(
-    light: Annotated[str | None, Query(description="Only images under this light.", max_length=200)] = None,
-    minus: Annotated[
-        str | None,
-        Query(description="Subtract the image under this light, seen most nearly from the same side.", max_length=200),
-    ] = None,
-    seen_from: Annotated[
-        str | None,
-        Query(
-            description="Only images that see the component from this side of the image (`left`, `right`, `front`: "
-            "below, `back`: above), or from this azimuth in CAD, 0 to 360.",
-            max_length=20,
-        ),
-    ] = None,
-    within_deg: Annotated[
-        Number | None, Query(description="Largest difference from `seen_from` [45]; only with it.", ge=0, le=180)
-    ] = None,
-    order: Annotated[Literal["best", "sharpest"], Query(description="What comes first; see the guide.")] = "best",
-    limit: Annotated[int | None, Query(description="Largest number of images.", ge=1, le=MOST_IMAGES)] = None,
-    measure: Annotated[bool, Query(description="Measure sharpness and saturation of every image.")] = False,
-) -> Choice:
-    return Choice(light, minus, direction(seen_from), within_deg, order, limit, measure)
-
-
-async def _wanted(
-    framing: Annotated[Framing, Depends(_framing)],
-    bounds: Annotated[Bounds, Depends(_bounds)],
-    choice: Annotated[Choice, Depends(_choice)],
-) -> ImageRequest:
-    return ImageRequest(framing, bounds, choice).check()
+# Coroutines, because FastAPI performs other functions in a thread, which takes longer than the functions.
+async def _wanted(query: Annotated[ImageQuery, Query()]) -> ImageRequest:
+    options: Any = dict(query) | {"seen_from": direction(query.seen_from)}
+    return ImageRequest.of(options)
 
 
 Wanted = Annotated[ImageRequest, Depends(_wanted)]
@@ -135,49 +120,31 @@ def picture_query(wanted: ImageRequest) -> str:
     return "?" + urlencode(asked) if asked else ""
 
 
-class MergedEntry(Strict):
-    """One merged picture. Matrices act on column vectors (x, y, 1)."""
+class MergeQuery(BaseModel):
+    """The parameters of merged pictures."""
 
-    k: int
-    merged: list[tuple[int, int]] = Field(description="[camera, row] of the frames it is merged of, best first.")
-    exposures: int = Field(description="Number of different exposures; with 1, saturated places have no value.")
-    lights: list[str] = Field(description="The light of the frames; empty if lights have no names.")
-    width_px: int
-    height_px: int
-    px_per_mm: float
-    plane_height_mm: float = Field(description="Height above the board of the plane in which frames are merged.")
-    crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of the picture.")
-    cad_from_crop: Matrix3
-    url: str = Field(description="Address of the picture.")
+    component: str | None = Field(
+        default=None,
+        description="Component: `ref`, or `panel/ref` on a panel; or give `region`.",
+        min_length=1,
+        max_length=200,
+    )
+    region: str | None = Field(
+        default=None,
+        description="Part of the board: `x0,y0,x1,y1` in CAD coordinates; or give `component`.",
+        max_length=200,
+    )
+    light: str | None = Field(
+        default=None, description="Merge the frames under this light; default: that of most frames.", max_length=100
+    )
+    px_per_mm: Resolution = None
+    min_coverage: Number = Field(default=0.02, description="Omit frames that show less than this share.", gt=0, le=1)
 
 
-class MergedList(Strict):
-    """The merged pictures of a component or region: the paper's m_v pictures, and last the one of all frames."""
-
-    pictures: list[MergedEntry]
-
-
-async def _merge_request(
-    component: Annotated[
-        str | None,
-        Query(
-            description="Component: `ref`, or `panel/ref` on a panel; or give `region`.", min_length=1, max_length=200
-        ),
-    ] = None,
-    region: Annotated[
-        str | None,
-        Query(description="Part of the board: `x0,y0,x1,y1` in CAD coordinates; or give `component`.", max_length=200),
-    ] = None,
-    light: Annotated[
-        str | None,
-        Query(description="Merge the frames under this light; default: that of most frames.", max_length=100),
-    ] = None,
-    px_per_mm: PxPerMm = None,
-    min_coverage: Annotated[
-        float, Query(description="Omit frames that show less than this share.", gt=0, le=1, allow_inf_nan=False)
-    ] = 0.02,
-) -> MergeRequest:
-    return MergeRequest(component, parse_box("region", region), light, px_per_mm, min_coverage)
+async def _merge_request(query: Annotated[MergeQuery, Query()]) -> MergeRequest:
+    return MergeRequest(
+        query.component, parse_box("region", query.region), query.light, query.px_per_mm, query.min_coverage
+    )
 
 
 Merged = Annotated[MergeRequest, Depends(_merge_request)]
@@ -234,7 +201,7 @@ def router(services: Services) -> APIRouter:
     async def caching(run: str, wanted: ImageRequest | None = None) -> str:
         return await ask(caching_now, run, wanted)
 
-    @routes.get("/components", response_model=ComponentList, dependencies=[Depends(services.searches.hold)])
+    @routes.get("/components", response_model=ComponentList, dependencies=[Depends(services.search_seats.hold)])
     async def list_components(
         request: Request,
         run: RunId,
@@ -255,10 +222,10 @@ def router(services: Services) -> APIRouter:
                 )
                 for c in parts
             ]
-            return _document(request, ComponentList(components=entries), cache)
+            return json_response(request, ComponentList(components=entries), cache)
 
         # 20,000 components become some megabytes of text, which takes too long for the event loop.
-        return await services.searches.ask(listed)
+        return await services.searching.ask(listed)
 
     async def image_of(
         request: Request, component: tuple[str, str, int], wanted: ImageRequest, wire: ImageFormat
@@ -322,7 +289,7 @@ def router(services: Services) -> APIRouter:
             plane_sigma_mm=None if images.height is None else images.height.sigma_mm,
             views=entries,
         )
-        return _document(request, views, cache)
+        return json_response(request, views, cache)
 
     @routes.get("/merged", response_model=MergedList)
     async def list_merged(*, request: Request, run: RunId, wanted: Merged) -> Response:
@@ -339,7 +306,7 @@ def router(services: Services) -> APIRouter:
             MergedEntry(k=k, url=address + urlencode(query | {"k": str(k)}), **merged_entry(choice))
             for k, choice in enumerate(choices)
         ]
-        return _document(request, MergedList(pictures=entries), REVALIDATE)
+        return json_response(request, MergedList(pictures=entries), REVALIDATE)
 
     @routes.get("/merged/image", responses=PICTURE, **with_seat)
     async def get_merged_image(
@@ -378,11 +345,6 @@ def router(services: Services) -> APIRouter:
         return _picture(request, content, image_format, REVALIDATE)
 
     return routes
-
-
-def _document(request: Request, content: Strict, cache: str) -> Response:
-    body = content.model_dump_json(exclude_none=True).encode()
-    return conditional_response(request, body, "application/json", cache=cache)
 
 
 def _picture(request: Request, content: bytes, image_format: ImageFormat, cache: str) -> Response:

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
-from pydantic import AwareDatetime
+from pydantic import AwareDatetime, BaseModel, Field
 
-from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, conditional_response, require_unchanged
+from vaoi_station.api.http_caching import LIVE, REVALIDATE, json_of, json_response, require_unchanged
 from vaoi_station.api.limits import caller_of
-from vaoi_station.api.parameters import IfMatch, PlainText, RunId, TimeoutS, rest_router
-from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, RunPage
+from vaoi_station.api.parameters import IfMatch, Moment, RunId, TimeoutS, rest_router
+from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, PlainText, RunPage
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId
@@ -31,25 +31,28 @@ from vaoi_station.runs.states.schemas import (
 from vaoi_station.runs.states.tables import IN_MEMORY
 from vaoi_station.store.run_search import RunFilter
 
-Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
 Cursor = Annotated[str | None, Query(description="Id of a run.", min_length=1, max_length=64)]
 Figures = Annotated[bool, Query(description="Whether figures are wanted, as `trends` has them.")]
 Holder = Annotated[PlainText, Query(description="Name of the holder.", min_length=1, max_length=80)]
 
 
-async def run_filter(
-    verdict: Annotated[Wanted | None, Query(description="Verdict; `none`: ended without a result.")] = None,
-    board_type: Annotated[str | None, Query(description="Name of the board type.", max_length=200)] = None,
-    board_id: Annotated[str | None, Query(description="The caller's id of the board.", max_length=200)] = None,
-    reason: Annotated[str | None, Query(description="Code or cause of a reason.", max_length=80)] = None,
-    since: Annotated[AwareDatetime | None, Query(description="Boards from this time on, RFC 3339.")] = None,
-    until: Annotated[AwareDatetime | None, Query(description="Boards before this time, RFC 3339.")] = None,
-) -> RunFilter:
+class RunQuery(BaseModel):
+    """Which runs are listed."""
+
+    verdict: Wanted | None = Field(default=None, description="Verdict; `none`: ended without a result.")
+    board_type: str | None = Field(default=None, description="Name of the board type.", max_length=200)
+    board_id: str | None = Field(default=None, description="The caller's id of the board.", max_length=200)
+    reason: str | None = Field(default=None, description="Code or cause of a reason.", max_length=80)
+    since: AwareDatetime | None = Field(default=None, description="Boards from this time on, RFC 3339.")
+    until: AwareDatetime | None = Field(default=None, description="Boards before this time, RFC 3339.")
+
+
+async def run_filter(query: Annotated[RunQuery, Query()]) -> RunFilter:
     """Return the filter that a query states."""
-    first, last = (None if moment is None else utc(in_utc(moment)) for moment in (since, until))
+    first, last = (None if moment is None else utc(in_utc(moment)) for moment in (query.since, query.until))
     if first is not None and last is not None and first > last:
         raise InputError.field("query", "since", first, f"no later than until ({last})")
-    return RunFilter(verdict, board_type, board_id, reason, first, last)
+    return RunFilter(query.verdict, query.board_type, query.board_id, query.reason, first, last)
 
 
 def router(services: Services) -> APIRouter:
@@ -57,10 +60,11 @@ def router(services: Services) -> APIRouter:
     routes = rest_router(prefix="/runs", tags=["runs"])
     coordinator, ask, kept = services.coordinator, services.commands.ask, services.coordinator.kept
     # Between the check of If-Match and the decision no other caller may decide.
-    searches, deciding = services.searches, asyncio.Lock()
+    seats, search, deciding = services.search_seats, services.searching.ask, asyncio.Lock()
 
+    # Even a finished run changes its state when its frames are released, so clients must revalidate.
     async def shown(request: Request, run: str, cache: str = REVALIDATE, *, figures: bool = False) -> Response:
-        return _detail(request, await ask(kept.shown, await ask(coordinator.run, run), figures), cache)
+        return json_response(request, await ask(kept.shown, await ask(coordinator.run, run), figures), cache)
 
     @routes.get("")
     async def list_runs(
@@ -88,24 +92,24 @@ def router(services: Services) -> APIRouter:
             await ask(coordinator.run, before)  # raises NotFoundError
         if read_id is not None or wanted != RunFilter():
             runs: Sequence[RunSummary]
-            async with searches.take(caller_of(request).name):
+            async with seats.take(caller_of(request).name):
                 if read_id is not None:
-                    runs, more = await searches.ask(kept.with_id, read_id, wanted, limit, before)
+                    runs, more = await search(kept.with_id, read_id, wanted, limit, before)
                 else:
-                    runs, more = await searches.ask(kept.history.find, wanted, limit, before)
-                return RunPage(runs=list(await searches.ask(kept.all_shown, tuple(runs), figures)), next=more)
+                    runs, more = await search(kept.history.find, wanted, limit, before)
+                return RunPage(runs=list(await search(kept.all_shown, tuple(runs), figures)), next=more)
         # One more than requested shows whether there is a further page.
         runs = await ask(coordinator.runs, limit + 1, before)
         page = await ask(kept.all_shown, runs[:limit], figures)
         return RunPage(runs=list(page), next=runs[limit - 1].id if len(runs) > limit else None)
 
-    @routes.get("/counts", dependencies=[Depends(searches.hold)])
+    @routes.get("/counts", dependencies=[Depends(seats.hold)])
     async def count_runs(since: Moment = None) -> RunCounts:
         """Count the boards since a time, by verdict, and the boards that passed without a run.
 
         Without `since`: since the last midnight of the station's time zone.
         """
-        return await searches.ask(kept.history.counts, in_utc(since) if since else last_midnight())
+        return await search(kept.history.counts, in_utc(since) if since else last_midnight())
 
     @routes.get("/latest", response_model=RunDetail)
     async def get_latest_run(request: Request) -> Response:
@@ -117,7 +121,7 @@ def router(services: Services) -> APIRouter:
                 action="Arm the station, let a board pass, and try again.",
                 code="no-run-yet",
             )
-        return _detail(request, await ask(kept.shown, run))
+        return json_response(request, await ask(kept.shown, run), REVALIDATE)
 
     @routes.get("/next", response_model=RunDetail, responses={204: {"description": "No run finished in time."}})
     async def wait_for_next_run(request: Request, after: Cursor = None, timeout: TimeoutS = 30.0) -> Response:
@@ -128,7 +132,7 @@ def router(services: Services) -> APIRouter:
         """
         if (run := await _next(services, caller_of(request).name, after, timeout)) is None:
             return Response(status_code=204, headers={"Cache-Control": LIVE})
-        return _detail(request, await ask(kept.shown, run), LIVE)
+        return json_response(request, await ask(kept.shown, run), LIVE)
 
     @routes.get("/{run}", response_model=RunDetail)
     async def get_run(request: Request, run: RunId, figures: Figures = False) -> Response:
@@ -138,7 +142,7 @@ def router(services: Services) -> APIRouter:
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
         """Return the result of a run in the format of `docs/formats.md`. Replies 409 while there is none yet."""
-        return _final(request, (await ask(coordinator.stitch_text, run)).encode())
+        return json_response(request, (await ask(coordinator.stitch_text, run)).encode())
 
     @routes.get("/{run}/heights", response_model=HeightList, dependencies=[Depends(services.picture_seats.hold)])
     async def get_heights(request: Request, run: RunId) -> Response:
@@ -148,7 +152,7 @@ def router(services: Services) -> APIRouter:
         with the result; all requests get the same document. 409: no CAD mapping, or a calibration without working
         distance. 410: the frames are no longer in memory, and the heights were not measured while they were.
         """
-        return _final(request, await services.pictures.ask(coordinator.heights.document, run))
+        return json_response(request, await services.pictures.ask(coordinator.heights.document, run))
 
     @routes.get("/{run}/timeline", response_model=Timeline)
     async def get_timeline(request: Request, run: RunId) -> Response:
@@ -156,7 +160,7 @@ def router(services: Services) -> APIRouter:
 
         All are seconds since the board interrupted the light barrier.
         """
-        return _final(request, (await ask(coordinator.timeline, run)).model_dump_json(exclude_none=True).encode())
+        return json_response(request, await ask(coordinator.timeline, run))
 
     @routes.get("/{run}/overlay", response_model=RunOverlay)
     async def get_overlay(request: Request, run: RunId) -> Response:
@@ -165,8 +169,7 @@ def router(services: Services) -> APIRouter:
         Places are CAD coordinates, as `image_from_cad` of a mosaic takes them. No frames are needed. 409: the run has
         no CAD mapping.
         """
-        overlay = await ask(coordinator.mosaics.overlay, run)
-        return _final(request, overlay.model_dump_json(exclude_none=True).encode())
+        return json_response(request, await ask(coordinator.mosaics.overlay, run))
 
     @routes.post("/{run}/release")
     async def release_run(
@@ -215,7 +218,7 @@ def router(services: Services) -> APIRouter:
         `If-Match: ETAG` only if the run is still as the caller has read it: else 412 `changed`.
         """
         async with deciding:
-            present = _content(await ask(kept.shown, await ask(coordinator.run, run)))
+            present = json_of(await ask(kept.shown, await ask(coordinator.run, run)))
             require_unchanged(request, present, f"Run {run}")
             await ask(kept.history.decide, run, wanted.choice, wanted.name, wanted.reason)
         return await shown(request, run, LIVE)
@@ -243,20 +246,6 @@ def router(services: Services) -> APIRouter:
         return await ask(kept.identities.report, run, report)
 
     return routes
-
-
-def _detail(request: Request, run: RunDetail, cache: str = REVALIDATE) -> Response:
-    """Return the document of a run as JSON, with its ETag."""
-    # Even a finished run changes its state when its frames are released, so clients must revalidate.
-    return conditional_response(request, _content(run), "application/json", cache=cache)
-
-
-def _content(run: RunDetail) -> bytes:
-    return run.model_dump_json(exclude_none=True).encode()
-
-
-def _final(request: Request, content: bytes) -> Response:
-    return conditional_response(request, content, "application/json", cache=IMMUTABLE)
 
 
 async def _identity(services: Services, caller: str, run: str, timeout_s: float) -> IdentityDocument:

@@ -5,10 +5,18 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field
 
-from vaoi_station.api.event_hub import COMMAND_THREADS, EventHub
-from vaoi_station.api.limits import PICTURE_THREADS, QueuedSeats, Searches, ThreadLimit, picture_seats
+from vaoi_station.api.event_hub import EventHub
+from vaoi_station.api.limits import QueuedSeats, ThreadLimit
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
+
+COMMAND_THREADS = 16
+PICTURE_THREADS, PICTURES_OF_CALLER = 8, 6
+"""Pictures that are made at the same time; those of one caller that are being made or have not been read yet."""
+SEARCH_THREADS, SEARCHES, SEARCHES_OF_CALLER = 2, 4, 2
+"""Searches at a time (the database has more readers, which stay for others); searches and long lists, in all and of one
+caller, that are made or not yet read. One reads up to 20,000 rows: in the threads of commands, many of them would let
+disarming and matrices wait."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +28,13 @@ class Services:
     publisher: Publisher | None = None
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
-    picture_seats: QueuedSeats = field(default_factory=picture_seats)
-    searches: Searches = field(default_factory=Searches)
+    picture_seats: QueuedSeats = field(
+        default_factory=lambda: QueuedSeats("pictures", PICTURE_THREADS, PICTURES_OF_CALLER)
+    )
+    """For frames and temporary images: a seat is the right to one picture in memory."""
+    searching: ThreadLimit = field(default_factory=lambda: ThreadLimit(SEARCH_THREADS))
+    search_seats: QueuedSeats = field(
+        default_factory=lambda: QueuedSeats("searches and long lists", SEARCHES, SEARCHES_OF_CALLER)
+    )
     changing: asyncio.Lock = field(default_factory=asyncio.Lock)
     """Held while a board type is changed: between the check of If-Match and the change no other caller may do so."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Depends, Path, Query, Request
+from fastapi import APIRouter, Body, Depends, Path, Query
 
-from vaoi_station.api.limits import Seats, ThreadLimit, caller_of
-from vaoi_station.api.parameters import CallerId, PlainText, rest_router
-from vaoi_station.api.rest_models import ArmRequest
+from vaoi_station.api.limits import Seats, ThreadLimit
+from vaoi_station.api.parameters import rest_router
+from vaoi_station.api.rest_models import ArmRequest, CallerId, PlainText
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.run.order import Passing
@@ -29,17 +28,12 @@ def router(services: Services) -> APIRouter:
     # Requests that wait must not take the threads that disarming needs, also when their callers have gone.
     arming, arms = ThreadLimit(ARMING), Seats("requests to arm that wait", ARMING, ARMING_OF_CALLER)
 
-    async def seat(request: Request) -> AsyncIterator[None]:
-        """Hold a seat for a request to arm."""
-        with arms.take(caller_of(request).name):
-            yield
-
     @routes.get("")
     async def get_station() -> StationSnapshot:
         """Return the station's state, health, memory, versions and retention."""
         return await ask(coordinator.snapshot)
 
-    @routes.post("/arm", dependencies=[Depends(seat)])
+    @routes.post("/arm", dependencies=[Depends(arms.hold)])
     async def arm_station(
         *,
         request: Annotated[ArmRequest, Body(default_factory=ArmRequest)],

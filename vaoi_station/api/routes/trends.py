@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Query, Request, Response
-from pydantic import AwareDatetime
+from fastapi import APIRouter, Depends, Query, Response
 
-from vaoi_station.api.limits import QueuedSeats, ThreadLimit, caller_of
-from vaoi_station.api.parameters import rest_router
+from vaoi_station.api.http_caching import json_of
+from vaoi_station.api.limits import QueuedSeats, ThreadLimit
+from vaoi_station.api.parameters import Moment, rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError
 from vaoi_station.runs.states.run_ids import in_utc, utc
@@ -28,7 +28,6 @@ FigureName = Literal[
     "residual_px", "seam_px", "sigma_px", "belt_mm_s", "slip_percent", "brightness_percent", "drift_px", "ready_ms",
     "lost_frames", "unseen_parts",
 ]  # fmt: skip
-Moment = Annotated[AwareDatetime | None, Query(description="A time with its zone, RFC 3339.")]
 TypeName = Annotated[str | None, Query(description="Name of the board type.", max_length=200)]
 
 
@@ -40,17 +39,11 @@ def router(services: Services) -> APIRouter:
     reading = ThreadLimit(1)
     seats = QueuedSeats("answers with figures", ANSWERS, ANSWERS_OF_CALLER, ANSWERS_WAITING, ANSWER_WAIT_S)
 
-    async def seat(request: Request) -> AsyncIterator[None]:
-        """Hold a seat until the answer was read."""
-        async with seats.take(caller_of(request).name):
-            yield
-
     async def answer(call: Callable[[], Trends | TrendComparison]) -> Response:
         # The document becomes text in the thread: it may have half a million values, too many for the event loop.
-        body = await reading.ask(lambda: call().model_dump_json(exclude_none=True).encode())
-        return Response(body, media_type="application/json")
+        return Response(await reading.ask(lambda: json_of(call())), media_type="application/json")
 
-    @routes.get("", response_model=Trends, dependencies=[Depends(seat)])
+    @routes.get("", response_model=Trends, dependencies=[Depends(seats.hold)])
     async def get_trends(
         *,
         since: Moment = None,
@@ -70,7 +63,7 @@ def router(services: Services) -> APIRouter:
         span = _span("since", since, "until", until, datetime.now(UTC), board_type)
         return await answer(lambda: history.trends.trends(span, figure or (), points))
 
-    @routes.get("/comparison", response_model=TrendComparison, dependencies=[Depends(seat)])
+    @routes.get("/comparison", response_model=TrendComparison, dependencies=[Depends(seats.hold)])
     async def compare_trends(
         *,
         since: Moment = None,

@@ -10,7 +10,6 @@ import json
 import logging
 import math
 import threading
-from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
 import cv2
@@ -19,6 +18,7 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field, model_validator
 
 from vaoi_station.api.cameras.frames import CameraTrials
+from vaoi_station.api.http_caching import json_of
 from vaoi_station.api.limits import ThreadLimit
 from vaoi_station.api.parameters import file_reply, rest_router
 from vaoi_station.api.routes.services import Services
@@ -58,6 +58,15 @@ ArtworkFile = Literal[
 TrialState = Literal["none", "reading", "fitting", "judged", "refused", "accepted"]
 
 
+_UNSTATED = ", where station.toml states none."
+Pitch = Annotated[float | None, Field(gt=0, le=10_000, description=f"Distance of neighbouring cameras{_UNSTATED}")]
+PxPerMm = Annotated[float | None, Field(ge=0.1, le=1000, description=f"Resolution of the cameras{_UNSTATED}")]
+Micrometres = Annotated[float, Field(ge=0, le=10_000)]
+BoardLayout = Annotated[
+    Layout, Field(description="The marks of the calibration board: the `layout.json` of its artwork.")
+]
+
+
 class ArtworkOptions(BaseModel):
     """The marks of a calibration board; what is absent is nominal in station.toml."""
 
@@ -75,13 +84,9 @@ class TrialRequest(Strict):
 
     run: str = Field(min_length=1, max_length=64, description="Id of a run whose frames can still be read.")
     row: int = Field(ge=0, le=100_000, description="The row in which every camera sees its marks.")
-    layout: Layout = Field(description="The marks of the calibration board: the `layout.json` of its artwork.")
-    pitch_mm: float | None = Field(
-        default=None, gt=0, le=10_000, description="Distance of neighbouring cameras, where station.toml states none."
-    )
-    px_per_mm: float | None = Field(
-        default=None, ge=0.1, le=1000, description="Resolution of the cameras, where station.toml states none."
-    )
+    layout: BoardLayout
+    pitch_mm: Pitch = None
+    px_per_mm: PxPerMm = None
     residual_limit_px: float = Field(
         default=0.2, gt=0, le=100, description="Largest accepted rms residual of a camera."
     )
@@ -89,9 +94,9 @@ class TrialRequest(Strict):
     center_tolerance_mm: float = Field(
         default=2.0, gt=0, le=1000, description="Accuracy of nominal_center_mm to the board as it lies."
     )
-    mark_accuracy_um: float = Field(default=0.0, ge=0, le=10_000, description="Standard deviation of places of marks.")
-    flatness_um: float = Field(
-        default=0.0, ge=0, le=10_000, description="Standard deviation of the board's height; needs working_distance_mm."
+    mark_accuracy_um: Micrometres = Field(default=0.0, description="Standard deviation of places of marks.")
+    flatness_um: Micrometres = Field(
+        default=0.0, description="Standard deviation of the board's height; needs working_distance_mm."
     )
 
 
@@ -155,13 +160,9 @@ class MarksRequest(Strict):
         default=None, ge=1, le=10**9, description="Number of the newest trial of the camera, in place of run and row."
     )
     camera: int = Field(ge=0, le=1000)
-    layout: Layout = Field(description="The marks of the calibration board: the `layout.json` of its artwork.")
-    pitch_mm: float | None = Field(
-        default=None, gt=0, le=10_000, description="Distance of neighbouring cameras, where station.toml states none."
-    )
-    px_per_mm: float | None = Field(
-        default=None, ge=0.1, le=1000, description="Resolution of the cameras, where station.toml states none."
-    )
+    layout: BoardLayout
+    pitch_mm: Pitch = None
+    px_per_mm: PxPerMm = None
 
     @model_validator(mode="after")
     def _names_one_frame(self) -> MarksRequest:
@@ -207,9 +208,8 @@ def router(services: Services, files: StationFiles, camera_trials: CameraTrials)
     @routes.get("/layout", response_model=Layout)
     async def get_calibration_layout(options: Annotated[ArtworkOptions, Query()]) -> Response:
         """Return the places of the marks of the artwork that the same parameters give: its `layout.json`."""
-        layout = (await ask(board, options))[0].layout
-        text = layout.model_dump_json(exclude_none=True)
-        return Response(text, media_type="application/json")
+        designed, _ = await ask(board, options)
+        return Response(json_of(designed.layout), media_type="application/json")
 
     @routes.post("/marks")
     async def find_calibration_marks(wanted: MarksRequest) -> FoundMarks:
@@ -223,7 +223,7 @@ def router(services: Services, files: StationFiles, camera_trials: CameraTrials)
     @routes.get("/trial")
     async def get_calibration_trial() -> CalibrationTrial:
         """Return the latest trial of a calibration: how far it is, or what it has found."""
-        return await ask(trials.status)
+        return trials.status()
 
     @routes.post("/trial", status_code=202)
     async def begin_calibration_trial(wanted: TrialRequest) -> CalibrationTrial:
@@ -305,8 +305,7 @@ class Trials:
 
     def status(self) -> CalibrationTrial:
         """Return the latest trial."""
-        with self._lock:
-            return self._trial
+        return self._trial
 
     def begin(self, wanted: TrialRequest) -> CalibrationTrial:
         """Begin a trial, which `perform` must make; refuse it while another one is made or boards are awaited."""
@@ -318,17 +317,12 @@ class Trials:
                 "body: flatness_um is given without working_distance_mm, by which a height moves a picture.",
                 action="Give the distance of the cameras from the board.",
             )
-        self._heads(wanted)
+        nominal_heads(self._files, wanted)
         run = self._coordinator.run(wanted.run)
         if wanted.row >= run.rows:
             raise InputError.field("body", "row", wanted.row, f"below {run.rows}, the rows of run {run.id}")
-        with self._lock:
-            self._require_rest()
-            self._made, self._pictures = None, {}
-            self._trial = CalibrationTrial(
-                state="reading", run=wanted.run, row=wanted.row, begun=utc(), frames=len(self._files.config.cameras)
-            )
-            return self._trial
+        frames = len(self._files.config.cameras)
+        return self._replace(state="reading", run=wanted.run, row=wanted.row, begun=utc(), frames=frames)
 
     def perform(self, wanted: TrialRequest) -> None:
         """Make the trial that was begun. What it refuses, and any fault, is stated in its status."""
@@ -343,8 +337,7 @@ class Trials:
     def accept(self) -> CalibrationTrial:
         """Write the calibration of the trial to the file of the station, which keeps a copy of the one before.
 
-        It is in force from the next start of the station on. If the file cannot be written, nothing is changed, and
-        the trial can be accepted again.
+        If the file cannot be written, nothing is changed, and the trial can be accepted again.
         """
         with self._lock:
             self._require_rest()
@@ -356,8 +349,7 @@ class Trials:
         accepted: dict[str, Any] = {}
         try:
             path = self._files.config.calibration
-            text = json.dumps(made.model_dump(mode="json", exclude_none=True), indent=1, allow_nan=False) + "\n"
-            backup = replace_with_backup(path, text.encode())
+            backup = replace_with_backup(path, _content(made))
             accepted = {"state": "accepted", "accepted_as": path.name, "backup": backup}
             _log.info("the calibration from run %s was accepted as %s", run, path)
         finally:
@@ -369,25 +361,20 @@ class Trials:
 
     def discard(self) -> CalibrationTrial:
         """Forget the latest trial, with its calibration and its pictures."""
-        with self._lock:
-            self._require_rest()
-            self._made, self._pictures = None, {}
-            self._trial = CalibrationTrial(state="none")
-            return self._trial
+        return self._replace(state="none")
 
     def document(self) -> bytes:
         """Return the calibration of the trial as a file."""
-        with self._lock:
-            if self._made is None:
-                raise NotFoundError("There is no calibration: no trial has ended well.", code="no-trial")
-            return (json.dumps(self._made.model_dump(mode="json", exclude_none=True), indent=1) + "\n").encode()
+        if (made := self._made) is None:
+            raise NotFoundError("There is no calibration: no trial has ended well.", code="no-trial")
+        return _content(made)
 
     def picture(self, name: str) -> bytes:
         """Return a picture of the trial, JPEG: `marks` or `difference`."""
-        with self._lock:
-            if name not in self._pictures:
-                raise NotFoundError(f"The trial has no picture {name!r}.", code="no-trial")
-            return self._pictures[name]
+        picture = self._pictures.get(name)
+        if picture is None:
+            raise NotFoundError(f"The trial has no picture {name!r}.", code="no-trial")
+        return picture
 
     def _require_rest(self) -> None:
         """Raise StateError while a trial is made or accepted; the caller holds the lock."""
@@ -395,8 +382,19 @@ class Trials:
             doing = "accepted" if self._accepting else "made"
             raise StateError(f"A trial is being {doing}.", action="Wait until it ends.", code="trial-running")
 
+    def _replace(self, **values: Any) -> CalibrationTrial:
+        with self._lock:
+            self._require_rest()
+            self._made, self._pictures = None, {}
+            self._trial = CalibrationTrial(**values)
+            return self._trial
+
+    def _change(self, **values: Any) -> None:
+        with self._lock:
+            self._trial = self._trial.model_copy(update=values)
+
     def _perform(self, wanted: TrialRequest) -> None:
-        heads = self._heads(wanted)
+        heads = nominal_heads(self._files, wanted)
         limits = Limits(
             wanted.residual_limit_px,
             wanted.working_distance_mm,
@@ -404,52 +402,37 @@ class Trials:
             wanted.mark_accuracy_um / 1000,
             wanted.flatness_um / 1000,
         )
-        outcome = calibrate(heads, self._reader(wanted, len(heads)), wanted.layout, limits)
-        self._add_picture("marks", draw_calibration(outcome))
+
+        def frame(camera: int) -> Image | None:
+            pixels, _ = self._coordinator.frame(wanted.run, camera, wanted.row)
+            self._change(frames_read=camera + 1, state="fitting" if camera + 1 == len(heads) else "reading")
+            return pixels
+
+        outcome = calibrate(heads, frame, wanted.layout, limits)
+        notes = [TrialNote(code=note.code, message=note, values=dict(note.values)) for note in outcome.notes]
+        self._pictures["marks"] = _jpeg(draw_calibration(outcome))
         if outcome.refused:
             error = outcome.error()
-            self._change(
-                state="refused",
-                cameras=self._cameras(outcome),
-                notes=_notes(outcome),
-                message=error.message,
-                action=error.action,
-            )
+            cameras = self._cameras(outcome)
+            self._change(state="refused", cameras=cameras, notes=notes, message=error.message, action=error.action)
             return
         made = outcome.calibration()
-        before = self._in_force()
+        try:
+            before = read_calibration(self._files.config.calibration, len(heads))
+        except VaoiError:
+            before = None  # it cannot be read, which the new one mends
         difference = None if before is None else compare_calibrations(made, before, heads)
         found: dict[str, Any] = {}
         if difference is not None and before is not None:
-            self._add_picture("difference", draw_difference(difference, heads))
+            self._pictures["difference"] = _jpeg(draw_difference(difference, heads))
             x, y = (round(float(v), 4) for v in difference.shift_mm)
             found = {
                 "shift_mm": (x, y),
                 "turned_deg": round(math.degrees(difference.angle_rad), 5),
                 "in_force_created": before.created,
             }
-        with self._lock:
-            self._made = made
-        self._change(state="judged", cameras=self._cameras(outcome, difference), notes=_notes(outcome), **found)
-
-    def _heads(self, wanted: TrialRequest) -> tuple[CameraHead, ...]:
-        """Return the cameras with nominal views; refuse a request for an array of which they are unknown."""
-        return nominal_heads([c.head for c in self._files.config.cameras], wanted.pitch_mm, wanted.px_per_mm)
-
-    def _reader(self, wanted: TrialRequest, cameras: int) -> Callable[[int], Image | None]:
-        def frame(camera: int) -> Image | None:
-            pixels, _ = self._coordinator.frame(wanted.run, camera, wanted.row)
-            self._change(frames_read=camera + 1, state="fitting" if camera + 1 == cameras else "reading")
-            return pixels
-
-        return frame
-
-    def _in_force(self) -> Calibration | None:
-        """Return the calibration of the station's file; None if it cannot be read, which a new one mends."""
-        try:
-            return read_calibration(self._files.config.calibration, len(self._files.config.cameras))
-        except VaoiError:
-            return None
+        self._made = made
+        self._change(state="judged", cameras=self._cameras(outcome, difference), notes=notes, **found)
 
     def _cameras(self, outcome: Outcome, difference: CalibrationDifference | None = None) -> list[TrialCamera]:
         return [
@@ -468,32 +451,27 @@ class Trials:
             for c in outcome.cameras
         ]
 
-    def _add_picture(self, name: str, picture: Image) -> None:
-        encoded, content = cv2.imencode(".jpg", picture)
-        if not encoded:
-            raise InternalError(f"the picture {name} cannot be encoded")
-        with self._lock:
-            self._pictures[name] = content.tobytes()
 
-    def _change(self, **values: Any) -> CalibrationTrial:
-        with self._lock:
-            self._trial = self._trial.model_copy(update=values)
-            return self._trial
+def _content(calibration: Calibration) -> bytes:
+    document = calibration.model_dump(mode="json", exclude_none=True)
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
-def _notes(outcome: Outcome) -> list[TrialNote]:
-    return [TrialNote(code=note.code, message=note, values=dict(note.values)) for note in outcome.notes]
+def _jpeg(picture: Image) -> bytes:
+    encoded, content = cv2.imencode(".jpg", picture)
+    if not encoded:
+        raise InternalError("a picture of the trial cannot be encoded")
+    return content.tobytes()
 
 
 def find_marks(
     coordinator: StationCoordinator, trials: CameraTrials, files: StationFiles, wanted: MarksRequest
 ) -> FoundMarks:
     """Search a frame for marks; refuse a camera that the station does not have, and an array without nominal values."""
-    heads = nominal_heads([c.head for c in files.config.cameras], wanted.pitch_mm, wanted.px_per_mm)
+    heads = nominal_heads(files, wanted)
     if wanted.camera >= len(heads):
         raise InputError.field("body", "camera", wanted.camera, f"below {len(heads)}, the cameras of the station")
     head, layout = heads[wanted.camera], wanted.layout
-    marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
     if wanted.run is None or wanted.row is None:
         grey = eight_bit_grey(trials.frame(wanted.camera, wanted.trial))
     else:
@@ -505,6 +483,7 @@ def find_marks(
         size = f"{marks.size_px:.1f} px in a frame"
         raise InputError.field("body", "layout.mark.size", size, f"{_SMALLEST_PX:.0f} … {most:.0f} px")
     detected = detect_marks(grey, marks)
+    marks_mm = np.array([(m.x, m.y) for m in layout.marks]) * layout.mm_per_unit
     places_px = apply(nominal_matrix(head, wanted.camera), marks_mm)
     return FoundMarks(
         width=grey.shape[1],
@@ -515,32 +494,24 @@ def find_marks(
     )
 
 
-def nominal_heads(
-    heads: Sequence[CameraHead], pitch_mm: float | None = None, px_per_mm: float | None = None
-) -> tuple[CameraHead, ...]:
+def nominal_heads(files: StationFiles, wanted: TrialRequest | MarksRequest) -> tuple[CameraHead, ...]:
     """Return the cameras with nominal views; what is missing follows from an evenly spaced array.
 
-    Camera 0 is then at the origin and the others along x, as on the artwork of a calibration board.
-
-    Args:
-        heads: the cameras as station.toml states them.
-        pitch_mm: distance of neighbouring cameras.
-        px_per_mm: resolution of the cameras.
-
-    Raises:
-        InputError: a nominal value is neither in station.toml nor given.
+    Camera 0 is then at the origin and the others along x, as on the artwork of a calibration board. InputError: a
+    nominal value is neither in station.toml nor in the request.
     """
+    heads = [camera.head for camera in files.config.cameras]
     placed = all(head.nominal_center_mm is not None for head in heads)
     scaled = all(head.nominal_px_per_mm is not None for head in heads)
     # The distance of a single camera to its neighbours does not matter.
-    pitch = pitch_mm or (1.0 if placed or len(heads) == 1 else None)
-    if pitch is None or not (scaled or px_per_mm):
-        raise nominal_values_missing(pitch_mm=pitch, px_per_mm=1.0 if scaled else px_per_mm)
+    pitch = wanted.pitch_mm or (1.0 if placed or len(heads) == 1 else None)
+    if pitch is None or not (scaled or wanted.px_per_mm):
+        raise nominal_values_missing(pitch_mm=pitch, px_per_mm=1.0 if scaled else wanted.px_per_mm)
     return tuple(
         head.model_copy(
             update={
                 "nominal_center_mm": head.nominal_center_mm if placed else (n * pitch, 0.0),
-                "nominal_px_per_mm": head.nominal_px_per_mm or px_per_mm,
+                "nominal_px_per_mm": head.nominal_px_per_mm or wanted.px_per_mm,
             }
         )
         for n, head in enumerate(heads)

@@ -16,6 +16,8 @@ from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import VaoiError
 from vaoi_station.files import read_calibration
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration
 from vaoi_station.optics import Constraint, Requirements, make_plan
 from vaoi_station.optics.plan import ArrayPlan, DataPlan, LensPlan, MotionPlan
@@ -67,10 +69,6 @@ class PlanOptions(BaseModel):
     runs_in_memory: int = Field(default=3, ge=1, le=1000, description="Number of boards that the ring holds.")
     link_mbit_s: Quantity | None = Field(default=None, description="Total capacity of the links of all cameras.")
 
-    def requirements(self) -> Requirements:
-        """Convert to the input of a plan; raise InputError if quantities contradict each other."""
-        return Requirements(**self.model_dump())
-
 
 class OpticsPlan(BaseModel):
     """Cameras, lens, exposure, pulses and memory for the requirements, and every constraint with its margin."""
@@ -104,58 +102,41 @@ def router(services: Services, files: StationFiles) -> APIRouter:
 
         A violated constraint is no refusal. Figures that the requirements leave open are absent.
         """
-        return await ask(_plan, options)
+
+        def plan() -> OpticsPlan:
+            made = make_plan(Requirements(**options.model_dump()))
+            return OpticsPlan(**vars(made), ok=made.ok, remedies=find_remedies(made))
+
+        return await ask(plan)
 
     @routes.get("/requirements")
     async def get_optics_requirements(of: Of = "station") -> KnownRequirements:
         """Return requirements to begin a plan with, and for each of them where it is stated."""
-        return await ask(_of_paper) if of == "paper" else await ask(_of_station, files)
+
+        def known() -> dict[str, tuple[float, str]]:
+            if of == "paper":
+                return {name: (float(value), "paper") for name, value in vars(PAPER).items() if value is not None}
+            try:
+                calibration = read_calibration(files.config.calibration)
+            except VaoiError:
+                calibration = None  # other pages state why it cannot be read
+            return known_requirements(files.config, calibration)
+
+        found = await ask(known)
+        return KnownRequirements(
+            values={name: value for name, (value, _) in found.items()},
+            sources={name: source for name, (_, source) in found.items()},
+        )
 
     return routes
 
 
-def _plan(options: PlanOptions) -> OpticsPlan:
-    made = make_plan(options.requirements())
-    return OpticsPlan(
-        requirements=made.requirements,
-        array=made.array,
-        lens=made.lens,
-        motion=made.motion,
-        data=made.data,
-        constraints=made.constraints,
-        ok=made.ok,
-        remedies=find_remedies(made),
-    )
-
-
-def _of_paper() -> KnownRequirements:
-    given = {name: float(value) for name, value in vars(PAPER).items() if value is not None}
-    return KnownRequirements(values=given, sources=dict.fromkeys(given, "paper"))
-
-
-def _of_station(files: StationFiles) -> KnownRequirements:
-    known = known_requirements(files.config, _calibration(files))
-    return KnownRequirements(
-        values={name: value for name, (value, _) in known.items()},
-        sources={name: source for name, (_, source) in known.items()},
-    )
-
-
-def _calibration(files: StationFiles) -> Calibration | None:
-    """Return the calibration as it is on disk; None if it cannot be read, which other pages state."""
-    try:
-        return read_calibration(files.config.calibration)
-    except VaoiError:
-        return None
-
-
 class _View(NamedTuple):
-    """Where a camera sees the belt, in tester coordinates."""
+    """Where a camera sees the belt, tester coordinates, and the direction of the rows of its frame there, length 1."""
 
-    center_mm: tuple[float, float]
+    center_mm: Floats
     px_per_mm: float
-    image_x: tuple[float, float]
-    """Direction of the frame's rows on the belt, (2,), length 1."""
+    along: Floats
 
 
 def known_requirements(config: StationConfig, calibration: Calibration | None) -> dict[str, tuple[float, str]]:
@@ -164,20 +145,20 @@ def known_requirements(config: StationConfig, calibration: Calibration | None) -
     The widest board is in neither: it is the width that the views of all cameras cover. The sensor's width is unknown.
     """
     line, cameras = config.line, config.cameras
-    lit_us, lit_by = _lit_us(config)
-    known = {
+    # Light that ends before the exposure ends the exposure too.
+    exposure_us = max(c.exposure_us for c in cameras)
+    on_us = max((config.controller.lights[name].on_us for name in config.controller.light_sequence), default=0.0)
+    lit = (on_us, "controller.lights") if 0 < on_us < exposure_us else (exposure_us, "cameras.exposure_us")
+    known: dict[str, tuple[float, str]] = {
         "speed_mm_s": (line.speed_mm_s, "line.conveyor_mm_s"),
-        "cameras": (float(len(cameras)), "cameras"),
+        "cameras": (len(cameras), "cameras"),
         "blur_px": (line.max_blur_px, "line.max_blur_px"),
         "frame_rate_hz": (1 / line.trigger_period_s, "line.trigger_period_s"),
-        "exposure_us": (lit_us, lit_by),
+        "exposure_us": lit,
         "readout_us": (max(c.readout_us for c in cameras), "cameras.readout_us"),
-        "bits_per_pixel": (
-            float(max(PIXEL_FORMATS[c.pixel_format].bits_per_pixel for c in cameras)),
-            "cameras.pixel_format",
-        ),
+        "bits_per_pixel": (max(PIXEL_FORMATS[c.pixel_format].bits_per_pixel for c in cameras), "cameras.pixel_format"),
         "longest_board_mm": (line.longest_board_mm, "line.longest_board_mm"),
-        "runs_in_memory": (float(config.ring.runs), "ring.runs"),
+        "runs_in_memory": (config.ring.runs, "ring.runs"),
     }
     if calibration is not None and calibration.working_distance_mm is not None:
         known["distance_max_mm"] = (calibration.working_distance_mm, CALIBRATION)
@@ -186,61 +167,46 @@ def known_requirements(config: StationConfig, calibration: Calibration | None) -
     return {name: (float(f"{value:.6g}"), source) for name, (value, source) in known.items()}
 
 
-def _lit_us(config: StationConfig) -> tuple[float, str]:
-    """Return how long a row is exposed at most: light that ends before the exposure ends the exposure too."""
-    exposure_us = max(c.exposure_us for c in config.cameras)
-    on_us = [config.controller.lights[name].on_us for name in config.controller.light_sequence]
-    if on_us and max(on_us) < exposure_us:
-        return max(on_us), "controller.lights"
-    return exposure_us, "cameras.exposure_us"
-
-
 def _of_views(config: StationConfig, calibration: Calibration | None) -> dict[str, tuple[float, str]]:
     """Return what follows from where the cameras see the belt: sides of the frame, resolution, width."""
-    calibrated = calibration is not None and len(calibration.camera_matrices) == len(config.cameras)
-    views = _calibrated(config.cameras, calibration) if calibrated and calibration else _nominal(config.cameras)
+    cameras = config.cameras
+    calibrated = calibration is not None and len(calibration.camera_matrices) == len(cameras)
+    if calibrated and calibration is not None:
+        views = _calibrated(calibration.cameras(tuple(c.head for c in cameras)))
+    else:
+        views = [
+            _View(np.array(c.nominal_center_mm), c.nominal_px_per_mm, _nominal_along(c))
+            for c in cameras
+            if c.nominal_center_mm is not None and c.nominal_px_per_mm is not None
+        ]
+    if len(views) < len(cameras):
+        views = []
     x, y = config.line.conveyor_mm_s
     across = np.array([-y, x]) / math.hypot(x, y)
-    first = views[0].image_x if views else _image_x(config.cameras[0])
     # The rows of a frame lie across the motion unless the camera is mounted at a quarter turn.
-    upright = abs(float(np.dot(first, across))) >= math.sqrt(0.5)
-    width, height = (min(getattr(c, side) for c in config.cameras) for side in ("width", "height"))
-    side_h, side_v = ("width", "height") if upright else ("height", "width")
-    px_h, px_v = (width, height) if upright else (height, width)
-    known = {
-        "sensor_px_h": (float(px_h), f"cameras.{side_h}"),
-        "sensor_px_v": (float(px_v), f"cameras.{side_v}"),
-    }
+    along = views[0].along if views else _nominal_along(cameras[0])
+    sides = ("width", "height") if abs(float(along @ across)) >= math.sqrt(0.5) else ("height", "width")
+    px_h, px_v = (min(getattr(c, side) for c in cameras) for side in sides)
+    known = {"sensor_px_h": (float(px_h), f"cameras.{sides[0]}"), "sensor_px_v": (float(px_v), f"cameras.{sides[1]}")}
     if views:
-        source = CALIBRATION if calibrated else "cameras.nominal_px_per_mm"
-        resolution = min(v.px_per_mm for v in views)  # a plan asks for the least
-        places = [float(np.dot(v.center_mm, across)) for v in views]
-        width_mm = max(places) - min(places) + px_h / resolution
-        known["resolution_px_per_mm"] = (resolution, source)
+        resolution = min(view.px_per_mm for view in views)  # a plan asks for the least
+        places_mm = [float(view.center_mm @ across) for view in views]
+        width_mm = max(places_mm) - min(places_mm) + px_h / resolution
+        known["resolution_px_per_mm"] = (resolution, CALIBRATION if calibrated else "cameras.nominal_px_per_mm")
         known["width_mm"] = (width_mm, CALIBRATION if calibrated else "cameras.nominal_center_mm")
     return known
 
 
-def _calibrated(cameras: Sequence[CameraConfig], calibration: Calibration) -> list[_View]:
+def _calibrated(cameras: Sequence[Camera]) -> list[_View]:
     views = []
-    for camera in calibration.cameras(tuple(c.head for c in cameras)):
+    for camera in cameras:
         x, y = camera.center_px
-        center, beside = camera.row_from_image((x, y)), camera.row_from_image((x + 1, y))
-        along = (beside - center) / np.linalg.norm(beside - center)
-        views.append(_View((float(center[0]), float(center[1])), camera.px_per_mm, (float(along[0]), float(along[1]))))
+        center = camera.row_from_image((x, y))
+        beside = camera.row_from_image((x + 1, y)) - center
+        views.append(_View(center, camera.px_per_mm, beside / np.linalg.norm(beside)))
     return views
 
 
-def _nominal(cameras: Sequence[CameraConfig]) -> list[_View]:
-    """Return the views by the mechanical design; none if a camera lacks its nominal values."""
-    views = [
-        _View(c.nominal_center_mm, c.nominal_px_per_mm, _image_x(c))
-        for c in cameras
-        if c.nominal_center_mm is not None and c.nominal_px_per_mm is not None
-    ]
-    return views if len(views) == len(cameras) else []
-
-
-def _image_x(camera: CameraConfig) -> tuple[float, float]:
+def _nominal_along(camera: CameraConfig) -> Floats:
     roll = math.radians(camera.nominal_roll_deg or 0.0)
-    return math.cos(roll), -math.sin(roll)
+    return np.array([math.cos(roll), -math.sin(roll)])

@@ -32,7 +32,7 @@ from vaoi_station.model import Strict
 from vaoi_station.settings.edits import MARK, Edit, edit_toml, hidden_edits, key_of, without_secrets
 from vaoi_station.settings.edits import Path as Place
 from vaoi_station.settings.faults import examine
-from vaoi_station.settings.keys import Kind, keys
+from vaoi_station.settings.keys import Kind, Setting, keys
 
 _log = logging.getLogger(__name__)
 
@@ -41,24 +41,6 @@ _MADE_BY_THE_STATION = frozenset({"data", "ring.directory"})
 Tag = Annotated[
     str, Header(alias="If-Match", description="ETag of what the caller has read; else 412.", max_length=500)
 ]
-
-
-class Setting(BaseModel):
-    """One key of station.toml, as the configuration model describes it."""
-
-    key: str = Field(description="`line.tail_s`; `cameras[].width` in arrays, `controller.lights.NAME.on_us` by name.")
-    table: str = Field(description="The table that has it; empty for the file's own level.")
-    kind: Kind
-    required: bool = Field(description="Whether its table needs it.")
-    default: str | None = Field(default=None, description="As TOML; absent: none.")
-    unit: str | None = None
-    choices: list[str] = []
-    minimum: float | None = None
-    above: float | None = Field(default=None, description="The value must be above it.")
-    maximum: float | None = None
-    below: float | None = Field(default=None, description="The value must be below it.")
-    description: str
-    optional_table: bool = Field(description="Whether the whole table may be absent.")
 
 
 class SettingFault(BaseModel):
@@ -176,16 +158,19 @@ class SettingsFile:
     def read(self, content: bytes) -> Settings:
         """Return what the file says; raise InputError if it is no TOML."""
         text, data = self._parsed(content)
-        faults = _faults(data)
-        shown = without_secrets(text, data)
+        faults, shown = _faults(data), without_secrets(text, data)
+        base, pending = self._path.parent, list[str]()
+        if not faults:
+            on_disk = parse(StationConfig, data, self._path)
+            pending = _different(_plain(self._files.config, base), _plain(on_disk, base))
         return Settings(
             path=str(self._path),
             text=shown,
             values=json.loads(json.dumps(tomllib.loads(shown), default=str)),
-            keys=_all_settings(),
+            keys=list(keys()),
             faults=faults,
             hidden=[key_of(edit.path) for edit in hidden_edits(data)],
-            pending=[] if faults else self._pending(data),
+            pending=pending,
             writable=is_writable(self._path),
             install=install_command(self._path),
             restart=restart_command(self._path),
@@ -197,11 +182,18 @@ class SettingsFile:
         new, refused = _changed(text, data, changes)
         new_data = tomllib.loads(new)
         before, after = without_secrets(text, data), without_secrets(new, new_data)
-        name = self._path.name
-        changed = _different(data, new_data)
+        name, changed, flat = self._path.name, _different(data, new_data), dict(_flat(new_data))
+        absent = [
+            SettingFault(key=key, message=f"{flat[key]}: there is no such file for the service")
+            for key in changed
+            if key not in _MADE_BY_THE_STATION
+            and _kind_of(key.split(".")) == "path"
+            and isinstance(flat.get(key), str)
+            and not (self._path.parent / flat[key]).exists()
+        ]
         return SettingsProposal(
             faults=refused + _faults(new_data),
-            notes=list(self._absent(new_data, changed)),
+            notes=absent,
             changed=changed,
             diff="\n".join(difflib.unified_diff(before.splitlines(), after.splitlines(), name, name, lineterm="")),
             text=after,
@@ -211,9 +203,7 @@ class SettingsFile:
     def save(self, changes: Sequence[SettingChange], require: Callable[[bytes], None]) -> SettingsSaved:
         """Write the file after the changes, and keep a copy of the one before.
 
-        Args:
-            changes: what changes.
-            require: called with the present content; raises an error if the caller has read another one.
+        `require` is called with the present content, and raises an error if the caller has read another one.
 
         Raises:
             InputError: the file would have faults, or cannot be written to.
@@ -236,20 +226,6 @@ class SettingsFile:
     def _parsed(self, content: bytes) -> tuple[str, dict[str, Any]]:
         text = text_of(content, self._path)
         return text, parse_toml(text, self._path)
-
-    def _pending(self, data: dict[str, Any]) -> list[str]:
-        """Return the keys whose values on disk are not those with which the station was started."""
-        on_disk = parse(StationConfig, data, self._path)
-        return _different(_plain(self._files.config, self._path.parent), _plain(on_disk, self._path.parent))
-
-    def _absent(self, data: dict[str, Any], changed: Sequence[str]) -> Iterator[SettingFault]:
-        """Yield the changed paths that do not exist, as the service sees them."""
-        flat = dict(_flat(data))
-        for key in changed:
-            value = flat.get(key)
-            is_path = _kind_of(key.split(".")) == "path" and key not in _MADE_BY_THE_STATION
-            if is_path and isinstance(value, str) and not (self._path.parent / value).exists():
-                yield SettingFault(key=key, message=f"{value}: there is no such file for the service")
 
 
 def _faults(data: dict[str, Any]) -> list[SettingFault]:
@@ -297,29 +273,6 @@ def _kind_of(path: Sequence[str | int]) -> Kind | None:
         ):
             return key.kind
     return None
-
-
-def _all_settings() -> list[Setting]:
-    from tomlkit import inline_table, item
-
-    def as_toml(value: Any) -> str:
-        return (inline_table() if value == {} else item(value)).as_string()
-
-    return [
-        Setting(
-            key=key.key,
-            table=key.table,
-            kind=key.kind,
-            required=key.required,
-            default=None if key.default is None or key.required else as_toml(key.default),
-            unit=key.unit or None,
-            choices=list(key.choices),
-            description=key.description,
-            optional_table=key.optional_table,
-            **key.limits,
-        )
-        for key in keys()
-    ]
 
 
 def _different(one: Any, other: Any) -> list[str]:
