@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.geometry.camera_error import FIELDS, basis_px, frame_radius_px, point_covariance_px2
+from vaoi_station.geometry.camera_error import basis_px, frame_radius_px
 from vaoi_station.geometry.transforms import apply
 
 
@@ -36,13 +36,3 @@ def test_the_last_field_is_radial_distortion() -> None:
     p, radius = _points(camera), frame_radius_px(camera)
     bent = Lens(camera.center_px, radius, (1.5 / radius,)).undistort(p) - p
     np.testing.assert_allclose(bent, basis_px(camera, p)[..., 8] * 1.5, atol=1e-9)
-
-
-def test_the_covariance_of_a_point_is_that_of_the_field() -> None:
-    g = np.random.default_rng(3)
-    root = g.normal(size=(FIELDS, FIELDS))
-    camera = _camera(root @ root.T)
-    p = _points(camera)[:3]
-    fields = np.einsum("kif,fn->kin", basis_px(camera, p), root @ g.normal(size=(FIELDS, 200_000)))
-    for found, sampled in zip(point_covariance_px2(camera, p), fields, strict=True):
-        np.testing.assert_allclose(found, np.cov(sampled), atol=0.02 * np.trace(found))

@@ -48,14 +48,3 @@ def basis_fields(uv: ArrayLike) -> Floats:
     x = [one, nil, -v, u, u, v, u * u, u * v, u * rho2]
     y = [nil, one, u, v, -v, u, u * v, v * v, v * rho2]
     return np.stack([np.stack(x, -1), np.stack(y, -1)], -2)
-
-
-def point_covariance_px2(camera: Camera, points_px: ArrayLike) -> Floats:
-    """Compute the covariance (k, 2, 2) px² of the error e at undistorted pixels (k, 2).
-
-    0 if the camera's is unknown.
-    """
-    basis = basis_px(camera, points_px)
-    if camera.covariance_px2 is None:
-        return np.zeros((*basis.shape[:-1], 2))
-    return np.asarray(basis @ camera.covariance_px2 @ np.swapaxes(basis, -1, -2))

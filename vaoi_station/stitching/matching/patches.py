@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.frames import read_only
-from vaoi_station.stitching.matching.refinement import MARGIN_PX, NOISE_SHARE, WINDOW_PX, Refinement, refine
+from vaoi_station.stitching.matching.refinement import MARGIN_PX, NOISE_SHARE, Refinement, refine
 
-PATCH_PX = WINDOW_PX + 10
-"""Side of the square of image pixels on which a patch depends, including the reach of the blur."""
 REACH_PX = 6.0
 """Largest distance of a match from its predicted position, in x and in y; a match further away is discarded."""
 _SETTLED_PX = 0.1
