@@ -211,12 +211,6 @@ def test_parts_hold_only_the_cells_of_their_frames(board: Filmed, factor: int) -
     assert sum(part.factor.size for part in spec.parts) < 2 * found.size
 
 
-def test_parts_are_high_where_one_has_the_whole_width(board: Filmed) -> None:
-    """The board of 520 × 400 px is one part, but not with HDR, where a part has at most 1024 × 256 px."""
-    assert TileRenderer(plan_of(board), board.projector, board.base).block_px[1] >= 400
-    assert TileRenderer(plan_of(board, hdr=True), board.projector, board.base).block_px[1] <= 512
-
-
 def crowded(board: Filmed, height_mm: float) -> MosaicPlan:
     """Plan the board with 3,100 bodies of 0.6 × 0.3 mm; of each hundred the last is twice as high."""
     at = np.random.default_rng(1).uniform((1, 1), np.array(BOARD_MM) - 1, (3100, 2))

@@ -221,8 +221,6 @@ def _hdr_ratio(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> float
     return statistics.median(cpu_ms(merged) / cpu_ms(plain) for _ in range(repetitions))
 
 
-_WARP_PX = 1024
-"""Largest width of a bare warp."""
 _FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 
 
@@ -271,10 +269,9 @@ def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | No
 
     plan = planned()
     renderer = TileRenderer(plan, projector, grid)
-    boxes = _boxes(grid, renderer.block_px)
+    boxes = _boxes(grid)
     warps = []
-    # Wider parts lie beside the frame for the most part, where a warp has nothing to sample.
-    for box in _boxes(grid, (min(renderer.block_px[0], _WARP_PX), TILE_PX)):
+    for box in boxes:
         spec = renderer.spec(box)
         # The frame that shows most of the tile: all warps of a tile cost the same.
         part = max(spec.parts, key=lambda p: p.factor.size if p.mine is None else int(p.mine.sum()), default=None)
@@ -311,13 +308,12 @@ def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | No
     )
 
 
-def _boxes(grid: MosaicGrid, size: tuple[int, int] = (TILE_PX, TILE_PX)) -> list[tuple[int, int, int, int]]:
-    """Return all tiles of a grid, or parts of another width and height."""
-    width, height = size
+def _boxes(grid: MosaicGrid) -> list[tuple[int, int, int, int]]:
+    """Return all tiles of a grid."""
     return [
-        (x, y, min(x + width, grid.width), min(y + height, grid.height))
-        for y in range(0, grid.height, height)
-        for x in range(0, grid.width, width)
+        (x, y, min(x + TILE_PX, grid.width), min(y + TILE_PX, grid.height))
+        for y in range(0, grid.height, TILE_PX)
+        for x in range(0, grid.width, TILE_PX)
     ]
 
 

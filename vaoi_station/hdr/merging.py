@@ -41,15 +41,7 @@ def views_on_top(
     px_per_mm: float | None = None,
     min_coverage: float | None = None,
 ) -> tuple[View, ...]:
-    """Compute the views of a component in the plane of its top, in which its body lies still from view to view.
-
-    Args:
-        calculator: calculator of the run's views.
-        component: a component of the board type, or a region (`region_component`).
-        height_mm: height of its top above the board; 0 for the plane of the board.
-        px_per_mm: resolution; None for that of the cameras.
-        min_coverage: least share of the component in a frame; None for hardly any, since frames complement each other.
-    """
+    """Compute the views of a component in the plane of its top, in which its body lies still from view to view."""
     least = LEAST_COVERAGE if min_coverage is None else max(min_coverage, 1e-9)
     return calculator.compute(
         component,
@@ -64,12 +56,6 @@ def region_component(
     corners: Sequence[float], board_type: BoardType, px_per_mm: float, where: str = "--region"
 ) -> Component:
     """Return a region of the board as a component without a body.
-
-    Args:
-        corners: x0, y0, x1, y1 in CAD coordinates.
-        board_type: board type of the run.
-        px_per_mm: resolution of the picture.
-        where: how the caller names the region, for messages.
 
     Raises:
         InputError: the region has no area, does not touch the board, or is too large.

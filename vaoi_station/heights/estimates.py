@@ -124,12 +124,8 @@ def measure_heights(
 ) -> dict[str, PartHeight]:
     """Measure the heights of all components of a run, by address.
 
-    Args:
-        board_type: board type of the run.
-        stitch: result of the run; its matrices, surface and their standard deviations are used.
-        cameras: cameras of the calibration with which the run was stitched.
-        frame: function that returns the pixels of a camera and row; None for a missing frame.
-        lights: name of the light of every row; empty if all rows have one. Only rows of one light are compared.
+    `cameras` are those of the calibration with which it was stitched. `lights` has the name of the light of every row,
+    or is empty; only rows of one light are compared.
 
     Raises:
         StateError: the run has no CAD mapping, or the calibration no working distance.
@@ -424,11 +420,6 @@ def equalised_frames(
     """Return a function of camera and row that gives (grey − dark) / flat as 32-bit floats; None for a missing frame.
 
     Saturated pixels stay saturated.
-
-    Args:
-        frame: function that returns the pixels of a camera and row.
-        fields: flat fields of the array.
-        lights: name of the light of every row; empty if all rows have one.
     """
 
     def equalised(camera: int, row: int) -> NDArray[Any] | None:

@@ -41,13 +41,6 @@ class RegionPictures:
     ) -> None:
         """Store the run.
 
-        Args:
-            board_type: the type of the board.
-            stitch: the result of the run.
-            cameras: the cameras with which it was stitched.
-            frames: the usable frames.
-            frame: returns the pixels of a camera and row; None if they are missing.
-
         Raises:
             StateError: the run has no CAD mapping.
         """

@@ -27,16 +27,7 @@ def compare(
     skipped: Collection[str] = (),
     without: IdentityState = "not-read",
 ) -> IdentityDocument:
-    """Compare the ids of one board. They are equal only if all their characters are.
-
-    Args:
-        identity: the codes that the board type states; None: it states none.
-        reading: the codes that were read; None: they were not read.
-        armed: the id that the line was armed with.
-        reported: the id of the next machine.
-        skipped: positions of the panel's boards that are crossed out: no code is asked of them.
-        without: state without a reading.
-    """
+    """Compare the ids of one board. They are equal only if all their characters are."""
     read = reading or BoardReading()
     whole = sorted({c.board_id for c in read.codes if c.panel is None and c.board_id is not None})
     positions: dict[str, set[str]] = {}

@@ -44,13 +44,9 @@ class Symbol:
 def read_symbols(
     picture: NDArray[np.uint8], symbology: Symbology | None, *, enlarged: int = 1, dotted: bool = True
 ) -> list[Symbol]:
-    """Return the codes in a picture (h, w), upright or not, dark on light or inverted.
+    """Return the codes in a grey picture (h, w), upright or not, dark on light or inverted.
 
-    Args:
-        picture: grey levels.
-        symbology: read only codes of this kind; None: of all kinds.
-        enlarged: factor by which the picture is enlarged first, which helps with modules of few pixels.
-        dotted: if there are none, search codes of dots; not in a picture that is enlarged.
+    Codes of dots are searched only if there are no others, and not in a picture that is enlarged.
     """
     found = _read_solid(picture, symbology, enlarged)
     return read_dotted(picture) if dotted and not found and enlarged == 1 and symbology != "qr" else found

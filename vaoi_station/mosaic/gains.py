@@ -85,16 +85,7 @@ def survey(
     fields: FieldCache,
     copies: Copies | None = None,
 ) -> Iterator[SurveyedFrame]:
-    """Read every frame once, and yield the small copies of those that show the board.
-
-    Args:
-        frames: the frames.
-        read: returns the pixels of a frame, or None.
-        projector: projects the board into the frames.
-        grid: the mosaic at the resolution of the cameras.
-        fields: flat fields.
-        copies: gets the reduced frames as they are, without correction and in colour; None if they are not needed.
-    """
+    """Read every frame once, and yield the small copies of those that show the board."""
     for taken in frames:
         box = projector.seen_box(taken.camera, taken.row, *grid.place)
         step = COARSE_PX * BLOCK

@@ -474,15 +474,7 @@ def make_plan(
 ) -> Steps[MosaicPlan]:
     """Survey the frames of a run and plan its mosaic, in steps of some milliseconds.
 
-    Args:
-        choice: the frames to use, in layers.
-        read: returns the pixels of a frame, or None.
-        projector: projects the board into the frames.
-        board_type: its bodies are not cut by seams where that can be avoided.
-        stitch: the run's result, for the heights of bodies.
-        base: the grid of the mosaic at the resolution of the cameras.
-        fields: flat fields; None without.
-        copies: gets the reduced frames of the survey; None if they are not needed.
+    `base` is the grid at the resolution of the cameras. `copies` gets the reduced frames of the survey.
     """
     known = fields if fields is not None else FlatFields.none()
     cache = FieldCache(known)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -23,10 +22,6 @@ from vaoi_station.mosaic.plan import CELL_PX, FIELD_PX, MosaicPlan, PlannedFrame
 from vaoi_station.photometry import NoiseModel
 
 _LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-_WIDEST_PX, _WIDEST_HDR_PX, _NARROW_PX = 4096, 1024, 256
-"""Largest width of a part of a large picture, the same with HDR, and its smallest sides: those of a tile."""
-_STRAIGHT_PX = 0.03
-"""Largest deviation, px, of a matrix from lens and surface in parts that are wider than 256 px."""
 _STILL_PX = 0.1
 """A body whose top is displaced by less in all frames is shown in the plane of the board: the picture is the same."""
 _PX_PER_BODY = 256
@@ -99,45 +94,6 @@ class TileRenderer:
         per_base_px = float(base_from_grid[0, 0])
         self._bodies = _displaced(plan, projector, grid)
         self._reduction = 2 ** max(int(np.floor(np.log2(max(per_base_px, 1.0)) + 0.01)), 0)
-
-    @cached_property
-    def block_px(self) -> tuple[int, int]:
-        """Width and height of the parts in which a large picture is rendered: multiples of 256 px.
-
-        Every part has a fixed cost, so they are as wide as possible, and higher than a tile where one part has the
-        whole width of the picture. But within one part a frame is resampled by one matrix, which must represent lens
-        and surface to `_STRAIGHT_PX`. With HDR, several arrays of floats must fit into memory.
-        """
-        widest = _WIDEST_HDR_PX if self._plan.hdr else _WIDEST_PX
-        width = widest
-        while width > _NARROW_PX and self._bent(width, _NARROW_PX):
-            width //= 2
-        if width < self.grid.width:
-            return width, _NARROW_PX
-        tiles = max(widest // self.grid.width, 1)
-        while tiles > 1 and self._bent(width, tiles * _NARROW_PX):
-            tiles //= 2
-        return width, tiles * _NARROW_PX
-
-    def _bent(self, width: int, height: int) -> bool:
-        """Return whether one matrix for a part of this size would deviate too much in some frame."""
-        for taken, _ in self._plan.frames:
-            x0, y0, x1, y1 = self._projector.seen_box(taken.camera, taken.row, *self.grid.place)
-            if min(x1 - x0, y1 - y0) >= _NARROW_PX:
-                across, down = min(width, x1 - x0), min(height, y1 - y0)
-                y = (y0 + y1 - down) // 2
-                for x in (x0, (x0 + x1 - across) // 2, x1 - across):
-                    if self._bend(taken, (x, y, x + across, y + down)) > _STRAIGHT_PX:
-                        return True
-        return False
-
-    def _bend(self, taken: TakenFrame, box: Box) -> float:
-        """Return how far the matrix of a part deviates from the projection on a grid of points, px."""
-        x, y = np.linspace(box[0], box[2], 5) - 0.5, np.linspace(box[1], box[3], 5) - 0.5
-        at = np.stack(np.meshgrid(x, y), -1)
-        matrix = self._projector.matrix(taken.camera, taken.row, self.grid.cad_from_mosaic, box)
-        exact = self._projector.raw_px(taken.camera, taken.row, apply(self.grid.cad_from_mosaic, at))
-        return float(np.abs(apply(matrix, at) - exact).max())
 
     def spec(self, box: Box) -> TileSpec:
         """Prepare one tile."""
@@ -268,14 +224,7 @@ def _around(owned: Box, shape: tuple[int, ...]) -> Box:
 
 
 def _window(owned: Box, shape: tuple[int, ...], tile_from_cells: Floats, size: tuple[int, int]) -> Box:
-    """Return the part of a tile of this width and height in which cells have a weight; may be empty.
-
-    Args:
-        owned: the box of these cells.
-        shape: numbers of rows and columns of all cells of the tile. Those at its borders continue beyond it.
-        tile_from_cells: (3, 3) matrix from cells to pixels of the tile; scale and shift only.
-        size: width and height of the tile.
-    """
+    """Return the part of a tile of this width and height in which cells have a weight; may be empty."""
     ends = []
     for axis in range(2):
         # The weight of a cell is 0 at the centres of its neighbours and beyond.

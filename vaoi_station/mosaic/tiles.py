@@ -288,23 +288,12 @@ def write_mosaic(
     )
     renderer = TileRenderer(plan, projector, grid)
 
-    columns, rows = (side // TILE_PX for side in renderer.block_px)
-    block: NDArray[Any] | None = None
-    rendered: tuple[int, int] | None = None
-
     def tile(x: int, y: int) -> NDArray[Any]:
-        nonlocal block, rendered
-        place = x // columns, y // rows
-        if place != rendered:
-            rendered = place
-            x0, y0 = place[0] * columns * TILE_PX, place[1] * rows * TILE_PX
-            x1, y1 = x0 + columns * TILE_PX, y0 + rows * TILE_PX
-            box = x0, y0, min(x1, grid.width), min(y1, grid.height)
-            block = render_tile(renderer.spec(box), cached)
+        x0, y0 = x * TILE_PX, y * TILE_PX
+        box = x0, y0, min(x0 + TILE_PX, grid.width), min(y0 + TILE_PX, grid.height)
+        part = render_tile(renderer.spec(box), cached)
         whole = np.full(layout.tile_shape, np.nan if plan.hdr else NODATA, dtype)
-        if block is not None:
-            left, top = x % columns * TILE_PX, y % rows * TILE_PX
-            part = block[top : top + TILE_PX, left : left + TILE_PX]
+        if part is not None:
             # TIFF has the channels in the order red, green, blue; frames have them in that of OpenCV.
             whole[: part.shape[0], : part.shape[1]] = part if part.ndim == 2 else part[..., ::-1]
         return whole

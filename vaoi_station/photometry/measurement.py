@@ -126,12 +126,7 @@ class WhiteTarget:
 
 
 def combine(signals: Sequence[Floats32], scales: Sequence[float]) -> WhiteTarget:
-    """Combine n ≥ 2 rows (h, w) of grey levels whose dark level is subtracted.
-
-    Args:
-        signals: the rows.
-        scales: exposure · gain of each row.
-    """
+    """Combine n ≥ 2 rows (h, w) of grey levels whose dark level is subtracted."""
     centres = np.array([float(np.median(s[::_SUBSAMPLE, ::_SUBSAMPLE])) for s in signals])
     rates = centres / np.asarray(scales)
     rate, centre = float(np.median(rates)), float(centres.mean())
@@ -228,12 +223,9 @@ _LEAST_SHOT = 1e-4
 
 
 def measure_flat_fields(white: Recording, dark: Recording | None = None) -> FlatFields:
-    """Measure one flat field per camera and light.
+    """Measure one flat field per camera and light from a white target that fills all frames.
 
-    Args:
-        white: recording of a white target that fills all frames, at rest or moving. With `lights`, each light gets
-            one field per camera.
-        dark: recording of darkness, with lamps off or lenses covered. Without it the dark level is taken as zero.
+    Without a recording of darkness, with lamps off or lenses covered, the dark level is taken as zero.
 
     Raises:
         InputError: the recordings are not fit for it; the message names camera, light, value and limit.

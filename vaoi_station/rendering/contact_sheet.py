@@ -64,14 +64,7 @@ class Tile:
 
 
 def contact_sheet(tiles: Sequence[Tile], title: str, status: Status, facts: Sequence[str]) -> Canvas:
-    """Draw the contact sheet, (h, w, 3) in blue, green, red. The width w is fixed; the height h follows from the tiles.
-
-    Args:
-        tiles: components to show, in any order; large tiles are placed first.
-        title: title of the sheet, which names the run.
-        status: verdict on the run, drawn beside the title.
-        facts: short phrases, drawn in one line below the title.
-    """
+    """Draw the contact sheet, (h, w, 3) in blue, green, red, of a fixed width; `facts` are drawn below the title."""
     # Large tiles are placed first; small tiles then fill the gaps between them.
     order = sorted(tiles, key=lambda t: -t.span[0] * t.span[1])
     places = _places([t.span for t in order])

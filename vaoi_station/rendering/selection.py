@@ -51,12 +51,7 @@ class Measures(NamedTuple):
 
 
 def measure(view: View, frame: NDArray[Any]) -> Measures:
-    """Measure the frame inside the footprint of the view's component.
-
-    Args:
-        view: the view; its footprint in the frame is used.
-        frame: (h, w) or (h, w, 3) pixels of the whole frame, 8 or 16 bit.
-    """
+    """Measure the frame inside the footprint of the view's component."""
     height, width = frame.shape[:2]
     # One pixel around the footprint, for the gradients at its edge.
     x0, y0 = (max(math.floor(v) - 1, 0) for v in view.outline_px.min(0).tolist())
@@ -147,12 +142,6 @@ def select(
     views: Iterable[View], facts: Mapping[tuple[int, int], FrameFacts], wanted: ImageRequest, measure: Measure
 ) -> tuple[ChosenView, ...]:
     """Choose and order the views of one component.
-
-    Args:
-        views: views of the component in the frames that may be used, best first.
-        facts: how each frame (camera, row) of the run was taken.
-        wanted: the request.
-        measure: function that measures a view; it is called only if the request needs it.
 
     Raises:
         InputError: the run has no frame under a light that the request names.
@@ -280,14 +269,6 @@ def choose_all(
     measure: Measure,
 ) -> list[ChosenImages]:
     """Compute the views of components, and choose the images of each; all at once takes a fraction of the time.
-
-    Args:
-        calculator: calculator of the run's views.
-        parts: the components.
-        run: board type and complete result of the run.
-        frames: the frames (camera, row) that may be used, and how all frames were taken.
-        wanted: the request.
-        measure: function that measures a view.
 
     Raises:
         InputError: a picture would be too large, or the run has no frame under a light that the request names.

@@ -146,12 +146,7 @@ class View:
         return math.degrees(math.atan2(-y, x)) % 360
 
     def covariance_px2(self, of_centre: Floats | None, height_sigma_mm: float = 0.0) -> Floats | None:
-        """Return the covariance (2, 2) of the component's place in the frame, px²; None if it is unknown.
-
-        Args:
-            of_centre: covariance (2, 2) of the component's centre on the board's surface, from the result of the run.
-            height_sigma_mm: standard deviation of the height of the picture's plane above the surface.
-        """
+        """Return the covariance (2, 2) of the component's place in the frame, px²; None if it is unknown."""
         if of_centre is None:
             return None
         return np.asarray(of_centre + np.outer(self.lift_px, self.lift_px) * height_sigma_mm**2, dtype=np.float64)
