@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station import config
 from vaoi_station.config import read_config
 from vaoi_station.errors import InputError
-from vaoi_station.line_config import Line, Section
+from vaoi_station.line_config import Line
 
 VALID = """
 name = "line 3"
@@ -94,20 +93,6 @@ def test_relative_paths_are_relative_to_the_file(tmp_path: Path, monkeypatch: py
     assert station.ring.directory == Path("/dev/shm")
 
 
-def test_replay_paths_are_relative_to_the_file_too(tmp_path: Path) -> None:
-    path = config_file(
-        tmp_path,
-        ('backend = "simulated"', 'backend = "replay"'),
-        ('exposure_us = 250.0\n', 'exposure_us = 250.0\nbackend = "replay"\n'),
-        ('pixel_format = "Mono16"', 'backend = "replay"'),
-        ("[simulation]\nscenario = \"scenario.toml\"\nboards = 0", "[replay]\nrecordings = [\"a\", \"/b\"]"),
-    )  # fmt: skip
-    station = read_config(path)
-    assert station.replay is not None
-    assert station.replay.recordings == (tmp_path / "a", Path("/b"))
-    assert station.replay.pace == "original"
-
-
 def test_real_cameras_need_the_real_controller(tmp_path: Path) -> None:
     """Lights are used in the order of the file, if none is given."""
     real = (
@@ -151,41 +136,22 @@ def test_every_pulse_of_the_longest_board_has_a_slot(delay: float, rows: int) ->
         ('name = "line 3"', 'name = "line 3"\ncolour = 1', r"colour: is an unknown key \(given: 1\)"),
         ("tail_s = 0.6", "tail_s = 0.6\ntial_s = 0.7", r"line\.tial_s: is an unknown key"),
         ("workers = 2", "workers = 0", r"workers: .*greater than or equal to 1 \(given: 0\)"),
-        ("workers = 2", "workers = 65", r"workers: .*less than or equal to 64 \(given: 65\)"),
-        ("workers = 2", 'workers = "2"', r"workers: .*valid integer \(given: '2'\)"),
         ('calibration = "calibration.json"', "", "calibration: Field required"),
         ("conveyor_mm_s = [0.0, 100.0]", "conveyor_mm_s = [0, 0]", r"line: conveyor_mm_s is \[0, 0\], but must"),
         ("conveyor_mm_s = [0.0, 100.0]", "conveyor_mm_s = [nan, 1]", r"line\.conveyor_mm_s\.0: .*finite"),
-        ("conveyor_mm_s = [0.0, 100.0]", "conveyor_mm_s = [100]", r"line\.conveyor_mm_s"),
-        ("start_delay_s = 0.3", "start_delay_s = -0.1", r"line\.start_delay_s: .*equal to 0 \(given: -0\.1\)"),
         ("start_delay_s = 0.3", "start_delay_s = 9", r"line: start_delay_s is 9\.0, but the longest .* 5\.340 s"),
-        ("trigger_period_s = 0.125", "trigger_period_s = 0", r"line\.trigger_period_s: .*greater than 0 \(given: 0\)"),
-        ("longest_board_mm = 474", "longest_board_mm = -1", r"line\.longest_board_mm: .*greater than 0"),
         ("debounce_s = 0.005", "debounce_s = inf", r"line\.debounce_s: .*finite"),
         ("rail_mm = -12.5", "rail_mm = 1\ncenter_mm = 2", r"line\.expected_board: rail_mm and center_mm exclude"),
-        ("rotation_deg = 90", "rotation_deg = 45", r"line\.expected_board\.rotation_deg: .*0, 90, 180 or 270.*45"),
-        ("tolerance_mm = 3.0", "rotation_tolerance_deg = 31", r"rotation_tolerance_deg: .*30 \(given: 31\)"),
         ('name = "right"', 'name = "left"', r"cameras have the names \['left', 'left'\]; they must differ"),
         ('name = "right"\nwidth = 1392', 'name = "right"\nwidth = 8', r"cameras\.1\.width: .*16 \(given: 8\)"),
-        ("exposure_us = 250.0", "exposure_us = 0", r"cameras\.0\.exposure_us: .*greater than 0"),
         ("exposure_us = 250.0", "exposure_us = 125000.0", r"camera 'left' exposes 125000\.0 us, .*every 125000 us"),
         ('"Mono16"', '"Mono12"', r"cameras\.1: .*sends Mono8 or Mono16 only"),
-        ('"Mono16"', '"Mono8"\nbackend = "usb"', r"cameras\.1\.backend: .*\(given: 'usb'\)"),
         ('"Mono16"', '"Mono8"\nbackend = "replay"', r"cameras with backend 'simulated', but there are \['replay'\]"),
         ('oller]\nbackend = "simulated"', 'oller]\nbackend = "serial"', r"fires cameras with backend 'aravis'"),
         ('"simulated"\n', '"simulated"\norder = ["top"]\n', r"order names the lights \['top'\], but there are \[\]"),
-        ('"simulated"\n', '"simulated"\nlights.top = {channels = [], on_us = 9}\n', r"top\.channels: .*at least 1"),
-        ('"simulated"\n', '"simulated"\nlights.top = {channels = [8], on_us = 9}\n', r"top\.channels\.0: .* 7"),
         ("[simulation]\nscenario = \"scenario.toml\"\nboards = 0", "", r"'simulated' needs a table \[simulation\]"),
-        ("boards = 0", "boards = -1", r"simulation\.boards: .*equal to 0"),
         ('"simulated"\n', '"simulated"\ntrigger_us = 1e9\n', r"controller\.trigger_us: .*equal to 2000"),
-        ('"simulated"\n', '"simulated"\ntrigger_us = 49\n', r"controller\.trigger_us: .*equal to 50 \(given: 49\)"),
-        ('"simulated"\n', '"simulated"\nmin_gap_s = 1e9\n', r"controller\.min_gap_s: .*equal to 2147"),
         ("runs = 3", "runs = 1", r"ring\.runs: .*equal to 2 \(given: 1\)"),
-        ("spare_rows = 2", "spare_rows = 65", r"ring\.spare_rows: .*64"),
-        ("port = 8350", "port = 65536", r"api\.port: .*65535 \(given: 65536\)"),
-        ('"simulated"\n', '"simulated"\nport = ""\n', r"controller\.port: .*at least 1 char.* \(given: ''\)"),
-        ('"Mono16"', '"Mono16"\nbackend = "aravis"\naddress = ""', r"cameras\.1\.address: .*at least 1 char"),
         ("[line]", "[line", "not valid TOML"),
     ],
 )  # fmt: skip
@@ -197,11 +163,3 @@ def test_impossible_values_are_refused_with_file_key_value_and_limit(
         read_config(path)
     assert str(refused.value).startswith(str(path))
     assert re.search(complaint, str(refused.value))
-
-
-@pytest.mark.parametrize(
-    "section", [c for c in vars(config).values() if isinstance(c, type) and issubclass(c, Section)]
-)
-def test_every_table_is_frozen_and_refuses_unknown_keys(section: type[Section]) -> None:
-    assert section.model_config.get("extra") == "forbid"
-    assert section.model_config.get("frozen") is True

@@ -18,13 +18,6 @@ VALID: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_rows_cover_the_longest_board_and_the_tail() -> None:
-    line = Line(**VALID)
-    assert line.speed_mm_s == 100.0
-    assert line.passing_s == pytest.approx(0.7)
-    assert line.rows_of_longest_board == 7
-
-
 ENCODER: dict[str, Any] = {**VALID, "pacing": "encoder", "encoder": {"counts_per_mm": 20.0}}
 
 

@@ -118,34 +118,6 @@ def test_an_encoder_spaces_the_rows_of_a_belt_that_slows_down(tmp_path: Path, fi
     assert board["ok"] == board["proven"] == report["cameras"] * board["rows_due"] > 0
 
 
-def test_boards_closer_than_the_tail_are_all_accounted_for(tmp_path: Path, films: Path) -> None:
-    """Gap 40 mm, tail 48 mm: two boards become one run, the third has a run, and none has the id of another."""
-    fault = "follow:board=1,gap_mm=40,count=2"
-    code, report, output = rig_run(tmp_path, films, "--scenario", "small", "--boards", "3", "--fault", fault)
-    assert (code, report["failings"]) == (0, []), output
-    assert (report["runs"], report["boards_missed"]) == (4, 1)
-    close, after = report["boards"][1:]
-    assert (close["status"], close["board_id"]) == ("degraded", None)
-    words = " ".join(close["reasons"])
-    assert "2 boards passed in this run" in words
-    assert "This run has no board id" in words
-    assert "the most that line.longest_board_mm = 60 allows" in words
-    assert (after["status"], after["board_id"]) == ("ok", "board-2")
-
-
-@pytest.mark.parametrize(("board", "by_s"), [(0, 0.05), (0, 0.105), (1, 0.105)])
-def test_late_time_stamps_shift_no_row_or_are_named(tmp_path: Path, films: Path, board: int, by_s: float) -> None:
-    """The period is 110 ms; half of it, nearly all of it, and from the second board on."""
-    fault = f"stamps:camera=1,board={board},by_s={by_s}"
-    code, report, output = rig_run(tmp_path, films, "--scenario", "small", "--boards", "3", "--fault", fault)
-    assert (code, report["failings"]) == (0, []), output
-    statuses = [b["status"] for b in report["boards"]]
-    assert statuses == ["ok", "failed" if board else "ok", "ok"]
-    if board:
-        assert any("its time stamps come 10" in words for words in report["boards"][1]["reasons"])
-        assert all("no time stamp fits a pulse" in named["cause"] for named in report["boards"][1]["affected"])
-
-
 def test_configuration_of_a_rig_has_addresses_of_devices_only(tmp_path: Path, films: Path) -> None:
     need_all()
     out = tmp_path / "rig"

@@ -162,23 +162,6 @@ def test_the_last_frame_of_a_board_does_not_wait_for_a_large_picture(hall: Hall)
     assert hall.choose(1) == hall.link(0)
 
 
-def test_small_pictures_and_links_take_turns_on_the_workers_that_do_not_conclude(ring_board: RingBoard) -> None:
-    hall = Hall(ring_board, 2)
-    small = replace(hall.picture(), priority=Priority.SMALL_RENDER)
-    hall.add(*(hall.link(k, row) for k in (0, 1, 2) for row in (0, 1)), small, small, hall.picture())
-    chosen = []
-    for _ in range(4):
-        chosen.append(hall.choose(0))
-        assert hall.queues.next_link(hall.workers[0]) is None or len(chosen) == 4, "the small one is next"
-        hall.workers[0].jobs.clear()
-    p = Priority
-    assert [job.priority for job in chosen if job] == [p.LINK, p.SMALL_RENDER] * 2
-    hall.add(small)
-    for _ in range(3):
-        assert isinstance(hall.choose(1), LinkJob)
-        hall.workers[1].jobs.clear()
-
-
 def test_the_only_sound_worker_renders_too(ring_board: RingBoard) -> None:
     alone = Hall(ring_board, 2)
     alone.workers[1].ready = False

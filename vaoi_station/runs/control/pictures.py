@@ -30,15 +30,15 @@ from vaoi_station.runs.run.inbox import Inbox
 from vaoi_station.runs.run.memory import OWN, Bay, Lease
 from vaoi_station.runs.states.schemas import ImageFormat, RunDetail
 from vaoi_station.runs.states.tables import FINISHED
-from vaoi_station.runs.workers.jobs import PictureJob, Priority, Reply
+from vaoi_station.runs.workers.jobs import PictureJob, Reply
 from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
 from vaoi_station.runs.workers.run_stitcher import Workers
 from vaoi_station.runs.workers.worker import perform_with_frames
 
-SMALL_PX = 400_000
-"""Largest number of pixels of a picture that a worker makes between two links: it takes no longer than these."""
 SEATS = 2
-"""Largest number of pictures that the station process renders at a time; workers render the others."""
+"""Largest number of pictures that the station process renders at a time."""
+SEAT_WAIT_S = 0.1
+"""Longest wait for a seat; then a worker makes the picture."""
 LARGEST_PX = 1_000_000
 """Largest number of pixels of a picture that the station process renders: some 25 × 25 mm at 40 px/mm, in 10 ms.
 
@@ -103,7 +103,7 @@ class FrameAccess:
             small, size = job.file is None and job.minus is None, job.view.width * job.view.height
         else:
             small, size = job.format is not None and not job.spec.hdr, job.spec.width * job.spec.height
-        if not small or size > LARGEST_PX or not self._seats.acquire(blocking=False):
+        if not small or size > LARGEST_PX or not self._seats.acquire(timeout=SEAT_WAIT_S):
             return None
         try:
             picture: bytes = perform_with_frames(job, self._ring)
@@ -237,11 +237,8 @@ def _job(
     assert record.slot is not None, "views are of whole frames"
     minus = None if choice.minus is None else _job(finished, choice.minus, format, place, files[1:])
     file = files[0] if files else None
-    small = file is None and minus is None and choice.view.width * choice.view.height <= SMALL_PX
-    return RenderJob(
-        finished.detail.id, *place, record.slot, choice.view, format, file=file, minus=minus, ratio=choice.ratio,
-        priority=Priority.SMALL_RENDER if small else Priority.RENDER,
-    )  # fmt: skip
+    run, view, ratio = finished.detail.id, choice.view, choice.ratio
+    return RenderJob(run, *place, record.slot, view, format, file=file, minus=minus, ratio=ratio)
 
 
 def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:

@@ -34,18 +34,17 @@ class Priority(IntEnum):
     """Order in which waiting jobs are given to workers, lowest value first.
 
     Results come before pictures, single pictures before batches, and all that callers wait for before work in spare
-    time. Small pictures also have turns between links (`JobQueues.choose`).
+    time.
     """
 
     CONCLUDE = 0
     LINK = 1
-    SMALL_RENDER = 2
-    CHECK = 3
-    RENDER = 4
-    BATCH = 5
-    IDENTITY = 6
-    OVERVIEW = 7
-    HEIGHTS = 8
+    CHECK = 2
+    RENDER = 3
+    BATCH = 4
+    IDENTITY = 5
+    OVERVIEW = 6
+    HEIGHTS = 7
 
 
 @dataclass(frozen=True)

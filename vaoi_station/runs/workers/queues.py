@@ -35,7 +35,7 @@ from vaoi_station.runs.workers.jobs import (
 MAX_PICTURES = 64
 """Largest number of waiting single pictures; further requests are refused."""
 OVERDUE_S: Mapping[Priority, float] = {
-    Priority.LINK: 1.0, Priority.CONCLUDE: 3.0, Priority.SMALL_RENDER: 3.0, Priority.RENDER: 3.0, Priority.BATCH: 3.0,
+    Priority.LINK: 1.0, Priority.CONCLUDE: 3.0, Priority.RENDER: 3.0, Priority.BATCH: 3.0,
     Priority.CHECK: 5.0, Priority.IDENTITY: 5.0, Priority.OVERVIEW: 5.0, Priority.HEIGHTS: 5.0,
 }  # fmt: skip
 """Time after which a job is overdue: other workers take the jobs that wait for its worker, and an idle one repeats it.
@@ -44,11 +44,6 @@ This is many times the usual time of a job. A worker that was only slow finishes
 counts."""
 PING_OVERDUE_S = 1.0
 """Time after which an unanswered ping makes an idle worker overdue, so that no job is given to it."""
-_SINGLE = Priority.SMALL_RENDER, Priority.RENDER
-_CALLERS = (*_SINGLE, Priority.BATCH)
-"""Priorities of what callers wait for; those after them are of work in spare time."""
-_TURN_OF_PICTURES = sorted(Priority, key=lambda p: 0.5 if p is Priority.SMALL_RENDER else p)
-"""Order of priorities for a worker that has just made a link."""
 
 
 @dataclass(eq=False)
@@ -102,8 +97,6 @@ class Worker:
     """Time without a reply after which the station has killed the process; None if it has not."""
     overdue: bool = False
     """Whether the job under way, or the reply to a ping, is overdue; see `update`."""
-    linked_last: bool = False
-    """Whether the last job that was chosen for it is a link."""
 
     @property
     def idle(self) -> bool:
@@ -163,7 +156,7 @@ class JobQueues:
         """Return why a job is not taken: its run is not open, or too many pictures wait. None if it is taken."""
         if self._is_closed(job):
             return StateError(f"{job} comes after the run was closed.")
-        if job.priority not in _SINGLE or sum(map(self.waiting, _SINGLE)) < MAX_PICTURES:
+        if job.priority is not Priority.RENDER or self.waiting(Priority.RENDER) < MAX_PICTURES:
             return None
         return BusyError(
             f"{MAX_PICTURES} pictures wait for a worker already, which is the limit.",
@@ -230,10 +223,9 @@ class JobQueues:
     def next_link(self, worker: Worker) -> Queued | None:
         """Take a second link out of its queue for a worker that performs one, so that it need not wait for the pool.
 
-        None if no job is suitable, and while a conclusion or a small picture waits, which goes to the next free worker.
+        None if no job is suitable, and while a conclusion waits, which goes to the next free worker.
         """
-        sooner = self.waiting(Priority.CONCLUDE) or self.waiting(Priority.SMALL_RENDER)
-        if worker.jobs[0].job.priority is not Priority.LINK or sooner:
+        if worker.jobs[0].job.priority is not Priority.LINK or self.waiting(Priority.CONCLUDE):
             return None
         mine = self._queues[Priority.LINK][worker.index]
         # The set-up of a run is large. A worker without it receives it when it is idle.
@@ -242,17 +234,14 @@ class JobQueues:
     def choose(self, worker: Worker) -> Queued | None:
         """Take the most urgent job for an idle worker out of its queue and return it; None if there is none.
 
-        Within a priority, jobs that are assigned to this worker, or to no worker, come first. After a link, a small
-        picture comes before the next one: the links of a row, which arrive together, would delay it by tens of
-        milliseconds, while it delays them by no more than another link. One worker, the owner, keeps to links, so that
-        many callers cannot hold up a fast line. No picture is begun while a check waits, whose worker needs another one
-        to be free of pictures, and no work in spare time while a caller waits: this worker would not be free of it when
-        another one, which has begun the caller's job, is to go on with it.
+        Within a priority, jobs that are assigned to this worker, or to no worker, come first. No picture is begun while
+        a check waits, whose worker needs another one to be free of pictures, and no work in spare time while a caller
+        waits: this worker would not be free of it when another one, which has begun the caller's job, is to go on with
+        it.
         """
-        has_turn = worker.linked_last and (worker.index != self.owner or len(self._workers) == 1)
-        for priority in _TURN_OF_PICTURES if has_turn else Priority:
+        for priority in Priority:
             homes = self._queues[priority]
-            if priority > Priority.BATCH and any(map(self.waiting, _CALLERS)):
+            if priority > Priority.BATCH and (self.waiting(Priority.RENDER) or self.waiting(Priority.BATCH)):
                 return None
             if priority > Priority.CHECK and self._check_is_next():
                 return None
@@ -260,7 +249,6 @@ class JobQueues:
                 continue
             mine = [homes[home] for home in (None, worker.index) if homes[home]]
             if chosen := min(mine or self._of_others(homes, worker), key=_front, default=None):
-                worker.linked_last = priority is Priority.LINK
                 return chosen.popleft()
         return None
 
@@ -278,18 +266,18 @@ class JobQueues:
         A conclusion that comes meanwhile thus never waits for a picture. While a run is open, its owner makes none:
         another worker would have to read all evidence first. The only sound worker renders too: it would make no
         pictures at all otherwise, and a conclusion waits for at most the one under way. Overviews and heights take
-        seconds, so there they wait until no run is open. Small pictures are no longer than links. Parts of batches may
-        take all workers while no run is open: they are short, and the conclusion of a board that comes now is seconds
-        away.
+        seconds, so there they wait until no run is open. Parts of batches may take all workers while no run is open:
+        they are short, and the conclusion of a board that comes now is seconds away.
         """
-        if priority is Priority.SMALL_RENDER or (priority is Priority.BATCH and not self.runs):
+        if priority is Priority.BATCH and not self.runs:
             return True
         others = [other for other in self._workers if other is not worker and other.ready and not other.overdue]
         if not others and self.runs and priority >= Priority.OVERVIEW:
             return False
         if others and self.runs and worker.index == self.owner and priority is not Priority.CHECK:
             return False
-        return not others or any(all(_is_short(q.job) for q in other.jobs) for other in others)
+        # A check follows most conclusions; and other work beside a conclusion delays it, by a third with two workers.
+        return not others or any(all(isinstance(q.job, LinkJob) for q in other.jobs) for other in others)
 
     def _check_is_next(self) -> bool:
         homes = self._queues[Priority.CHECK].items()
@@ -334,9 +322,9 @@ class JobQueues:
         """Return whether a worker other than the assigned one, `home`, may take the first job of its queue."""
         job, own = queue[0].job, self._workers[home]
         away = not own.ready or own.overdue
-        # Pictures that are not small, checks and heights take longer than a link, up to seconds: no frame of the next
-        # board waits for them, least of all its last one.
-        longer = own.job is not None and own.job.priority > Priority.SMALL_RENDER
+        # Pictures, checks and heights take longer than a link, up to seconds: no frame of the next board waits for
+        # them, least of all its last one.
+        longer = own.job is not None and own.job.priority > Priority.LINK
         match job:
             case ConcludeJob():
                 # Another worker must read all evidence first: that is shorter than a picture or a check, but not than
@@ -349,14 +337,6 @@ class JobQueues:
         # A single waiting job is left to the assigned worker, which may have its frames prepared already. If more jobs
         # wait, the wait would be too long.
         return away or longer or len(queue) > 1
-
-
-def _is_short(job: Job) -> bool:
-    """Return whether a worker is free of pictures, checks and conclusions beside this job.
-
-    A check follows most conclusions; and other work beside a conclusion delays it, by a third with two workers.
-    """
-    return job.priority <= Priority.SMALL_RENDER and not isinstance(job, ConcludeJob)
 
 
 def _front(queue: deque[Queued]) -> int:
