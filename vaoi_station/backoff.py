@@ -48,11 +48,7 @@ class Backoff:
             self._works_since_s = self._clock()
 
     def record_failure(self, longest_s: float | None = None) -> float:
-        """Record that the device or process failed. Return the pause, in s, until the next attempt.
-
-        Args:
-            longest_s: replaces the policy's upper limit if the cause is known to end sooner.
-        """
+        """Record a failure; return the pause, s, until the next attempt. `longest_s` replaces the policy's limit."""
         now_s = self._clock()
         # The failure count is kept after a short success, so that a device that fails again at once is retried ever
         # more slowly.

@@ -28,14 +28,11 @@ _before_compiling: list[Callable[[], object]] = []
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function of arrays and numbers to machine code when it is first called.
+    """Compile a function of arrays and numbers to machine code when it is first called; the GIL is then released.
 
-    The code is cached on disk (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache), so that only
-    the first process after an installation waits for the compiler. The GIL is released while the code runs. Values are
-    the same in all processes of one machine and may differ in the last digits between machines.
-
-    A function of many arrays takes them as fields of a `typing.NamedTuple`, which Numba unpacks in one or two
-    microseconds.
+    The code is cached on disk (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache). Values are the
+    same in all processes of one machine and may differ in the last digits between machines. A function of many arrays
+    takes them as fields of a `typing.NamedTuple`.
     """
     try:
         made: Any = numba.njit(cache=True, nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
@@ -74,9 +71,8 @@ def signatures() -> set[tuple[str, str]]:
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """Inline a function into each compiled function of its module that calls it.
 
-    Without inlining, the machine code of the function would exist twice: optimised alone, and optimised together with
-    its caller. Which of the two runs would depend on whether the caller was just compiled or was loaded from the cache,
-    and the two may round differently. The last digits of a result would then depend on the cache.
+    Its machine code would else exist twice, alone and within its caller. The two may round differently, so that the
+    last digits of a result would depend on which of them the cache has.
     """
     return cast(
         "Callable[P, R]", numba.njit(inline="always", nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
@@ -86,10 +82,8 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
 def _alone(made: Any) -> Callable[[Any], Any]:
     """Return `made.compile` with a lock: one process at a time compiles, the others wait and then load the cached code.
 
-    If two processes compiled the same function, each would run the code that it compiled itself. The two may round
-    differently, because not the same other functions are ready for inlining. The result of a station would then
-    differ from that of `vaoi stitch`. Code that is in the cache is loaded by any number of processes at the same time:
-    all workers of a station start together.
+    Two processes that compiled the same function could round differently, because not the same other functions are
+    ready for inlining: the result of a station would differ from that of `vaoi stitch`.
     """
     compile_it, load, cache = made.compile, made._cache.load_overload, Path(made.stats.cache_path)
 

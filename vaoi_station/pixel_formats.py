@@ -109,17 +109,10 @@ PIXEL_FORMATS = {name: _format(name) for name in get_args(PixelFormatName)}
 
 
 def picture(frame: NDArray[np.uint8], width: int, height: int, pixel_format: PixelFormat) -> NDArray[Any]:
-    """Convert a frame's bytes to a picture.
+    """Convert a frame's bytes, (n,) uint8, to a picture: uint8, or uint16 at full scale.
 
-    Args:
-        frame: (n,) uint8, n as `nbytes` returns.
-        width: in pixels.
-        height: in pixels.
-        pixel_format: format of the bytes.
-
-    Returns:
-        (height, width) grey, or (height, width, 3) blue, green, red under a Bayer filter (interpolated bilinearly);
-        uint8, or uint16 at full scale. A view of the bytes themselves where the format permits (`in_place`).
+    It is (height, width) grey, or (height, width, 3) blue, green, red under a Bayer filter, interpolated bilinearly;
+    a view of the bytes themselves where the format permits (`in_place`).
     """
     if pixel_format.in_place:
         return frame.view(pixel_format.dtype).reshape(height, width)

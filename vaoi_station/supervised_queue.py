@@ -26,13 +26,9 @@ class SupervisedQueue(Generic[T]):
     def __init__(
         self, serve: Callable[[T], object], name: str, most: int, begin: Callable[[], object] | None = None
     ) -> None:
-        """Prepare the queue.
+        """Prepare the queue: beyond `most` waiting items, a further one takes the place of the oldest.
 
-        Args:
-            serve: receives each item.
-            name: name of the thread.
-            most: largest number of waiting items; a further one takes the place of the oldest.
-            begin: is called once in the thread, before the first item.
+        `begin` is called once in the thread, before the first item.
         """
         self._serve, self._most, self._begin = serve, most, begin
         self._waiting: deque[T] = deque()

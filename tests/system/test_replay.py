@@ -8,33 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import httpx2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.api.generated_requests import Requests, answer_to, wrong_with
-from tests.needs import LONG
 from tests.system.conftest import config_of, until_state
-from vaoi_station.api.app import create_app
-from vaoi_station.api.web_server import WebServer, open_listener
-from vaoi_station.config import ReplayConfig, RingConfig, StationConfig
+from vaoi_station.config import ReplayConfig, StationConfig
 from vaoi_station.files import Recording, open_recording
 from vaoi_station.geometry import apply
 from vaoi_station.model import Stitch
 from vaoi_station.rendering import Framing, ImageRequest
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.states.schemas import RunDetail
-from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.simulation import Twin
 from vaoi_station.station import Station
 from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
 TIMEOUT_S = 150.0
-COUNT = 20_000 if LONG else 200
-"""Number of random requests while boards pass."""
-UNSENT = ("arm_station", "disarm_station", "hold_run")
-"""Commands that mean to change what is filmed, or keep memory from the next boards."""
 RunStation = Callable[[StationConfig], StationCoordinator]
 
 
@@ -129,50 +119,6 @@ def held(coordinator: StationCoordinator) -> dict[str, int]:
         "descriptors": sum(len(list(Path(f"/proc/{pid}/fd").iterdir())) for pid in pids),
         "resident": (pages - shared) * os.sysconf("SC_PAGE_SIZE"),
     }
-
-
-def test_random_requests_cost_no_frame_and_change_no_result(
-    run_station: RunStation, recordings: tuple[Path, Path], twin: Twin, tmp_path: Path
-) -> None:
-    """Boards pass at their own pace while a caller sends whatever the document of the interface allows."""
-    replay = ReplayConfig(recordings=recordings, pace="original", pause_s=1.0)
-    ring = RingConfig(directory=tmp_path / "shm", runs=8, keep_s=0.1)
-    coordinator = run_station(config_of(twin, tmp_path, "replay", replay=replay, ring=ring))
-    opened = [open_recording(path) for path in recordings]
-    expected = [offline(coordinator, recording) for recording in opened]
-    parts = tuple(component.address for component in twin.board_type.components)
-    known = {"name": ("small",), "board_type": ("small",), "ref": parts, "run": ("r1",)}
-    faults = set[str]()
-    with open_listener("127.0.0.1", 0, "test") as listener:
-        server = WebServer(create_app(coordinator), listener, lambda: None)
-        server.start()
-        with httpx2.Client(base_url=server.address, timeout=TIMEOUT_S) as client:
-            document = client.get("/api/v1/openapi.json").json()
-            requests = Requests(document, 14, known, without=UNSENT)
-            coordinator.arm("small")
-            for _ in range(COUNT):
-                operation, asked = requests.next()
-                answer = answer_to(client, asked._replace(path=asked.path.replace("/r1", f"/{latest(coordinator)}")))
-                if fault := wrong_with(answer, operation, document, exact=asked.exact):
-                    faults.add(f"{operation['operationId']}: {answer.status_code} {fault}: {asked}")
-        server.stop()
-    assert not faults
-    ended = coordinator.latest()
-    assert coordinator.next_run(ended.id if ended else None, TIMEOUT_S), "the board that passed during the last request"
-    assert coordinator.snapshot().boards_missed == 0
-    runs = [run for run in reversed(coordinator.runs(1000)) if run.state in FINISHED]
-    array = twin.scenario.array
-    for number, run in enumerate(runs):
-        head, truth, stitch = opened[number % 2].head, expected[number % 2], coordinator.stitch(run.id)
-        assert coordinator.run(run.id).counts.ok == len(head.cameras) * head.rows
-        assert (run.verdict, stitch.reasons) == (truth.status, truth.reasons)
-        assert corners_apart_px(stitch, truth, array.width_px, array.height_px) <= 1e-6
-
-
-def latest(coordinator: StationCoordinator) -> str:
-    """Return the id of the latest run, filmed or being filmed; that of none if no board has come."""
-    runs = coordinator.runs(1)
-    return runs[0].id if runs else "r1"
 
 
 @pytest.fixture(scope="module")

@@ -5,19 +5,17 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
 
 from vaoi_station.acquisition.process.messages import Disarm, Ready, Shutdown, Trouble
-from vaoi_station.backoff import Backoff, BackoffPolicy
+from vaoi_station.backoff import Backoff
 from vaoi_station.runs.control import acquisition_link as module
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink
 from vaoi_station.runs.states.schemas import STARTING, WAITING
 
 PATIENCE_S = 20.0
-ROUNDED = timedelta(milliseconds=100)
 
 
 class Recorded:
@@ -130,23 +128,6 @@ def test_a_process_that_cannot_start_or_ends_when_ready_is_restarted_ever_more_s
         assert events.ends.get(timeout=PATIENCE_S) == f"the acquisition process {expected}"
     peer.wait_for_start(7)
     assert backoff.pauses == [0.5, 1, 2, 4, 6, 6]
-
-
-def test_status_states_when_the_process_is_started_again(
-    start_link: Callable[[Backoff], AcquisitionLink], peer: Any, events: Recorded
-) -> None:
-    link = start_link(Backoff(BackoffPolicy(first_s=60.0, longest_s=60.0, proven_s=30.0)))
-    peer.wait_for_start(1)
-    assert link.status().next_try is None, "it runs"
-    before = datetime.now(UTC)
-    peer.report(Trouble("setting-refused", "Camera left refuses Gain = 99.", ""))
-    peer.die(0)
-    events.ends.get(timeout=PATIENCE_S)
-    status = link.status()
-    assert not status.alive
-    assert status.next_try is not None
-    failed = datetime.fromisoformat(status.next_try) - timedelta(seconds=60)
-    assert before - ROUNDED < failed < datetime.now(UTC) + ROUNDED
 
 
 def test_a_process_without_heartbeat_is_killed(

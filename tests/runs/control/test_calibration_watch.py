@@ -134,24 +134,6 @@ def test_a_board_type_that_pauses_keeps_its_baseline(
     assert "50% of the brightness" in warning.message
 
 
-@pytest.mark.parametrize("change", [{"cameras": ()}, {"rivals": (2,)}, {"cameras": "all but one"}, {"lamps": "of 3"}])
-def test_a_stored_check_of_other_cameras_is_left_out(rig: Any, calibration: Any, change: dict[str, Any]) -> None:
-    """A damaged row would otherwise end every start."""
-    film(rig, rig.arm())
-    digest = rig.coordinator.calibration().digest
-    rig.wait_for(lambda: rig.store.checks.documents(digest, 9, 9), "the check in the database")
-    [text] = rig.store.checks.documents(digest, 9, 9)
-    check = json.loads(text)
-    lamp = LampCheck(camera=3, light="", exposure=200.0, grey=80.0, points=900).model_dump()
-    odd = {"all but one": check["cameras"][:1], "of 3": [lamp]}
-    check |= {key: odd.get(value, value) if isinstance(value, str) else value for key, value in change.items()}
-    rig.store.database.write(
-        lambda c: c.execute("UPDATE calibration_checks SET document = ?", (json.dumps(check),))
-    ).result(10)
-    again = CalibrationWatch(rig.store.checks, EventLog(rig.store), calibration, ["a", "b"])
-    assert [camera.state for camera in again.status().cameras] == ["unknown", "unknown"]
-
-
 def test_a_check_of_another_calibration_is_kept_and_changes_nothing(rig: Any) -> None:
     rig.workers.displacement_px = 3.0
     film(rig, rig.arm())

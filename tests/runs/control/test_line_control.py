@@ -81,21 +81,6 @@ def board_leaves(line: Line) -> None:
     line.control.board_left()
 
 
-def test_an_order_while_a_board_passes_takes_effect_after_it(line: Line) -> None:
-    filming(line)
-    armed = line.arm(runs=2)
-    assert not armed.done()
-    before, coming = line.control.orders.shown(), line.control.next_order
-    assert before is not None
-    assert coming is not None
-    assert (before.runs_left, coming.runs_left) == (None, 2)
-    board_leaves(line)
-    armed.result(0)
-    assert line.state == "armed"
-    assert line.control.orders.shown() == coming
-    assert not line.control.next_order
-
-
 def test_a_disarm_refuses_the_orders_that_wait_for_a_board_to_leave(line: Line) -> None:
     filming(line)
     armed, disarmed = line.arm(), Completion()
@@ -195,17 +180,6 @@ def test_an_order_survives_a_trouble_while_the_line_is_armed_again(
     assert line.acquisition.taken() == ["Grant", "Arm"]
     line.control.on_armed()
     assert (line.state, line.control.warnings()) == ("armed", ())
-
-
-def test_a_run_that_the_archive_does_not_know_is_evicted_without_a_leak(line: Line) -> None:
-    line.armed()
-    for _ in range(6):
-        [run] = line.granted()
-        assert line.control.take_grant(run, 1e9) is not None
-        line.memory.use(run, "finished")
-        line.memory.keep(run, 0.0)
-        line.control.keep_memory_granted()
-    assert (line.state, line.control.has_grant, len(line.granted())) == ("armed", True, 1)
 
 
 def test_a_full_ring_blocks_the_line_until_memory_is_free(line: Line) -> None:

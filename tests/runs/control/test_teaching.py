@@ -154,21 +154,6 @@ def test_a_method_that_needs_a_reference_is_not_armed_without_one(rig: Any) -> N
     rig.arm()
 
 
-def test_a_reference_that_was_replaced_goes_when_no_order_needs_it(rig: Any) -> None:
-    first = taught(rig)
-    second = filmed(rig)
-    assert not rig.coordinator.teach_reference("small", second)
-    assert kept(rig) == {first, second}, "the last order's boards may still come"
-    filmed(rig)
-    filmed(rig)
-    rig.coordinator.forget_reference("small")
-    assert kept(rig) == {second}
-    filmed(rig)
-    filmed(rig)
-    assert rig.coordinator.teach_reference("small", rig.coordinator.latest().id)
-    assert first not in kept(rig)
-
-
 def test_a_run_keeps_what_it_was_made_with(rig: Any) -> None:
     first = taught(rig)
     digest = rig.store.configurations.begin('{"name": "test"}', "2026")

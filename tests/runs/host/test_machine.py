@@ -80,14 +80,3 @@ def test_a_service_starts_again_when_the_disk_is_writable_and_nothing_is_lost(tm
     assert starts == []
     watch.check()
     assert starts == [None]
-
-
-def test_a_mount_that_was_read_only_before_is_no_reason_to_start_again(tmp_path: Path) -> None:
-    """Such a service would start again for ever."""
-    mounts = tmp_path / "mounts"
-    watch = RemountWatch(tmp_path, lambda: pytest.fail("it started again"), mounts)
-    write_mounts(mounts, "ro", "rw", str(tmp_path.resolve()))
-    with pytest.raises(DeviceError, match="remove the read-only mount"):
-        watch.check()
-    write_mounts(mounts, "rw", "rw", str(tmp_path.resolve()))
-    watch.check()

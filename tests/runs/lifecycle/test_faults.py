@@ -31,16 +31,6 @@ def test_an_unknown_board_type(rig: Any) -> None:
     assert rig.coordinator.snapshot().state == "idle"
 
 
-def test_a_second_arm_while_a_board_passes(rig: Any) -> None:
-    grant = rig.arm(board_id="b 1")
-    rig.begin(grant)
-    rig.until("filming")
-    with pytest.raises(StateError, match=r"The station is filming.*arm is not possible"):
-        rig.coordinator.arm("small", "b 2", passing="refuse")
-    rig.finish(grant, rig.row(grant, 0))
-    assert rig.result_of(grant.run).board_id == "b 1"
-
-
 def test_an_order_while_a_board_passes_takes_effect_after_it(rig: Any) -> None:
     """A caller waits for it or does not, as it wishes; the board that passes keeps its own order."""
     grant = rig.arm(board_id="b 1")
@@ -68,20 +58,6 @@ def test_an_order_for_which_nobody_waits_reports_why_it_took_no_effect(rig: Any)
     said = [e.message for e in rig.coordinator.events() if "given while a board passed" in e.message]
     assert len(said) == 1
     assert "did not take effect: The station is faulted" in said[0]
-
-
-def test_a_run_that_ended_early_names_row_and_cause(rig: Any) -> None:
-    """It is degraded even if its stitch is ok: the rest of the board was not filmed."""
-    grant = rig.arm()
-    rig.begin(grant)
-    records = [record for row in range(3) for record in rig.row(grant, row)]
-    rig.finish(grant, records, "the controller was reset")
-    run = rig.result_of(grant.run)
-    assert run.ended == "the controller was reset"
-    assert ("run-cut-short", "After row 2 nothing more was filmed: the controller was reset.") in [
-        (reason.code, reason.message) for reason in run.reasons
-    ]
-    assert run.state != "ready"
 
 
 def _lose(rig: Any, *cameras: int) -> None:
@@ -183,17 +159,6 @@ def test_acquisition_ends_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) 
     assert rig.link.status().restarts == 1
 
 
-def test_acquisition_ends_before_the_first_pulse(rig: Any) -> None:
-    grant = rig.arm()
-    rig.begin(grant)
-    rig.until("filming")
-    rig.peer.die()
-    run = rig.result_of(grant.run)
-    assert (run.state, run.rows, run.timings) == ("failed", 0, None)
-    with pytest.raises(NotFoundError, match="ended without a result: The acquisition process ended"):
-        rig.coordinator.stitch(grant.run)
-
-
 def test_acquisition_ends_while_arming(rig: Any) -> None:
     with asked_to_arm(rig) as asked:
         rig.peer.expect(messages.Grant)
@@ -282,12 +247,3 @@ def test_boards_that_follow_too_closely_take_no_id_that_is_not_theirs(rig: Any) 
     rig.board(fourth)
     assert rig.result_of(fourth.run).board_id == "SN-3"
     assert rig.coordinator.snapshot().warnings == ()
-
-
-def test_a_run_with_the_most_rows_is_degraded(rig: Any) -> None:
-    grant = rig.arm()
-    rig.begin(grant)
-    rig.finish(grant, rig.row(grant, 0), "max-rows", interruptions=((-0.1, None),))
-    run = rig.result_of(grant.run)
-    assert (run.verdict, run.ended) == (Status.DEGRADED, "max-rows")
-    assert [reason.code for reason in run.reasons] == ["run-too-long"]

@@ -73,20 +73,6 @@ def test_a_full_ring_blocks_arming_names_the_holders_and_loses_nothing(rig: Any)
     assert all(rig.coordinator.frame(run, 0, 0)[0].any() for run in runs)
 
 
-def test_ending_a_hold_unblocks_the_line(rig: Any) -> None:
-    runs = full(rig)
-    rig.coordinator.end_hold(runs[1], "tester 3")
-    grant = rig.peer.expect(messages.Grant)
-    rig.until("armed")
-    assert rig.coordinator.snapshot().reasons == ()
-    with pytest.raises(GoneError, match="no longer in memory"):
-        rig.coordinator.frame(runs[1], 0, 0)
-    assert rig.coordinator.run(runs[1]).state == "gone"
-    rig.board(grant)
-    run = rig.result_of(grant.run)
-    assert run.verdict is Status.OK
-
-
 def test_a_run_that_is_announced_keeps_its_frames_and_the_next_board_is_refused_before_it_comes(make_rig: Any) -> None:
     """Two holds in a ring of three: every further run was announced with frames, and its frames were gone at once."""
     rig = make_rig(keep_s=3600.0)
@@ -117,19 +103,6 @@ def test_a_run_that_is_announced_keeps_its_frames_and_the_next_board_is_refused_
     assert rig.coordinator.snapshot().reasons == ()
 
 
-def test_a_run_may_be_evicted_when_the_stated_time_has_passed(make_rig: Any) -> None:
-    rig = make_rig(keep_s=0.1)
-    rig.ready()
-    grant = rig.arm()
-    runs = []
-    for _ in range(4):
-        rig.board(grant)
-        rig.result_of(grant.run)
-        runs.append(grant.run)
-        grant = rig.peer.expect(messages.Grant)
-    assert [rig.coordinator.run(run).state for run in runs] == ["gone", "gone", "ready", "ready"]
-
-
 def test_only_its_holder_releases_a_held_run(rig: Any) -> None:
     runs = full(rig)
     for holder in (None, "tester 4"):
@@ -155,15 +128,6 @@ def test_a_released_run_keeps_its_result(rig: Any) -> None:
     assert rig.coordinator.stitch(runs[2]).status is Status.OK
     with pytest.raises(GoneError):
         rig.coordinator.hold(runs[2], "me", "late")
-
-
-def test_a_run_that_is_needed_is_not_released(rig: Any) -> None:
-    rig.workers.keep = True
-    grant = rig.arm()
-    rig.begin(grant)
-    rig.until("filming")
-    with pytest.raises(StateError, match="its memory is needed"):
-        rig.coordinator.release(grant.run)
 
 
 def test_large_pictures_are_rendered_under_a_lease(rig: Any) -> None:

@@ -16,7 +16,7 @@ from vaoi_station.acquisition.process.messages import BoardMissed, MissedPassage
 from vaoi_station.config import StationConfig
 from vaoi_station.line_config import ExpectedBoard, Line
 from vaoi_station.model import BoardType, CameraHead, RecordingHead, Status, Stitch
-from vaoi_station.runs.run.boards import BoardAccount, TriggerWatch, limit_of, measure_passage, way_by_encoder, way_of
+from vaoi_station.runs.run.boards import BoardAccount, TriggerWatch, limit_of, measure_passage, way_by_encoder
 from vaoi_station.runs.run.order import Orders
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of
@@ -79,15 +79,6 @@ def test_the_limit_is_the_side_along_the_motion_and_the_longer_one_while_it_is_u
     assert limit_of(board_type, line(), stitch(0.0)) == pytest.approx(30 * 1.1 + 5)
     assert limit_of(board_type, line(), stitch(0.0, turned=True)) == pytest.approx(40 * 1.1 + 5)
     assert limit_of(board_type, line(carrier_mm=100.0), None) == pytest.approx(115)
-
-
-def test_the_way_follows_the_measured_motion_of_a_belt_that_stops() -> None:
-    times_s = np.array([0.0, 0.1, 0.2, 0.3])
-    way = way_of(line(), stitch(0.0, 10.0, 10.0, 12.0), times_s)
-    assert [way(t) for t in (0.05, 0.15, 0.25)] == pytest.approx([5.0, 10.0, 11.0])
-    assert way(-0.1) == pytest.approx(-4.0), "before the first row as fast as on average"
-    assert way(0.4) == pytest.approx(16.0)
-    assert way_of(line(), None, times_s)(0.25) == pytest.approx(25.0)
 
 
 def test_the_encoder_gives_the_way_of_a_belt_that_stops() -> None:
@@ -188,15 +179,6 @@ def test_a_board_that_passed_before_does_not_lose_its_id(books: Books) -> None:
     books.finish(((0.0, 0.3),))
     assert books.progress.board_id == "SN-1"
     assert books.account.missed == 1
-
-
-def test_boards_that_follow_a_missed_board_too_closely_are_counted_as_well(books: Books) -> None:
-    books.account.passage_missed(MissedPassage(49.0, ((0.0, 0.3),)), 49.9)
-    books.account.passage_missed(MissedPassage(49.0, ()), 49.9)
-    assert books.account.missed == 0
-    books.account.passage_missed(MissedPassage(49.0, TWO), 49.9)
-    assert books.account.missed == 1
-    assert books.published[0][1]["message"].startswith("1 board followed a missed board too closely")
 
 
 def test_a_missed_board_on_a_belt_that_stood_is_one_board_by_the_encoder(books: Books) -> None:

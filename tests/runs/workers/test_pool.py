@@ -217,18 +217,6 @@ def test_the_job_of_a_worker_that_hangs_is_repeated_at_once(plant: Plant) -> Non
     assert plant.submit(plant.link()).get().error is None
 
 
-def test_a_worker_that_another_has_outrun_is_replaced_soon(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "REPEATED_LIMIT_S", 1.5)
-    plant.all_idle()
-    victim = plant.pid(0)
-    os.kill(victim, signal.SIGSTOP)
-    assert plant.submit(plant.link()).get().error is None
-    plant.until(lambda: len(plant.lost) == 1)
-    assert "Worker 0 did not answer for 1.5 s" in plant.lost[0]
-    plant.all_idle()
-    assert plant.pid(0) != victim
-
-
 def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(board_plant: BoardPlant, ring_board: RingBoard) -> None:
     board_plant.link_all([ring_board.link(task) for task in ring_board.tasks])
     board_plant.all_idle()

@@ -49,10 +49,7 @@ class MessagePipe:
         return bool(self._unsent)
 
     def send(self, message: object) -> None:
-        """Send a message as far as the pipe has room, and keep the rest for `flush`.
-
-        A message to a child that has ended is lost. `receive` and the sentinel of the process show that it has ended.
-        """
+        """Send a message as far as the pipe has room, and keep the rest for `flush`; to an ended child it is lost."""
         body = ForkingPickler.dumps(message)
         with self._lock:
             self._unsent += _LENGTH.pack(len(body))
@@ -65,11 +62,7 @@ class MessagePipe:
             self._flush()
 
     def receive(self) -> list[Any]:
-        """Return the messages that are complete, without waiting for more.
-
-        Raises:
-            PipeEndedError: no further message can come.
-        """
+        """Return the complete messages, without waiting for more; PipeEndedError if none can come any more."""
         ended = False
         while True:
             try:
@@ -121,10 +114,7 @@ class MessagePipe:
 
 
 def wait_for(pipes: Sequence[MessagePipe], others: Sequence[int], timeout_s: float) -> set[int]:
-    """Wait until a pipe has data, has room for its unsent messages, or another descriptor is readable.
-
-    Returns the file descriptors that are ready, of `pipes` and of `others`; none after `timeout_s`.
-    """
+    """Wait until a pipe has data or room for its unsent messages, or another descriptor is readable; return which."""
     with PollSelector() as selector:
         for pipe in pipes:
             selector.register(pipe.fileno(), EVENT_READ | (EVENT_WRITE if pipe.unsent else 0))

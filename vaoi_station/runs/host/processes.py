@@ -45,8 +45,7 @@ _NEVER = 1_000_000_000
 def set_up_process(one_thread: bool) -> None:
     """Set up a child process: ignore SIGINT and SIGTERM, show its name, and configure its log.
 
-    With `one_thread`, numerical libraries use one thread. A child process ends when the station sends it a message to
-    end, or when its pipe closes because the station has died.
+    With `one_thread`, numerical libraries use one thread.
     """
     # A terminal sends Ctrl-C, and systemd SIGTERM, to every process of a group. Only the station acts on them, because
     # it ends its processes in order.
@@ -72,8 +71,8 @@ def acquire(config: StationConfig, ring: str, connection: Connection[Any, Any]) 
 def keep_freed_memory() -> Iterator[None]:
     """Let processes that are started in the context keep freed memory, in large pages, and reuse it for the next board.
 
-    Mapping and clearing it again, and address translation through small pages, took some ten milliseconds between the
-    last frame and the matrices. Only the GNU C library reads the setting, once, when a process starts.
+    Without it, some ten milliseconds passed between the last frame and the matrices. Only the GNU C library reads the
+    setting, once, when a process starts.
     """
     before = os.environ.get(_TUNABLES)
     ours = ":".join(f"glibc.malloc.{key}={value}" for key, value in _MEMORY.items())
@@ -130,10 +129,9 @@ class GcPolicy:
     """Runs full garbage collections while no board is processed and no caller fetches pictures. Used by one thread.
 
     In a station that had filmed boards of 3000 components, a full collection took 60 to 95 ms, in which no Python
-    thread runs, and usually came while a result was unpacked. Those of young objects stay automatic: they take less
-    than a millisecond. After a collection, free memory goes back to the kernel, at most once a minute: the C library
-    keeps a heap for every thread with the pages of its busiest moment, so that the process would grow by what no thread
-    uses.
+    thread runs, and usually came while a result was unpacked. Those of young objects stay automatic. After a
+    collection, free memory goes back to the kernel, at most once a minute: the C library keeps a heap for every thread
+    with the pages of its busiest moment.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

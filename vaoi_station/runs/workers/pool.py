@@ -80,13 +80,9 @@ class WorkerPool:
         self.thread = SupervisedThread(self._run, "workers")
 
     def start(self, on_end: Callable[[str], object], on_ready: Callable[[], object]) -> None:
-        """Start the workers. Jobs may be submitted before they are ready.
+        """Start the workers. Both functions are called in any thread and must return at once.
 
-        Both functions are called in any thread and must return at once.
-
-        Args:
-            on_end: gets a sentence when a worker has ended unexpectedly; it is replaced.
-            on_ready: called when all workers are ready, and again when one that was replaced is ready.
+        `on_end` gets a sentence when a worker has ended; it is replaced. `on_ready` is called when all are ready.
         """
         self._on_end, self._on_ready = on_end, on_ready
         # Workers ignore SIGTERM and SIGINT. Without this exit handler, they would survive a station that exits by an
@@ -100,10 +96,7 @@ class WorkerPool:
             return all(w.ready for w in self._workers)
 
     def warm(self) -> bool:
-        """Return whether boards may be filmed: at least one worker is ready, and each other one is ready or has failed.
-
-        A worker that ends again and again must not prevent the station from filming with the others.
-        """
+        """Return whether boards may be filmed: a worker is ready, and each other one is ready too, or has failed."""
         with self._lock:
             return any(w.ready for w in self._workers) and all(w.ready or w.restarts for w in self._workers)
 
@@ -155,10 +148,7 @@ class WorkerPool:
             return tuple(worker.status(self.fork_server.progress) for worker in self._workers)
 
     def stop(self, timeout_s: float = 5.0) -> None:
-        """End all worker processes, and refuse every unfinished job. A second call does nothing.
-
-        Workers that have not ended after `timeout_s` are killed.
-        """
+        """End all worker processes, at last by killing them, and refuse every unfinished job; once."""
         with self._lock:
             if self._stopping:
                 return
