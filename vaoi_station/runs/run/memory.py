@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Protocol
@@ -22,7 +21,7 @@ from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import BusyError, GoneError
 from vaoi_station.model import Reason
 from vaoi_station.runs.states.schemas import BayStatus, LeaseStatus
-from vaoi_station.supervised_thread import SupervisedThread
+from vaoi_station.supervised_queue import SupervisedQueue
 
 Use = Literal["free", "granted", "filming", "stitching", "finished"]
 MAX_HOLDERS = 32
@@ -34,8 +33,8 @@ _IN_WORDS = {
     "filming": "being filmed",
     "stitching": "being stitched",
 }
-_CHECK_S = 1.0
-"""Longest time between two signs of life of the thread of `BayGrants` while there is nothing to do."""
+_MOST = 1000
+"""Largest number of commands that wait for a bay; there are some per second."""
 
 
 @dataclass(frozen=True)
@@ -294,61 +293,25 @@ class BayGrants:
     def __init__(self, blacken: Callable[[int], object], link: Commands) -> None:
         """Prepare the thread; `blacken` sets all pixels of a bay to zero."""
         self._blacken, self._link = blacken, link
-        self._changed = threading.Condition()
-        self._waiting: deque[messages.Command] = deque()
-        """Commands in their order. The first stays here until it was sent."""
-        self._ended = False
-        self.thread = SupervisedThread(self._run, "bays")
-
-    def start(self) -> None:
-        """Start the thread."""
-        self.thread.start()
+        self._queue: SupervisedQueue[tuple[int, messages.Command]] = SupervisedQueue(self._pass_on, "bays", _MOST)
+        self.thread, self.start, self.stop = self._queue.thread, self._queue.start, self._queue.stop
+        self._lock, self._process = threading.Lock(), 0
+        """The lock, and the number of the acquisition process for which new commands are meant."""
 
     def send(self, command: messages.Command) -> None:
         """Send a command, behind those before it. Returns at once."""
-        with self._changed:
-            if self._waiting or _bay(command) is not None:
-                self._waiting.append(command)
-                self._changed.notify_all()
-            else:
-                self._link.send(command)
+        self._queue.put((self._process, command))
 
     def forget(self) -> None:
         """Give up the commands that were not sent yet: the acquisition process for which they were meant has ended."""
-        with self._changed:
-            self._waiting.clear()
+        with self._lock:
+            self._process += 1
 
-    def stop(self) -> None:
-        """End the thread; what was not sent is given up. A second call does nothing."""
-        with self._changed:
-            self._ended = True
-            self._waiting.clear()
-            self.thread.expect_end()
-            self._changed.notify_all()
-        if self.thread.is_alive():
-            self.thread.join()
-
-    def _run(self) -> None:
-        while (command := self._next()) is not None:
-            if (bay := _bay(command)) is not None:
-                self._blacken(bay)
-            with self._changed:
-                # It was given up meanwhile if it is not the first one any more.
-                if self._waiting and self._waiting[0] is command:
-                    self._link.send(self._waiting.popleft())
-
-    def _next(self) -> messages.Command | None:
-        """Wait for a command and return it; None if the thread is to end."""
-        with self._changed:
-            while not self._waiting and not self._ended:
-                self.thread.beat()
-                self._changed.wait(_CHECK_S)
-            self.thread.beat()
-            return self._waiting[0] if self._waiting and not self._ended else None
-
-
-def _bay(command: messages.Command) -> int | None:
-    """Return the bay that a command grants; None if it grants none."""
-    if isinstance(command, messages.FireTrial):
-        return command.grant.bay
-    return command.bay if isinstance(command, messages.Grant) else None
+    def _pass_on(self, waiting: tuple[int, messages.Command]) -> None:
+        process, command = waiting
+        grant = command.grant if isinstance(command, messages.FireTrial) else command
+        if isinstance(grant, messages.Grant) and process == self._process:
+            self._blacken(grant.bay)
+        with self._lock:
+            if process == self._process:
+                self._link.send(command)
