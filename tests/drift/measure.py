@@ -21,8 +21,7 @@ from vaoi_station.drift.recalibrate import recalibrate
 from vaoi_station.drift.watch import find_drifts
 from vaoi_station.errors import InputError
 from vaoi_station.model import Calibration, Stitch
-from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
-from vaoi_station.simulation.passage import Passage
+from vaoi_station.simulation import Passage, Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 

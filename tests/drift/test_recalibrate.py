@@ -12,8 +12,7 @@ from vaoi_station.drift.recalibrate import recalibrate
 from vaoi_station.drift.watch import find_drifts
 from vaoi_station.errors import InputError
 from vaoi_station.model import Calibration
-from vaoi_station.simulation import Twin
-from vaoi_station.simulation.passage import Passage
+from vaoi_station.simulation import Passage, Twin
 
 Film = Callable[[Twin, int], RunCheck]
 Made = Callable[..., RunCheck]

@@ -14,7 +14,7 @@ import numpy as np
 
 from tests.hostile.mistakes import Mistake, Random, draw_beside, draw_mistakes, draw_moment, scenario_changes
 from vaoi_station.simulation import Scenario
-from vaoi_station.simulation.camera_array import Section
+from vaoi_station.simulation.scenario import Section
 
 FORM = 1
 """Version of the generator. Seeds of finds are valid for one form only."""

@@ -16,9 +16,8 @@ from vaoi_station.calibration.camera_fit import Limits
 from vaoi_station.files.calibrations import Layout
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Calibration, RecordingHead
-from vaoi_station.simulation import Scenario, Twin, calibration_board
+from vaoi_station.simulation import Passage, Scenario, Twin, calibration_board
 from vaoi_station.simulation.board.layout import board_from_cad
-from vaoi_station.simulation.passage import Passage
 
 FrameKey = tuple[int, int]
 

@@ -35,10 +35,9 @@ from vaoi_station.rig.line import (
 )
 from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
 from vaoi_station.simulation import Scenario
-from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.scenario import (
+    ArraySection,
     FaultSection,
-    IgnoredTrigger,
     LightSection,
     LineSection,
     LostFrame,
@@ -205,7 +204,7 @@ def test_a_larger_array_sees_a_wider_board() -> None:
 def test_cameras_that_do_wrong_by_themselves_are_asked_for_by_faults() -> None:
     check_supported(Scenario(faults=FaultSection(lost_frames=(LostFrame(camera=0, row=1),))))
     with pytest.raises(InputError, match=r"faults\.ignored_triggers apply to the cameras of the in-process twin only"):
-        check_supported(Scenario(faults=FaultSection(ignored_triggers=(IgnoredTrigger(camera=0, row=1),))))
+        check_supported(Scenario(faults=FaultSection(ignored_triggers=(LostFrame(camera=0, row=1),))))
 
 
 def scenario_of(lights: tuple[str, ...], exposures_us: tuple[float, ...] = (250.0,)) -> Scenario:

@@ -12,7 +12,6 @@ from vaoi_station.simulation.calibration_board import (
     frames,
     layout,
     mark_places_mm,
-    truth,
     write_calibration_recording,
 )
 
@@ -41,35 +40,11 @@ def test_every_camera_sees_its_crosses_where_the_truth_puts_them(make: Make, tmp
             assert np.abs(centre - (u, v)).max() < 0.03
 
 
-def test_without_truth_there_is_none(make: Make, tmp_path: Path) -> None:
-    write_calibration_recording(make(array={"px_per_mm": 4.0}), tmp_path, with_truth=False)
-    assert not (tmp_path / "truth.json").exists()
-    assert layout(make())["mark"]["polarity"] == "dark"
-
-
-def test_marks_lie_on_a_grid_below_every_camera(make: Make) -> None:
-    twin = make(array={"cameras": 3}, calibration_board={"marks_per_axis": 4})
-    places = mark_places_mm(twin)
-    assert places.shape == (3 * 16, 2)
-    array = twin.scenario.array
-    for camera in range(3):
-        own = places[16 * camera : 16 * camera + 16] - (camera * array.pitch_mm, 0.0)
-        assert np.abs(own).max(0) == pytest.approx((0.3 * array.view_mm[0], 0.32 * array.view_mm[1]))
-        assert np.allclose(own.mean(0), 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize(("board", "mark", "polarity"), [(205.0, 25.0, "dark"), (20.0, 210.0, "light")])
 def test_the_layout_states_size_and_polarity(make: Make, board: float, mark: float, polarity: str) -> None:
     section = {"board_grey": board, "mark_grey": mark, "mark_mm": 3.0}
     shown = layout(make(calibration_board=section))["mark"]
     assert shown == {"shape": "cross", "size": 3.0, "width": 0.75, "polarity": polarity}
-
-
-def test_the_truth_states_every_camera_and_lens(make: Make) -> None:
-    twin = make(array={"cameras": 2})
-    stated = truth(twin)
-    assert np.allclose(stated["camera_matrices"], [p.plane() for p in twin.pinholes])
-    assert [lens["radial"] for lens in stated["distortion"]] == [[0.0], [0.0]]
 
 
 def test_frames_at_rest_are_sharp_and_repeat(make: Make) -> None:

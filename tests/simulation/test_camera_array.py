@@ -5,20 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.imaging.pinholes import mount_cameras
 from vaoi_station.simulation.imaging.sensor import vignette
+from vaoi_station.simulation.scenario import ArraySection
 
 EXACT = ArraySection(tilt_deg=0, roll_deg=0, position_mm=0, focal_length=0)
-
-
-def test_by_default_all_cameras_are_alike() -> None:
-    for i in range(EXACT.cameras):
-        assert EXACT.resolution_px_per_mm(i) == EXACT.px_per_mm == EXACT.finest_px_per_mm
-        assert EXACT.frame_px(i) == (EXACT.width_px, EXACT.height_px)
-        assert EXACT.camera_view_mm(i) == EXACT.view_mm
-        assert EXACT.center_mm(i) == i * EXACT.pitch_mm
-        assert EXACT.design_roll_deg(i) == 0
 
 
 def test_lists_are_repeated() -> None:

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -74,34 +72,6 @@ def test_a_short_list_of_exposures_is_used_in_turn(make: Make) -> None:
         assert np.abs(seen - factor * full).max() <= 1.0
 
 
-def test_a_photograph_serves_as_texture(make: Make, tmp_path: Path) -> None:
-    picture = np.zeros((400, 600, 3), np.uint8)
-    picture[:, 300:] = 200
-    cv2.imwrite(str(tmp_path / "photo.png"), picture)
-    twin = make(board={"photograph": tmp_path / "photo.png"}, array={"roll_deg": 0.0, "position_mm": 0.0})
-    frame = twin.passage(0).frame(0, 2)
-    assert frame[60, 20] < 5
-    assert frame[60, 140] > 190
-    place = twin.passage(0).pose(twin.passage(0).pulse_times_s[2]) @ [15.0, 10.0, 1.0]
-    edge = twin.pinholes[0].project(place[None, :2], 0.0)[0, 0]
-    seen = np.interp(100, frame[60].astype(float), np.arange(160))
-    assert abs(seen - edge) < 1.0
-
-
-def test_every_board_has_its_own_placements(small: Twin) -> None:
-    first, again, other = (small.passage(k).placements for k in (4, 4, 5))
-    assert first == again
-    assert first != other
-
-
-def test_frames_come_row_by_row_without_those_that_are_held_back(make: Make) -> None:
-    twin = make(array={"cameras": 2}, faults={"late_frames": [{"camera": 0, "row": 1, "delay_s": 9.0}]})
-    passage = twin.passage(0)
-    addresses = [(camera, row) for camera, row, _ in passage.frames()]
-    assert addresses == [(camera, row) for row in range(passage.rows) for camera in (0, 1)]
-    assert set(passage.render_all()) == set(addresses)
-
-
 def test_the_head_describes_the_passage(make: Make) -> None:
     twin = make(line={"lights": ["a", "b"]}, lights={"a": {}, "b": {}})
     passage = twin.passage(1)
@@ -145,16 +115,6 @@ def test_an_absent_part_does_not_move_the_others(make: Make) -> None:
     )
     assert without["R1"] is None
     assert {ref for ref in whole if whole[ref] != without[ref]} == {"R1"}
-
-
-def test_poses_are_rigid_and_follow_the_pulses(small: Twin) -> None:
-    passage = small.passage(0)
-    for t in passage.pulse_times_s:
-        pose = passage.pose(t)
-        assert np.allclose(pose[:2, :2] @ pose[:2, :2].T, np.eye(2))
-        assert pose[2].tolist() == [0.0, 0.0, 1.0]
-    steps = np.diff([passage.pose(t)[:2, 2] for t in passage.pulse_times_s], axis=0)
-    assert np.allclose(steps[:, 1], small.scenario.belt.speed_mm_s * small.scenario.line.period_s, rtol=0.05)
 
 
 def test_a_program_sets_light_exposure_and_gain_of_each_row(make: Make) -> None:

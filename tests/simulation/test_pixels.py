@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.simulation import Twin
+from vaoi_station.simulation.imaging.sensor import vignette
 
 Array = NDArray[np.float64]
 Make = Callable[..., Twin]
@@ -89,7 +90,7 @@ def test_pixels_equal_an_independent_computation(make: Make) -> None:
     passage = twin.passage(2)
     row = min(range(passage.rows), key=lambda r: abs(float((passage.pose(passage.pulse_times_s[r]) @ [15, 10, 1])[1])))
     expected = _blurred(_picture(twin, passage.pose(passage.pulse_times_s[row])), 0.6)
-    expected = expected * twin.vignetting(0) * 0.9 * 1.1 + 3.0
+    expected = expected * vignette(twin.scenario.array, 0) * 0.9 * 1.1 + 3.0
     difference = (passage.frame(0, row) - expected)[5:-5, 5:-5]
     assert expected.max() > 150  # the fiducial is in view
     assert np.abs(difference).max() <= 1.0

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vaoi_station.files import open_recording, read_board_type, read_calibration
+from vaoi_station.files import open_recording
 from vaoi_station.simulation import Twin
 from vaoi_station.simulation.recording_writer import write_passage
 
@@ -38,13 +38,6 @@ def test_frames_that_arrive_whole_are_written_and_others_are_missing(twin: Twin,
             else:
                 assert frame is not None
                 assert np.array_equal(frame, passage.frame(camera, row))
-
-
-def test_calibration_and_board_type_lie_beside_the_frames(twin: Twin, tmp_path: Path) -> None:
-    write_passage(twin.passage(0), tmp_path)
-    written = read_calibration(tmp_path / "calibration.json", 2)
-    assert written.model_dump_json() == twin.calibration.model_dump_json()
-    assert read_board_type(tmp_path / "board.json") == twin.board_type
 
 
 def test_the_truth_is_written_only_if_wanted(twin: Twin, tmp_path: Path) -> None:

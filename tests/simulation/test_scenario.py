@@ -7,15 +7,9 @@ from pydantic import BaseModel
 
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.simulation import Scenario, find_scenario, read_scenario, scenario_path
-from vaoi_station.simulation.camera_array import Section
+from vaoi_station.simulation.scenario import Section
 
 DOC = Path(__file__).parents[2] / "docs" / "engineering" / "twin.md"
-
-
-def test_an_empty_file_is_a_scenario(tmp_path: Path) -> None:
-    path = tmp_path / "empty.toml"
-    path.write_text("")
-    assert read_scenario(path) == Scenario()
 
 
 @pytest.mark.parametrize("name", ["demo", "light", "paper", "small"])
@@ -64,12 +58,6 @@ def test_refusals_name_file_key_and_limit(tmp_path: Path, text: str, message: st
     with pytest.raises(InputError, match=message) as caught:
         read_scenario(path)
     assert "bad.toml" in str(caught.value)
-
-
-def test_a_photograph_is_found_beside_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "photo.toml"
-    path.write_text('[board]\nphotograph = "board.png"')
-    assert read_scenario(path).board.photograph == tmp_path / "board.png"
 
 
 def test_default_fiducials_distinguish_all_turns() -> None:

@@ -58,20 +58,6 @@ def test_the_scorer_of_the_cases_accepts_a_recording(small: Twin, tmp_path: Path
     assert score["views"] > 50
 
 
-def test_views_are_those_inside_the_frames(small: Twin) -> None:
-    array = small.scenario.array
-    for seen in small.passage(0).truth()["views"].values():
-        for _, _, u, v in seen:
-            assert 0 < u < array.width_px - 1
-            assert 0 < v < array.height_px - 1
-
-
-def test_a_board_without_parts_has_no_views(make: Make) -> None:
-    truth = make().passage(0).truth()
-    assert (truth["views"], truth["heights"]) == ({}, {})
-    assert len(truth["row_motion"]) == make().passage(0).rows
-
-
 def test_a_lifted_board_moves_its_views_but_not_the_matrices(make: Make) -> None:
     flat, lifted = (make(board={"density": 2.0, "lift_mm": lift}).passage(0).truth() for lift in (0.0, 2.0))
     assert flat["image_matrices"] == lifted["image_matrices"]

@@ -22,8 +22,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.identity.code_reader import read_codes
 from vaoi_station.identity.symbols import read_symbols
 from vaoi_station.model import BoardReading, Status, Stitch
-from vaoi_station.simulation import Scenario, Twin
-from vaoi_station.simulation.passage import Passage
+from vaoi_station.simulation import Passage, Scenario, Twin
 
 PX_PER_MM = 20.0
 MODULES_PX = (2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0)

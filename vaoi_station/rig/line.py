@@ -27,7 +27,7 @@ from vaoi_station.rig.chip import CHANNELS, HZ, Chip, Edge, Pulse, PulseDecoder
 from vaoi_station.rig.faults import KINDS
 from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
 from vaoi_station.simulation import Scenario
-from vaoi_station.simulation.world import program_of
+from vaoi_station.simulation.twin import program_of
 
 LINE_READY = "PC0"
 """Pin of the output "line ready", which the conveyor obeys."""

@@ -18,14 +18,13 @@ from vaoi_station.model import RecordingHead
 from vaoi_station.simulation.board.artwork import Artwork
 from vaoi_station.simulation.board.canvas import Canvas, to_bytes
 from vaoi_station.simulation.imaging.scene import LitTextures, Scene
-from vaoi_station.simulation.imaging.sensor import expose, generator
+from vaoi_station.simulation.imaging.sensor import expose, generator, vignette
 from vaoi_station.simulation.scenario import BoardSection, LightSection
-from vaoi_station.simulation.twin import Twin
-from vaoi_station.simulation.world import TEXTURE_PER_PIXEL
+from vaoi_station.simulation.twin import TEXTURE_PER_PIXEL, Twin
 
 _BORDER_MM = 5.0
 _ARM = 0.25
-"""Width of a cross' arm divided by the size of the cross."""
+"""Width of a cross' arm as a share of its size."""
 
 
 def mark_places_mm(twin: Twin) -> Floats:
@@ -41,19 +40,17 @@ def mark_places_mm(twin: Twin) -> Floats:
 
 def layout(twin: Twin) -> dict[str, Any]:
     """Return the content of layout.json: shape and positions of the marks on the board."""
-    size = twin.scenario.calibration_board.mark_mm
+    board = twin.scenario.calibration_board
+    size, polarity = board.mark_mm, "dark" if board.mark_grey < board.board_grey else "light"
     return {
         "unit": "mm",
-        "mark": {"shape": "cross", "size": size, "width": size * _ARM, "polarity": _polarity(twin)},
+        "mark": {"shape": "cross", "size": size, "width": size * _ARM, "polarity": polarity},
         "marks": [{"x": float(x), "y": float(y)} for x, y in mark_places_mm(twin)],
     }
 
 
 def truth(twin: Twin) -> dict[str, Any]:
-    """Return the content of truth.json of a calibration recording: N_i and the lens of each camera.
-
-    An ideal lens is written with one coefficient of 0.
-    """
+    """Return N_i and the lens of each camera for truth.json; an ideal lens has one coefficient of 0."""
     lenses = [p.lens for p in twin.pinholes]
     return {
         "camera_matrices": [p.plane().tolist() for p in twin.pinholes],
@@ -74,7 +71,7 @@ def frames(twin: Twin) -> list[tuple[int, int, Any]]:
             array,
             motion_px=np.zeros(2),
             brightness=array.gain * array.exposure_us(i) / array.reference_exposure_us,
-            shade=twin.vignetting(i),
+            shade=vignette(array, i),
             noise=generator(array.seed, 7007, i),
         )
         result.append((i, 0, image))
@@ -97,13 +94,8 @@ def write_calibration_recording(twin: Twin, directory: Path, *, with_truth: bool
     return write_recording(directory, head, frames(twin))
 
 
-def _polarity(twin: Twin) -> str:
-    board = twin.scenario.calibration_board
-    return "dark" if board.mark_grey < board.board_grey else "light"
-
-
 def _scene(twin: Twin) -> Scene:
-    """Return the calibration board as a scene. The board coordinates of this scene are the tester coordinates."""
+    """Return the calibration board as a scene, rendered with the identity as its pose."""
     array, board = twin.scenario.array, twin.scenario.calibration_board
     last = array.cameras - 1
     (w, _), (w_last, _) = array.camera_view_mm(0), array.camera_view_mm(last)
@@ -115,5 +107,4 @@ def _scene(twin: Twin) -> Scene:
         canvas.cross((x, y), board.mark_mm, board.mark_mm * _ARM, board.mark_grey)
     surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal)
     artwork = Artwork((), (), surface, metal, canvas.px_per_mm, canvas.origin_mm)
-    # `frames` renders this scene with the identity as its pose, so board coordinates are tester coordinates here.
     return Scene(BoardSection(fiducials=()), artwork, twin.scenario.belt.grey)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from vaoi_station.files import Recording, write_board_type, write_calibration, write_recording
 from vaoi_station.files.documents import write_json
-from vaoi_station.simulation.passage import Passage
+from vaoi_station.simulation.twin import Passage
 
 
 def write_passage(passage: Passage, directory: Path, *, with_truth: bool = True) -> Recording:

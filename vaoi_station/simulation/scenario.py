@@ -1,29 +1,192 @@
-"""Read a scenario file (TOML) into a frozen `Scenario`, which defines what the twin simulates, including faults.
+"""The tables of a scenario file: everything that the twin simulates, including faults.
 
-Unknown keys and invalid values raise an error with file, key, value and limit. `docs/engineering/twin.md` describes
-every key. All keys have defaults, so an empty file is a valid scenario. All random numbers depend only on the seeds.
+`docs/engineering/twin.md` describes every key. All keys have defaults, so an empty file is a valid scenario. All random
+numbers depend only on the seeds.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vaoi_station.model import Program
-from vaoi_station.simulation.camera_array import (
-    ArraySection,
-    Finite,
-    Index,
-    NotNegative,
-    PerCamera,
-    Positive,
-    Section,
-    Share,
-)
-from vaoi_station.simulation.surroundings import CarrierSection, CodeSection, FiducialMark, PanelSection, TextureSection
+from vaoi_station.model import Program, Strict
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Index = Annotated[int, Field(ge=0)]
+PerCamera = Annotated[tuple[Positive, ...], Field(min_length=1)]
+Side = Annotated[int, Field(ge=32, le=16384)]
+"""Width or height of a frame, px."""
+
+
+class Section(Strict):
+    """Base class of all tables of a scenario file."""
+
+
+class ArraySection(Section):
+    """The camera array: design, mounting errors, lenses and sensors."""
+
+    cameras: Annotated[int, Field(ge=1, le=64)] = 3
+    width_px: Side = 1392
+    height_px: Side = 1040
+    px_per_mm: Positive = 40.0
+    working_distance_mm: Positive = 483.0
+    overlap: Annotated[float, Field(ge=1, le=16)] = 1.05
+    tilt_deg: NotNegative = 0.115
+    roll_deg: NotNegative = 0.23
+    position_mm: NotNegative = 0.15
+    focal_length: Annotated[float, Field(ge=0, le=0.1)] = 0.002
+    distortion_px: Finite = 0.0
+    exposures_us: PerCamera = (250.0,)
+    reference_exposure_us: Positive = 250.0
+    gain: Positive = 1.0
+    black_level: NotNegative = 2.0
+    vignetting: Annotated[float, Field(ge=0, lt=1)] = 0.25
+    psf_px: NotNegative = 0.6
+    shot_noise: NotNegative = 0.03
+    read_noise: NotNegative = 1.5
+    flicker: NotNegative = 0.01
+    bits: Literal[8, 16] = 8
+    seed: Index = 11
+    camera_px_per_mm: tuple[Positive, ...] = ()
+    camera_frame_px: tuple[tuple[Side, Side], ...] = ()
+    camera_roll_deg: Annotated[tuple[Finite, ...], Field(min_length=1)] = (0.0,)
+
+    @property
+    def pitch_mm(self) -> float:
+        """Distance of neighbouring cameras: the width of a field of view divided by the overlap m_h."""
+        return self.width_px / self.px_per_mm / self.overlap
+
+    @property
+    def view_mm(self) -> tuple[float, float]:
+        """Nominal field of view of one camera, mm: its extent across and along the motion."""
+        return self.width_px / self.px_per_mm, self.height_px / self.px_per_mm
+
+    def exposure_us(self, camera: int) -> float:
+        """Return the exposure time of one camera. All lists with fewer entries than cameras are repeated."""
+        return self.exposures_us[camera % len(self.exposures_us)]
+
+    @property
+    def finest_px_per_mm(self) -> float:
+        """The highest design resolution of any camera."""
+        return max(self.resolution_px_per_mm(i) for i in range(self.cameras))
+
+    def resolution_px_per_mm(self, camera: int) -> float:
+        """Return the design resolution of one camera."""
+        own = self.camera_px_per_mm
+        return own[camera % len(own)] if own else self.px_per_mm
+
+    def frame_px(self, camera: int) -> tuple[int, int]:
+        """Return width and height of the frames of one camera."""
+        own = self.camera_frame_px
+        return own[camera % len(own)] if own else (self.width_px, self.height_px)
+
+    def design_roll_deg(self, camera: int) -> float:
+        """Return by how much one camera is mounted rotated, from image x towards image y; 180 is upside down."""
+        return self.camera_roll_deg[camera % len(self.camera_roll_deg)]
+
+    def camera_view_mm(self, camera: int) -> tuple[float, float]:
+        """Return a camera's nominal view across and along the motion, mm, its roll rounded to quarter turns."""
+        (w, h), r = self.frame_px(camera), self.resolution_px_per_mm(camera)
+        across = round(self.design_roll_deg(camera) / 90) % 2 == 1
+        return (h / r, w / r) if across else (w / r, h / r)
+
+    @property
+    def middle_mm(self) -> float:
+        """Tester x of the centre of the array, which is also the centre of the boards' path."""
+        return self.center_mm(self.cameras - 1) / 2
+
+    def center_mm(self, camera: int) -> float:
+        """Return tester x of the nominal centre of one camera's view. All neighbours overlap by the same share."""
+        widths = [self.camera_view_mm(i)[0] for i in range(camera + 1)]
+        if len(set(widths)) == 1:
+            return camera * (widths[0] / self.overlap)
+        return sum((a + b) / 2 for a, b in pairwise(widths)) / self.overlap
+
+
+class FiducialMark(Section):
+    """A fiducial of bare copper. Its position is in mm from the top left corner of the board as the camera sees it."""
+
+    x_mm: Finite
+    y_mm: Finite
+    diameter_mm: Positive = 1.0
+    shape: Literal["circle", "cross", "square", "diamond"] = "circle"
+
+
+class CodeSection(Section):
+    """A code that is printed on every board, with its serial number. Its position is that of its middle."""
+
+    x_mm: Finite
+    y_mm: Finite
+    module_mm: Annotated[float, Field(ge=0.05, le=2)] = 0.3
+    symbology: Literal["datamatrix", "qr"] = "datamatrix"
+    text: Annotated[str, Field(min_length=1, max_length=200)] = "{name};{serial}"
+    turned_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    inverted: bool = False
+    dot_modules: Annotated[float, Field(ge=0.5, le=1)] | None = None
+    """Diameter of the dots of which the code is made, as a share of a module; None: solid modules."""
+    panel: str | int | None = None
+
+
+Look = Literal["dark", "light", "blank"]
+
+
+class BadMarkSection(Section):
+    """The mark of every board of a panel that states whether it is bad. Its position counts from the board's corner."""
+
+    x_mm: Finite
+    y_mm: Finite
+    diameter_mm: Positive = 2.0
+    good: Look = "light"
+    bad: Look = "dark"
+
+
+class PanelBoardSection(Section):
+    """The place of a board on the panel, as CAD data state it, and how the real board differs from it."""
+
+    x_mm: Finite
+    y_mm: Finite
+    rotated_deg: Literal[0, 90, 180, 270] = 0
+    shift_mm: tuple[Finite, Finite] = (0.0, 0.0)
+    turn_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
+    mark: Literal["good", "bad", "half"] = "good"
+
+
+class PanelSection(Section):
+    """The boards of a panel: equal ones, each with its fiducials and its bad-board mark."""
+
+    width_mm: Annotated[float, Field(ge=8, le=4000)]
+    length_mm: Annotated[float, Field(ge=8, le=4000)]
+    boards: Annotated[tuple[PanelBoardSection, ...], Field(min_length=1, max_length=200)]
+    fiducials: tuple[FiducialMark, ...] = ()
+    bad_mark: BadMarkSection | None = None
+
+
+class TextureSection(Section):
+    """The texture of the belt, or of what else is seen beside the board: random grey levels about the belt's grey."""
+
+    sigma_grey: Annotated[float, Field(ge=0, le=100)] = 0.0
+    grain_mm: Annotated[float, Field(gt=0, le=5)] = 0.15
+    follows: Annotated[float, Field(ge=-2, le=2)] = 1.0
+    below_mm: Annotated[float, Field(ge=-50, le=200)] = 0.0
+    seed: Index = 1
+
+
+class CarrierSection(Section):
+    """The carrier in which boards ride: a frame around the board that moves with it, with marks beside the board."""
+
+    rim_mm: Annotated[float, Field(ge=0, le=200)] = 0.0
+    grey: Annotated[float, Field(ge=0, le=255)] = 120.0
+    sigma_grey: Annotated[float, Field(ge=0, le=100)] = 4.0
+    below_mm: Annotated[float, Field(ge=-50, le=200)] = 0.0
+    marks: tuple[FiducialMark, ...] = ()
+    seed: Index = 1
 
 
 class SpeedChange(Section):
@@ -79,7 +242,6 @@ class BoardSection(Section):
     unit: Literal["mm", "inch", "mil"] = "mm"
     y_axis: Literal["up", "down"] = "up"
     side: Literal["top", "bottom"] = "top"
-    photograph: Path | None = None
     file: Path | None = None
     """Board type whose parts are drawn, instead of generated ones; it gives name, size, fiducials, unit, axes, side."""
     origin: tuple[Finite, Finite] = (0.0, 0.0)
@@ -87,36 +249,22 @@ class BoardSection(Section):
     seed: Index = 5
 
     @model_validator(mode="after")
-    def _marks_on_board(self) -> Self:
+    def _all_on_board(self) -> Self:
+        size = f"lies off the board of {self.width_mm} × {self.length_mm} mm"
         for mark in self.fiducials or ():
             if not (0 <= mark.x_mm <= self.width_mm and 0 <= mark.y_mm <= self.length_mm):
-                raise ValueError(
-                    f"a fiducial at ({mark.x_mm}, {mark.y_mm}) mm lies off the board "
-                    f"of {self.width_mm} × {self.length_mm} mm"
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _codes_on_board(self) -> Self:
+                raise ValueError(f"a fiducial at ({mark.x_mm}, {mark.y_mm}) mm {size}")
         for code in self.codes:
             if not (0 < code.x_mm < self.width_mm and 0 < code.y_mm < self.length_mm):
-                raise ValueError(
-                    f"a code at ({code.x_mm}, {code.y_mm}) mm lies off the board "
-                    f"of {self.width_mm} × {self.length_mm} mm"
-                )
+                raise ValueError(f"a code at ({code.x_mm}, {code.y_mm}) mm {size}")
             if "{serial}" not in code.text:
                 raise ValueError(f"the text of a code is {code.text!r}, must contain {{serial}}")
-        return self
-
-    @model_validator(mode="after")
-    def _boards_on_panel(self) -> Self:
         if self.panel is None:
             return self
-        if self.file is not None or self.photograph is not None or self.grid_mm is not None:
-            raise ValueError("panel is given together with file, photograph or grid_mm; boards of panels are generated")
-        width, length = self.panel.width_mm, self.panel.length_mm
+        if self.file is not None or self.grid_mm is not None:
+            raise ValueError("panel is given together with file or grid_mm; boards of panels are generated")
         for board in self.panel.boards:
-            w, h = (width, length) if board.rotated_deg % 180 == 0 else (length, width)
+            w, h = (self.panel.width_mm, self.panel.length_mm)[:: 1 if board.rotated_deg % 180 == 0 else -1]
             if not (0 <= board.x_mm <= self.width_mm - w and 0 <= board.y_mm <= self.length_mm - h):
                 raise ValueError(
                     f"a board of the panel at ({board.x_mm}, {board.y_mm}) mm, {w} × {h} mm, lies off the panel "
@@ -190,48 +338,39 @@ class OnBoard(Section):
 
     board: Index | None = None
 
-    def applies_to(self, board_number: int) -> bool:
-        """Return whether the board with this number has the fault."""
-        return self.board is None or self.board == board_number
-
-
-class LostFrame(OnBoard):
-    """A fault: the frame of one camera and row never arrives."""
-
-    camera: Index
-    row: Index
-
 
 class LostRow(OnBoard):
-    """A row of which no frame arrives."""
+    """A fault of a whole row: none of its frames arrives."""
 
     row: Index
+
+
+class StuckBoard(LostRow):
+    """The board stops at the pulse of a row and does not move again."""
+
+
+class LostFrame(LostRow):
+    """A fault of one camera's frame of one row: it never arrives."""
+
+    camera: Index
 
 
 class LateFrame(LostFrame):
-    """A frame that arrives `delay_s` seconds late."""
+    """A frame that arrives late."""
 
     delay_s: Positive
 
 
 class IncompleteFrame(LostFrame):
-    """A frame of which only the first bytes arrive. `share` is the share of the bytes that arrive."""
+    """A frame of which only the first bytes arrive: this share of them."""
 
     share: Annotated[float, Field(ge=0, lt=1)]
 
 
-class IgnoredTrigger(LostFrame):
-    """A pulse that a camera ignores. The frame counter of the camera does not count the pulse either."""
-
-
 class ExtraFrame(LostFrame):
-    """An additional exposure of a camera, `after_s` seconds after the pulse of a row."""
+    """An additional exposure of a camera after the pulse of a row."""
 
     after_s: Positive
-
-
-class ExchangedFrames(LostFrame):
-    """A camera exchanges the frame ids and time stamps of the frames of `row` and `row` + 1."""
 
 
 class FreeRunning(OnBoard):
@@ -242,23 +381,17 @@ class FreeRunning(OnBoard):
 
 
 class LateStamps(OnBoard):
-    """A camera whose time stamps come later than the start of the exposure, by `by_s` seconds."""
+    """A camera whose time stamps come later than the start of the exposure."""
 
     camera: Index
     by_s: Positive
 
 
 class Bounce(OnBoard):
-    """The signal of the barrier is inverted for `duration_s`, starting `at_s` after the board interrupts it."""
+    """The signal of the barrier is inverted for a while, starting `at_s` after the board interrupts it."""
 
     at_s: Finite
     duration_s: Positive
-
-
-class StuckBoard(OnBoard):
-    """The board stops at the pulse of a row and does not move again."""
-
-    row: Index
 
 
 class TurnedBoard(OnBoard):
@@ -289,9 +422,11 @@ class FaultSection(Section):
     lost_rows: tuple[LostRow, ...] = ()
     late_frames: tuple[LateFrame, ...] = ()
     incomplete_frames: tuple[IncompleteFrame, ...] = ()
-    ignored_triggers: tuple[IgnoredTrigger, ...] = ()
+    ignored_triggers: tuple[LostFrame, ...] = ()
+    """Pulses that a camera ignores and does not count."""
     extra_frames: tuple[ExtraFrame, ...] = ()
-    exchanged_frames: tuple[ExchangedFrames, ...] = ()
+    exchanged_frames: tuple[LostFrame, ...] = ()
+    """Frames whose ids and time stamps a camera exchanges with those of the next row."""
     free_running: tuple[FreeRunning, ...] = ()
     late_stamps: tuple[LateStamps, ...] = ()
     bounces: tuple[Bounce, ...] = ()
@@ -318,32 +453,18 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        unknown = [name for name in self.line.lights if name not in self.lights]
-        if unknown:
-            raise ValueError(f"line.lights names {unknown}, but [lights] has only {sorted(self.lights)}")
-        if unlit := [step.light for step in self.program if step.light not in self.lights]:
-            raise ValueError(f"program names the lights {unlit}, but [lights] has only {sorted(self.lights)}")
+        for key, named in (("line.lights", self.line.lights), ("program", [step.light for step in self.program])):
+            if unknown := [name for name in named if name not in self.lights]:
+                raise ValueError(f"{key} names {unknown}, but [lights] has only {sorted(self.lights)}")
         # An exposure longer than the trigger period would overlap the next pulse.
-        longest_us = max(self.array.exposures_us)
-        if longest_us * 1e-6 >= self.line.period_s:
-            raise ValueError(f"array.exposures_us has {longest_us} us, but pulses follow every {self.line.period_s} s")
-        longest_us = max((e for step in self.program for e in step.exposure_us or ()), default=0.0)
-        if longest_us * 1e-6 >= self.line.period_s:
-            raise ValueError(f"program has {longest_us} us, but pulses follow every {self.line.period_s} s")
-        self._check_faults()
-        return self
-
-    def _check_faults(self) -> None:
-        faults = self.faults
-        of_one_row = (*faults.lost_frames, *faults.late_frames, *faults.incomplete_frames, *faults.ignored_triggers)
-        of_trigger: tuple[LostFrame | FreeRunning | LateStamps, ...] = (
-            *faults.extra_frames,
-            *faults.exchanged_frames,
-            *faults.free_running,
-            *faults.late_stamps,
-        )
+        of_program = [e for step in self.program for e in step.exposure_us or ()]
+        for key, exposures_us in (("array.exposures_us", self.array.exposures_us), ("program", of_program)):
+            longest_us = max(exposures_us, default=0.0)
+            if longest_us * 1e-6 >= self.line.period_s:
+                raise ValueError(f"{key} has {longest_us} us, but pulses follow every {self.line.period_s} s")
         # Without this check, a fault of a camera that does not exist would have no effect and no message.
-        named = [f.camera for f in of_one_row] + [f.camera for f in of_trigger] + [f.camera for f in faults.knocked]
-        for camera in named:
-            if camera >= self.array.cameras:
-                raise ValueError(f"a fault names camera {camera}, but there are {self.array.cameras} (from 0)")
+        for _, faults in self.faults:
+            for camera in [getattr(fault, "camera", 0) for fault in faults]:
+                if camera >= self.array.cameras:
+                    raise ValueError(f"a fault names camera {camera}, but there are {self.array.cameras} (from 0)")
+        return self

@@ -11,30 +11,22 @@ from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files import read_board_type
 from vaoi_station.files.documents import parse, read_toml
 from vaoi_station.model import MM_PER_UNIT, Fiducial
-from vaoi_station.simulation.scenario import BoardSection, Scenario
-from vaoi_station.simulation.surroundings import FiducialMark
+from vaoi_station.simulation.scenario import BoardSection, FiducialMark, Scenario
 
 _SHIPPED = Path(str(resources.files("vaoi_station.simulation") / "scenarios"))
-"""Folder of the scenarios that come with the software."""
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Read a scenario file. Relative paths of a photograph and of a board type count from the folder of this file."""
-    scenario, folder = parse(Scenario, read_toml(path), path), path.resolve().parent
-    board = scenario.board
-    if board.photograph is not None:
-        board = board.model_copy(update={"photograph": folder / board.photograph})
-    if board.file is not None:
-        board = section_of(board, folder / board.file)
-    return scenario if board is scenario.board else scenario.model_copy(update={"board": board})
+    """Read a scenario file. The relative path of a board type counts from the folder of this file."""
+    scenario = parse(Scenario, read_toml(path), path)
+    if scenario.board.file is None:
+        return scenario
+    board = section_of(scenario.board, path.resolve().parent / scenario.board.file)
+    return scenario.model_copy(update={"board": board})
 
 
 def section_of(section: BoardSection, file: Path) -> BoardSection:
-    """Return the board section with name, size, fiducials, unit, axes and side of a board type.
-
-    Raises:
-        InputError: the board type has no outline, or a size that the twin cannot draw.
-    """
+    """Return the board section with name, size, fiducials, unit, axes and side of a board type."""
     given = read_board_type(file)
     if not given.outline:
         raise InputError(f"{file}: outline is absent.", action="Import it again from a file that has the outline.")
@@ -65,26 +57,22 @@ def find_scenario(given: str | Path) -> Path:
 
     A file takes precedence over a shipped scenario of the same name, a folder does not: recordings are often written to
     a folder that has the name of their scenario.
-
-    Raises:
-        NotFoundError: there is neither such a file nor such a shipped scenario.
     """
     path = Path(given)
     if path.suffix or path.is_file():
         return path.resolve()
-    if path.is_dir() and str(given) not in shipped_scenarios():
+    if path.is_dir() and str(given) not in _shipped():
         raise NotFoundError(f"{given}: is a folder, not a scenario file.", action="Give the TOML file itself.")
     return scenario_path(str(given))
 
 
-def shipped_scenarios() -> tuple[str, ...]:
-    """Return the names of the scenarios that come with the software."""
-    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
+def _shipped() -> list[str]:
+    return sorted(path.stem for path in _SHIPPED.glob("*.toml"))
 
 
 def scenario_path(name: str) -> Path:
     """Return the path of a scenario file that comes with the software: "demo", "light", "paper" or "small"."""
-    if name not in shipped_scenarios():
-        known = ", ".join(shipped_scenarios())
+    if name not in _shipped():
+        known = ", ".join(_shipped())
         raise NotFoundError(f"there is no scenario {name!r}.", action=f"Choose one of: {known}; or give a file.")
     return _SHIPPED / f"{name}.toml"

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from vaoi_station.calibration import Limits, Outcome, calibrate
 from vaoi_station.files.calibrations import Layout
 from vaoi_station.simulation import Twin, calibration_board
-from vaoi_station.simulation.camera_array import ArraySection
-from vaoi_station.simulation.scenario import CalibrationBoardSection, Scenario
+from vaoi_station.simulation.scenario import ArraySection, CalibrationBoardSection, Scenario
 
 Frame = NDArray[np.uint8]
 Spoil = Callable[[Frame, np.random.Generator], None]

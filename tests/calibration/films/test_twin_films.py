@@ -14,8 +14,7 @@ from vaoi_station.calibration import Outcome, calibrate
 from vaoi_station.calibration.pictures.calibration_picture import draw_calibration
 from vaoi_station.files.calibrations import Layout
 from vaoi_station.simulation import Twin, calibration_board
-from vaoi_station.simulation.camera_array import ArraySection
-from vaoi_station.simulation.scenario import CalibrationBoardSection, Scenario
+from vaoi_station.simulation.scenario import ArraySection, CalibrationBoardSection, Scenario
 
 Change = Callable[[Any], Any]
 SPOILT = 1

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.errors import InputError
-from vaoi_station.simulation.board.artwork import COPPER, GOLD, HOLE, LAMINATE, RIM_PX, SILK, Artwork, draw
-from vaoi_station.simulation.board.layout import mounting_holes
-from vaoi_station.simulation.scenario import BoardSection
-from vaoi_station.simulation.surroundings import FiducialMark
+from vaoi_station.simulation.board.artwork import COPPER, LAMINATE, RIM_PX, Artwork, draw
+from vaoi_station.simulation.scenario import BoardSection, FiducialMark
 
 PX_PER_MM, BELT = 12.0, 18.0
 SECTION = BoardSection(width_mm=50.0, length_mm=46.0, density=1.5)
@@ -77,13 +71,6 @@ def test_the_copper_of_a_fiducial_has_its_exact_area_and_centre(shape: str, area
     assert np.abs(center - art.to_px(np.array(place))).max() < 0.02
 
 
-def test_mounting_holes_have_a_gold_ring(artwork: Artwork) -> None:
-    for x, y in mounting_holes(SECTION):
-        assert at(artwork, (x, y)) == (int(HOLE), 0)
-        grey, metal = at(artwork, (x + 1.95, y))
-        assert (abs(grey - GOLD) < 2, metal) == (True, 255)
-
-
 def test_pads_are_metal_and_solder_mask_is_not(artwork: Artwork) -> None:
     for part in artwork.parts[:10]:
         u, v, *_ = part.package.pads[0]
@@ -91,58 +78,7 @@ def test_pads_are_metal_and_solder_mask_is_not(artwork: Artwork) -> None:
     assert 0.01 < np.mean(artwork.metal > 128) < 0.3
 
 
-def test_silkscreen_has_outlines_and_names() -> None:
-    with_parts, without = (draw(bare(density=d, fiducials=()), PX_PER_MM, BELT) for d in (1.5, 0.0))
-    bright = [int(((a.surface > SILK - 15) & (a.metal == 0)).sum()) for a in (with_parts, without)]
-    assert bright[0] > 2 * bright[1] > 0
-
-
-def test_the_name_of_the_board_is_printed() -> None:
-    one, other = (draw(bare(name=name, fiducials=()), PX_PER_MM, BELT) for name in ("one", "two"))
-    differs = np.argwhere(one.surface != other.surface)
-    assert len(differs) > 20
-    low, high = differs.min(0) / PX_PER_MM, differs.max(0) / PX_PER_MM
-    assert low[0] > 16.0
-    assert high[0] < 20.0
-
-
-def test_equal_sections_paint_equal_boards(artwork: Artwork) -> None:
-    again = draw(SECTION, PX_PER_MM, BELT)
-    assert np.array_equal(again.surface, artwork.surface)
-    assert np.array_equal(again.metal, artwork.metal)
-    assert not np.array_equal(draw(SECTION.model_copy(update={"seed": 9}), PX_PER_MM, BELT).surface, artwork.surface)
-
-
 def test_textures_cannot_be_changed(artwork: Artwork) -> None:
     for texture in (artwork.surface, artwork.metal, *(body.top for body in artwork.bodies[:2])):
         with pytest.raises(ValueError, match="read-only"):
             texture[0, 0] = 1
-
-
-@pytest.mark.parametrize("bits", [8, 16])
-@pytest.mark.parametrize("channels", [1, 3])
-def test_a_photograph_is_stretched_over_the_board(tmp_path: Path, bits: int, channels: int) -> None:
-    ramp = np.linspace(0, 255, 300, dtype=np.float64)[None].repeat(200, 0)
-    image = (ramp * (257 if bits == 16 else 1)).astype(np.uint16 if bits == 16 else np.uint8)
-    path = tmp_path / "photo.png"
-    cv2.imwrite(str(path), np.repeat(image[..., None], 3, 2) if channels == 3 else image)
-    art = draw(bare(photograph=path, fiducials=()), PX_PER_MM, BELT)
-    for share in (0.25, 0.5, 0.75):
-        assert at(art, (share * 30.0, 10.0))[0] == pytest.approx(255 * share, abs=2.5)
-    assert art.metal.max() == 0
-
-
-def test_fiducials_are_painted_on_a_photograph(tmp_path: Path) -> None:
-    path = tmp_path / "photo.png"
-    cv2.imwrite(str(path), np.full((40, 60), 99, np.uint8))
-    art = draw(bare(photograph=path), PX_PER_MM, BELT)
-    for mark in bare().marks:
-        assert at(art, (mark.x_mm, mark.y_mm)) == (int(COPPER), 255)
-    assert at(art, (15.0, 10.0))[0] == 99
-
-
-def test_a_photograph_without_pixels_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "photo.png"
-    cv2.imwrite(str(path), np.zeros((10, 60), np.uint8))
-    with pytest.raises(InputError, match="at least 16 × 16 px"):
-        draw(bare(photograph=path), PX_PER_MM, BELT)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.simulation.board.canvas import Canvas, bands, to_bytes
+from vaoi_station.simulation.board.canvas import Canvas
 
 FRACTION = st.floats(0, 1)
 
@@ -73,32 +73,6 @@ def test_text_turns_counter_clockwise() -> None:
     assert turned.grey[:, :30].sum() < turned.grey[:, 30:].sum()
 
 
-def test_a_blank_canvas_covers_at_least_its_rectangle() -> None:
-    canvas = Canvas.blank((2.0, 3.0), (1.04, 2.06), 10.0, 7.0)
-    assert canvas.grey.shape == canvas.metal.shape == (21, 11)
-    assert set(np.unique(canvas.grey)) == {7.0}
-    assert canvas.to_px(np.array([2.05, 3.05])).tolist() == pytest.approx([0.0, 0.0])
-
-
-@given(st.floats(0.3, 1.5), st.floats(10, 250))
-def test_blending_the_same_shape_again_changes_only_its_edge(size: float, grey: float) -> None:
-    once, twice = _blank(), _blank()
-    once.box((2.0, 1.5), (size, size), grey)
-    for _ in range(2):
-        twice.box((2.0, 1.5), (size, size), grey)
-    whole = once.grey == np.float32(grey)
-    assert (twice.grey[whole] == np.float32(grey)).all()
-    assert (twice.grey >= once.grey).all()
-    assert not twice.grey[once.grey == 0].any()
-
-
-@given(st.floats(0, 80))
-def test_large_turned_boxes_have_their_area_too(turned: float) -> None:
-    canvas = Canvas.blank((0.0, 0.0), (30.0, 30.0), 10.0, 0.0)
-    canvas.box((15.0, 15.0), (14.0, 9.0), 1.0, turned_deg=turned)
-    assert float(canvas.grey.sum()) == pytest.approx(100 * 14 * 9, rel=2e-3)
-
-
 def test_strokes_have_their_width_and_their_ends() -> None:
     canvas = _blank()
     canvas.strokes([np.array([[0.0, 1.0], [3.0, 1.0]])], 0.5, 100.0, metal=1.0)
@@ -109,39 +83,3 @@ def test_strokes_have_their_width_and_their_ends() -> None:
     before = canvas.grey.copy()
     canvas.strokes([], 0.5, 200.0)
     assert np.array_equal(canvas.grey, before)
-
-
-def test_closed_strokes_return_to_their_start() -> None:
-    corners = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]])
-    open_, closed = _blank(), _blank()
-    open_.strokes([corners], 0.3, 1.0)
-    closed.strokes([corners], 0.3, 1.0, closed=True)
-    x, y = open_.to_px(np.array([0.0, 1.0])).round().astype(int)
-    assert (open_.grey[y, x], closed.grey[y, x]) == (0, 1)
-
-
-@given(st.integers(0, 1000))
-def test_bands_cover_every_row_once(rows: int) -> None:
-    found = [row for band in bands(rows) for row in range(rows)[band]]
-    assert found == list(range(rows))
-
-
-def test_bytes_are_rounded_clipped_and_read_only() -> None:
-    plane = np.array([[-3.0, 0.4, 0.6, 254.7, 300.0]], np.float32)
-    assert to_bytes(plane).tolist() == [[0, 0, 1, 255, 255]]
-    assert to_bytes(plane, 0.5).tolist() == [[0, 0, 0, 127, 150]]
-    with pytest.raises(ValueError, match="read-only"):
-        to_bytes(plane)[0, 0] = 1
-
-
-def test_longer_text_is_wider_and_as_tall() -> None:
-    def extent(text: str) -> tuple[int, int]:
-        canvas = Canvas.blank((0.0, 0.0), (20.0, 5.0), 10.0, 0.0)
-        canvas.text(text, (10.0, 2.5), 2.0, 1.0)
-        rows, columns = np.nonzero(canvas.grey > 0.5)
-        return int(np.ptp(rows)), int(np.ptp(columns))
-
-    (tall, wide), (tall_two, wide_two) = extent("H"), extent("HH")
-    assert tall == pytest.approx(0.75 * 20, abs=2)
-    assert abs(tall - tall_two) <= 1
-    assert wide_two > 1.8 * wide

@@ -2,12 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from vaoi_station.geometry import apply
-from vaoi_station.simulation.board.layout import Part, board_from_cad, board_type, mounting_holes, place_parts
-from vaoi_station.simulation.board.packages import BIG, SMALL
+from vaoi_station.simulation.board.layout import board_from_cad, board_type, mounting_holes, place_parts
 from vaoi_station.simulation.scenario import BoardSection
 
 UNITS = [("mm", "up", "top"), ("inch", "down", "top"), ("mil", "up", "bottom"), ("mm", "down", "bottom")]
@@ -53,33 +50,6 @@ def test_cad_description_matches_the_board(unit: str, y_axis: str, side: str) ->
         assert np.allclose(apply(matrix, (fiducial.x, fiducial.y)), (mark.x_mm, mark.y_mm), atol=1e-6)
 
 
-@given(st.floats(0, 360), st.floats(-5, 5), st.floats(-5, 5))
-def test_local_points_turn_counter_clockwise_as_seen(turned: float, u: float, v: float) -> None:
-    """Board y runs down, so a counter-clockwise turn takes the x axis upwards, to negative y."""
-    part = Part("R1", SMALL[0](), (10.0, 20.0), turned, 0.5)
-    x, y = part.to_board_point(u, v)
-    assert np.hypot(x - 10, y - 20) == pytest.approx(np.hypot(u, v), abs=1e-9)
-    assert part.to_board_point(0.0, 0.0) == (10.0, 20.0)
-    up = Part("R1", SMALL[0](), (10.0, 20.0), 90.0, 0.5).to_board_point(1.0, 0.0)
-    assert up == pytest.approx((10.0, 19.0))
-
-
-@given(st.floats(0, 360))
-def test_the_half_extent_encloses_the_footprint(turned: float) -> None:
-    part = Part("U1", BIG[0](), (0.0, 0.0), turned, 1.4)
-    w, h = part.package.size
-    corners = part.to_board(np.array([[-w, -h], [w, -h], [w, h], [-w, h]]) / 2)
-    assert np.abs(corners).max(0) == pytest.approx(part.half_extent)
-
-
-@pytest.mark.parametrize(("width", "length", "holes"), [(44.0, 60.0, 0), (60.0, 44.0, 0), (45.0, 45.0, 2)])
-def test_only_large_boards_have_mounting_holes(width: float, length: float, holes: int) -> None:
-    section = BoardSection(width_mm=width, length_mm=length)
-    found = mounting_holes(section)
-    assert len(found) == holes
-    assert all(0 < x < width and 0 < y < length for x, y in found)
-
-
 def test_parts_keep_clear_of_fiducials_and_holes() -> None:
     section = BoardSection(width_mm=60.0, length_mm=50.0, density=6.0)
     free = [((m.x_mm, m.y_mm), 1.1 * m.diameter_mm) for m in section.marks]
@@ -88,13 +58,6 @@ def test_parts_keep_clear_of_fiducials_and_holes() -> None:
         for center, radius in free:
             gap = np.abs(np.subtract(part.place, center)) - part.half_extent
             assert gap.max() > radius
-
-
-def test_names_count_from_one_for_each_prefix() -> None:
-    parts = place_parts(BoardSection())
-    for prefix in {part.package.prefix for part in parts}:
-        numbers = [int(part.ref[len(prefix) :]) for part in parts if part.package.prefix == prefix]
-        assert numbers == list(range(1, len(numbers) + 1))
 
 
 @pytest.mark.parametrize(("density", "height_scale"), [(0.0, 1.0), (1.0, 0.0), (3.0, 2.5)])

@@ -11,8 +11,7 @@ from pydantic import ValidationError
 from vaoi_station.geometry import apply
 from vaoi_station.simulation.board.layout import board_type, place_parts
 from vaoi_station.simulation.board.panel import bad_marks_at, marks_at, moves, nominal_poses, real_poses
-from vaoi_station.simulation.scenario import BoardSection
-from vaoi_station.simulation.surroundings import PanelSection
+from vaoi_station.simulation.scenario import BoardSection, PanelSection
 
 
 def panel(**of_board: Any) -> PanelSection:

@@ -11,11 +11,9 @@ from vaoi_station.simulation.board.printed_code import (
     code_text,
     draw_label,
     identity_of,
-    label_mm,
     symbol,
 )
-from vaoi_station.simulation.scenario import BoardSection
-from vaoi_station.simulation.surroundings import CodeSection
+from vaoi_station.simulation.scenario import BoardSection, CodeSection
 
 CODE = CodeSection(x_mm=10.0, y_mm=8.0, module_mm=0.3)
 
@@ -52,7 +50,7 @@ def test_text_has_type_and_serial_number() -> None:
 def test_label_lies_at_its_place_with_its_size(turned: float, inverted: bool) -> None:
     label = draw_label(CODE.model_copy(update={"turned_deg": turned, "inverted": inverted}), "demo", 0, 20.0)
     cover = label.cover / 255.0
-    side = label_mm(CODE, "demo")
+    side = (len(symbol("datamatrix", code_text(CODE, "demo", 0))) + 2 * QUIET_MODULES) * CODE.module_mm
     assert side == pytest.approx((len(symbol("datamatrix", "demo;SN000001")) + 2 * QUIET_MODULES) * 0.3)
     assert cover.sum() / 20.0**2 == pytest.approx(side**2, rel=0.01)
     rows, columns = np.mgrid[: cover.shape[0], : cover.shape[1]]

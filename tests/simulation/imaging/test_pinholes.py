@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.imaging.pinholes import mount_cameras
+from vaoi_station.simulation.scenario import ArraySection
 
 ARRAY = ArraySection(distortion_px=2.0, tilt_deg=0.3)
 
@@ -27,15 +27,6 @@ def test_the_station_s_formulas_for_heights_agree_with_the_projection() -> None:
         for z in (0.0, 0.5, 6.0):
             # geometry.Camera finds the foot from N_i and the working distance
             assert np.abs(pinhole.project(place, z) - known.project(place, np.full(50, z))).max() < 1e-3
-
-
-def test_design_values_without_imperfections() -> None:
-    array = ArraySection(tilt_deg=0, roll_deg=0, position_mm=0, focal_length=0)
-    for i, pinhole in enumerate(mount_cameras(array)):
-        middle = pinhole.project(np.array([[i * array.pitch_mm, 0.0]]), 0.0)[0]
-        assert np.allclose(middle, [(array.width_px - 1) / 2, (array.height_px - 1) / 2])
-        beside = pinhole.project(np.array([[i * array.pitch_mm + 1, 1.0]]), 0.0)[0]
-        assert np.allclose(beside - middle, array.px_per_mm)
 
 
 def test_distortion_at_the_corner_is_as_large_as_stated() -> None:
@@ -63,20 +54,3 @@ def test_a_rotation_about_the_optical_axis_turns_the_image() -> None:
     place = np.array([[2.0, 0.0]])
     turned = pinhole.rotated("z", np.radians(90)).project(place, 0.0)[0] - middle
     assert turned == pytest.approx([0.0, 2.0 * array.px_per_mm], abs=1e-6)
-
-
-def test_a_camera_does_not_depend_on_the_size_of_its_array() -> None:
-    few, many = (mount_cameras(ARRAY.model_copy(update={"cameras": n})) for n in (2, 5))
-    for a, b in zip(few, many, strict=False):
-        assert np.array_equal(a.projection, b.projection)
-        assert a.lens == b.lens
-    assert not np.allclose(few[0].plane(), few[1].plane())
-
-
-@given(st.floats(0.0, 20.0))
-def test_higher_points_are_seen_larger(z: float) -> None:
-    pinhole = mount_cameras(ArraySection(tilt_deg=0, roll_deg=0))[0]
-    ends = np.array([[-3.0, 0.0], [3.0, 0.0]])
-    low, high = (np.ptp(pinhole.project(ends, height)[:, 0]) for height in (0.0, z))
-    d = ArraySection().working_distance_mm
-    assert high / low == pytest.approx(d / (d - z), rel=1e-6)

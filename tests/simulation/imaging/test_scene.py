@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -63,18 +62,6 @@ def grey_at(camera: Any, image: Array, place: tuple[float, float], z_mm: float =
     """Grey value at the pixel that shows a tester place."""
     x, y = camera.project(np.array([place]), z_mm)[0].round().astype(int)
     return float(image[y, x])
-
-
-@given(st.tuples(SHIFTS, SHIFTS), TURNS, st.tuples(SHIFTS, SHIFTS))
-def test_a_placement_and_its_inverse_cancel(
-    shift: tuple[float, float], turn: float, center: tuple[float, float]
-) -> None:
-    placement = Placement(shift, turn)
-    places = np.array([[0.0, 0.0], [3.0, -2.0], [-1.5, 4.0]])
-    there = placement.to_board(places, center)
-    assert np.allclose(placement.to_nominal(there, center), places, atol=1e-12)
-    assert np.allclose(np.diff(there, axis=0) ** 2 @ [1, 1], np.diff(places, axis=0) ** 2 @ [1, 1])
-    assert np.allclose(placement.to_board(np.array(center), center), np.add(center, shift))
 
 
 def test_without_bodies_the_camera_sees_the_board_and_the_belt(make: Make) -> None:
@@ -143,16 +130,6 @@ def test_shadows_fall_away_from_the_lamp(make: Make, azimuth_deg: float) -> None
     assert grey_at(camera, image, away) == pytest.approx(BOARD * 0.5, abs=1.0)
 
 
-def test_a_lower_lamp_casts_longer_shadows(make: Make) -> None:
-    areas = []
-    for elevation_deg in (70.0, 45.0, 30.0):
-        light = LightSection(shadow=0.5, elevation_deg=elevation_deg)
-        _, image = view(make, scene_of(block("C1", (0.0, 0.0), 2.0, 2.0)), light)
-        areas.append(int((image < BOARD - 10).sum()))
-    expected = [2.0 * 2.0 / math.tan(math.radians(e)) * 100 for e in (70.0, 45.0, 30.0)]
-    assert areas == pytest.approx(expected, rel=0.25)
-
-
 def test_walls_towards_the_lamp_are_brighter(make: Make) -> None:
     """The wall that the camera sees, under a lamp on its side and on the other side."""
     walls = []
@@ -173,20 +150,6 @@ def test_a_light_scales_metal_only(factor: float) -> None:
     assert abs(float(lit.mean()) - BOARD * (1 + 0.5 * (factor - 1))) < 1.0
     mask = scene_of(metal=0.0).artwork
     assert np.array_equal(LitTextures(mask, LightSection(metal=factor)).surface, mask.surface)
-
-
-@given(st.floats(0, 20), st.floats(0, 16), st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.5, 0.5))
-def test_the_surface_is_lifted_tilted_and_bowed(x: float, y: float, lift: float, bow: float, tilt: float) -> None:
-    section = BoardSection(width_mm=20.0, length_mm=16.0, lift_mm=lift, bow_mm=bow, tilt_mm=(tilt, -tilt))
-    scene = scene_of(section=section)
-    u, v = x / 10 - 1, y / 8 - 1
-    expected = lift + tilt * u - tilt * v + bow * (1 - 0.4 * u * u - 0.6 * v * v)
-    assert scene.surface_z(np.array([[x, y]]))[0] == pytest.approx(expected, abs=1e-9)
-
-
-def test_bodies_far_from_the_view_are_not_tested_one_by_one(make: Make) -> None:
-    near, far = block("C1", (0.0, 0.0), 1.0, 1.0), block("C2", (300.0, 0.0), 1.0, 1.0)
-    assert scene_of(near, far).nearby_bodies(make().pinholes[0], np.eye(3)) == [0]
 
 
 def test_slopes_of_metal_towards_the_lamp_are_brighter() -> None:

@@ -7,8 +7,6 @@ import pytest
 
 from vaoi_station.errors import InputError
 from vaoi_station.simulation import Twin
-from vaoi_station.simulation.motion.faults import extra_turn_deg, knocked_pinholes, stuck_row
-from vaoi_station.simulation.scenario import FaultSection, LostRow
 
 Make = Callable[..., Twin]
 FAULTS = {
@@ -99,22 +97,9 @@ def test_a_knocked_camera_must_exist(make: Make) -> None:
         make(faults={"knocked": [{"camera": 3, "angle_deg": 0.1}]})
 
 
-@pytest.mark.parametrize("board", [None, 0, 3])
-def test_a_fault_without_a_board_applies_to_all(board: int | None) -> None:
-    fault = LostRow(row=1, board=board)
-    assert [fault.applies_to(k) for k in range(5)] == [board in (None, k) for k in range(5)]
-
-
 def test_the_earliest_of_several_stops_counts(make: Make) -> None:
     twin = make(faults={"stuck": [{"row": 4}, {"board": 1, "row": 2}]})
     assert [twin.passage(k).faults.stuck for k in (0, 1)] == [4, 2]
-    assert stuck_row(twin.scenario.faults, 1) == 2
-    assert stuck_row(FaultSection(), 0) is None
-
-
-def test_quarter_turns_add_up(make: Make) -> None:
-    faults = make(faults={"turned": [{"turned_deg": 270}, {"board": 1, "turned_deg": 180}]}).scenario.faults
-    assert [extra_turn_deg(faults, k) for k in (0, 1)] == [270, 90]
 
 
 def test_the_worst_of_several_faults_of_a_frame_counts(make: Make) -> None:
@@ -126,12 +111,3 @@ def test_the_worst_of_several_faults_of_a_frame_counts(make: Make) -> None:
     )
     faults = twin.passage(0).faults
     assert (faults.delay_s(0, 0), faults.received_share(0, 1)) == (0.3, 0.2)
-
-
-def test_knocks_of_one_camera_follow_each_other(make: Make) -> None:
-    knocks = [{"camera": 0, "angle_deg": 0.1}, {"camera": 0, "from_board": 2, "angle_deg": 0.2}]
-    twin = make(faults={"knocked": knocks})
-    once, twice = (knocked_pinholes(twin.scenario.faults, twin.pinholes, board)[0] for board in (0, 2))
-    expected = twin.pinholes[0].rotated("z", np.radians(0.1)).rotated("z", np.radians(0.2))
-    assert np.allclose(twice.projection, expected.projection)
-    assert not np.allclose(once.projection, twice.projection)

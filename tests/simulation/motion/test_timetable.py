@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import apply
-from vaoi_station.simulation import Twin
-from vaoi_station.simulation.motion.timetable import array_center_mm, line_of
+from vaoi_station.simulation import Scenario, Twin
+from vaoi_station.simulation.motion.timetable import EncoderTrack, line_of
 
 Make = Callable[..., Twin]
 
@@ -32,14 +32,6 @@ def test_pulses_follow_the_plan(small: Twin) -> None:
     assert passage.rows <= small.line.rows_of_longest_board
 
 
-def test_the_first_row_sees_the_leading_edge_and_the_last_the_trailing_one(small: Twin) -> None:
-    passage, half = small.passage(0), small.scenario.array.view_mm[1] / 2
-    front = apply(passage.pose(passage.pulse_times_s[0]), (30.0, 40.0))[1]
-    rear = apply(passage.pose(passage.pulse_times_s[-1]), (30.0, 0.0))[1]
-    assert -half < front < 0
-    assert 0 < rear < half
-
-
 def test_a_stuck_board_blocks_until_the_largest_number_of_rows(make: Make) -> None:
     twin = make(faults={"stuck": [{"board": 1, "row": 1}]}, line={"longest_board_mm": 60.0})
     stuck, free = twin.passage(1), twin.passage(0)
@@ -59,28 +51,13 @@ def test_a_turned_board_takes_as_long_as_its_width(make: Make) -> None:
     assert (turned.clear_s - turned.blocked_s) / (upright.clear_s - upright.blocked_s) == pytest.approx(1.5, abs=0.05)
 
 
-@pytest.mark.parametrize("tail_s", [0.0, 0.1, 0.3])
-def test_a_longer_tail_adds_pulses_up_to_the_longest_board(make: Make, tail_s: float) -> None:
-    twin = make(line={"tail_s": tail_s})
-    passage = twin.passage(0)
-    last = passage.pulse_times_s[-1]
-    most = twin.line.rows_of_longest_board
-    assert last <= passage.clear_s + tail_s
-    assert passage.rows == most or last + twin.scenario.line.period_s > passage.clear_s + tail_s
-
-
-def test_passages_start_at_the_interval(make: Make) -> None:
-    twin = make(line={"interval_s": 2.5})
-    assert [twin.passage(k).start_s for k in range(4)] == [0.0, 2.5, 5.0, 7.5]
-
-
 def test_the_line_is_stated_as_in_station_toml(make: Make) -> None:
     scenario = make(array={"cameras": 3}, board={"turned_deg": 90}, belt={"direction": -1}).scenario
     line = line_of(scenario)
     assert line.conveyor_mm_s == (0.0, -scenario.belt.speed_mm_s)
     assert line.expected_board is not None
     assert line.expected_board.rotation_deg == 90
-    assert line.expected_board.center_mm == array_center_mm(scenario) == scenario.array.pitch_mm
+    assert line.expected_board.center_mm == scenario.array.middle_mm == scenario.array.pitch_mm
 
 
 def test_a_board_that_stops_behind_the_barrier_has_left_it(make: Make) -> None:
@@ -88,3 +65,28 @@ def test_a_board_that_stops_behind_the_barrier_has_left_it(make: Make) -> None:
     passage, free = twin.passage(0), make(line={"longest_board_mm": 60.0, "tail_s": 0.3}).passage(0)
     assert passage.clear_s == free.clear_s
     assert passage.pulse_times_s == free.pulse_times_s
+
+
+def test_counts_of_the_encoder_lie_at_equal_distances() -> None:
+    def halting(t_s: float) -> float:
+        """100 mm/s, with a stop of half a second after one second."""
+        return 100.0 * (min(t_s, 1.0) + max(t_s - 1.5, 0.0))
+
+    track = EncoderTrack.of(halting, 2.0, 150.0)
+    assert [halting(t) for t in track.steps_s] == pytest.approx(np.arange(1, 301) / 2, abs=0.06)
+    assert track.counts_at(1.25) == pytest.approx(200, abs=1)
+    assert [track.time_of(0), track.time_of(301)] == [0.0, math.inf]
+
+
+def test_rows_keep_their_places_on_a_belt_that_changes_its_speed() -> None:
+    changes = [{"at_s": 0.5, "for_s": 0.5, "factor": 0.5}, {"at_s": 1.2, "for_s": 0.3, "factor": 0.0}]
+    line = {"encoder_counts_per_mm": 20.0, "longest_board_mm": 60.0, "period_s": 0.05}
+    passage = Twin(Scenario.model_validate({"belt": {"changes": changes}, "line": line})).passage(0)
+    ways = np.diff([passage.pose(t)[1, 2] for t in passage.pulse_times_s])
+    assert ways == pytest.approx(5.0, abs=0.12), "the pulse follows its count by 1 ms"
+    assert np.ptp(np.diff(passage.pulse_times_s)) > 0.04
+    head = passage.head()
+    assert head.belt_mm is not None
+    assert head.belt_mm[:3] == (0.0, 5.0, 10.0)
+    assert head.motion_times_s()[:3].tolist() == [0.0, 0.05, 0.1]
+    assert Twin(Scenario()).passage(0).encoder is None

@@ -12,8 +12,6 @@ from itertools import chain
 import cv2
 import numpy as np
 
-from vaoi_station.errors import InputError
-from vaoi_station.files.images import read_image
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation.board.bodies import Body, build_bodies
 from vaoi_station.simulation.board.canvas import Bytes, Canvas, bands, to_bytes
@@ -21,8 +19,7 @@ from vaoi_station.simulation.board.layout import Part, mounting_holes, place_par
 from vaoi_station.simulation.board.packages import Finish
 from vaoi_station.simulation.board.panel import BadMark, bad_marks_at, marks_at, real_poses
 from vaoi_station.simulation.board.routing import Copper, route
-from vaoi_station.simulation.scenario import BoardSection
-from vaoi_station.simulation.surroundings import FiducialMark
+from vaoi_station.simulation.scenario import BoardSection, FiducialMark
 
 RIM_PX = 2
 """Width of the belt margin around the board, in texture pixels."""
@@ -49,22 +46,12 @@ class Artwork:
 
 
 def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
-    """Generate the parts of a board and paint its textures.
-
-    Args:
-        section: the board section of the scenario.
-        px_per_mm: resolution of the textures.
-        belt_grey: grey value of the belt around the board.
-    """
+    """Generate the parts of a board and paint its textures, on a belt of an even grey."""
     parts = place_parts(section)
     rim = RIM_PX / px_per_mm
     size = (section.width_mm + 2 * rim, section.length_mm + 2 * rim)
     canvas = Canvas.blank((-rim, -rim), size, px_per_mm, MASK)
-    # Fiducials are also painted on a photograph, because their positions must be known exactly.
-    if section.photograph is None:
-        _paint_surface(canvas, section, parts)
-    else:
-        _paint_photograph(canvas, section)
+    _paint_surface(canvas, section, parts)
     for mark in section.marks:
         paint_fiducial(canvas, mark)
     if section.panel is not None:
@@ -75,7 +62,7 @@ def draw(section: BoardSection, px_per_mm: float, belt_grey: float) -> Artwork:
             _paint_bad_mark(canvas, bad)
     # The belt is painted last, so that it covers everything that extends beyond the board's edge.
     _paint_belt(canvas, section, belt_grey)
-    bodies = build_bodies(parts, px_per_mm, canvas if section.photograph else None)
+    bodies = build_bodies(parts, px_per_mm)
     surface, metal = to_bytes(canvas.grey), to_bytes(canvas.metal, 255)
     return Artwork(parts, bodies, surface, metal, px_per_mm, canvas.origin_mm)
 
@@ -97,7 +84,6 @@ def _paint_surface(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...
 
 
 def _paint_copper(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...], copper: Copper) -> None:
-    """Paint the copper area, the clearance around traces, pads and vias, and the traces."""
     w, h = section.width_mm, section.length_mm
     canvas.box((w / 2, h / 2), (w - 1.0, h - 1.0), MASK_ON_COPPER)
     # The clearance of all traces is painted before the first trace. Otherwise it would cut neighbouring traces.
@@ -122,7 +108,6 @@ def _paint_mask_texture(canvas: Canvas, seed: int) -> None:
 
 
 def _paint_silk(canvas: Canvas, section: BoardSection, parts: tuple[Part, ...]) -> None:
-    """Paint the silkscreen: outlines and names of the parts, a dot at pin 1 of each, and the lettering of the board."""
     outlines = []
     for part in parts:
         w, h = part.package.body
@@ -167,7 +152,6 @@ def _paint_ref(canvas: Canvas, part: Part) -> None:
 
 
 def _paint_pads(canvas: Canvas, part: Part) -> None:
-    """Paint the pads and leads of a part. The brightness of each pad is random."""
     # The seed is the part's name, so that adding or removing a part does not change the pads of other parts.
     g = np.random.default_rng([len(part.ref), *part.ref.encode()])
     for u, v, w, h in part.package.pads:
@@ -206,7 +190,6 @@ def _paint_bad_mark(canvas: Canvas, mark: BadMark) -> None:
 
 
 def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
-    """Paint all pixels outside the board in the belt's grey. The edge of the board keeps its exact position."""
     mask = Canvas(np.zeros_like(canvas.grey), np.zeros_like(canvas.metal), canvas.origin_mm, canvas.px_per_mm)
     w, h = section.width_mm, section.length_mm
     mask.box((w / 2, h / 2), (w, h), 1.0)
@@ -214,24 +197,3 @@ def _paint_belt(canvas: Canvas, section: BoardSection, grey: float) -> None:
         inside = mask.grey[band]
         canvas.grey[band] = canvas.grey[band] * inside + np.float32(grey) * (1 - inside)
         canvas.metal[band] *= inside
-
-
-def _paint_photograph(canvas: Canvas, section: BoardSection) -> None:
-    """Scale the photograph that the scenario names to the size of the board, and paint it on the canvas."""
-    assert section.photograph is not None
-    image = read_image(section.photograph)
-    if min(image.shape[:2]) < 16:
-        raise InputError.field(section.photograph, "its size", image.shape[:2], "at least 16 × 16 px")
-    eight = image if image.dtype == np.uint8 else np.asarray(image >> 8, np.uint8)
-    grey = cv2.cvtColor(eight, cv2.COLOR_BGR2GRAY) if eight.ndim == 3 else eight
-    k = canvas.px_per_mm
-    to_photo = np.array([[grey.shape[1] / section.width_mm, 0, -0.5], [0, grey.shape[0] / section.length_mm, -0.5]])
-    from_px = np.array(
-        [[1 / k, 0, canvas.origin_mm[0] + 0.5 / k], [0, 1 / k, canvas.origin_mm[1] + 0.5 / k], [0, 0, 1]]
-    )
-    h, w = canvas.grey.shape
-    shrink = min(k / to_photo[0, 0], 1.0)
-    # A photograph with more pixels per mm than the texture would alias, so it is blurred first.
-    soft = cv2.GaussianBlur(grey, (0, 0), 0.4 / shrink) if shrink < 1 else grey
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    canvas.grey[:] = cv2.warpAffine(soft, to_photo @ from_px, (w, h), flags=flags, borderMode=cv2.BORDER_REPLICATE)

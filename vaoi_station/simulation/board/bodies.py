@@ -46,29 +46,23 @@ class Body:
         return np.asarray((places_mm - self.origin_mm) * self.px_per_mm - 0.5)
 
 
-def build_bodies(parts: tuple[Part, ...], px_per_mm: float, photograph: Canvas | None) -> tuple[Body, ...]:
-    """Build the bodies of all parts with a body height above 0.
-
-    If `photograph` is a canvas, the textures of the tops are copied from it. If it is None, they are painted.
-    """
-    return tuple(_build(part, px_per_mm, photograph) for part in parts if part.body_height_mm > 0)
+def build_bodies(parts: tuple[Part, ...], px_per_mm: float) -> tuple[Body, ...]:
+    """Build the bodies of all parts with a body height above 0."""
+    return tuple(_build(part, px_per_mm) for part in parts if part.body_height_mm > 0)
 
 
-def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
+def _build(part: Part, px_per_mm: float) -> Body:
     outline = part.to_board(_outline(part))
     margin = _MARGIN_PX / px_per_mm
     # The origin is rounded to whole texture pixels, so that all bodies have the same sub-pixel sampling.
     low = np.floor((outline.min(0) - margin) * px_per_mm) / px_per_mm
     size = outline.max(0) + margin - low
-    origin = (float(low[0]), float(low[1]))
+    origin, wide = (float(low[0]), float(low[1])), (float(size[0]), float(size[1]))
     grey = _TOP[part.package.finish]
-    canvas = Canvas.blank(origin, (float(size[0]), float(size[1])), px_per_mm, grey)
+    canvas = Canvas.blank(origin, wide, px_per_mm, grey)
     canvas.metal[:] = _METALLIC.get(part.package.finish, 0.0)
-    if photograph is None:
-        _paint_top(canvas, part)
-    else:
-        _copy(canvas, photograph)
-    cover = Canvas.blank(origin, (float(size[0]), float(size[1])), px_per_mm, 0.0)
+    _PAINTERS[part.package.finish](canvas, part)
+    cover = Canvas.blank(origin, wide, px_per_mm, 0.0)
     if part.package.round:
         cover.disc(part.place, part.package.body[0], 255.0)
     else:
@@ -88,28 +82,11 @@ def _build(part: Part, px_per_mm: float, photograph: Canvas | None) -> Body:
 
 
 def _outline(part: Part) -> Floats:
-    """Return the outline of a part's body, (k, 2) mm, in coordinates of the part."""
     w, h = part.package.body
     if part.package.round:
         a = np.linspace(0, 2 * np.pi, 40, endpoint=False)
         return np.column_stack([np.cos(a), np.sin(a)]) * (w / 2)
     return np.array([[-w, -h], [w, -h], [w, h], [-w, h]]) / 2
-
-
-def _paint_top(canvas: Canvas, part: Part) -> None:
-    _PAINTERS[part.package.finish](canvas, part)
-
-
-def _copy(canvas: Canvas, photograph: Canvas) -> None:
-    """Copy the pixels of the photograph that lie under a canvas.
-
-    Both have the same resolution. Their origins differ by a fraction of a pixel, which is rounded.
-    """
-    x, y = np.rint(photograph.to_px(np.array(canvas.origin_mm) + 0.5 / canvas.px_per_mm)).astype(int)
-    h, w = canvas.grey.shape
-    rows = np.clip(np.arange(y, y + h), 0, photograph.grey.shape[0] - 1)
-    columns = np.clip(np.arange(x, x + w), 0, photograph.grey.shape[1] - 1)
-    canvas.grey[:] = photograph.grey[np.ix_(rows, columns)]
 
 
 def _epoxy(canvas: Canvas, part: Part) -> None:
@@ -134,21 +111,12 @@ def _resistor(canvas: Canvas, part: Part) -> None:
         canvas.text(_digits(part), part.place, part.package.body[1] * 0.45, 190.0, part.turned_deg)
 
 
-def _ceramic(canvas: Canvas, part: Part) -> None:
-    _caps(canvas, part, 0.25)
-
-
-def _caps(canvas: Canvas, part: Part, share: float) -> None:
+def _caps(canvas: Canvas, part: Part, share: float = 0.25) -> None:
     """Paint the two metal end caps of a chip, each `share` of its length."""
     w, h = part.package.body
     for side in (-1, 1):
-        canvas.box(
-            part.to_board_point(side * w * (1 - share) / 2, 0.0),
-            (w * share, h),
-            194.0,
-            metal=1.0,
-            turned_deg=part.turned_deg,
-        )
+        place = part.to_board_point(side * w * (1 - share) / 2, 0.0)
+        canvas.box(place, (w * share, h), 194.0, metal=1.0, turned_deg=part.turned_deg)
 
 
 def _can(canvas: Canvas, part: Part) -> None:
@@ -183,15 +151,13 @@ def _socket(canvas: Canvas, part: Part) -> None:
 def _header(canvas: Canvas, part: Part) -> None:
     for u, v, *_ in part.package.pads:
         canvas.box(part.to_board_point(u, v), (1.3, 1.3), 14.0, turned_deg=part.turned_deg)
-        canvas.box(part.to_board_point(u, v), (0.64, 0.64), GOLD_PIN, metal=1.0, turned_deg=part.turned_deg)
+        canvas.box(part.to_board_point(u, v), (0.64, 0.64), 182.0, metal=1.0, turned_deg=part.turned_deg)
 
 
-GOLD_PIN = 182.0
-# A table and not branches, so that a finish without a function that paints it raises KeyError at once.
 _PAINTERS = {
     Finish.EPOXY: _epoxy,
     Finish.RESISTOR: _resistor,
-    Finish.CERAMIC: _ceramic,
+    Finish.CERAMIC: _caps,
     Finish.CAN: _can,
     Finish.COIL: _coil,
     Finish.CRYSTAL: _crystal,
@@ -201,12 +167,11 @@ _PAINTERS = {
 
 
 def _code(part: Part, length: int, line: int = 0) -> str:
-    """Return random lettering of a given length for a part. The same part's name and `line` give the same text."""
+    """Return random lettering of a given length, the same for the same name and line."""
     g = np.random.default_rng([line, *part.ref.encode()])
     return "".join(g.choice(list("ABCDEFGHKLMNPRSTUVXZ0123456789"), length))
 
 
 def _digits(part: Part) -> str:
-    """Return a random three-digit value code for a part. The same part's name gives the same code."""
     g = np.random.default_rng([9, *part.ref.encode()])
     return f"{g.integers(10, 99)}{g.integers(0, 5)}"

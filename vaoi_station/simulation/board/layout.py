@@ -16,8 +16,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import MM_PER_UNIT, BoardIdentity, BoardType, Component, Fiducial, OtherMark
 from vaoi_station.simulation.board.packages import BIG, MIDDLE, SMALL, Package, light_emitting_diode, package_of
 from vaoi_station.simulation.board.panel import BadMark, bad_marks_at, marks_at, nominal_poses, real_poses
-from vaoi_station.simulation.scenario import BoardSection
-from vaoi_station.simulation.surroundings import FiducialMark
+from vaoi_station.simulation.scenario import BoardSection, FiducialMark
 
 _EDGE_MM = 1.5
 _GAP_MM = 0.8

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.simulation.surroundings import FiducialMark, Look, PanelBoardSection, PanelSection
+from vaoi_station.simulation.scenario import FiducialMark, Look, PanelBoardSection, PanelSection
 
 
 class BadMark(NamedTuple):
@@ -37,7 +37,8 @@ def nominal_poses(panel: PanelSection) -> dict[str, Floats]:
 
 def real_poses(panel: PanelSection) -> dict[str, Floats]:
     """Return the matrix (3, 3) from board to panel of every board by its position, as it really lies."""
-    return {position: displacement @ _nominal_at(panel, position) for position, displacement in moves(panel).items()}
+    nominal = nominal_poses(panel)
+    return {position: displacement @ nominal[position] for position, displacement in moves(panel).items()}
 
 
 def moves(panel: PanelSection) -> dict[str, Floats]:
@@ -72,10 +73,6 @@ def bad_marks_at(panel: PanelSection, poses: dict[str, Floats]) -> dict[str, Bad
         position: BadMark(*_at(pose, mark.x_mm, mark.y_mm), mark.diameter_mm, mark.good, mark.bad, *looks[board.mark])
         for (position, pose), board in zip(poses.items(), panel.boards, strict=True)
     }
-
-
-def _nominal_at(panel: PanelSection, position: str) -> Floats:
-    return _nominal(panel, panel.boards[int(position) - 1])
 
 
 def _nominal(panel: PanelSection, board: PanelBoardSection) -> Floats:

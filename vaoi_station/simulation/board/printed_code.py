@@ -13,8 +13,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardIdentity, CodePlace
 from vaoi_station.simulation.board.bodies import Body
 from vaoi_station.simulation.board.layout import board_from_cad
-from vaoi_station.simulation.scenario import BoardSection
-from vaoi_station.simulation.surroundings import CodeSection
+from vaoi_station.simulation.scenario import BoardSection, CodeSection
 
 QUIET_MODULES = 2
 """Width of the empty border of a label; DataMatrix asks for one module, QR for four, of which readers need fewer."""
@@ -28,13 +27,8 @@ _FINE = 4
 
 
 def code_text(code: CodeSection, board_name: str, board_number: int) -> str:
-    """Return the text of a board's code."""
-    return code.text.replace("{name}", board_name).replace("{serial}", serial(board_number))
-
-
-def serial(board_number: int) -> str:
-    """Return the serial number of board `board_number`, which counts from 0."""
-    return f"SN{board_number + 1:06d}"
+    """Return the text of the code of board `board_number`, which counts from 0."""
+    return code.text.replace("{name}", board_name).replace("{serial}", f"SN{board_number + 1:06d}")
 
 
 @lru_cache(maxsize=64)
@@ -54,12 +48,6 @@ def symbol(symbology: str, text: str) -> NDArray[np.bool_]:
     return np.asarray(dark, np.bool_)
 
 
-def label_mm(code: CodeSection, board_name: str) -> float:
-    """Return the side of a code's label, mm; it is the same on all boards."""
-    modules = len(symbol(code.symbology, code_text(code, board_name, 0)))
-    return (modules + 2 * QUIET_MODULES) * code.module_mm
-
-
 def identity_of(section: BoardSection) -> BoardIdentity | None:
     """Describe the codes of a board, with their common pattern, if they have one; None without codes."""
     if not section.codes:
@@ -68,7 +56,9 @@ def identity_of(section: BoardSection) -> BoardIdentity | None:
     back, board = np.linalg.inv(board_from_cad(section)), np.array([section.width_mm, section.length_mm])
     places = []
     for code in section.codes:
-        reach, middle = _ROOM * label_mm(code, section.name), np.array([code.x_mm, code.y_mm])
+        # The label has the same size on all boards.
+        modules = len(symbol(code.symbology, code_text(code, section.name, 0))) + 2 * QUIET_MODULES
+        reach, middle = _ROOM * (modules * code.module_mm), np.array([code.x_mm, code.y_mm])
         corners = np.clip([middle - reach, middle + reach], 0, board)
         a, b = apply(back, corners)
         (x, y), (w, h) = ((a + b) / 2).tolist(), np.abs(b - a).tolist()
@@ -82,7 +72,9 @@ def draw_label(code: CodeSection, board_name: str, board_number: int, px_per_mm:
     modules = np.pad(symbol(code.symbology, code_text(code, board_name, board_number)), QUIET_MODULES)
     half = len(modules) * code.module_mm / 2
     if code.dot_modules is not None:
-        modules = _dots(modules, code.dot_modules)
+        # Every dark module becomes cells, of which those within a dot in its middle are dark.
+        at = (np.arange(_DOT_CELLS) + 0.5) / _DOT_CELLS - 0.5
+        modules = np.asarray(np.kron(modules, np.hypot(*np.meshgrid(at, at)) <= code.dot_modules / 2), np.bool_)
     count = len(modules)
     a = math.radians(code.turned_deg)
     c, s = math.cos(a), math.sin(a)
@@ -103,10 +95,8 @@ def draw_label(code: CodeSection, board_name: str, board_number: int, px_per_mm:
         shown, matrix, wide, flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=ground
     )
     cover = cv2.warpAffine(np.full_like(shown, 255), matrix, wide, flags=cv2.INTER_NEAREST, borderValue=0)
-    top, covered = (
-        np.asarray(cv2.resize(fine_picture, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA), np.uint8)
-        for fine_picture in (grey, cover)
-    )
+    area = (int(size[0]), int(size[1]))
+    top, covered = (np.asarray(cv2.resize(p, area, interpolation=cv2.INTER_AREA), np.uint8) for p in (grey, cover))
     return Body(
         ref="",
         outline_mm=outline,
@@ -119,9 +109,3 @@ def draw_label(code: CodeSection, board_name: str, board_number: int, px_per_mm:
         origin_mm=(float(low[0]), float(low[1])),
         px_per_mm=px_per_mm,
     )
-
-
-def _dots(modules: NDArray[np.bool_], diameter: float) -> NDArray[np.bool_]:
-    """Return the cells of modules, True within a dot in the middle of each dark module."""
-    at = (np.arange(_DOT_CELLS) + 0.5) / _DOT_CELLS - 0.5
-    return np.asarray(np.kron(modules, np.hypot(*np.meshgrid(at, at)) <= diameter / 2), np.bool_)

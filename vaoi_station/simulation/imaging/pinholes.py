@@ -14,7 +14,7 @@ import numpy as np
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.simulation.camera_array import ArraySection
+from vaoi_station.simulation.scenario import ArraySection
 
 
 @dataclass(frozen=True, eq=False)

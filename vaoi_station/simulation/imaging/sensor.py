@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.simulation.board.canvas import Plane
-from vaoi_station.simulation.camera_array import ArraySection
 from vaoi_station.simulation.imaging.lattice import OVERSAMPLING
+from vaoi_station.simulation.scenario import ArraySection
 
 _MIN_MOTION = 1e-3
 _STEPS_PER_SAMPLE = 64

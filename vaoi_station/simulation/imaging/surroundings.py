@@ -17,8 +17,7 @@ from vaoi_station.simulation.board.artwork import paint_fiducial
 from vaoi_station.simulation.board.canvas import Bytes, Canvas, Plane
 from vaoi_station.simulation.imaging.lattice import Lattice
 from vaoi_station.simulation.imaging.pinholes import Pinhole
-from vaoi_station.simulation.scenario import BoardSection
-from vaoi_station.simulation.surroundings import CarrierSection, TextureSection
+from vaoi_station.simulation.scenario import BoardSection, CarrierSection, TextureSection
 
 _TILE_PX = 2048
 """Side of the tile of belt texture, which repeats. It is wider than the view of most cameras."""

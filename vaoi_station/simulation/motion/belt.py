@@ -1,4 +1,4 @@
-"""Compute the position of a board at any time, on a belt whose speed and direction vary smoothly.
+"""The position of a board at any time, on a belt whose speed and direction vary smoothly.
 
 All variations are sums of sinusoids with random phases, drawn from the seed. So the distance travelled is an exact
 integral, and positions can be computed for any time in any order.
@@ -26,93 +26,73 @@ class Waves:
 
     omega: tuple[float, ...]
     phase: tuple[float, ...]
-
-    @property
-    def amplitude(self) -> float:
-        """The amplitude a that all sinusoids of the sum have."""
-        return math.sqrt(2 / len(self.omega))
+    amplitude = math.sqrt(2 / _WAVES)
 
     def value(self, t_s: float) -> float:
-        """Return the sum of the sinusoids at the time `t_s`, s."""
+        """Return the sum at a time, s."""
         return self.amplitude * sum(math.sin(w * t_s + p) for w, p in zip(self.omega, self.phase, strict=True))
 
     def integral(self, t_s: float) -> float:
-        """Return the integral of the sum of the sinusoids from time 0 to `t_s`, s."""
+        """Return the integral of the sum from time 0 to `t_s`, s."""
         pairs = zip(self.omega, self.phase, strict=True)
         return self.amplitude * sum((math.cos(p) - math.cos(w * t_s + p)) / w for w, p in pairs)
 
 
 @lru_cache(maxsize=64)
 def waves(seed: int, purpose: int, period_s: float) -> Waves:
-    """Return the waves of one varying quantity. A different `purpose` per quantity makes the quantities independent."""
+    """Return the waves of one varying quantity, its `purpose`; those of different quantities are independent."""
     g = np.random.default_rng([seed, 7001, purpose])
     periods = period_s * _SPREAD ** np.linspace(-1, 1, _WAVES) * g.uniform(0.9, 1.1, _WAVES)
     return Waves(tuple((2 * math.pi / periods).tolist()), tuple(g.uniform(0, 2 * math.pi, _WAVES).tolist()))
 
 
 @dataclass(frozen=True)
-class Belt:
-    """The conveyor of a scenario. All times are in seconds since the start of the scenario."""
-
-    section: BeltSection
-
-    @property
-    def true_speed_mm_s(self) -> float:
-        """Mean speed: the nominal speed, increased by the relative speed error."""
-        return self.section.speed_mm_s * (1 + self.section.speed_error)
-
-    def travelled_mm(self, t_s: float) -> float:
-        """Return the distance that the belt has travelled since time 0."""
-        s = self.section
-        return self.true_speed_mm_s * (t_s + s.speed_wander * waves(s.seed, 0, s.wander_period_s).integral(t_s))
-
-    def speed_mm_s(self, t_s: float) -> float:
-        """Return the speed of the belt at a time, mm/s."""
-        s = self.section
-        return self.true_speed_mm_s * (1 + s.speed_wander * waves(s.seed, 0, s.wander_period_s).value(t_s))
-
-    def sway_mm(self, t_s: float) -> float:
-        """Return by how much a board is displaced across the belt at a time, mm."""
-        s = self.section
-        return s.sway_mm * waves(s.seed, 1, s.wander_period_s).value(t_s)
-
-    def yaw_rad(self, t_s: float) -> float:
-        """Return the angle by which a board is turned on the belt at a time, rad, in addition to its fixed rotation."""
-        s = self.section
-        return math.radians(s.yaw_wander_deg) * waves(s.seed, 2, s.wander_period_s).value(t_s)
-
-
-@dataclass(frozen=True)
 class BoardMotion:
-    """The motion of one board: position of its centre and rotation. Times are in seconds since the passage's start."""
+    """The motion of one board. Times are in seconds since the start of its passage."""
 
-    belt: Belt
+    belt: BeltSection
     start_s: float
     """Start of the passage, in seconds since the start of the scenario."""
-    start_along_mm: float
-    """Tester y of the board's centre at the start, times the direction of motion (+1 or −1)."""
     across_mm: float
     yaw_rad: float
+    changes_from_s: float
+    """Time from which the belt's changes of speed count."""
+    start_along_mm: float = 0.0
+    """Tester y of the board's centre at the start, times the direction of motion (+1 or −1)."""
     stop_s: float = math.inf
-    """Time at which the board stops, in seconds since the start of the passage; infinite if it does not stop."""
-    changes_from_s: float = 0.0
-    """Time from which the belt's changes of speed count, in seconds since the start of the passage."""
+    """Time at which the board stops."""
+
+    @classmethod
+    def of(
+        cls,
+        belt: BeltSection,
+        board_number: int,
+        start_s: float,
+        across_mm: float,
+        turned_deg: int,
+        changes_from_s: float,
+    ) -> BoardMotion:
+        """Return the motion of a board, whose random offset and rotation depend on seed and number only.
+
+        `across_mm` is tester x of its centre before offsets, `turned_deg` its rotation counter-clockwise as the camera
+        sees it (from tester y to tester x).
+        """
+        g = np.random.default_rng([belt.seed, 7002, board_number])
+        offset, yaw = g.normal(0, belt.offset_sigma_mm), g.normal(0, belt.yaw_sigma_deg)
+        yaw_rad = math.radians(belt.yaw_deg + float(yaw) - turned_deg)
+        return cls(belt, start_s, across_mm + belt.offset_mm + float(offset), yaw_rad, changes_from_s)
 
     def pose(self, t_s: float, center_mm: tuple[float, float]) -> Floats:
-        """Return tester_from_board at a time: a rigid transform (3, 3) from board mm to tester mm.
-
-        `center_mm` is the centre of the board in board coordinates.
-        """
+        """Return tester_from_board (3, 3), a rigid transform, with the centre of the board in board coordinates."""
         x, y, angle = self.center(t_s)
         c, s = math.cos(angle), math.sin(angle)
         u, v = center_mm
         return np.array([[c, -s, x - c * u + s * v], [s, c, y - s * u - c * v], [0.0, 0.0, 1.0]])
 
     def belt_pose(self, t_s: float, follows: float) -> Floats:
-        """Return the pose (3, 3), from coordinates of the belt's texture to tester mm, of what moves beside the board.
+        """Return the pose (3, 3), from the belt's texture to tester mm, of what moves `follows` times as the board.
 
-        Its motion is `follows` times that of the board: with 1 it moves like the board, with 0 it stands still. It
-        moves on when a board gets stuck.
+        It moves on when a board gets stuck.
         """
         moving = replace(self, stop_s=math.inf)
         (x0, y0, a0), (x1, y1, a1) = moving.center(0.0), moving.center(t_s)
@@ -122,50 +102,31 @@ class BoardMotion:
 
     def center(self, t_s: float) -> tuple[float, float, float]:
         """Return tester x and y (mm) of the board's centre, and the rotation of the board (rad), at a time."""
-        section = self.belt.section
+        belt = self.belt
         # A board that gets stuck stops at once, while the belt below it moves on.
         t = self._belt_time_s(min(t_s, self.stop_s))
         now = self.start_s + t
-        way = self.belt.travelled_mm(now) - self.belt.travelled_mm(self.start_s)
-        skew = math.radians(section.skew_deg)
+        way = self._travelled_mm(now) - self._travelled_mm(self.start_s)
+        sway, yaw = (waves(belt.seed, purpose, belt.wander_period_s).value(now) for purpose in (1, 2))
+        skew = math.radians(belt.skew_deg)
         along = self.start_along_mm + way * math.cos(skew)
-        across = self.across_mm + way * math.sin(skew) + self.belt.sway_mm(now)
-        angle = self.yaw_rad + self.belt.yaw_rad(now) + math.radians(section.yaw_rate_deg_s) * t
-        return across, section.direction * along, angle
+        across = self.across_mm + way * math.sin(skew) + belt.sway_mm * sway
+        angle = self.yaw_rad + math.radians(belt.yaw_wander_deg) * yaw + math.radians(belt.yaw_rate_deg_s) * t
+        return across, belt.direction * along, angle
+
+    def _travelled_mm(self, t_s: float) -> float:
+        """Return the distance that the belt has travelled since the start of the scenario."""
+        belt = self.belt
+        speed_mm_s = belt.speed_mm_s * (1 + belt.speed_error)
+        return speed_mm_s * (t_s + belt.speed_wander * waves(belt.seed, 0, belt.wander_period_s).integral(t_s))
 
     def _belt_time_s(self, t_s: float) -> float:
         """Return the time that a belt at constant speed would need for the same distance.
 
-        Everything that varies with the belt's motion depends on this time. For example, a board on a belt at rest does
-        not sway.
+        Everything that varies with the belt's motion depends on it: a board on a belt at rest does not sway.
         """
         t = t_s
-        for change in self.belt.section.changes:
+        for change in self.belt.changes:
             begin = self.changes_from_s + change.at_s
             t -= (1 - change.factor) * min(max(t_s - begin, 0.0), change.for_s)
         return t
-
-
-def board_motion(
-    section: BeltSection, board_number: int, *, start_s: float, start_along_mm: float, across_mm: float, turned_deg: int
-) -> BoardMotion:
-    """Return the motion of a board. Its random offset and rotation depend on the seed and the board number only.
-
-    Args:
-        section: the conveyor section of the scenario.
-        board_number: number of the board, counted from 0.
-        start_s: start of the passage, in seconds since the start of the scenario.
-        start_along_mm: tester y of the board's centre at the start, times the direction of motion.
-        across_mm: tester x of the board's centre before offsets.
-        turned_deg: rotation of the board, counter-clockwise as the camera sees it (from tester y to tester x).
-    """
-    # There is one generator per board, so board k is the same regardless of how many boards pass before it.
-    g = np.random.default_rng([section.seed, 7002, board_number])
-    offset, yaw = g.normal(0, section.offset_sigma_mm), g.normal(0, section.yaw_sigma_deg)
-    return BoardMotion(
-        Belt(section),
-        start_s,
-        start_along_mm,
-        across_mm + section.offset_mm + float(offset),
-        math.radians(section.yaw_deg + float(yaw) - turned_deg),
-    )
