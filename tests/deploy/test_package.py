@@ -33,6 +33,13 @@ def module(name: str) -> ModuleType:
     return loaded
 
 
+def test_what_the_scripts_import_exists() -> None:
+    """An import that fails in a script of dpkg only makes the first start slower, so that nobody notices it."""
+    found = re.findall(r"from (vaoi_station[\w.]*) import (\w+)", (PACKAGE / "postinst").read_text(encoding="utf-8"))
+    assert found
+    assert all(hasattr(importlib.import_module(path), name) for path, name in found)
+
+
 def test_requirements_are_those_of_run_time_with_hashes() -> None:
     text = module("requirements").at_run_time((ROOT / "constraints.txt").read_text(encoding="utf-8"))
     names = re.findall(r"^([\w.-]+)==", text, re.MULTILINE)
