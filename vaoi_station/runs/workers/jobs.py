@@ -57,23 +57,29 @@ class RunContext:
 
 
 @dataclass(frozen=True)
-class LinkJob:
-    """Perform all tasks that one new frame makes possible; the reply's value is the time of each task, s.
-
-    The evidence stays with the workers (`EvidenceLog`).
-    """
+class RunJob:
+    """A job that the result of an open run needs; it is dropped when the run is closed."""
 
     context: RunContext
-    camera: int
-    """Camera of the new frame, by which the worker is chosen: neighbouring cameras share one."""
-    tasks: tuple[Task, ...]
-    slots: Mapping[FrameKey, int]
-    priority: ClassVar[Priority] = Priority.LINK
 
     @property
     def run(self) -> str:
         """The id of the run."""
         return self.context.run
+
+
+@dataclass(frozen=True)
+class LinkJob(RunJob):
+    """Perform all tasks that one new frame makes possible; the reply's value is the time of each task, s.
+
+    The evidence stays with the workers (`EvidenceLog`).
+    """
+
+    camera: int
+    """Camera of the new frame, by which the worker is chosen: neighbouring cameras share one."""
+    tasks: tuple[Task, ...]
+    slots: Mapping[FrameKey, int]
+    priority: ClassVar[Priority] = Priority.LINK
 
     def __str__(self) -> str:
         each = (f"{t.kind} of {t.a}" + (f" and {t.b}" if t.b else "") for t in self.tasks)
@@ -81,23 +87,17 @@ class LinkJob:
 
 
 @dataclass(frozen=True)
-class ConcludeJob:
+class ConcludeJob(RunJob):
     """Compute the result of a run from the evidence of `tasks`; the reply's value is a `Concluded`.
 
     The worker performs the tasks whose evidence was lost with a worker.
     """
 
-    context: RunContext
     head: RecordingHead
     slots: Mapping[FrameKey, int]
     """Slots of the usable frames."""
     tasks: tuple[Task, ...]
     priority: ClassVar[Priority] = Priority.CONCLUDE
-
-    @property
-    def run(self) -> str:
-        """The id of the run."""
-        return self.context.run
 
     def __str__(self) -> str:
         return f"the conclusion of run {self.run}"
@@ -191,22 +191,15 @@ class Reply:
 
 @dataclass(frozen=True)
 class Paused:
-    """The value of a reply to a stepped job that is not finished; the worker goes on when it gets `Continue`."""
+    """The value of a reply to a stepped job that is not finished; the worker goes on when it gets its number."""
 
 
 @dataclass(frozen=True)
 class Numbered:
-    """A job for a worker, with the number by which `Continue` names it."""
+    """A job for a worker, with its number; None: go on with the paused job of this number."""
 
     number: int
-    job: Job
-
-
-@dataclass(frozen=True)
-class Continue:
-    """Go on with the paused job of this number."""
-
-    number: int
+    job: Job | None
 
 
 @dataclass(frozen=True)

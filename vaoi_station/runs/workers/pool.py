@@ -31,15 +31,14 @@ from vaoi_station.runs.workers.fork_server_link import END_S, ChildProcess, Fork
 from vaoi_station.runs.workers.jobs import (
     CloseRun,
     ConcludeJob,
-    Continue,
     Job,
-    LinkJob,
     Numbered,
     OpenRun,
     Paused,
     PictureJob,
     Ping,
     Reply,
+    RunJob,
     WorkerLostError,
     WorkerReady,
 )
@@ -380,10 +379,10 @@ class WorkerPool:
         if not worker.jobs:
             worker.since_s = time.monotonic()
         job = queued.job
-        if isinstance(job, LinkJob | ConcludeJob) and not self._open(worker, job.run):
+        if isinstance(job, RunJob) and not self._open(worker, job.run):
             return  # The run was closed while an overdue worker had the job. The job is no longer needed.
         worker.jobs.append(queued)
-        self._send(worker, Numbered(queued.number, job) if queued.began is None else Continue(queued.number))
+        self._send(worker, Numbered(queued.number, job if queued.began is None else None))
 
     def _open(self, worker: Worker, run: str) -> bool:
         """Send a worker the set-up of a run unless it has it; return False if the run is not open."""

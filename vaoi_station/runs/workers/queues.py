@@ -29,6 +29,7 @@ from vaoi_station.runs.workers.jobs import (
     PictureJob,
     Priority,
     Reply,
+    RunJob,
     SteppedJob,
 )
 
@@ -288,7 +289,7 @@ class JobQueues:
         return [queue for home, queue in others if home is not None and self._may_take(queue, home)]
 
     def _is_closed(self, job: Job) -> bool:
-        return isinstance(job, LinkJob | ConcludeJob) and job.run not in self.runs
+        return isinstance(job, RunJob) and job.run not in self.runs
 
     def _queue_of(self, queued: Queued) -> deque[Queued]:
         home = self._home(queued.job) if queued.began is None else queued.began

@@ -35,7 +35,6 @@ from vaoi_station.runs.workers.jobs import (
     CloseRun,
     Concluded,
     ConcludeJob,
-    Continue,
     Job,
     LinkJob,
     Numbered,
@@ -136,11 +135,11 @@ class WorkerRuntime:
                 self._open(message)
             case CloseRun():
                 self._runs.pop(message.run, None)
-            case Continue():
-                job, steps = self._paused.pop(message.number)
-                return _reply_to(job, lambda: self._step(message.number, job, steps))
-            case Numbered():
-                return _reply_to(message.job, lambda: self._perform(message.number, message.job))
+            case Numbered(number, None):
+                stepped, steps = self._paused.pop(number)
+                return _reply_to(stepped, lambda: self._step(number, stepped, steps))
+            case Numbered(number, job) if job is not None:
+                return _reply_to(job, lambda: self._perform(number, job))
         return None
 
     def _perform(self, number: int, job: Job) -> Any:
