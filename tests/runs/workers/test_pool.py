@@ -153,7 +153,7 @@ def walk(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pending]:
     plant.all_idle()
     plant.ring.frame(0)[0, 0] = 0
     pending = plant.submit(Walk("r1", 0, plant.generation))
-    plant.until(lambda: "Walk" in plant.pool.status()[0].doing)
+    plant.until(lambda: "a picture of run r1" in plant.pool.status()[0].doing)
     yield pending
     plant.ring.frame(0)[0, 0] = 1
     pending.get()
