@@ -6,13 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.identity.conftest import DATAMATRIX, Filmed
 from vaoi_station.errors import StateError
-from vaoi_station.identity import code_reader
 from vaoi_station.identity.code_reader import CodeReader, Found, Progress, RegionPictures, read_codes
-from vaoi_station.identity.symbols import Symbol, read_symbols
+from vaoi_station.identity.symbols import read_symbols
 from vaoi_station.model import BoardCode, BoardReading
 
 MIL = 0.0254
@@ -51,24 +49,6 @@ def test_code_of_dots_is_read_at_its_place_and_anywhere(make_coded: Callable[...
         assert (code.text, code.board_id) == (dotted.texts[0], "SN000007")
         assert np.hypot(*np.subtract(code.center, place.center)) < 0.05
         assert code.module_mm == pytest.approx(0.25, rel=0.02)
-
-
-def test_dots_are_not_searched_where_printed_codes_are_read_or_qr_codes_are_expected(
-    coded: Filmed, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    searched: list[NDArray[np.uint8]] = []
-
-    def search(picture: NDArray[np.uint8]) -> list[Symbol]:
-        searched.append(picture)
-        return []
-
-    monkeypatch.setattr(code_reader, "read_dotted", search)
-    assert len(read(coded).codes) == 2
-    assert len(read(coded, places=()).codes) == 2
-    assert read(coded, places=(), symbology="qr", pattern="other;{id}").codes[0].board_id is None
-    assert searched == []
-    read(coded, places=(), pattern="other;{id}")
-    assert searched
 
 
 def test_place_without_a_code_is_named_and_panel_positions_are_kept(coded: Filmed) -> None:

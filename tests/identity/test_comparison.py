@@ -78,16 +78,6 @@ def test_a_board_of_a_panel_that_is_crossed_out_needs_no_code() -> None:
     assert compare(panel, read, None, skipped=("2", "3")).reasons == ()
 
 
-def test_codes_of_one_panel_position_that_state_several_ids_disagree() -> None:
-    places = tuple(PLACE.model_copy(update={"panel": name}) for name in (1, 1, 2))
-    identity = BoardIdentity(pattern="b;{id}", places=places)
-    read = BoardReading(codes=(code("b;1", 1), code("b;7", 1), code("b;2", 2)))
-    found = compare(identity, read, "panel 7")
-    assert (found.state, found.boards) == ("differs", {"2": "2"})
-    [reason] = found.reasons
-    assert (reason.code, "position 1 of the panel" in reason.message) == ("codes-disagree", True)
-
-
 def test_only_a_type_that_requires_its_id_degrades_runs() -> None:
     differs = compare(THERE, reading("b;1"), "2")
     assert not differs.degrades

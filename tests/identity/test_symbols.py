@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vaoi_station.benchmarks.codes import DottedCode, draw_dotted_code
-from vaoi_station.identity.dot_grids import MODULES_PX, dot_grids
-from vaoi_station.identity.symbols import _proven, read_symbols
+from vaoi_station.identity.symbols import read_symbols
 from vaoi_station.model.board_identity import Symbology
 from vaoi_station.simulation.board.printed_code import symbol
 
@@ -47,22 +46,6 @@ def test_damaged_modules_use_up_error_correction() -> None:
     assert read_symbols(spoilt, "datamatrix") == []
 
 
-@pytest.mark.parametrize(
-    ("modules", "corrections", "check", "proven"),
-    [
-        ((10, 10), 0, 5, True), ((10, 10), 1, 5, False), ((12, 12), 2, 7, True), ((12, 12), 3, 7, False),
-        ((18, 8), 3, 7, False), ((8, 32), 5, 11, True), ((14, 14), 4, 10, True), ((14, 14), 5, 10, False),
-        ((16, 16), 6, 12, True), ((24, 24), 12, 24, True),
-    ],
-)  # fmt: skip
-def test_check_words_that_are_left_over_prove_a_text(
-    modules: tuple[int, int], corrections: int, check: int, proven: bool
-) -> None:
-    # The reader states hundredths, rounded down.
-    unused = np.floor(100 * (1 - 2 * corrections / check)) / 100
-    assert _proven("datamatrix", modules, 1 - unused) is proven
-
-
 def test_small_code_with_a_damaged_word_is_not_proven() -> None:
     dark = np.pad(symbol("datamatrix", "SN7"), 4)
     shown = np.where(np.kron(dark, np.ones((8, 8))) > 0, 0, 255).astype(np.uint8)
@@ -78,22 +61,17 @@ def test_little_contrast_and_inverted_codes_are_read() -> None:
 
 
 DISTURBED: dict[str, dict[str, Any]] = {
-    "small dots": {"dot": 0.7, "module_px": 8.0},
     "light dots": {"dot": 0.75, "inverted": True},
     "small modules": {"module_px": 4.0, "dot": 0.7, "inverted": True, "blur_px": 0.5},
-    "large modules": {"module_px": 10.0, "dot": 0.7},
     "10 x 10": {"version": 1, "text": "123456", "dot": 0.7, "module_px": 8.0},
-    "26 x 26": {"version": 9, "text": "1234567890" * 8, "dot": 0.8, "turned_deg": 123.0},
     "8 x 32": {"version": 26, "text": "12345678", "dot": 0.7, "turned_deg": 285.0},
     "dots of other sizes and places": {"size_spread": 0.12, "displaced": 0.1, "version": 6},
     "missing dots": {"missing": 0.04, "version": 6, "seed": 3},
     "oblique view": {"oblique": 0.08, "version": 6, "turned_deg": 30.0, "dot": 0.7},
     "brushed ground": {"brushed": 12.0, "dot": 0.75},
-    "little contrast": {"grey": (110.0, 122.0), "noise": 0.7, "dot": 0.7, "module_px": 7.0},
     "shaded": {"shaded": 60.0, "dot": 0.7, "module_px": 7.0},
     "parts": {"parts": 40, "dot": 0.8, "seed": 2},
     "dark label": {"label": 1.5, "inverted": True, "dot": 0.8},
-    "light label": {"label": 1.5, "dot": 0.8, "turned_deg": 200.0},
 }
 
 
@@ -126,12 +104,6 @@ def test_array_of_dots_has_no_text(size: tuple[int, int], hole: int) -> None:
         picture = array_of_dots(*size, pitch, hole)
         assert read_symbols(picture, None) == []
         assert read_symbols(255 - picture, None) == []
-
-
-def test_noise_and_even_ground_have_no_grid() -> None:
-    noise = np.random.default_rng(4).normal(128, 40, (200, 200)).clip(0, 255).astype(np.uint8)
-    for picture in (noise, np.full((200, 200), 90, np.uint8), noise[:9, :9]):
-        assert [grid for module_px in MODULES_PX for grid in dot_grids(picture, module_px)] == []
 
 
 def test_all_codes_of_a_picture_are_read() -> None:

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.marks.asymmetry import asymmetry_sigma_px, measure_asymmetry
 from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
-from vaoi_station.stitching.matching.frames import read_only
 
 PLACE, SIZE = np.array([60.3, 59.6]), 26.0
 Paint = Callable[..., Any]
@@ -83,28 +81,3 @@ def test_residuals_of_a_glint_do_not_hide_it(paint: Paint, angle: float, noise: 
     error = np.hypot(*(mark.px - PLACE))
     assert error > 0.02, "the glint displaces the centre"
     assert mark.sigma_px > error
-
-
-@pytest.mark.parametrize("shift", [0.25, 0.5, 1.0])
-@pytest.mark.parametrize("angle", [0.0, 0.8, 1.6])
-def test_a_wrong_centre_is_measured_as_its_shift(paint: Paint, shift: float, angle: float) -> None:
-    x, y = PLACE + shift * np.array([np.cos(angle), np.sin(angle)])
-    off, light, _ = measure_asymmetry(read_only(marked(paint)), x, y, SIZE / 2, SIZE / 2 + 5.0, 150.0)
-    assert off == pytest.approx(shift, rel=0.3)
-    assert light < 0.02
-
-
-def test_an_undisturbed_mark_adds_no_uncertainty(paint: Paint) -> None:
-    x, y = (float(v) for v in PLACE)
-    assert asymmetry_sigma_px(marked(paint), (x, y), SIZE, 150.0, 0.01) == 0
-    covered = marked(paint)
-    covered[:, round(x + 0.3 * SIZE) :] = 60
-    assert asymmetry_sigma_px(covered, (x, y), SIZE, 150.0, 0.01) > 0.1
-
-
-def test_a_mark_at_the_border_uses_the_pixels_that_exist(paint: Paint) -> None:
-    x, y = (float(v) for v in PLACE)
-    cut = marked(paint)[:, : round(x) + 5]
-    off, light, _ = measure_asymmetry(read_only(cut), x, y, SIZE / 2, SIZE / 2 + 5.0, 150.0)
-    assert np.isfinite(off)
-    assert np.isfinite(light)

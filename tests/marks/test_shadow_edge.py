@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from vaoi_station.marks import subpixel_localisation
-from vaoi_station.marks.shadow_edge import ShadowEdge, compared_reach_px, even_light, find_shadow_edge, light_unevenness
+from vaoi_station.marks.shadow_edge import compared_reach_px, find_shadow_edge
 from vaoi_station.marks.subpixel_localisation import Mark, locate_mark
 from vaoi_station.stitching.matching.frames import read_only
 
@@ -68,19 +68,6 @@ def test_the_edge_of_a_shadow_does_not_displace_a_mark(
     assert mark.sigma_px < 0.2
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_without_the_search_shadows_displace_marks(
-    paint: Paint, shape: str, without_search: Callable[[Any, Any], Mark]
-) -> None:
-    lights = [shadow(0.2, angle, offset) for angle in (0.4, 1.5, 3.3) for offset in (5.0, 6.5, 8.0)]
-    pictures = [marked(paint, shape, light, noise=1.0) for light in lights]
-    before = [error_px(without_search(picture, shape)) for picture in pictures]
-    now = [error_px(located(picture, shape)) for picture in pictures]
-    assert max(before) > 0.05
-    assert max(now) < 0.03
-    assert np.mean(np.square(now)) < 0.1 * np.mean(np.square(before))
-
-
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.sampled_from(SHAPES),
@@ -127,23 +114,6 @@ def test_a_cover_a_smudge_and_a_track_are_no_shadow(
         assert mark.sigma_px == expected.sigma_px
 
 
-def test_the_unevenness_differs_between_a_step_and_a_gradient(paint: Paint) -> None:
-    reach = compared_reach_px(SIZE, 2.0)
-
-    def chi2(light: Light | None) -> tuple[float, float]:
-        return light_unevenness(read_only(marked(paint, "circle", light)), X, Y, 0, SIZE, 0.25, reach)
-
-    assert chi2(None)[0] < 12
-    assert chi2(None)[1] == pytest.approx(2.0, rel=0.15)
-    assert chi2(lambda x, y: 1 + 0.002 * (x - PLACE[0]) + 0 * y)[0] < 12
-    assert chi2(shadow(0.15, 1.0, 7.0))[0] > 30
-
-
-def test_without_ground_in_reach_nothing_is_compared(paint: Paint) -> None:
-    picture = read_only(marked(paint, "square"))
-    assert light_unevenness(picture, X, Y, 1, SIZE, 0.25, SIZE / 2) == (0.0, np.inf)
-
-
 @pytest.mark.parametrize("angle", [0.0, 1.0, 3.0, 5.0])
 def test_the_line_and_the_depth_of_a_shadow_are_found(paint: Paint, angle: float) -> None:
     picture = read_only(marked(paint, "circle", shadow(0.2, angle, 5.0)))
@@ -173,14 +143,3 @@ def test_a_line_along_an_edge_of_the_mark_makes_its_centre_less_certain(
 def test_a_patch_that_is_too_small_shows_no_shadow(paint: Paint) -> None:
     picture = read_only(marked(paint, "circle", shadow(0.2, 1.0, 5.0))[50:, 50:])
     assert find_shadow_edge(picture, (10.3, 9.6), SIZE / 2, compared_reach_px(SIZE, 2.0), 2.0) is None
-
-
-@pytest.mark.parametrize("step", [-0.2, 0.25])
-def test_in_even_light_both_sides_are_as_dark_as_the_shadow(step: float) -> None:
-    edge = ShadowEdge(0.0, 3.0, step)
-    x = np.arange(61.0)[None] - 30
-    picture = np.rint(200 * edge.light(x, np.zeros((61, 1)))).astype(np.uint8)
-    assert np.ptp(picture) > 30
-    even = even_light(picture, (30.0, 30.0), edge)
-    assert abs(even.astype(int) - 160).max() <= 1
-    assert not even.flags.writeable

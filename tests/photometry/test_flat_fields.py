@@ -62,15 +62,6 @@ def test_what_was_written_is_read(stored: Path) -> None:
     found.check(heads(), ["left", "even", "left"])
 
 
-def test_without_flat_fields_everything_has_the_given_noise() -> None:
-    none = FlatFields.none(NoiseModel(2.0, 0.05), 1.0)
-    maps = none.maps(7, "any")
-    assert (maps.flat, maps.dark, maps.noise) == (None, 1.0, NoiseModel(2.0, 0.05))
-    none.check(heads(5), None)
-    assert not none
-    assert none.lights == ()
-
-
 @pytest.mark.parametrize(
     ("cameras", "lights", "message"),
     [
@@ -101,13 +92,6 @@ def test_cameras_of_other_serial_numbers_are_refused_where_both_are_known(stored
         known.check(same, LIGHTS)
     with pytest.raises(InputError, match="camera 1 is that of serial number A2, but its frames are of B2"):
         known.check(of("A1", "B2"), LIGHTS)
-
-
-def test_a_camera_or_light_without_a_field_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match="have 2 cameras, but camera 2 is asked for"):
-        fields().maps(2, "even")
-    with pytest.raises(InputError, match="no field for the light 'even'; there are 1: an unnamed light"):
-        fields((None,)).maps(0, "even")
 
 
 def test_the_age_is_that_of_the_white_target(stored: Path) -> None:

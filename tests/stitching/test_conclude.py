@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Status, Stitch
-from vaoi_station.stitching.conclude import NO_BOARD_TYPE, StageTimes, sort_evidence
-from vaoi_station.stitching.matching.evidence import Detections, Evidence, Links, Task
+from vaoi_station.stitching.conclude import NO_BOARD_TYPE
 from vaoi_station.stitching.work import TaskRunner, all_tasks
-
-
-def test_times_of_stages_add_up_to_the_whole() -> None:
-    before = time.perf_counter()
-    stages = StageTimes()
-    for name in ("first", "second", "third"):
-        sum(range(20_000))
-        stages.finish(name)
-    whole_ms = (time.perf_counter() - before) * 1e3
-    assert list(stages.ms) == ["first", "second", "third"]
-    assert all(ms > 0 for ms in stages.ms.values())
-    assert sum(stages.ms.values()) == pytest.approx(whole_ms, rel=0.5, abs=5)
-    assert sum(stages.ms.values()) <= whole_ms + 0.01
 
 
 def test_image_matrices_are_camera_matrix_times_row_motion(filmed: Any) -> None:
@@ -64,34 +47,6 @@ def test_a_row_that_nothing_places_has_no_matrices(filmed: Any) -> None:
     assert {len(row) for row in stitch.image_matrices} == {last + 1}
     there = [m is not None for m in stitch.image_matrices[0]]
     assert there[: last - 4] == [True] * (last - 4)
-
-
-def evidence_of(task: Task) -> Evidence:
-    if task.kind == "marks":
-        none = np.zeros(0)
-        return Detections(task, np.zeros((0, 2)), none, none, none.astype(np.int_))
-    return Links.empty(task, "none")
-
-
-EVIDENCE = [
-    evidence_of(task)
-    for task in (
-        Task("rows", (0, 0), (0, 1), 0.1),
-        Task("rows", (0, 0), (0, 2), 0.2),
-        Task("neighbours", (0, 0), (1, 0)),
-        Task("marks", (0, 0)),
-        Task("marks", (1, 1)),
-        Task("reference", (0, 1), (0, 3)),
-    )
-]
-
-
-@given(st.permutations(EVIDENCE))
-def test_evidence_in_any_order_is_sorted_into_its_kinds(evidence: list[Evidence]) -> None:
-    found = sort_evidence(evidence)
-    assert [e.task.b for e in found.links] == [(0, 1), (0, 2), (1, 0)]
-    assert [e.task.kind for e in found.reference_links] == ["reference"]
-    assert [e.task.a for e in found.detections] == [(0, 0), (1, 1)]
 
 
 def test_a_result_states_its_software_and_the_times_of_its_stages(filmed: Any) -> None:

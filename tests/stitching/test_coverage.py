@@ -87,9 +87,3 @@ def test_a_strip_of_a_hundredth_is_noticed(workshop: Any) -> None:
         share = FrameIndex([camera], rows(1), [(0, 0)], None, cad).coverage(parts.corners).share[0]
         assert share == pytest.approx(1 - beyond, abs=0.005)
         assert (share >= 0.99) == (beyond < 0.01)
-
-
-def test_nothing_is_seen_without_frames_and_nothing_asked_without_parts(workshop: Any) -> None:
-    camera = workshop.camera((0.0, 0.0))
-    assert FrameIndex([camera], rows(1), [], None, C).coverage(index((8, 20, 2, 2, 0)).corners).share.tolist() == [0]
-    assert len(FrameIndex([camera], rows(1), [(0, 0)], None, C).coverage(index().corners).share) == 0

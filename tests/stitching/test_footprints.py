@@ -11,7 +11,7 @@ from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Euclidean, System
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.board.board_plane import board_plane, component_at, landmarks
+from vaoi_station.stitching.board.board_plane import board_plane, component_at
 from vaoi_station.stitching.geometry import ComponentIndex
 
 C = np.array([1.0, 0.02, -12.0, -8.0])
@@ -37,20 +37,6 @@ def test_points_belong_to_the_component_under_them(workshop: Any, y_axis: str, r
     assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [0] * 4 + [-1] * 4 + [1, -1]
 
 
-def test_the_smaller_component_wins_and_flat_ones_are_board(workshop: Any) -> None:
-    kind = board([part("BIG", 10, 10, 8, 8), part("SMALL", 10, 10, 2, 2), part("PAD", 25, 10, 2, 2, body_height=0.0)])
-    plane = board_plane(kind, workshop.camera())
-    cad = np.array([[10.0, 10], [13, 13], [25, 10]])
-    assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [1, 0, -1]
-
-
-def test_the_later_of_two_equal_components_wins(workshop: Any) -> None:
-    kind = board([part(ref, x, 10, 2, 2) for ref, x in (("A", 10.0), ("B", 12.2), ("C", 14.4))])
-    plane = board_plane(kind, workshop.camera())
-    cad = np.array([[11.1, 10], [13.3, 10], [12.2, 10]])
-    assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [1, 2, 1]
-
-
 @pytest.mark.parametrize("lift", [None, 1.0])
 def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: float | None) -> None:
     kind = board([part("A", 8, 10, 6, 3), part("B", 22, 10, 4, 4), part("FAR", 29, 19, 1, 1)], y_axis="down")
@@ -73,8 +59,3 @@ def test_views_are_where_the_camera_sees_the_footprint(workshop: Any, lift: floa
                     assert given[i, j] == pytest.approx(px, abs=1e-4)
                 else:
                     assert not camera.sees(px)
-
-
-def test_a_board_without_components_has_its_corners_as_landmarks(workshop: Any) -> None:
-    names, cad = landmarks(board_plane(board([]), workshop.camera()))
-    assert (len(names), cad.tolist()) == (2, [[0, 0], [30, 20]])

@@ -52,27 +52,6 @@ def test_components_move_with_their_corners(y_axis: str) -> None:
     np.testing.assert_allclose(moved.corners[1], apply(move, index.corners[1]), atol=1e-12)
 
 
-def test_arrays_are_those_of_the_board_type() -> None:
-    kind = board([part("U1", 1, 2, rotation=30), part("R1", 5, 6, 3, 4, body_height=0.0)], unit="inch")
-    index = ComponentIndex.of(kind)
-    assert index.addresses == ("U1", "R1")
-    assert index.center.tolist() == [[1, 2], [5, 6]]
-    assert index.size.tolist() == [[2, 1], [3, 4]]
-    assert index.angle_rad == pytest.approx([math.pi / 6, 0.0])
-    assert index.stands_out.tolist() == [True, False]
-    assert index.mm_per_unit == 25.4
-
-
-def test_rotations_run_against_the_y_axis_that_points_down() -> None:
-    assert ComponentIndex.of(board([part("U1", 0, 0, rotation=30)], "down")).angle_rad == pytest.approx([-math.pi / 6])
-
-
-def test_points_are_mapped_to_cad_first() -> None:
-    index = ComponentIndex.of(board([part("U1", 10, 10)]))
-    cad_from_board = np.array([[0.0, -1, 10], [1, 0, 10], [0, 0, 1]])
-    assert index.find(cad_from_board, np.array([[0.0, 0.0], [0.0, 1.2], [0.9, 0.0]])).tolist() == [0, 0, -1]
-
-
 @settings(max_examples=40)
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 40), alike=st.booleans())
 def test_the_grid_finds_what_a_search_through_all_finds(seed: int, count: int, alike: bool) -> None:

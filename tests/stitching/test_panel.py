@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.board_data.readers import samples
 from tests.stitching.conftest import Filmed
-from vaoi_station.board_data import Options, read_design, to_board_type
 from vaoi_station.files.documents import read_toml
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
@@ -188,51 +185,3 @@ def test_one_fiducial_of_a_board_is_a_doubt(panel: Filmed) -> None:
     assert result.status is Status.DEGRADED
     assert result.reasons[0].startswith("one fiducial alone places 1 of 3 boards of the panel"), "one is skipped"
     assert error_mm(panel, result, "4") < 4 * result.quality["component_sigma_px"]["4/U1"] / 18
-
-
-def written_as_odb(board_type: BoardType, folder: Path) -> Path:
-    """Write the panel as an ODB++ design: one step of board 1, its datum at (1, 2), and one that repeats it."""
-    height = max(y for _, y in board_type.outline or ()) - 4.0 - 24.0
-    parts = [c for c in board_type.components if c.panel == "1"]
-    features = "UNITS=MM\n$0 r1000\n@0 .pad_usage\n"
-    marks = dict.fromkeys((None, "1"), features)
-    for f in board_type.fiducials:
-        if f.panel in marks:
-            x, y = (f.x, f.y) if f.panel is None else (f.x - 4, f.y - height)
-            marks[f.panel] += f"P {x} {y} 0 P 0 0;0=2\n"
-    repeats = ((5, height + 2, 1, 0), (57, height + 22, 1, 180), (5, height - 24, 2, 0))
-    blocks = [
-        f"STEP-REPEAT {{\nNAME=PCB\nX={x}\nY={y}\nDX=28\nNX={count}\nANGLE={angle}\n}}\n"
-        for x, y, count, angle in repeats
-    ]
-    members = {
-        "j/matrix/matrix": "LAYER {\n ROW=1\n TYPE=SIGNAL\n NAME=TOP\n}\n",
-        "j/steps/pcb/stephdr": "UNITS=MM\nX_DATUM=1\nY_DATUM=2\n",
-        "j/steps/pcb/layers/top/features": marks["1"],
-        "j/steps/pcb/eda/data": "UNITS=MM\n"
-        + "".join(f"PKG P 0 {-c.width / 2} {-c.height / 2} {c.width / 2} {c.height / 2};\n" for c in parts),
-        "j/steps/pcb/layers/comp_+_top/components": "UNITS=MM\n@0 .comp_height\n"
-        + "".join(
-            f"CMP {n} {c.center[0] - 4} {c.center[1] - height} {-c.rotation} N {c.ref} x ;0={c.body_height}\n"
-            for n, c in enumerate(parts)
-        ),
-        "j/steps/panel/stephdr": "UNITS=MM\n" + "".join(blocks),
-        "j/steps/panel/profile": "UNITS=MM\nS P 0\nOB 0 0 I\nOS 62 0\nOS 62 58\nOS 0 58\nOE\nSE\n",
-        "j/steps/panel/layers/top/features": marks[None],
-    }
-    (folder / "panel.zip").write_bytes(samples.odb_zip(members))
-    return folder / "panel.zip"
-
-
-def test_a_panel_that_is_imported_from_its_step_and_repeat_is_stitched(panel: Filmed, tmp_path: Path) -> None:
-    own, file = panel.board_type, written_as_odb(panel.board_type, tmp_path)
-    board, _ = to_board_type(read_design(file, Options(step="panel")), "top")
-    expected = {c.address: c for c in own.components}
-    assert {c.address for c in board.components} == expected.keys()
-    for c in board.components:
-        assert (*c.center, c.rotation) == pytest.approx((*expected[c.address].center, expected[c.address].rotation))
-    result = panel.stitched(board_type=board)
-    assert result.status is Status.OK, result.reasons
-    assert set(result.board_matrices or ()) == {"1", "2", "3", "4"}
-    assert all(error_mm(panel, result, position) < 0.05 / 18 for position in "1234")
-    assert panel.error_px(result) <= 0.05

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.geometry import Euclidean, apply
+from vaoi_station.geometry import apply
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Status
 from vaoi_station.stitching import paper_method as paper
@@ -34,36 +34,6 @@ def test_the_papers_chain_works_with_larger_errors_than_ours(filmed: Any) -> Non
     assert theirs < 0.5
     assert ours < 0.02
     assert theirs > 2 * ours
-
-
-def test_step_of_moved_features_is_the_motion(workshop: Any) -> None:
-    g = np.random.default_rng(1)
-    camera = workshop.camera()
-    at, descriptors = g.uniform(20, 140, (50, 2)), g.uniform(0, 255, (50, 128)).astype(np.float32)
-    back = np.array([[np.cos(0.01), -np.sin(0.01), 0.3], [np.sin(0.01), np.cos(0.01), -4.0], [0, 0, 1]])
-    later = camera.project(apply(np.linalg.inv(back), camera.ground(at)))
-    motion = paper.estimate_step([paper.Features(at, descriptors)], [paper.Features(later, descriptors)], [camera])
-    assert isinstance(motion, Euclidean)
-    assert motion.matrix == pytest.approx(back, abs=1e-4)
-
-
-def test_frames_without_features_fail_with_a_reason(workshop: Any) -> None:
-    grey = np.full((160, 200), 30, dtype=np.uint8)
-    assert len(paper.detect_features(grey).px) == 0
-    failed = paper.chain_rows((workshop.camera(),), 3, lambda camera, row: grey)
-    assert isinstance(failed, Failure)
-    assert failed.reason == "rows 0 and 1: 0 matches between two rows; 6 are needed"
-
-
-def test_a_few_false_matches_do_not_change_the_step(workshop: Any) -> None:
-    g = np.random.default_rng(4)
-    camera = workshop.camera()
-    at, descriptors = g.uniform(20, 140, (60, 2)), g.uniform(0, 255, (60, 128)).astype(np.float32)
-    later = camera.project(camera.ground(at) + (0.0, 4.0))
-    later[:15] = g.uniform(20, 140, (15, 2))
-    step = paper.estimate_step([paper.Features(at, descriptors)], [paper.Features(later, descriptors)], [camera])
-    assert isinstance(step, Euclidean)
-    assert step.matrix == pytest.approx(np.array([[1, 0, 0], [0, 1, -4.0], [0, 0, 1]]), abs=1e-4)
 
 
 @pytest.fixture(scope="module")

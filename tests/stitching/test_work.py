@@ -62,16 +62,6 @@ def test_tasks_do_not_depend_on_the_order_of_arrival(workshop: Any, arrived: tup
     assert canonical == all_tasks(frames[::-1], all_times, setup)
 
 
-def test_tasks_of_a_complete_run(workshop: Any) -> None:
-    tasks = all_tasks(
-        [(i, j) for i in range(3) for j in range(4)], {j: 0.1 * j for j in range(4)}, setup_of(workshop, 3)
-    )
-    count = {kind: sum(t.kind == kind for t in tasks) for kind in ("rows", "neighbours", "marks")}
-    assert count == {"rows": 3 * 3, "neighbours": 2 * 4, "marks": 12}
-    assert Task("rows", (1, 2), (1, 3), 0.1) in tasks
-    assert Task("neighbours", (1, 2), (2, 2)) in tasks
-
-
 def test_rows_two_apart_are_linked_where_their_overlap_is_wide_enough(workshop: Any) -> None:
     """A frame is 160 px high; two steps of 2 mm leave a strip of 120 px, two of 3 mm one of 100 px."""
     frames, times = [(i, j) for i in range(2) for j in range(4)], {j: 0.1 * j for j in range(4)}
@@ -99,12 +89,6 @@ def test_a_missing_row_is_bridged_where_the_frames_still_overlap(workshop: Any) 
     assert bridges == [Task("rows", (0, 1), (0, 3), 0.2), Task("rows", (1, 1), (1, 4), 0.3)]
     gap = [(0, 0), (0, 4), (0, 5)]
     assert not [t for t in all_tasks(gap, times, setup) if t.b and t.b[1] - t.a[1] > 1]
-
-
-def test_a_missing_frame_is_a_programming_error(workshop: Any) -> None:
-    runner = TaskRunner(setup_of(workshop, 1), lambda camera, row: None)
-    with pytest.raises(LookupError, match="camera 0, row 2"):
-        runner.perform(Task("marks", (0, 2)))
 
 
 @settings(max_examples=3, deadline=None)
@@ -136,19 +120,6 @@ def test_a_warm_worker_compiles_nothing_when_a_board_arrives(filmed: Any) -> Non
     assert not {name: new for name, new in later.items() if new}
 
 
-def test_frames_are_read_once_while_their_rows_are_linked(filmed: Any) -> None:
-    read: list[FrameKey] = []
-
-    def frame(camera: int, row: int) -> Any:
-        read.append((camera, row))
-        return filmed.frame(camera, row)
-
-    runner = TaskRunner(filmed.setup, frame)
-    for task in filmed.tasks:
-        runner.perform(task)
-    assert sorted(read) == filmed.present
-
-
 def test_evidence_of_other_processes_gives_the_same_result_added_early_or_not_at_all(filmed: Any) -> None:
     found = [TaskRunner(filmed.setup, filmed.frame).perform(task) for task in filmed.tasks[:12]]
     evidence = [*found, *(TaskRunner(filmed.setup, filmed.frame).perform(task) for task in filmed.tasks[12:])]
@@ -160,12 +131,6 @@ def test_evidence_of_other_processes_gives_the_same_result_added_early_or_not_at
         assert result.model_dump(exclude={"quality"}, mode="json") == filmed.stitch.model_dump(
             exclude={"quality"}, mode="json"
         )
-
-
-def test_a_missing_frame_of_the_reference_is_a_programming_error(filmed: Any) -> None:
-    runner = TaskRunner(filmed.setup, filmed.frame)
-    with pytest.raises(LookupError, match="camera 0, row 1 of the reference"):
-        runner.perform(Task("reference", (0, 1), (0, 1)))
 
 
 def test_rows_of_one_light_are_linked_across_the_rows_of_others(workshop: Any) -> None:
@@ -236,11 +201,3 @@ def test_frames_are_kept_up_to_a_size() -> None:
     for _ in range(2):
         assert [kept(0, row) is frames.get((0, row)) for row in range(5)] == [True, True, True, True, True]
     assert asked == [0, 1, 2, 3, 4, 2, 3, 4], "two frames of ten bytes have room; a missing one is asked for again"
-
-
-def test_the_result_is_the_same_every_time(filmed: Any) -> None:
-    again = stitch_frames(filmed.setup, filmed.head, filmed.frame)
-    assert again.cad_matrix is not None
-    assert np.array_equal(again.cad_matrix, filmed.stitch.cad_matrix)
-    assert np.array_equal(again.row_motion, filmed.stitch.row_motion)
-    assert again.components == filmed.stitch.components

@@ -91,11 +91,6 @@ def stitched(opened: OpenedRun) -> Stitch:
     return stitch_frames(opened.setup, opened.recording.head, opened.recording.frame)
 
 
-def test_a_rotation_that_is_no_quarter_turn_is_refused(kept: Path) -> None:
-    with pytest.raises(InputError, match="must be 0, 90, 180 or 270"):
-        open_run(kept, rotation_deg=45)
-
-
 @pytest.mark.parametrize(
     "design",
     [

@@ -77,13 +77,6 @@ def test_cad_data_on_which_the_mapping_depends_must_agree(boards: tuple[Path, Pa
     check_origin(result, recording, calibration, None, "r.json")
 
 
-def test_where_fiducials_are_from_does_not_matter(boards: tuple[Path, Path]) -> None:
-    recording, calibration, board_type = parts(boards[0])
-    fiducials = [f.model_copy(update={"kind": "global", "found_by": "name"}) for f in board_type.fiducials]
-    described = board_type.model_copy(update={"fiducials": tuple(fiducials)})
-    check_origin(stamped(boards[0]), recording, calibration, described, "r.json")
-
-
 def test_a_result_of_a_version_without_kinds_of_fiducials_is_accepted() -> None:
     """The result was made by such a version; newer keys must not change the digest of its CAD data."""
     corpus = Path(__file__).parents[2] / "fuzz" / "corpus"

@@ -23,7 +23,6 @@ from vaoi_station.model import BoardType, Calibration, Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 from vaoi_station.stitching.recordings.references import (
-    MOST_PER_ROW,
     RESULT,
     StoredReference,
     open_reference,
@@ -36,13 +35,9 @@ BOARD = BoardType(name="b", outline=((0.0, 0.0), (60.0, 40.0)))
 """Its middle lies at tester (0, 0); cameras show 20 × 16 mm, one beside the other."""
 
 
-def stitch_of(rows: int, step_mm: float, *, mirrored: bool = True) -> Stitch:
+def stitch_of(rows: int, step_mm: float) -> Stitch:
     motion = tuple(np.array([[1, 0, 0], [0, 1, step_mm * j], [0, 0, 1.0]]) for j in range(rows))
-    c = (
-        np.array([[1, 0, -30], [0, -1, 20], [0, 0, 1.0]])
-        if mirrored
-        else np.array([[1, 0, -30], [0, 1, -20], [0, 0, 1.0]])
-    )
+    c = np.array([[1, 0, -30], [0, -1, 20], [0, 0, 1.0]])
     return Stitch(method="auto", image_matrices=(), cad_matrix=c, row_motion=motion, status=Status.OK)
 
 
@@ -50,19 +45,10 @@ def row_of_cameras(workshop: Any, n: int, apart_mm: float) -> tuple[Any, ...]:
     return tuple(workshop.camera(((i - (n - 1) / 2) * apart_mm, 0.0)) for i in range(n))
 
 
-@pytest.mark.parametrize("mirrored", [True, False])
-def test_a_few_cameras_are_kept_with_the_outermost_among_them(workshop: Any, mirrored: bool) -> None:
-    cameras = row_of_cameras(workshop, 9, 6.0)
-    present = {(i, 0) for i in range(9)}
-    chosen = select_reference_frames(stitch_of(1, 0.0, mirrored=mirrored), cameras, BOARD, present)
-    assert chosen == {(0, 0), (3, 0), (5, 0), (8, 0)}
-    assert len(chosen) == MOST_PER_ROW
-    assert select_reference_frames(stitch_of(1, 0.0), cameras, BOARD, present - {(0, 0)}) == {
-        (1, 0),
-        (3, 0),
-        (6, 0),
-        (8, 0),
-    }
+@pytest.mark.parametrize(("lost", "kept"), [(set(), (0, 3, 5, 8)), ({(0, 0)}, (1, 3, 6, 8))])
+def test_a_few_cameras_are_kept_with_the_outermost_among_them(workshop: Any, lost: Any, kept: tuple[int, ...]) -> None:
+    cameras, present = row_of_cameras(workshop, 9, 6.0), {(i, 0) for i in range(9)} - lost
+    assert select_reference_frames(stitch_of(1, 0.0), cameras, BOARD, present) == {(i, 0) for i in kept}
 
 
 def test_frames_that_hardly_show_the_board_are_not_kept(workshop: Any) -> None:
@@ -108,17 +94,6 @@ def test_teaching_keeps_everything_but_the_truth(recording: Path, taught: Path) 
 def test_an_existing_directory_is_not_overwritten(recording: Path, taught: Path) -> None:
     with pytest.raises(InputError, match="exists already"):
         teach(recording, recording / "calibration.json", recording / "board.json", taught)
-
-
-def test_a_run_that_is_not_ok_is_not_taught(recording: Path, tmp_path: Path) -> None:
-    """Two fiducials alone leave it open how the board lies, so the result is degraded."""
-    bare = json.loads((recording / "board.json").read_text())
-    bare = {key: value for key, value in bare.items() if key != "outline"}
-    bare |= {"fiducials": bare["fiducials"][:2], "components": []}
-    (tmp_path / "board.json").write_text(json.dumps(bare))
-    with pytest.raises(InputError, match="cannot be a reference"):
-        teach(recording, recording / "calibration.json", tmp_path / "board.json", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def bare_board(recording: Path, path: Path) -> Path:
@@ -202,17 +177,6 @@ def test_another_number_of_cameras_is_refused(taught: Path) -> None:
         open_reference(taught, cameras[:1], read_board_type(taught / "board.json"))
 
 
-def test_a_board_type_with_other_components_is_refused(taught: Path) -> None:
-    with pytest.raises(InputError, match="whose components are not those of"):
-        opened(taught, changed(taught / "board.json", components=[]))
-
-
-def test_a_board_type_whose_fiducials_changed_is_refused(taught: Path) -> None:
-    marks = json.loads((taught / "board.json").read_text())["fiducials"]
-    with pytest.raises(InputError, match="had other fiducials"):
-        opened(taught, changed(taught / "board.json", fiducials=marks[:2]))
-
-
 def test_a_stitched_run_is_written_with_some_of_its_frames(recording: Path, taught: Path, tmp_path: Path) -> None:
     source = open_recording(recording)
     head = source.head
@@ -234,11 +198,3 @@ def test_a_stitched_run_is_written_with_some_of_its_frames(recording: Path, taug
     assert ours is not None
     assert theirs is not None
     assert np.array_equal(ours, theirs)
-
-
-def test_a_failed_result_is_no_reference(taught: Path, tmp_path: Path) -> None:
-    shutil.copytree(taught, tmp_path / "failed")
-    failed: Stitch = read_stitch(taught / RESULT).model_copy(update={"cad_matrix": None, "reasons": ("no fiducials",)})
-    write_stitch(tmp_path / "failed" / RESULT, failed)
-    with pytest.raises(InputError, match="cannot be a reference: no fiducials"):
-        opened(tmp_path / "failed")
