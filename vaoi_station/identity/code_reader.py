@@ -39,11 +39,7 @@ class RegionPictures:
         frames: Collection[FrameKey],
         frame: Callable[[int, int], NDArray[np.generic] | None],
     ) -> None:
-        """Store the run.
-
-        Raises:
-            StateError: the run has no CAD mapping.
-        """
+        """Store the run; raise `StateError` if it has no CAD mapping."""
         self._board_type, self._projector, self._frame = board_type, FrameIndex.of_result(stitch, cameras), frame
         self._placed = [key for key in sorted(frames) if self._projector.places(*key)]
         self._grey: dict[tuple[FrameKey, int], NDArray[np.uint8] | None] = {}
@@ -277,17 +273,13 @@ class CodeReader:
                 group.append(found)
         # Two pictures of one frame have the same noise and the same scratch, so they can show the same wrong text. One
         # that is put together from several frames may have that of each of them.
-        sure = [g for g in groups if any(f.proven for f in g) or len({_frame(f) for f in g} - {None}) > 1]
+        frames = [{(f.code.camera, f.code.row) for f in group} - {(None, None)} for group in groups]
+        sure = [g for g, of in zip(groups, frames, strict=True) if len(of) > 1 or any(f.proven for f in g)]
         return [min(group, key=lambda f: (f.code.error_correction_used, f.tried)) for group in sure]
 
     def _same(self, a: BoardCode, b: BoardCode) -> bool:
         apart = float(np.hypot(a.center[0] - b.center[0], a.center[1] - b.center[1])) * self._board_type.mm_per_unit
         return (a.text, a.symbology) == (b.text, b.symbology) and apart <= _SAME_MODULES * a.module_mm
-
-
-def _frame(found: Found) -> FrameKey | None:
-    camera, row = found.code.camera, found.code.row
-    return None if camera is None or row is None else (camera, row)
 
 
 def _regions_of(board_type: BoardType, identity: BoardIdentity) -> tuple[Region, ...]:
@@ -319,11 +311,7 @@ def read_codes(
     cameras: Sequence[Camera],
     frame: Callable[[int, int], NDArray[np.generic] | None],
 ) -> BoardReading:
-    """Read the codes of a run with all pictures that may be needed; `frame` returns None for a missing frame.
-
-    Raises:
-        StateError: the run has no CAD mapping.
-    """
+    """Read the codes of a run; `frame` returns None for a missing frame. Raise `StateError` without a CAD mapping."""
     keys = [(i, j) for i, rows in enumerate(stitch.image_matrices) for j in range(len(rows))]
     reader = CodeReader(board_type, RegionPictures(board_type, stitch, cameras, keys, frame))
     return reader.reading(reader.work(Progress(), lambda: True))

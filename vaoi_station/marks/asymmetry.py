@@ -48,12 +48,8 @@ def asymmetry_sigma_px(
 ) -> float:
     """Estimate the standard deviation per axis (px) of a centre due to covers and glare; 0 for an undisturbed mark.
 
-    Args:
-        image: (h, w); the mark and some pixels around it should lie inside.
-        px: the fitted centre.
-        size_px: diameter of the mark.
-        contrast: difference of mark and ground, grey levels.
-        sigma_px: standard deviation of the centre by noise.
+    `image` (h, w) should hold the mark and some pixels around it, `contrast` is mark minus ground in grey levels, and
+    `sigma_px` the standard deviation of the centre `px` by noise.
     """
     radius = size_px / 2
     reach = radius + _EDGE_PX + min(_RIM_PX, _RIM * radius)
@@ -72,20 +68,12 @@ def measure_asymmetry(
 ) -> tuple[float, float, float]:
     """Measure the asymmetry of a mark, as a shift of its centre in px, and of its rim, as a share of the contrast.
 
-    The third value is the standard deviation of the noise as a share of the contrast; infinite if too few pixels are
-    away from the edge.
+    The third value is the noise as a share of the contrast; infinite if too few pixels are away from the edge. `reach`
+    is the outer radius of the compared rim, px.
 
     In each sector, the excess of light over the opposite sector, divided by the contrast and the arc length, is a
     displacement of the edge. A shift t of the whole mark gives t·cos θ in a sector at angle θ, and t/√2 as the root
     mean square of all sectors. The asymmetry of the rim follows likewise from mean differences.
-
-    Args:
-        image: (h, w).
-        x: centre, px.
-        y: centre, px.
-        radius: radius of the mark, px.
-        reach: outer radius of the compared rim, px.
-        contrast: difference of mark and ground, grey levels.
     """
     excess, light, count = np.zeros(_SECTORS), np.zeros(_SECTORS), np.zeros(_SECTORS)
     edge, noise, flat = radius + _EDGE_PX, 0.0, 0

@@ -16,29 +16,14 @@ _MIN_DIFFERENCE = 8
 """Smallest accepted difference between a mark and its rim, in grey levels."""
 
 
-def ring_offsets(radius_px: float) -> NDArray[np.int_]:
-    """Compute the offsets (RING, 2) of the rim samples from the centre, x and y in whole pixels.
-
-    They lie on a circle. The first one lies on the x axis.
-    """
-    angle = 2 * np.pi * np.arange(RING) / RING
-    return np.rint(radius_px * np.stack([np.cos(angle), np.sin(angle)], -1)).astype(np.int_)
-
-
 @compiled
 def scan_candidates(
     image: NDArray[np.uint8], template: NDArray[np.float32], ring: NDArray[np.int_], near: int, least_score: float
 ) -> Floats:
-    """Find pixels that differ from the rim around them and match the template.
+    """Find pixels that differ from the rim around them and match the template: x, y and absolute correlation, (k, 3).
 
-    Returns x, y and the absolute correlation of each pixel found, (k, 3).
-
-    Args:
-        image: (h, w).
-        template: (s, s), s odd, with mean 0 and square sum 1.
-        ring: (RING, 2) offsets of the rim in whole pixels.
-        near: distance from the centre, along the axes, of four pixels that belong to the core of a mark.
-        least_score: smallest accepted correlation.
+    `template` (s, s), s odd, has mean 0 and square sum 1; `ring` (RING, 2) are the offsets of the rim in whole pixels,
+    the first one along x; `near` is the distance, along the axes, of four pixels that belong to the core of a mark.
     """
     h, w = image.shape
     half = template.shape[0] // 2
@@ -106,11 +91,7 @@ def _contrast_line(
 def _has_bare_rim(
     image: NDArray[np.uint8], x: int, y: int, ring: NDArray[np.int_], rim_below: int, rim_above: int
 ) -> bool:
-    """Return whether nearly all samples on the rim are darker, or lighter, than the mark.
-
-    If `rim_below` is not 0, the mark is the lighter one: samples must be at most `rim_below`. Otherwise samples must be
-    at least `rim_above`.
-    """
+    """Return whether nearly all samples on the rim are at most `rim_below`, or at least `rim_above` if that is 0."""
     deviant = 0
     for k in range(RING):
         v = image[y + ring[k, 1], x + ring[k, 0]]
@@ -124,10 +105,7 @@ def _has_bare_rim(
 def _correlation(
     image: NDArray[np.uint8], template: NDArray[np.float32], left: int, top: int, window: NDArray[np.float32]
 ) -> float:
-    """Compute the absolute normalised correlation of an image window with a template; means are subtracted.
-
-    The corner of the window is at (left, top). `window` is work space for its pixels.
-    """
+    """Compute the absolute normalised correlation of a template at (left, top); `window` is work space."""
     side = template.shape[0]
     for v in range(side):
         line, part = image[top + v, left : left + side], window[v * side : (v + 1) * side]
@@ -143,32 +121,3 @@ def _correlation(
         product += weights[k] * p
     spread = square - total * total / np.float32(side * side)
     return abs(product) / np.sqrt(spread) if spread > 0.5 else 0.0
-
-
-@compiled
-def suppress_non_maxima(hits: Floats, apart: int, most: int) -> NDArray[np.int64]:
-    """Select the best hits, so that no two selected hits are within `apart` pixels along both axes.
-
-    Args:
-        hits: (k, 3) x, y and score, sorted by score, best first.
-        apart: size of the suppressed neighbourhood, px.
-        most: largest number of selected hits.
-
-    Returns:
-        Indices of the selected hits.
-    """
-    kept = np.empty(min(most, len(hits)), np.int64)
-    count = 0
-    for n in range(len(hits)):
-        if count == len(kept):
-            break
-        alone = True
-        for m in range(count):
-            k = kept[m]
-            if abs(hits[k, 0] - hits[n, 0]) <= apart and abs(hits[k, 1] - hits[n, 1]) <= apart:
-                alone = False
-                break
-        if alone:
-            kept[count] = n
-            count += 1
-    return kept[:count]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.marks.candidate_kernels import ring_offsets, scan_candidates, suppress_non_maxima
+from vaoi_station.marks.candidate_kernels import RING, scan_candidates
 from vaoi_station.marks.mark_shape import CROSS_ARM, Shape, coverage
 
 SURROUND = 2.0
@@ -40,15 +40,9 @@ def find_candidates(
 ) -> tuple[Floats, Floats]:
     """Find candidates for a mark in an image. The mark may be light on dark or dark on light.
 
-    Args:
-        image: (h, w), reduced so that `size_px` is at least about five.
-        shape: shape of the mark.
-        size_px: size of the mark in this image.
-        most: largest number of candidates; the best are returned.
-        arm: width of a cross' arm as a share of its size.
-
-    Returns:
-        Positions (k, 2) in pixels of `image`, accurate to about half a pixel, and scores (k,) in 0…1, best first.
+    Returns at most `most` positions (k, 2) in pixels of `image`, accurate to about half a pixel, and their scores (k,)
+    in 0…1, best first. `image` (h, w) is reduced so that `size_px` is at least about five; `arm` is the width of a
+    cross' arm as a share of its size.
     """
     template, ring, near = _template(shape, size_px, arm)
     if min(image.shape) <= 2 * max(len(template) // 2, int(ring[0, 0])):
@@ -58,17 +52,19 @@ def find_candidates(
     image.flags.writeable = False
     hits = scan_candidates(image, template, ring, near, _MIN_CORRELATION)
     hits = hits[np.argsort(-hits[:, 2], kind="stable")]
-    hits = hits[suppress_non_maxima(hits, max(round(size_px / 2), 1), most)]
-    return hits[:, :2], hits[:, 2]
+    best = np.zeros((0, 3))
+    while len(hits) and len(best) < most:
+        best = np.vstack([best, hits[:1]])
+        hits = hits[np.abs(hits[:, :2] - hits[0, :2]).max(1) > max(round(size_px / 2), 1)]
+    return best[:, :2], best[:, 2]
 
 
 @lru_cache(maxsize=64)
 def _template(shape: Shape, size_px: float, arm: float) -> tuple[NDArray[np.float32], NDArray[np.int_], int]:
     """Return what the search compares with each place of an image, for a mark of the given shape and size.
 
-    Returns:
-        The picture of the mark (mean 0, square sum 1), the offsets of the samples on the bare rim around the mark, and
-        the distance (px) from the centre up to which the mark is filled along the axes.
+    These are the picture of the mark (mean 0, square sum 1), the offsets (RING, 2) of the samples on the bare rim, and
+    the distance (px) from the centre up to which the mark is filled along the axes.
     """
     side = max(2 * round(SURROUND / math.sqrt(2) * size_px / 2) + 1, 7)
     template = coverage(shape, size_px, side, arm=arm)
@@ -77,4 +73,6 @@ def _template(shape: Shape, size_px: float, arm: float) -> tuple[NDArray[np.floa
     # The corners of a square lie outside the circle with the diameter of its size. The other shapes lie inside.
     outermost = size_px / 2 * (math.sqrt(2) if shape == "square" else 1)
     rim = outermost + max(_RIM_SHARE * size_px, _RIM_PX)
-    return template, ring_offsets(rim), max(round(_CORE_SHARE * size_px), 1)
+    angle = 2 * np.pi * np.arange(RING) / RING
+    ring = np.rint(rim * np.stack([np.cos(angle), np.sin(angle)], -1)).astype(np.int_)
+    return template, ring, max(round(_CORE_SHARE * size_px), 1)

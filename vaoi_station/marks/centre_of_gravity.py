@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.marks.mark_shape import CROSS_ARM, Shape, coverage
+from vaoi_station.marks.mark_shape import Shape, coverage
 
 _MIN_CORRELATION = 0.6
 
@@ -23,19 +23,12 @@ def locate_by_centre_of_gravity(
     size_px: float,
     *,
     light: bool,
-    arm: float = CROSS_ARM,
     reach_px: float = 20.0,
 ) -> Floats | Failure:
     """Locate a mark with the paper's method, and return its centre (2,) in raw pixels.
 
-    Args:
-        image: (h, w) full frame.
-        near_px: (2,) predicted position.
-        shape: shape of the mark.
-        size_px: size of the mark in this image.
-        light: whether the mark is lighter than its surroundings.
-        arm: width of a cross' arm as a share of its size.
-        reach_px: largest accepted distance from the prediction along each axis.
+    `image` (h, w) is the full frame, `near_px` (2,) the predicted position, `light` whether the mark is lighter than
+    its surroundings, and `reach_px` the largest accepted distance from the prediction along each axis.
     """
     side = 2 * int(np.ceil(0.6 * size_px)) + 1
     half = side // 2 + int(np.ceil(reach_px))
@@ -44,7 +37,7 @@ def locate_by_centre_of_gravity(
     patch = image[low[1] : y + half + 1, low[0] : x + half + 1]
     if min(patch.shape) < side:
         return Failure(f"the mark near ({x}, {y}) px is cut off by the frame's border")
-    template = np.round(coverage(shape, size_px, side, arm=arm) * (200 if light else -200) + (20 if light else 220))
+    template = np.round(coverage(shape, size_px, side) * (200 if light else -200) + (20 if light else 220))
     # The grey levels of the template are arbitrary, because the normalised correlation ignores gain and offset.
     surface = cv2.matchTemplate(patch, template.astype(np.uint8), cv2.TM_CCOEFF_NORMED)
     _, score, _, (left, top) = cv2.minMaxLoc(surface)

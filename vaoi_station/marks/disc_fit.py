@@ -43,21 +43,12 @@ def fit_disc(
     enough_px: float,
     most_steps: int,
 ) -> tuple[int, float, float, float, float, float, float, float]:
-    """Fit a disc near the position (x, y).
+    """Fit a disc near the position (x, y) in px; the disc and its rim must lie inside the image (h, w).
 
-    Args:
-        image: (h, w); the disc and its rim must lie inside.
-        x: approximate centre, px.
-        y: approximate centre, px.
-        radius: approximate radius, px.
-        furthest: largest accepted distance of the centre from (x, y), px.
-        stride: stride of the used pixels in both directions: 1 uses all pixels, 2 a quarter of them.
-        enough_px: the iteration ends when a step is shorter than this.
-        most_steps: largest number of iterations; an undisturbed disc takes three.
-
-    Returns:
-        Code (`FITTED`, `NO_EDGE` or `TOO_FAR`), centre x and y, standard deviation of the centre per axis, radius, blur
-        σ, ground and contrast. Lengths are in px, the last two in grey levels.
+    Returns a code (`FITTED`, `NO_EDGE` or `TOO_FAR`), centre x and y, standard deviation of the centre per axis,
+    radius, blur σ, ground and contrast. Lengths are in px, the last two in grey levels. The centre is accepted up to
+    `furthest` from (x, y). Every `stride`-th pixel of every `stride`-th line is used. The iteration ends when a step is
+    shorter than `enough_px`, or after `most_steps`; an undisturbed disc takes three.
     """
     # Parameters: x, y, gx, gy (odd about the centre), then ground, contrast, radius, blur (even).
     p = np.zeros(8)
@@ -190,11 +181,7 @@ def _gather_pixels(
     vs: NDArray[np.float64],
     greys: NDArray[np.float64],
 ) -> int:
-    """Gather the pixels within `reach` of the centre, and return their count.
-
-    Only every `stride`-th pixel of every `stride`-th line is used. `us` and `vs` get the offsets from the centre,
-    `greys` the grey levels.
-    """
+    """Gather offsets and grey levels of the used pixels within `reach` of the centre, and return their count."""
     left, right = max(math.ceil(cx - reach), 0), min(math.floor(cx + reach), image.shape[1] - 1)
     top, bottom = max(math.ceil(cy - reach), 0), min(math.floor(cy + reach), image.shape[0] - 1)
     count = 0

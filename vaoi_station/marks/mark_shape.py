@@ -16,37 +16,18 @@ CROSS_ARM = 0.25
 """Default width of a cross' arm, as a share of its size."""
 
 
-def coverage(
-    shape: Shape, size_px: float, side_px: int, center_px: tuple[float, float] | None = None, arm: float = CROSS_ARM
-) -> NDArray[np.float32]:
-    """Compute the share (0…1) of each pixel that a mark covers, as an image (side_px, side_px).
+def coverage(shape: Shape, size_px: float, side_px: int, arm: float = CROSS_ARM) -> NDArray[np.float32]:
+    """Compute the share (0…1) of each pixel that a mark in the middle of an image (side_px, side_px) covers.
 
-    Args:
-        shape: shape of the mark.
-        size_px: diameter of a circle, side of a square, or length of a cross or diamond from tip to tip.
-        side_px: side of the square image.
-        center_px: centre of the mark; by default the centre of the image.
-        arm: width of a cross' arm as a share of its size.
+    `size_px` is the diameter of a circle, the side of a square, or the length of a cross or diamond from tip to tip.
     """
-    x, y = center_px or ((side_px - 1) / 2, (side_px - 1) / 2)
-    at = np.arange(side_px, dtype=np.float32)
-    distance = _distance(shape, at[None, :] - np.float32(x), at[:, None] - np.float32(y), size_px, arm)
-    return np.asarray(np.clip(0.5 - distance, 0, 1), dtype=np.float32)
-
-
-def _distance(
-    shape: Shape, x: NDArray[np.float32], y: NDArray[np.float32], size: float, arm_share: float
-) -> NDArray[np.float32]:
-    """Compute the distance of points (x, y) to the outline of a shape centred at (0, 0). It is negative inside."""
-    r = size / 2
-    if shape == "circle":
-        return np.asarray(np.sqrt(x * x + y * y) - r)
-    if shape == "square":
-        return np.asarray(np.maximum(np.abs(x), np.abs(y)) - r)
-    if shape == "diamond":
-        return np.asarray((np.abs(x) + np.abs(y) - r) / np.float32(np.sqrt(2)))
-    # A cross is the union of two rectangles, so its distance is the smaller one of their distances.
-    arm = r * arm_share
-    across = np.maximum(np.abs(x) - r, np.abs(y) - arm)
-    along = np.maximum(np.abs(x) - arm, np.abs(y) - r)
-    return np.asarray(np.minimum(across, along))
+    x = np.abs(np.arange(side_px, dtype=np.float32) - np.float32((side_px - 1) / 2))
+    y, r = x[:, None], size_px / 2
+    thin = r * arm
+    outside = {
+        "circle": np.sqrt(x * x + y * y) - r,
+        "square": np.maximum(x, y) - r,
+        "diamond": (x + y - r) / np.float32(np.sqrt(2)),
+        "cross": np.minimum(np.maximum(x - r, y - thin), np.maximum(x - thin, y - r)),
+    }[shape]
+    return np.asarray(np.clip(0.5 - outside, 0, 1), dtype=np.float32)

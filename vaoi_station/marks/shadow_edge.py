@@ -88,12 +88,7 @@ class ShadowEdge(NamedTuple):
 
 
 def compared_reach_px(size_px: float, surround: float) -> float:
-    """Return the radius of the disc in which opposite pixels are compared.
-
-    Args:
-        size_px: size of the mark.
-        surround: diameter of mark and bare rim, divided by the size of the mark.
-    """
+    """Return the radius of the disc in which opposite pixels are compared; `surround` is that of `locate_mark`."""
     rim = surround * size_px / 2
     return max(_REACH * rim, min(rim, size_px / 2 + EDGE_PX))
 
@@ -106,16 +101,7 @@ def light_unevenness(
 
     Returns χ² (two degrees of freedom) of their difference, or of what the gradient on the ground has beyond usual ones
     if that is larger, and the standard deviation of a pixel by noise in grey levels; 0 and infinity without ground in
-    reach, or if copper or a cover on one side changes more than a shadow can.
-
-    Args:
-        image: (h, w).
-        x: centre of the mark, px.
-        y: centre of the mark, px.
-        code: code of the shape, see `SHAPE_CODE`.
-        size: size of the mark, px.
-        arm: width of a cross' arm as a share of its size.
-        reach: radius of the compared disc, px.
+    `reach`, or if copper or a cover on one side changes more than a shadow can. Arguments as in `correlate_with_shape`.
     """
     # Lines: ground and mark. Columns: normal equations xx, xy, yy, xe, ye of the gradient; sum of noise, count.
     sums, other = np.zeros((2, 7)), 0
@@ -216,14 +202,8 @@ def find_shadow_edge(
     """Find the step of the light across a mark; None if there is none that counts, or if the patch is too small.
 
     The second value is the factor by which the unknown line and step make the centre less certain: close to an edge of
-    the mark that is parallel to it, the line of a shadow has nearly the effect of a shift.
-
-    Args:
-        patch: (h, w) grey levels around the mark, up to 5 px beyond `reach`.
-        centre: (x, y) fitted centre of the mark in the patch, px.
-        radius: radius of the mark, px.
-        reach: radius of the compared disc, px.
-        noise: standard deviation of a pixel, grey levels.
+    the mark that is parallel to it, the line of a shadow has nearly the effect of a shift. `patch` (h, w) reaches up to
+    5 px beyond `reach` from the fitted `centre` (x, y); `noise` is that of a pixel in grey levels.
     """
     half = math.ceil(reach)
     needed, (h, w) = half + 1 + _TAPS, patch.shape
@@ -346,13 +326,7 @@ def _minimise(rest: Callable[[ShadowEdge], Floats], edge: ShadowEdge, best: floa
 
 
 def even_light(patch: NDArray[np.uint8], centre: tuple[float, float], edge: ShadowEdge) -> NDArray[np.uint8]:
-    """Return a patch whose brighter side is darkened to the brightness of the shadow, so that nothing saturates.
-
-    Args:
-        patch: (h, w) grey levels around a mark.
-        centre: (x, y) centre of the mark in the patch, px.
-        edge: the edge of the shadow.
-    """
+    """Return a patch whose brighter side is darkened to the brightness of the shadow, so that nothing saturates."""
     share = (1 - edge.depth) / edge.light(*_offsets(patch.shape, centre))
     even: NDArray[np.uint8] = np.rint(patch * share).astype(np.uint8)
     even.flags.writeable = False

@@ -17,8 +17,7 @@ from vaoi_station.compiled import inlined
 def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
     """Solve the first n normal equations in place. Return False if they are singular.
 
-    The upper triangle of `a` (4, 5) holds the matrix and becomes its Cholesky factor. Column 4 holds the right side and
-    becomes the solution.
+    The upper triangle of `a` (4, 5) becomes its Cholesky factor, and the right side in column 4 the solution.
     """
     for i in range(n):
         largest = a[i, i]
@@ -47,10 +46,7 @@ def solve_cholesky(a: NDArray[np.float64], n: int) -> bool:
 
 @inlined
 def position_variance(root: NDArray[np.float64]) -> float:
-    """Compute the mean variance of the first two unknowns (the position), for measurements of variance 1.
-
-    `root` is the upper Cholesky factor R (4, 4 or wider) of the normal equations.
-    """
+    """Compute the mean variance of the first two unknowns, for unit variance, from the Cholesky factor (4, 4…)."""
     total = 0.0
     row = np.zeros(4)
     # The covariance is R⁻¹·R⁻ᵀ, so a variance is the square sum of one row of R⁻¹.

@@ -75,14 +75,9 @@ def locate_mark(
 ) -> Mark | Failure:
     """Locate a mark near a predicted position, whose error is at most a third of the mark's size.
 
-    Args:
-        image: (h, w) full frame.
-        near_px: (2,) predicted centre, raw pixels.
-        shape: shape of the mark.
-        size_px: size of the mark in this image.
-        arm: width of a cross' arm as a share of its size.
-        surround: diameter of the disc compared with the shape (mark and bare rim), divided by the size of the mark.
-        precise: if false, the fit of discs takes a third of the time, with errors of a few hundredths of a pixel.
+    `image` (h, w) is the full frame, `near_px` (2,) the prediction in raw pixels, `arm` the width of a cross' arm as a
+    share of its size, and `surround` the diameter of the mark with its bare rim, divided by the size of the mark. If
+    not `precise`, the fit of discs takes a third of the time, with errors of a few hundredths of a pixel.
     """
     image = image.view()
     # Numba compiles separate versions for writeable and read-only arrays, so all images are passed as read-only.
@@ -95,8 +90,6 @@ def locate_mark(
 
 
 class _Sought(NamedTuple):
-    """The mark that is sought; see the arguments of `locate_mark`."""
-
     shape: Shape
     size_px: float
     arm: float
@@ -159,7 +152,6 @@ Position = tuple[tuple[float, float], float]
 def _locate_disc(
     image: NDArray[np.uint8], start: tuple[float, float], size_px: float, precise: bool
 ) -> Position | Failure:
-    """Locate a disc by a fit of its image."""
     # If not `precise`, the fit uses fewer pixels and ends at larger steps.
     quick = max(round(size_px / _QUICK_SIDE), 1), 0.02, _MAX_QUICK_STEPS
     stride, enough_px, steps = (1, 1e-3, _MAX_STEPS) if precise else quick
@@ -180,7 +172,6 @@ def _locate_disc(
 def _locate_symmetric(
     image: NDArray[np.uint8], start: tuple[float, float], size_px: float, half: int
 ) -> Position | Failure:
-    """Locate a mark of any shape by its point symmetry."""
     reach, coarse = math.ceil(0.5 * size_px + _EDGE_PX), max(round(size_px / _COARSE_SIDE), 1)
     furthest = size_px / 3 + 2
     left, top = round(start[0]) - half, round(start[1]) - half

@@ -29,19 +29,11 @@ _OUTLIER = 0.15
 def fit_symmetry(
     image: NDArray[np.float32], x: float, y: float, reach: int, furthest: float, coarse: int
 ) -> tuple[int, float, float, float]:
-    """Find the centre of point symmetry near the position (x, y).
+    """Find the centre of point symmetry near the position (x, y) in px, up to `furthest` from it along each axis.
 
-    Args:
-        image: (h, w), smoothed so that interpolation is exact. It exceeds the compared square on each side by
-            `furthest` and the pixels that interpolation needs.
-        x: approximate centre, px.
-        y: approximate centre, px.
-        reach: half the side of the square that is compared with itself, px.
-        furthest: largest accepted distance of the centre from (x, y) along each axis, px.
-        coarse: stride of the pixels that the first stage uses.
-
-    Returns:
-        Code (`FITTED`, `UNDETERMINED` or `TOO_FAR`), centre x and y in px, standard deviation per axis in px.
+    Returns a code (`FITTED`, `UNDETERMINED` or `TOO_FAR`), centre x and y, and the standard deviation per axis, in px.
+    `image` (h, w) is smoothed so that interpolation is exact, and exceeds the compared square of half side `reach` by
+    `furthest` and the pixels that interpolation needs. `coarse` is the stride of the pixels in the first stage.
     """
     side = 2 * reach + 3
     window, lines = np.empty((side, side), np.float32), np.empty((side + BEFORE + AFTER, side), np.float32)
@@ -78,10 +70,9 @@ def fit_symmetry(
 def _normal_equations(
     window: NDArray[np.float32], stride: int, limit: float, normal: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Accumulate the normal equations for the shift and the gradient of the gain.
+    """Accumulate the normal equations for the shift and the gradient of the gain, right side in column 4 of `normal`.
 
-    Returns the weighted sum of squared differences, and the sum of weights. The right side is in column 4 of `normal`.
-    Differences above `limit` lose weight.
+    Returns the weighted sum of squared differences, and the sum of weights. Differences above `limit` lose weight.
     """
     last = window.shape[0] - 1
     half = window.shape[0] // 2
@@ -146,8 +137,6 @@ def _interpolate_window(
     lines: NDArray[np.float32],
 ) -> None:
     """Interpolate a square of 2·reach + 1 pixels, centred at (x, y), with Lagrange polynomials over six pixels.
-
-    The interpolated grey levels are written to `window`; `lines` is work space.
 
     Bilinear interpolation has errors of opposite sign on opposite edges of a mark, which would displace the centre.
     """

@@ -19,18 +19,10 @@ _EDGE_PX = 2.85
 def correlate_with_shape(
     image: NDArray[np.uint8], x: float, y: float, code: int, size: float, arm: float, disc: float
 ) -> tuple[float, float]:
-    """Compare an image with the shape of a mark at a sub-pixel position.
+    """Compare an image (h, w) with a shape (`SHAPE_CODE`) at (x, y), in a disc of diameter `disc` px.
 
-    Returns the absolute normalised correlation, 0…1, and the contrast (mark minus ground) in grey levels.
-
-    Args:
-        image: (h, w).
-        x: centre of the mark, px.
-        y: centre of the mark, px.
-        code: code of the shape, see `SHAPE_CODE`.
-        size: size of the mark, px.
-        arm: width of a cross' arm as a share of its size.
-        disc: diameter of the compared disc, px.
+    Returns the absolute normalised correlation, 0…1, and the contrast (mark minus ground) in grey levels. `arm` is the
+    width of a cross' arm as a share of its size.
     """
     reach = 0.5 * disc + 0.5
     left, right = max(math.ceil(x - reach), 0), min(math.floor(x + reach), image.shape[1] - 1)
@@ -70,13 +62,8 @@ def correlate_with_shape(
 def outside_shape(code: int, u: float, v: float, far: float, r: float, thin: float) -> float:
     """Compute the distance of a point from the outline of a shape, px; negative inside, approximate outside corners.
 
-    Args:
-        code: code of the shape, see `SHAPE_CODE`.
-        u: absolute distance of the point from the centre along x, px.
-        v: the same along y.
-        far: length of (u, v).
-        r: half the size of the mark, px.
-        thin: half the width of a cross' arm, px.
+    (u, v) are the absolute distances from the centre, `far` their length, `r` half the size of the mark and `thin` half
+    the width of a cross' arm, px.
     """
     outside = max(u, v) - r
     if code == 0:

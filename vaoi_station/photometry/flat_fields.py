@@ -116,18 +116,10 @@ class FlatFields:
 
     @classmethod
     def open(cls, directory: Path) -> FlatFields:
-        """Read a directory that `vaoi flatfield` has written.
-
-        Raises:
-            InputError: a file is absent or not what it must be; the message names it.
-        """
+        """Read a directory that `vaoi flatfield` has written; raise `InputError` that names an unfit file."""
         document = _read_document(directory)
         flats = {(f.camera, f.light): _read(directory / f.file, document.cameras[f.camera]) for f in document.fields}
-        darks = {
-            i: _read(directory / c.dark_file, c, least=-1.0)
-            for i, c in enumerate(document.cameras)
-            if c.dark_file is not None
-        }
+        darks = {i: _read(directory / c.dark_file, c, -1.0) for i, c in enumerate(document.cameras) if c.dark_file}
         return cls(document, flats, darks, str(directory))
 
     @classmethod
@@ -159,18 +151,9 @@ class FlatFields:
         return (now - created.astimezone(UTC)).total_seconds() / 86400
 
     def maps(self, camera: int, light: str | None) -> FieldMaps:
-        """Return the maps of one camera under one light.
-
-        Raises:
-            InputError: there are flat fields, but none of this camera or light.
-        """
+        """Return the maps of one camera and light; raise `InputError` if there are flat fields, but none of these."""
         if self.document is None:
             return FieldMaps(None, self.dark, self.noise)
-        if not 0 <= camera < len(self.document.cameras):
-            raise InputError(
-                f"{self.source}: have {len(self.document.cameras)} cameras, but camera {camera} is asked for (from 0).",
-                action=_MAKE,
-            )
         flat = self.flats.get((camera, light))
         if flat is None:
             raise self._other_light(light)
@@ -178,13 +161,7 @@ class FlatFields:
         return FieldMaps(flat, self.darks.get(camera, float(found.dark)), NoiseModel(found.read, found.shot))
 
     def check(self, cameras: Sequence[CameraHead], lights: Sequence[str] | None) -> None:
-        """Refuse an array whose cameras, frame sizes or lights differ from those of the flat fields.
-
-        Arrays of one kind are distinguished by the serial numbers of their cameras, where both are known.
-
-        Raises:
-            InputError: they differ; the message has both numbers.
-        """
+        """Raise `InputError` if number, frame sizes, lights or serial numbers (where both are known) differ."""
         if self.document is None:
             return
         found = self.document.cameras
@@ -194,18 +171,14 @@ class FlatFields:
                 action=_MAKE,
             )
         for i, (mine, head) in enumerate(zip(found, cameras, strict=True)):
-            if (mine.width, mine.height) != (head.width, head.height):
-                raise InputError(
-                    f"{self.source}: the field of camera {i} has {mine.width}×{mine.height} px, but its frames have "
-                    f"{head.width}×{head.height} px.",
-                    action=_MAKE,
-                )
+            size, other = ((c.width, c.height) for c in (mine, head))
+            wrong = f"{self.source}: the field of camera {i} "
+            if size != other:
+                message = f"{wrong}has {size[0]}×{size[1]} px, but its frames have {other[0]}×{other[1]} px."
+                raise InputError(message, action=_MAKE)
             if None not in (mine.serial, head.serial) and mine.serial != head.serial:
-                raise InputError(
-                    f"{self.source}: the field of camera {i} is that of serial number {mine.serial}, but its frames "
-                    f"are of {head.serial}.",
-                    action=_MAKE,
-                )
+                message = f"{wrong}is that of serial number {mine.serial}, but its frames are of {head.serial}."
+                raise InputError(message, action=_MAKE)
         for light in dict.fromkeys(lights or (None,)):
             if light not in self.lights:
                 raise self._other_light(light)

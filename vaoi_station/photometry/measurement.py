@@ -225,10 +225,8 @@ _LEAST_SHOT = 1e-4
 def measure_flat_fields(white: Recording, dark: Recording | None = None) -> FlatFields:
     """Measure one flat field per camera and light from a white target that fills all frames.
 
-    Without a recording of darkness, with lamps off or lenses covered, the dark level is taken as zero.
-
-    Raises:
-        InputError: the recordings are not fit for it; the message names camera, light, value and limit.
+    Without a recording of darkness, with lamps off or lenses covered, the dark level is taken as zero. Raises
+    `InputError` with camera, light, value and limit if the recordings are not fit for it.
     """
     head = white.head
     if dark is not None:
@@ -323,7 +321,6 @@ def _measure_white(
 
 
 def _unfit(where: str, usable: int, saturated: float, signal: float) -> InputError:
-    """Describe rows that are saturated or too dark."""
     if saturated > _MOST_SATURATED:
         return InputError(
             f"{where}: {saturated:.1%} of the pixels are saturated, but at most {_MOST_SATURATED:.1%} may be; "

@@ -55,14 +55,11 @@ def grey_levels(pixels: NDArray[Any]) -> Floats32:
 
 
 def noise_from_frames(frames: Iterable[NDArray[Any]], dark: float = 0.0) -> NoiseModel:
-    """Estimate the noise from frames of boards, by their smoothest places.
+    """Estimate the noise from frames of boards, by their smoothest places; `dark` is the grey level of darkness.
 
     In each bin of brightness, the smoothest tenth of small blocks is assumed to have no texture. A line through the
     variances of the bins gives read and shot noise. Where the frames have too few such places, typical values remain.
-
-    Args:
-        frames: at least one frame; three or four of different exposures are enough.
-        dark: grey level of darkness.
+    Three or four frames of different exposures are enough.
     """
     means: list[Floats32] = []
     variances: list[Floats32] = []
@@ -118,10 +115,6 @@ def _blocks(values: Floats32) -> Floats32:
     return np.asarray(values.reshape(h, _BLOCK_PX, w, _BLOCK_PX).mean((1, 3)).ravel(), dtype=np.float32)
 
 
-_NEIGHBOURS_PX = 1
-"""Pixels around a saturated pixel that are not used: interpolation and the lens mix them with the saturated one."""
-
-
 class Taken(NamedTuple):
     """What a frame was taken with."""
 
@@ -132,11 +125,8 @@ class Taken(NamedTuple):
 
 def is_saturated(pixels: NDArray[Any]) -> NDArray[np.bool_]:
     """Return where a frame (h, w) or (h, w, 3) of 8 or 16 bits is saturated, or touches a saturated pixel: (h, w)."""
-    saturated = pixels_at_limit(pixels).astype(np.uint8)
-    if saturated.any():
-        side = 2 * _NEIGHBOURS_PX + 1
-        saturated = np.asarray(cv2.dilate(saturated, np.ones((side, side), np.uint8)))
-    return saturated.astype(bool)
+    # Interpolation and the lens mix the pixels around a saturated one with it.
+    return cv2.dilate(pixels_at_limit(pixels).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
 
 
 def pixels_at_limit(pixels: NDArray[Any]) -> NDArray[np.bool_]:

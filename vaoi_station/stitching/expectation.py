@@ -80,11 +80,7 @@ LEAST_FIDUCIALS = 2
 
 
 def refuse_unplaceable(board_type: BoardType, where: str | Path) -> None:
-    """Raise `InputError` if a board type has too few fiducials to be placed.
-
-    Args:
-        where: the file or request from which it came, for the message.
-    """
+    """Raise `InputError` if a board type, which came from `where`, has too few fiducials to be placed."""
     found = len(board_type.fiducials)
     if found < LEAST_FIDUCIALS:
         raise InputError(

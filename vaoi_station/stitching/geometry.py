@@ -81,13 +81,10 @@ class ComponentIndex:
         return replace(self, center=center, angle_rad=angle)
 
     def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
-        """Return for each of k board points the number of the component on which it lies, or −1 for none: (k,).
+        """Return for each of k board points (k, 2) the number of the component on which it lies, or −1 for none: (k,).
 
         If components overlap, the smallest one is returned. Components that do not stand above the board are ignored.
-
-        Args:
-            cad_from_board: (3, 3) affine matrix, the inverse of C.
-            board_mm: (k, 2) points on the board, tester coordinates.
+        `cad_from_board` (3, 3) is the inverse of C.
         """
         out = np.full(len(board_mm), -1)
         cells = self._cells

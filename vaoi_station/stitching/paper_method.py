@@ -1,12 +1,10 @@
 """Stitching of a run by the paper's method (`--method paper`): from complete frames, row by row, in one plane.
 
 The method serves for comparison only. It uses no prior knowledge and no common adjustment, and it gives no uncertainty.
-C is computed from the fiducials alone (equation 21).
-
-The paper's chain of rows (section 3.3.2), kept for comparison: Harris corners, SIFT descriptors, RANSAC.
-
-Features are detected in complete frames without prior knowledge, and matched by brute force. One Euclidean transform,
-estimated from the matches of all cameras, joins each row to the row before it (equations 15 and 16).
+C is computed from the fiducials alone (equation 21). Rows are chained (section 3.3.2) by Harris corners, SIFT
+descriptors and RANSAC: features are detected in complete frames without prior knowledge, and matched by brute force.
+One Euclidean transform, estimated from the matches of all cameras, joins each row to the row before it (equations 15
+and 16).
 """
 
 from __future__ import annotations
@@ -63,9 +61,7 @@ def estimate_step(
 ) -> Euclidean | Failure:
     """Estimate T of equation 15, the motion from ground points of the later row to those of the earlier row.
 
-    Args:
-        earlier: features of the earlier row, one entry per camera.
-        later: features of the later row, one entry per camera.
+    Both rows have one entry of features per camera.
     """
     # Matches are converted to mm in the conveyor's plane, where one transform holds for all cameras.
     source, target = [], []
@@ -91,11 +87,7 @@ def estimate_step(
 def chain_rows(
     cameras: Sequence[Camera], rows: int, grey: Callable[[int, int], NDArray[np.uint8]]
 ) -> list[Euclidean] | Failure:
-    """Estimate D_j of every row by the paper's chain, M_{i,j+1} = M_{i,j} T⁻¹ (equation 16).
-
-    Args:
-        grey: function that returns the grey frame of a camera and a row.
-    """
+    """Estimate D_j of every row by the paper's chain, M_{i,j+1} = M_{i,j} T⁻¹ (equation 16), from grey frames."""
     tester_from_row = np.eye(3)
     motion = [Euclidean.identity(System.ROW, System.TESTER)]
     before = [detect_features(grey(i, 0)) for i in range(len(cameras))]
@@ -115,14 +107,10 @@ _BLANK = np.zeros((64, 64), dtype=np.uint8)
 
 
 def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> Stitch:
-    """Stitch a finished run: join each row to the row before it by Harris corners, SIFT descriptors and RANSAC.
-
-    Args:
-        setup: cameras, board type and expectation of the run.
-        frame: function that returns the pixels of a camera and a row; None where a frame never arrived.
-    """
+    """Stitch a finished run; `frame` returns the pixels of a camera and a row, None where a frame never arrived."""
     start = time.perf_counter()
-    frames = _prepared(head, frame)
+    keys = ((i, j) for i in range(len(head.cameras)) for j in range(head.rows))
+    frames = {key: PreparedFrame(pixels) for key in keys if (pixels := frame(*key)) is not None}
 
     def grey(camera: int, row: int) -> NDArray[np.uint8]:
         # A blank frame stands for a missing one: it has no features, and the other cameras place the row.
@@ -138,23 +126,14 @@ def stitch_by_paper(setup: StitchSetup, head: RecordingHead, frame: Frames) -> S
         tuple(c.image_from_row.matrix @ d.matrix if (i, j) in frames else None for j, d in enumerate(motion))
         for i, c in enumerate(setup.cameras)
     )
-    found = _cad_matrix(setup, frames, as_motion(motion, setup.cameras))
+    pivot = np.mean([c.row_from_image(c.center_px) for c in setup.cameras], axis=0)
+    back = [d.inverse() for d in motion]
+    moved = Motion(np.array([b.angle_rad for b in back]), np.array([b(pivot) - pivot for b in back]), pivot)
+    found = _cad_matrix(setup, frames, moved)
     rows = tuple(d.matrix for d in motion)
     if isinstance(found, Failure):
         return _result(images, None, rows, (Reason(ReasonCode(found.code), found.reason),), start)
     return _result(images, found, rows, (), start)
-
-
-def as_motion(rows: Sequence[Euclidean], cameras: Sequence[Camera]) -> Motion:
-    """Convert the D_j of all rows to a `Motion`, the form in which the rest of the stitching computes."""
-    pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
-    back = [d.inverse() for d in rows]
-    return Motion(np.array([b.angle_rad for b in back]), np.array([b(pivot) - pivot for b in back]), pivot)
-
-
-def _prepared(head: RecordingHead, frame: Frames) -> dict[tuple[int, int], PreparedFrame]:
-    keys = ((i, j) for i in range(len(head.cameras)) for j in range(head.rows))
-    return {key: PreparedFrame(pixels) for key in keys if (pixels := frame(*key)) is not None}
 
 
 def _cad_matrix(

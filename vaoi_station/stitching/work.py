@@ -104,13 +104,7 @@ def _unpacked(packed: bytes) -> StitchSetup:
 def possible_tasks(
     new: FrameKey, present: Collection[FrameKey], times_s: Mapping[int, float], setup: StitchSetup
 ) -> tuple[Task, ...]:
-    """Return the tasks that a newly arrived good frame makes possible.
-
-    Args:
-        new: camera and row of the frame.
-        present: all good frames that have arrived. It may contain `new` or not. A set is fastest.
-        setup: cameras, belt velocity, board type and method.
-    """
+    """Return the tasks that a newly arrived good frame makes possible; `present` may contain `new` or not."""
     return tuple(_tasks_of(new, lambda key: key in present, times_s, setup))
 
 
@@ -141,9 +135,8 @@ class TaskRunner:
     ) -> None:
         """Create the runner of one run.
 
-        Args:
-            frame: returns the pixels of the run's frame of a camera and row, or None if the frame is missing.
-            reference_frame: the same for the frames of the reference.
+        `frame` returns the pixels of a camera and row, or None if the frame is missing; `reference_frame` does the same
+        for the frames of the reference.
         """
         self._setup = setup
         self._frame = frame
@@ -158,16 +151,12 @@ class TaskRunner:
         return found
 
     def add_evidence(self, evidence: Evidence) -> None:
-        """Project the links of evidence to the ground, which saves this work when the run is concluded.
-
-        The evidence may come from any process.
-        """
+        """Project the links of evidence, of any process, to the ground: the conclusion of the run then need not."""
         # links to the reference do not enter the adjustment of the rows
         if isinstance(evidence, Links) and evidence.task.kind != "reference":
             self._link_store.add(evidence)
 
     def _perform(self, task: Task) -> Links | Detections:
-        """Perform one task and return its evidence, without adding it to the link store."""
         setup = self._setup
         if task.kind == "marks":
             fixture = METHODS[setup.method].fixture
@@ -201,8 +190,7 @@ class TaskRunner:
     ) -> tuple[Stitch, Findings]:
         """Return the result of the run, and the findings from which it was derived.
 
-        Args:
-            doubts: doubts about the frames that arose when they were recorded (`RecordingHead.doubts`).
+        `doubts` are those about the frames that arose when they were recorded (`RecordingHead.doubts`).
         """
         s = self._setup
         prior = PriorKnowledge(
@@ -368,12 +356,7 @@ def kept_frames(frame: Frames, most_bytes: int = KEPT_BYTES) -> Frames:
 def stitch_frames(
     setup: StitchSetup, head: RecordingHead, frame: Frames, reference_frame: Frames | None = None
 ) -> Stitch:
-    """Stitch the frames of a finished run.
-
-    Args:
-        frame: function that returns the pixels of a camera and a row; None where a frame never arrived.
-        reference_frame: the same function for the frames of the reference, if `setup` has a reference.
-    """
+    """Stitch the frames of a finished run; `frame` returns None where a frame never arrived."""
     # A run with missing frames is stitched from the other frames. Only the tasks of the missing frames are left out.
     lost = set(head.missing)
     present = [(i, j) for i in range(len(head.cameras)) for j in range(head.rows) if (i, j) not in lost]

@@ -10,7 +10,7 @@ from vaoi_station.files import Recording, open_recording, read_board_type, read_
 from vaoi_station.model import Calibration
 from vaoi_station.stitching.expectation import StitchTerms, refuse_unplaceable, turned_by
 from vaoi_station.stitching.matching.evidence import FrameKey, MethodName
-from vaoi_station.stitching.recordings.references import StoredReference, open_reference, with_reference
+from vaoi_station.stitching.recordings.references import StoredReference, open_reference
 from vaoi_station.stitching.work import Frames, StitchSetup, TaskRunner
 
 
@@ -51,19 +51,11 @@ def open_run(
     rotation_deg: int | None = None,
     terms: StitchTerms | None = None,
 ) -> OpenedRun:
-    """Open a recording for stitching.
+    """Open a recording for stitching, with the calibration, board type and rotation in it unless others are given.
 
-    Args:
-        calibration: file of the calibration; by default that in the recording.
-        board: file of the board type; by default that in the recording, if there is one.
-        reference: directory of a reference, made by `vaoi teach`.
-        method: name of the method, which selects the evidence to use.
-        rotation_deg: expected rotation of the board, 0, 90, 180 or 270; by default that of the recording.
-        terms: what the station knew of line and lights; by default only the expected rotation is known.
-
-    Raises:
-        InputError: the inputs do not fit together, for example by the number of cameras, the board type has too few
-            fiducials to be placed, or a reference is given without a board type.
+    `reference` is the directory of one, and `terms` what the station knew of line and lights: by default only the
+    expected rotation is known. Raises `InputError` if the inputs do not fit together, if the board type has too few
+    fiducials to be placed, or if a reference is given without a board type.
     """
     recording = open_recording(case).with_rotation(rotation_deg)
     head = recording.head
@@ -85,14 +77,12 @@ def open_run(
         lights=head.lights or (),
     )
     if terms is not None and board_type is not None:
-        setup = replace(
-            setup,
-            expectation=terms.expectation(board_type),
-            visibility=terms.visibility,
-            channels=terms.channels,
-        )
+        expected = terms.expectation(board_type)
+        setup = replace(setup, expectation=expected, visibility=terms.visibility, channels=terms.channels)
     stored = _open_reference(reference, setup)
-    return OpenedRun(recording, known, calibration_path, board_path, stored, with_reference(setup, stored))
+    if stored is not None:
+        setup = replace(setup, reference=stored.reference)
+    return OpenedRun(recording, known, calibration_path, board_path, stored, setup)
 
 
 def _open_reference(directory: Path | None, setup: StitchSetup) -> StoredReference | None:

@@ -56,11 +56,7 @@ def with_origin(result: Stitch, recording: Recording, calibration: Calibration, 
 def check_origin(
     result: Stitch, recording: Recording, calibration: Calibration, board_type: BoardType | None, name: str | Path
 ) -> None:
-    """Refuse a result of another recording, calibration or CAD data. A result without an origin is not checked.
-
-    Raises:
-        InputError: the origin differs; the message has the names of both recordings or board types.
-    """
+    """Raise `InputError` for a result, if it has an origin, of another recording, calibration or CAD data."""
     if KEY not in result.quality:
         return
     there = parse(Origin, result.quality[KEY], f"{name}: quality.{KEY}")

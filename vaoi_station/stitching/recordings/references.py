@@ -1,9 +1,7 @@
 """A reference on disk: a directory with recording, calibration, board type and result, made by `vaoi teach`.
 
-Selection of the few frames per row that a reference keeps (paper, section 3.3.3).
-
-All cameras of a row see the same motion of the board, so a few frames determine it. Frames that are far apart determine
-its angle best.
+A reference of the station keeps a few frames per row (paper, section 3.3.3). All cameras of a row see the same motion
+of the board, so a few frames determine it. Frames that are far apart determine its angle best.
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -58,25 +56,19 @@ def select_reference_frames(
     chosen: set[FrameKey] = set()
     for row, moved in enumerate(stitch.row_motion):
         place_mm = apply(moved, board_mm)
-        showing = [i for i, camera in enumerate(cameras) if (i, row) in present and _share(camera, place_mm) > 0]
-        chosen |= {(i, row) for i in _spread(showing)}
+        showing = [i for i, camera in enumerate(cameras) if (i, row) in present and _shows(camera, place_mm)]
+        # The first and the last camera are among them, because the angle is determined best over the longest distance.
+        spread = np.linspace(0, len(showing) - 1, min(len(showing), MOST_PER_ROW)).round().astype(int)
+        chosen |= {(showing[k], row) for k in spread}
     return frozenset(chosen)
 
 
-def _spread(cameras: list[int]) -> list[int]:
-    if len(cameras) <= MOST_PER_ROW:
-        return cameras
-    # The first and the last camera are among them, because the angle is determined best over the longest distance.
-    return [cameras[k] for k in np.linspace(0, len(cameras) - 1, MOST_PER_ROW).round().astype(int)]
-
-
-def _share(camera: Camera, board_mm: Floats) -> float:
-    """Compute the share of a camera's frame that shows the board with corners (4, 2); 0 if the share is too small."""
+def _shows(camera: Camera, board_mm: Floats) -> bool:
+    """Return whether enough of a camera's frame shows the board with corners (4, 2)."""
     w, h = camera.width_px - 1.0, camera.height_px - 1.0
-    view = camera.ground(np.array([[0, 0], [w, 0], [w, h], [0, h]]))
-    area, _ = cv2.intersectConvexConvex(view.astype(np.float32), board_mm.astype(np.float32))
-    share = float(area) / abs(float(cv2.contourArea(view.astype(np.float32))))
-    return share if share >= _LEAST_SHARE else 0.0
+    view = camera.ground(np.array([[0, 0], [w, 0], [w, h], [0, h]])).astype(np.float32)
+    area, _ = cv2.intersectConvexConvex(view, board_mm.astype(np.float32))
+    return float(area) >= _LEAST_SHARE * abs(cv2.contourArea(view))
 
 
 RESULT = "result.json"
@@ -108,13 +100,9 @@ def teach(
 ) -> Stitch:
     """Stitch a recording and store it as a reference in the new directory `out`.
 
-    Args:
-        out: directory to create.
-        confirm_orientation: whether a person has confirmed that the board lies as the board type expects it.
-        rotation_deg: expected rotation of the board, which the reference keeps; by default that of the recording.
-
-    Raises:
-        InputError: the directory exists, or the run cannot be stitched well enough to be a reference.
+    `confirm_orientation` states that a person saw the board lie as the board type expects it. The reference keeps
+    `rotation_deg`, by default that of the recording. Raises `InputError` if the directory exists, or if the result is
+    not good enough to be a reference.
     """
     refuse_existing(out)  # This check comes before stitching, which takes seconds.
     recording = open_recording(case).with_rotation(rotation_deg)
@@ -164,11 +152,9 @@ def write_reference(
     board_type: BoardType,
     stitch: Stitch,
 ) -> None:
-    """Write a stitched run as a reference. The directory appears complete or not at all.
+    """Write a stitched run as a reference, of which `head` lists frames that are not kept as missing.
 
-    Args:
-        head: head of the run, in which frames that are not kept are listed as `missing`.
-        frames: the frames to keep: camera, row and pixels of each.
+    The directory appears complete or not at all.
     """
     with new_directory(directory) as draft:
         write_calibration(draft / "calibration.json", calibration)
@@ -180,8 +166,7 @@ def write_reference(
 def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: BoardType) -> StoredReference:
     """Open a reference for runs of these cameras and this board type; stitch the reference if it has no result yet.
 
-    Raises:
-        InputError: the reference was filmed with another calibration, or shows another board type.
+    Raises `InputError` if the reference was filmed with another calibration, or shows another board type.
     """
     recording = open_recording(directory)
     theirs = read_calibration(directory / "calibration.json", recording.head.cameras).cameras(recording.head.cameras)
@@ -212,17 +197,10 @@ def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: Boa
     return StoredReference(reference, recording)
 
 
-def with_reference(setup: StitchSetup, stored: StoredReference | None) -> StitchSetup:
-    """Return the setup, with the reference added if there is one."""
-    return setup if stored is None else replace(setup, reference=stored.reference)
-
-
 def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> StitchSetup:
-    head = recording.head
-    expected = turned_by(head.rotation_deg)
-    return StitchSetup(
-        cameras, head.conveyor_mm_s, head.trigger_period_s, board_type, expected, lights=head.lights or ()
-    )
+    head, expected = recording.head, turned_by(recording.head.rotation_deg)
+    conveyor = head.conveyor_mm_s, head.trigger_period_s
+    return StitchSetup(cameras, *conveyor, board_type, expected, lights=head.lights or ())
 
 
 def _name(head: RecordingHead, stitch: Stitch) -> str:
