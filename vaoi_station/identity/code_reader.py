@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
@@ -254,23 +255,18 @@ class CodeReader:
 
         Places may overlap, and the picture of one place then shows the code of another.
         """
-
-        def distance(n: int) -> float:
-            center = self.identity.places[n].center
-            return float(np.hypot(x - center[0], y - center[1]))
-
+        places = self.identity.places
         there = [n for n, (x0, y0, x1, y1) in enumerate(self._regions) if x0 <= x <= x1 and y0 <= y <= y1]
-        return min(there, key=distance, default=drawn)
+        return min(there, key=lambda n: math.dist((x, y), places[n].center), default=drawn)
 
     def _merged(self, readings: Sequence[Found]) -> list[Found]:
         """Return one reading of each code: that with the least error correction, if the readings suffice."""
         groups: list[list[Found]] = []
         for found in readings:
-            group = next((g for g in groups if self._same(g[0].code, found.code)), None)
-            if group is None:
-                groups.append([found])
-            else:
-                group.append(found)
+            group = next((g for g in groups if self._same(g[0].code, found.code)), [])
+            if not group:
+                groups.append(group)
+            group.append(found)
         # Two pictures of one frame have the same noise and the same scratch, so they can show the same wrong text. One
         # that is put together from several frames may have that of each of them.
         frames = [{(f.code.camera, f.code.row) for f in group} - {(None, None)} for group in groups]
@@ -278,7 +274,7 @@ class CodeReader:
         return [min(group, key=lambda f: (f.code.error_correction_used, f.tried)) for group in sure]
 
     def _same(self, a: BoardCode, b: BoardCode) -> bool:
-        apart = float(np.hypot(a.center[0] - b.center[0], a.center[1] - b.center[1])) * self._board_type.mm_per_unit
+        apart = math.dist(a.center, b.center) * self._board_type.mm_per_unit
         return (a.text, a.symbology) == (b.text, b.symbology) and apart <= _SAME_MODULES * a.module_mm
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,7 +88,16 @@ def _read_solid(picture: NDArray[np.uint8], symbology: Symbology | None, enlarge
     found = zxingcpp.read_barcodes(
         np.ascontiguousarray(picture), formats=wanted, text_mode=zxingcpp.TextMode.Plain, try_downscale=enlarged == 1
     )
-    return [*_symbols(found, formats, enlarged)]
+    names = {value: key for key, value in formats.items()}
+    symbols = []
+    for code in found:
+        at = code.position
+        # The reader counts from the corner of the first pixel, pictures from its centre.
+        points = (at.top_left, at.top_right, at.bottom_right, at.bottom_left)
+        corners = (np.array([(p.x, p.y) for p in points], dtype=np.float64)) / enlarged - 0.5
+        if (symbol := _symbol(code, names.get(code.format), corners)) is not None:
+            symbols.append(symbol)
+    return symbols
 
 
 def _stretched(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -102,17 +110,6 @@ def _stretched(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return picture
     levels = np.clip((np.arange(256) - low) * (255 / (high - low)), 0, 255)
     return np.asarray(cv2.LUT(picture, levels.astype(np.uint8)), np.uint8)
-
-
-def _symbols(found: list[Any], formats: dict[Symbology, Any], enlarged: int) -> Iterator[Symbol]:
-    names = {value: key for key, value in formats.items()}
-    for code in found:
-        at = code.position
-        # The reader counts from the corner of the first pixel, pictures from its centre.
-        points = (at.top_left, at.top_right, at.bottom_right, at.bottom_left)
-        corners = (np.array([(p.x, p.y) for p in points], dtype=np.float64)) / enlarged - 0.5
-        if (symbol := _symbol(code, names.get(code.format), corners)) is not None:
-            yield symbol
 
 
 def _symbol(code: Any, symbology: Symbology | None, corners: Floats) -> Symbol | None:

@@ -126,7 +126,7 @@ class Taken(NamedTuple):
 def is_saturated(pixels: NDArray[Any]) -> NDArray[np.bool_]:
     """Return where a frame (h, w) or (h, w, 3) of 8 or 16 bits is saturated, or touches a saturated pixel: (h, w)."""
     # Interpolation and the lens mix the pixels around a saturated one with it.
-    return cv2.dilate(pixels_at_limit(pixels).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    return np.asarray(cv2.dilate(pixels_at_limit(pixels).astype(np.uint8), np.ones((3, 3), np.uint8)), np.bool_)
 
 
 def pixels_at_limit(pixels: NDArray[Any]) -> NDArray[np.bool_]:

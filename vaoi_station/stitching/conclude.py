@@ -1,14 +1,15 @@
-"""Conclude a run: compute its result from its evidence, stage by stage.
+"""Conclude a run: compute its result from its evidence, in the order of section 3.3 of the paper.
 
-The order of the stages is that of section 3.3 of the paper. First the motion of the rows is estimated from links alone,
-then the position of the board from its fiducials. Last, all unknowns are estimated together in one adjustment.
+First the motion of the rows is estimated from links alone, then the position of the board from its fiducials. Last, all
+unknowns are estimated together in one adjustment.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import cv2
@@ -17,7 +18,7 @@ import numpy as np
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.model import VISIBILITY, Reason, ReasonCode, Status, Stitch, Visibility
+from vaoi_station.model import Reason, ReasonCode, Status, Stitch, Visibility
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.problem import AdjustmentResult, LinkStore, Problem
 from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links, motion_from_marks
@@ -26,7 +27,7 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
 from vaoi_station.stitching.board.reference import Reference, ReferenceScene
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, Method
+from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, Method, MethodName
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.link import are_copies
 from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
@@ -51,29 +52,22 @@ _OFF_PLANE = Failure(
 
 @dataclass(frozen=True, eq=False)
 class PriorKnowledge:
-    """Knowledge about a run from before its board is filmed: board plane, expectation, velocity, method, reference."""
+    """Knowledge about a run from before its board is filmed; see `StitchSetup`."""
 
     plane: BoardPlane | None
-    """The board plane of the board type. None if no board type was given; the CAD matrix C is then not computed."""
     expectation: Expectation
     velocity_mm_s: Floats
-    """(2,) nominal velocity of the conveyor."""
-    method_name: str
-    reference: Reference | None = None
-    visibility: Visibility = VISIBILITY
-    """How much of every component the frames must show, unless the board type states something else."""
-    reference_frame: Callable[[FrameKey], PreparedFrame] | None = None
+    method_name: MethodName
+    reference: Reference | None
+    visibility: Visibility
+    reference_frame: Callable[[FrameKey], PreparedFrame] | None
     """A function that returns a prepared frame of the reference; None if its frames cannot be read."""
-    lights: tuple[str, ...] = ()
+    lights: tuple[str, ...]
     """Name of the light of every row; empty if all rows have one."""
-    channels: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    """LED channels of every light, as far as they are known."""
+    channels: Mapping[str, tuple[int, ...]]
 
     def taught(self, cameras: tuple[Camera, ...]) -> ReferenceScene | None:
-        """Return the result and the frames of the reference, filmed by the same cameras.
-
-        None if the method uses no reference, or if there is none, or if its frames cannot be read.
-        """
+        """Return the reference, filmed by these cameras; None if none is used or its frames cannot be read."""
         if self.reference is None or self.reference_frame is None or not self.method.reference:
             return None
         scene = Scene(cameras, tuple(sorted(self.reference.present)), self.reference_frame)
@@ -106,20 +100,6 @@ def sort_evidence(evidence: Sequence[Evidence]) -> SortedEvidence:
     )
 
 
-@dataclass
-class StageTimes:
-    """Wall times of consecutive stages in ms, by name; the first one begins when this object is created."""
-
-    ms: dict[str, float] = field(default_factory=dict)
-    _last: float = field(default_factory=time.perf_counter)
-
-    def finish(self, name: str) -> None:
-        """End the current stage and record its wall time under `name`."""
-        now = time.perf_counter()
-        self.ms[name] = round((now - self._last) * 1e3, 3)
-        self._last = now
-
-
 @dataclass(frozen=True, eq=False)
 class Stitcher:
     """Computes the result of a run whose frames are all settled."""
@@ -137,18 +117,28 @@ class Stitcher:
 
         `evidence` is that of all canonical tasks (`work.all_tasks`), in any order.
         """
-        stages, sorted_evidence = StageTimes(), sort_evidence(evidence)
+        times_s, sorted_evidence = [time.perf_counter()], sort_evidence(evidence)
         copies = self._copies(sorted_evidence.links)
         known, problem = self._relinked(sorted_evidence)
         motion = self._motion(problem, known)
-        stages.finish("motion")
+        times_s.append(time.perf_counter())
         mapping = self._map_cad(problem, motion, known)
         findings = self._findings(known, copies, self._refined(problem, motion, mapping), mapping)
-        stages.finish("cad")
-        findings = without_unknown_rows(self._with_dark_lights(findings))
+        times_s.append(time.perf_counter())
+        if self.prior.lights:
+            # Before rows are left out: a dark row has no links, so nothing but the belt's nominal speed places it.
+            dark = dark_lights(findings.scene, self.prior.lights, self.prior.channels, findings.checked.confirmed)
+            findings = replace(findings, dark=dark)
+        findings = without_unknown_rows(findings)
         status, reasons = judge_result(findings)
-        quality = quality_document(findings) | self._provenance(stages)
-        stages.finish("verdict")
+        quality = quality_document(findings)
+        times_s.append(time.perf_counter())
+        stages = zip(("motion", "cad", "verdict"), pairwise(times_s), strict=True)
+        quality["timings_ms"] = {name: round((end - start) * 1e3, 3) for name, (start, end) in stages}
+        quality["software"] = f"vaoi_station {__version__}"
+        if self.prior.reference is not None and self.prior.method.reference:
+            quality["reference"] = self.prior.reference.name
+        quality["opencv"] = cv2.__version__
         return build_result(findings, self.prior.method_name, status, reasons, quality), findings
 
     def _copies(self, links: Sequence[Links]) -> frozenset[FrameKey]:
@@ -209,11 +199,7 @@ class Stitcher:
         return mapping.moved or motion
 
     def _findings(
-        self,
-        known: SortedEvidence,
-        copies: frozenset[FrameKey],
-        moved: AdjustmentResult,
-        mapping: CadMapping | Failure,
+        self, known: SortedEvidence, copies: frozenset[FrameKey], moved: AdjustmentResult, mapping: CadMapping | Failure
     ) -> Findings:
         """Return the findings, with the camera displacements that the adjustment of the CAD mapping estimated."""
         prior, scene = self.prior, self.scene
@@ -233,30 +219,6 @@ class Stitcher:
             prior.taught(self.scene.cameras),
             copies=copies,
         )
-
-    def _with_dark_lights(self, findings: Findings) -> Findings:
-        """Return the findings with the lights that stayed dark.
-
-        They are searched before rows are left out: a dark row has no links, so nothing but the belt's nominal speed
-        places it.
-        """
-        if not self.prior.lights:
-            return findings
-        lights, channels = self.prior.lights, self.prior.channels
-        return replace(findings, dark=dark_lights(findings.scene, lights, channels, findings.checked.confirmed))
-
-    def _provenance(self, stages: StageTimes) -> dict[str, Any]:
-        """Return the entries of the quality document on software versions, reference, and wall times of the stages.
-
-        `timings_ms` is the same object as `stages.ms`, not a copy: a stage that ends later still appears in it.
-        """
-        reference = self.prior.reference if self.prior.method.reference else None
-        return {
-            "timings_ms": stages.ms,
-            "software": f"vaoi_station {__version__}",
-            **({"reference": reference.name} if reference is not None else {}),
-            "opencv": cv2.__version__,
-        }
 
 
 def without_unknown_rows(findings: Findings) -> Findings:

@@ -1,6 +1,4 @@
-"""Stitching of a complete recording, with the same tasks as in the station, but one after the other.
-
-Divide a run into tasks: list the tasks, find those that a new frame makes possible, and perform them.
+"""Divide the stitching of a run into tasks: list them, find those that a new frame makes possible, and perform them.
 
 A task depends on its one or two frames only, never on another task. Tasks can therefore run in any process and in any
 order as soon as their frames are present. They return the same evidence in the live station and offline.
@@ -193,17 +191,13 @@ class TaskRunner:
         `doubts` are those about the frames that arose when they were recorded (`RecordingHead.doubts`).
         """
         s = self._setup
+        velocity_mm_s = np.asarray(s.conveyor_mm_s, dtype=np.float64)
+        reference_frame = self._reference if self._reference_frame is not None else None
+        lights = tuple(s.light(row) for row in range(len(times_s))) if s.lights else ()
         prior = PriorKnowledge(
-            s.plane,
-            s.expectation,
-            np.asarray(s.conveyor_mm_s, dtype=np.float64),
-            s.method,
-            s.reference,
-            s.visibility,
-            self._reference if self._reference_frame is not None else None,
-            tuple(s.light(row) for row in range(len(times_s))) if s.lights else (),
+            s.plane, s.expectation, velocity_mm_s, s.method, s.reference, s.visibility, reference_frame, lights,
             s.channels,
-        )
+        )  # fmt: skip
         scene = Scene(s.cameras, tuple(sorted(present)), self._get, doubts)
         stitcher = Stitcher(scene, prior, np.asarray(times_s, dtype=np.float64), self._link_store)
         return stitcher.stitch(list(evidence))
@@ -279,26 +273,16 @@ def _rows_to_link(row: int, step: int, setup: StitchSetup) -> tuple[int, ...]:
 
 @lru_cache(maxsize=_KEPT_STRIPS)
 def _strip_px(camera: Camera, velocity_mm_s: tuple[float, float], dt_s: float) -> float:
-    """Return the shorter side in px of the overlap of two frames that one camera takes `dt_s` apart at nominal motion.
-
-    The value is 0 or negative if the frames do not overlap.
-    """
+    """Return the shorter side in px of the overlap of two frames that one camera takes `dt_s` apart; ≤ 0 for none."""
     # Plain floats are used, because numpy takes longer for a single point, and this runs for every frame that arrives.
     (a, b, c), (d, e, f), (g, h, i) = camera.image_from_row.matrix.tolist()
     u, v = camera.center_px
-    x, y = _middle_mm(camera)
+    x, y = camera.row_from_image(camera.center_px).tolist()
     x, y = x + velocity_mm_s[0] * dt_s, y + velocity_mm_s[1] * dt_s
     w = g * x + h * y + i
     return float(
         min(camera.width_px - abs((a * x + b * y + c) / w - u), camera.height_px - abs((d * x + e * y + f) / w - v))
     )
-
-
-@lru_cache(maxsize=_KEPT_STRIPS)
-def _middle_mm(camera: Camera) -> tuple[float, float]:
-    """Return the point (x, y) of the conveyor's plane, mm, that the centre of the undistorted frame shows."""
-    x, y = camera.row_from_image(camera.center_px).tolist()
-    return x, y
 
 
 def _bridges(frames: set[FrameKey], times_s: Mapping[int, float], setup: StitchSetup) -> list[Task]:
