@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import random
 import re
+import sys
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import httpx2
-
-from tests.api.openapi_rules import fits
 
 GOOD: dict[str, tuple[Any, ...]] = {
     "run": ("r000001", "r000002"), "name": ("demo-board", "new"), "camera": (0, 1), "row": (0, 1, 2), "k": (0, 1),
@@ -179,3 +178,39 @@ def content_fault(answer: Any, kind: str, stated: dict[str, Any], document: dict
         return f"undocumented content type {kind!r}"
     fine = not kind.endswith("json") or fits(answer.json(), contents[kind]["schema"], document)
     return "" if fine else "outside of the schema"
+
+
+def fits(value: Any, schema: dict[str, Any], document: dict[str, Any]) -> bool:
+    """Return whether a JSON value matches a schema; covers the JSON Schema that the document uses in replies."""
+    if "$ref" in schema:
+        schema = document["components"]["schemas"][schema["$ref"].rsplit("/", 1)[1]]
+    if "anyOf" in schema:
+        return any(fits(value, s, document) for s in schema["anyOf"])
+    if "enum" in schema or "const" in schema:
+        return value in schema.get("enum", [schema.get("const")])
+    kind = schema.get("type")
+    if kind == "object":
+        known, more = schema.get("properties", {}), schema.get("additionalProperties", True)
+        return (
+            isinstance(value, dict)
+            and set(schema.get("required", [])) <= value.keys()
+            and (more is not False or value.keys() <= known.keys())
+            and all(
+                fits(v, known.get(k, more), document)
+                for k, v in value.items()
+                if k in known or more not in (True, False)
+            )
+        )
+    if kind == "array":
+        fewest, most = schema.get("minItems", 0), schema.get("maxItems", sys.maxsize)
+        listed = isinstance(value, list) and fewest <= len(value) <= most
+        return listed and all(fits(v, schema.get("items", {}), document) for v in value)
+    python: dict[str, Any] = {
+        "string": str,
+        "integer": int,
+        "number": (int, float),
+        "boolean": bool,
+        "null": type(None),
+    }
+    # In Python a truth value is a number as well.
+    return kind is None or (isinstance(value, python[kind]) and (kind == "boolean" or not isinstance(value, bool)))

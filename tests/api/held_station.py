@@ -10,12 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.api.held.chosen_images import chosen_images
 from tests.api.held.history import HeldHistory, HeldTypes
 from tests.api.held.inspection import held_components, held_quality, held_timeline
 from tests.api.held.lighting import HeldLighting
-from tests.api.held.merged import HeldMerged
-from tests.api.held.mosaics import HeldKeptMosaics, HeldMosaics
+from tests.api.held.mosaics import HeldKeptMosaics, HeldMerged, HeldMosaics
 from tests.api.held.pins import HeldPins, HeldStorage
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.config import MethodName
@@ -23,7 +21,15 @@ from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundE
 from vaoi_station.files.results import stitch_text
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import BoardType, FrameRecord, Reason, Status, Stitch, Verdict
-from vaoi_station.rendering import ChosenImages, ImageRequest, render_chosen
+from vaoi_station.rendering import (
+    ChosenImages,
+    FrameFacts,
+    ImageRequest,
+    ViewCalculator,
+    choose_all,
+    measure,
+    render_chosen,
+)
 from vaoi_station.runs.archive.finished_runs import RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.run.order import Passing
@@ -92,7 +98,8 @@ class HeldStation(StationCoordinator):
         self.broken = self.closed = False
         self.lights: tuple[str, ...] = ()
         self.lighting = HeldLighting(self)  # type: ignore[assignment]
-        self.merged, self.mosaics = HeldMerged(self), HeldMosaics(self)  # type: ignore[assignment]
+        self.merged = HeldMerged(self)  # type: ignore[assignment]
+        self.mosaics = HeldMosaics(self)
         self.kept.mosaics = HeldKeptMosaics(self)  # type: ignore[assignment]
         matrix = np.array([[PX_PER_MM, 0, 0], [0, -PX_PER_MM, 320], [0, 0, 1]])
         n = Projective(matrix, System.IMAGE, System.ROW)
@@ -113,11 +120,8 @@ class HeldStation(StationCoordinator):
         for camera in range(CAMERAS):
             for row in range(ROWS):
                 lost = {(0, 1): Verdict.INCOMPLETE, (1, 2): Verdict.MISSING}.get((camera, row), Verdict.OK)
-                taken = (
-                    {"exposure_us": 100.0 * (row + 1), "gain": 2.0, "light": self.lights[row % 2]}
-                    if self.lights
-                    else {}
-                )
+                lit = {"exposure_us": 100.0 * (row + 1), "gain": 2.0}
+                taken: Any = {**lit, "light": self.lights[row % 2]} if self.lights else {}
                 cause = "" if lost == "ok" else "cable"
                 frames.append(FrameRecord(camera=camera, row=row, verdict=lost, cause=cause, **taken))
                 self.pixels[run, camera, row] = _scene(random, camera, row)
@@ -140,15 +144,8 @@ class HeldStation(StationCoordinator):
         timings = Timings(
             filming_s=1.2, ready_after_last_frame_ms=80, links_ms=300, conclude_ms=40, links=30, links_while_filming=27
         )
-        update = {
-            "state": state,
-            "verdict": verdict,
-            "finished": utc(),
-            "belt": belt,
-            "timings": timings,
-            "reasons": reasons,
-        }
-        self.filmed[run] = self.filmed[run].model_copy(update=update)
+        ended = {"finished": utc(), "belt": belt, "timings": timings, "reasons": reasons}
+        self.filmed[run] = self.filmed[run].model_copy(update={"state": state, "verdict": verdict, **ended})
         self.publish("run", f"Run {run} is {state}.", run=run, state=str(state))
 
     def fault(self, code: str, message: str, action: str) -> None:
@@ -361,7 +358,20 @@ class HeldStation(StationCoordinator):
         return held_components(self.types["demo-board"], unseen, held_quality(CAMERAS, ROWS))
 
     def images(self, run: str, ref: str, wanted: ImageRequest = ImageRequest()) -> ChosenImages:  # noqa: B008
-        return chosen_images(self, run, ref, wanted)
+        board_type, stitch, frames = self.types["demo-board"], self.stitch(run), self.run(run).frames
+        component = board_type.component(ref)
+        if component is None:
+            raise NotFoundError(f"There is no component {ref!r}.", code="unknown-component")
+        whole = {(r.camera, r.row) for r in frames if r.verdict == Verdict.OK}
+        facts = {(r.camera, r.row): FrameFacts(r.exposure_us, r.gain, r.light, 0.1 * r.row) for r in frames}
+        return choose_all(
+            ViewCalculator(board_type, stitch, self.cameras),
+            [component],
+            (board_type, stitch),
+            (whole, facts),
+            wanted,
+            lambda view: measure(view, self.pixels[run, view.camera, view.row]),
+        )[0]
 
     def image(
         self,

@@ -80,7 +80,7 @@ def near(app: Any) -> Iterator[TestClient]:
         yield client
 
 
-@pytest.mark.parametrize("path", ["/", "/docs", f"{API}/runs/r000001/components/U1", "/nothing", f"{API}/openapi.json"])
+@pytest.mark.parametrize("path", ["/", f"{API}/runs/r000001/components/U1"])
 @pytest.mark.parametrize("prefix", WRONG.values(), ids=WRONG)
 def test_a_prefix_that_is_no_path_is_refused(near: TestClient, prefix: str, path: str) -> None:
     refused = near.get(path, headers={HEADER.encode(): prefix.encode()})
@@ -95,7 +95,7 @@ def test_a_prefix_that_is_no_path_is_refused(near: TestClient, prefix: str, path
     assert "set-cookie" not in refused.headers
 
 
-@pytest.mark.parametrize("prefix", ["/aoi", *WRONG.values()], ids=["/aoi", *WRONG])
+@pytest.mark.parametrize("prefix", ["/aoi", "//evil.example"])
 def test_a_prefix_from_another_machine_does_not_count(app: Any, near: TestClient, prefix: str) -> None:
     far = TestClient(app, client=("192.0.2.7", 50_000))
     path = f"{API}/runs/r000001/components/U1"

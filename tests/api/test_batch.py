@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.api.held.pictures import RUNS
-from tests.api.held.unpacked import documents, unpacked
+from tests.api.held.replies import RUNS, documents, unpacked
 from vaoi_station.api.batch import PARTS_AHEAD, CutThreads, stream
 from vaoi_station.runs.batches.batch_job import CutPart
 from vaoi_station.runs.batches.batches import Batch, BatchPart

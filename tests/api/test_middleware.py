@@ -126,20 +126,6 @@ def test_a_link_that_a_person_follows_is_accepted(untouched_client: Any, missing
     assert untouched_client.get("/", headers=link).status_code == 200
 
 
-def test_a_body_with_two_lengths_is_refused_and_the_connection_closed(served: Any) -> None:
-    """A proxy that goes by the other length would take the rest for the next request (request smuggling)."""
-    request = (
-        b"POST /api/v1/station/disarm HTTP/1.1\r\nHost: localhost\r\nContent-Length: 4\r\n"
-        b"Transfer-Encoding: chunked\r\n\r\n0\r\n\r\nGET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
-    )
-    with socket.create_connection(("127.0.0.1", served.port), 20) as s:
-        s.sendall(request)
-        answer = b"".join(iter(lambda: s.recv(65536), b""))
-    assert answer.startswith(b"HTTP/1.1 400")
-    assert b"both Content-Length and Transfer-Encoding" in answer
-    assert answer.count(b"HTTP/1.1") == 1
-
-
 def test_large_bodies_of_one_caller_are_limited_and_its_commands_are_not(served: Any) -> None:
     """Otherwise every connection could hold 8 MB of a body that never ends."""
     head = b"PUT /api/v1/board-types/x HTTP/1.1\r\nHost: localhost\r\nContent-Length: 8000000\r\n\r\n{"

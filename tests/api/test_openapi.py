@@ -12,17 +12,17 @@ from unittest.mock import AsyncMock
 
 import pytest
 
-from tests.api.board_data.test_previews import import_here
+from tests.api.generated_requests import fits
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
-from tests.api.openapi_rules import fits
+from tests.api.routes.test_previews import import_here
 from tests.board_data.readers import samples
 from vaoi_station.api import openapi
 from vaoi_station.api.access import PUBLIC, AccessControl
 from vaoi_station.api.app import create_app
 from vaoi_station.api.audit import AuditLog
-from vaoi_station.api.board_data import previews
-from vaoi_station.api.cameras.examination import Examination, Examinations
+from vaoi_station.api.routes import board_data
+from vaoi_station.api.routes.doctor import Examination, Examinations
 from vaoi_station.files.access_keys import KeyFile
 
 GOLDEN = Path(__file__).parent / "openapi.json"
@@ -123,7 +123,7 @@ def test_the_document_is_served_without_a_key_and_made_once(client: Any, monkeyp
 def test_replies_match_their_schemas(
     client: Any, station: Any, document: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(previews, "import_limited", import_here)
+    monkeypatch.setattr(board_data, "import_limited", import_here)
     examined = Examination(created="now", worst="ok", findings=())
     monkeypatch.setattr(Examinations, "examine", AsyncMock(return_value=examined))
     uploaded = client.post("/api/v1/board-data/previews?filename=b.kicad_pcb", content=samples.KICAD.encode())

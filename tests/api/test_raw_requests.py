@@ -123,3 +123,10 @@ FOREIGN = {
     "a file": b"Origin: null\r\n",
     "a link without a click": b"Sec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: navigate\r\nSec-Fetch-Dest: document\r\n",
 }
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_nothing_of_the_api_is_shown_on_a_foreign_page(served: Any, name: str) -> None:
+    answer = exchange(served, b"GET /%61pi/v1/runs/x HTTP/1.1\r\n" + HOST + FOREIGN[name] + b"\r\n")
+    assert answer.startswith(b"HTTP/1.1 403 ")
+    assert b"foreign-origin" in answer

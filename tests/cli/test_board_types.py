@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 import vaoi_station as api
-from tests.api.board_data.test_previews import import_here
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
+from tests.api.routes.test_previews import import_here
 from tests.board_data.readers import samples
 from tests.cli.conftest import Result
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
-from vaoi_station.api.board_data import previews
+from vaoi_station.api.routes import board_data
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.access_keys import KeyFile
 
@@ -25,7 +25,7 @@ from vaoi_station.files.access_keys import KeyFile
 def closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[HeldStation, KeyFile]]:
     """A station whose address is in the environment, and its keys; loopback needs a key, too."""
     keys, audit = KeyFile(tmp_path / "keys.json"), AuditLog(tmp_path / "audit.jsonl")
-    monkeypatch.setattr(previews, "import_limited", import_here)
+    monkeypatch.setattr(board_data, "import_limited", import_here)
     served = Served(HeldStation(), access=AccessControl(keys, audit, open_loopback=False))
     monkeypatch.setenv("VAOI_STATION", served.url)
     yield served.station, keys

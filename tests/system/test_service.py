@@ -17,7 +17,7 @@ from typing import Any
 import httpx2
 import pytest
 
-from tests.api.held.unpacked import documents, unpacked
+from tests.api.held.replies import documents, unpacked
 from tests.processes import ends_within
 from vaoi_station.config import StationConfig
 

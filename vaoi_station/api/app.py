@@ -11,16 +11,15 @@ from fastapi import Depends, FastAPI, Response
 
 from vaoi_station.api import batch, openapi, pages, problems
 from vaoi_station.api.access import AccessControl
-from vaoi_station.api.board_data import routes as board_data
-from vaoi_station.api.board_data.previews import Previews
-from vaoi_station.api.cameras.frames import CameraTrials
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.middleware import guards
 from vaoi_station.api.parameters import operation_id, refuse_unclear_parameters
 from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import (
+    board_data,
     board_types,
     cameras,
+    doctor,
     events,
     keys,
     metrics,
@@ -30,6 +29,8 @@ from vaoi_station.api.routes import (
     station,
     trends,
 )
+from vaoi_station.api.routes.board_data import Previews
+from vaoi_station.api.routes.cameras import CameraTrials
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup import calibration, optics, settings
 from vaoi_station.api.setup.station_files import StationFiles
@@ -96,7 +97,11 @@ def create_app(
     nouns = (station, board_types, runs, trends, pictures, batch, mosaics, events)
     routers = [noun.router(services) for noun in nouns]
     camera_trials = CameraTrials(services.coordinator)
-    routers += [cameras.router(services, camera_trials, config), board_data.router(services, previews)]
+    routers += [
+        cameras.router(services, camera_trials),
+        doctor.router(services, config),
+        board_data.router(services, previews),
+    ]
     if access is not None:
         routers.append(keys.router(services, access))
     if files is not None:

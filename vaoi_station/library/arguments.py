@@ -6,7 +6,6 @@ computed or written.
 
 from __future__ import annotations
 
-import math
 import operator
 import os
 from pathlib import Path
@@ -35,17 +34,6 @@ def require_whole(function: str, name: str, value: Any, least: int, most: int) -
     number = whole(value)
     if number is None or not least <= number <= most:
         raise InputError.field(function, name, value, f"a whole number from {least} to {most}")
-    return number
-
-
-def require_number(function: str, name: str, value: Any, least: float, most: float) -> float:
-    """Return a real argument within its limits; NaN is outside them."""
-    try:
-        number = math.nan if isinstance(value, str | bytes | bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if not least <= number <= most:
-        raise InputError.field(function, name, value, f"a number from {least:g} to {most:g}")
     return number
 
 

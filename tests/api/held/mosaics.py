@@ -1,7 +1,8 @@
-"""Mosaics of the held station's runs: jobs are performed at once, in the caller's thread."""
+"""Mosaics, heights, batches and merged pictures of a held station: the real ones, made in the thread of the caller."""
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -10,18 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.api.held.batches import held_batches
 from tests.runs.finished import held_run
+from tests.runs.merging.finished_board import Merging
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.files.images import encode_jpeg
+from vaoi_station.hdr.encoding import MergedFormat
 from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
+from vaoi_station.runs.batches.batches import BatchAccess
+from vaoi_station.runs.merging.merged_pictures import MergedChoice, MergeRequest
 from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 
 
 class HeldMosaics(Mosaics):
-    """The real mosaics, with an archive, a lease and a worker that are stood in for."""
+    """The real mosaics, heights and batches; archive, lease and worker are stood in for."""
 
     def __init__(self, station: Any) -> None:
         self._station = station
@@ -30,24 +34,28 @@ class HeldMosaics(Mosaics):
         store = SimpleNamespace(heights=kept.get, save_heights=kept.__setitem__)
         archive: Any = SimpleNamespace(get=self._finished, store=store)
         super().__init__(archive, self._held, self._perform)
-        # Heights of components are measured, and batches cut, by the same workers.
-        station.batches = held_batches(station)
         station.heights = MeasuredHeights(self._archive, self._held, self._render, self._bay, station)
+        station.batches = BatchAccess(self._timed, self._held, lambda *_: None, self._perform, station.merged)
 
     def _bay(self, run: str) -> Any:
         with self._held(run, "look-up") as bay:
             return bay
 
-    def _finished(self, run: str) -> Any:
-        detail = self._station.run(run)
+    def _finished(self, run: str, head: Any = None) -> Any:
+        detail, stitch = self._station.run(run), self._station.stitch(run)
         numbered = tuple(f.model_copy(update={"slot": n}) for n, f in enumerate(detail.frames))
         return held_run(
             detail=detail.model_copy(update={"frames": numbered}),
             board_type=self._station.types["demo-board"],
             cameras=self._station.cameras,
-            stitch=self._station.stitch(run),
+            stitch=stitch,
             document=self._station.stitch_text(run),
+            head=head,
         )
+
+    def _timed(self, run: str) -> Any:
+        rows = self._station.run(run).rows
+        return self._finished(run, SimpleNamespace(row_times_s=lambda: 0.1 * np.arange(rows)))
 
     @contextmanager
     def _held(self, run: str, purpose: str) -> Iterator[Any]:
@@ -63,7 +71,8 @@ class HeldMosaics(Mosaics):
             pixels: NDArray[np.uint8] = self._station.pixels[job.run, frames[slot].camera, frames[slot].row]
             return pixels
 
-        return job.perform(frame)
+        # As between processes.
+        return pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(job)).perform(frame)))
 
 
 class HeldKeptMosaics:
@@ -76,15 +85,31 @@ class HeldKeptMosaics:
     def keep(self, run: str) -> None:
         """Make the picture of a run whose frames are still there."""
         mosaics = self._station.mosaics
-        picture, _ = mosaics.small(run, 10**9, mosaics._held)
-        self._pictures[run] = encode_jpeg(picture)
+        self._pictures[run] = encode_jpeg(mosaics.small(run, 10**9, mosaics._held)[0])
 
     def grid(self, run: str) -> MosaicGrid | None:
-        found: MosaicGrid = self._station.mosaics.grid(run, PictureName())
-        return found if run in self._pictures else None
+        return self._station.mosaics.grid(run, PictureName()) if run in self._pictures else None
 
     def content(self, run: str) -> bytes:
         self._station.run(run)
         if run not in self._pictures:
             raise NotFoundError(f"No picture of the whole board of run {run} is kept.", code="no-kept-mosaic")
         return self._pictures[run]
+
+
+class HeldMerged:
+    """Real merges of frames of an even surface, for every run that the station has filmed."""
+
+    def __init__(self, station: Any) -> None:
+        self._station = station
+
+    def pictures(self, run: str, wanted: MergeRequest) -> tuple[MergedChoice, ...]:
+        return self._of(run).access.pictures(run, wanted)
+
+    def image(
+        self, run: str, wanted: MergeRequest, k: int | None, format: MergedFormat, *, sigma: bool = False
+    ) -> bytes:
+        return self._of(run).access.image(run, wanted, k, format, sigma=sigma)
+
+    def _of(self, run: str) -> Merging:
+        return Merging(self._station.types["demo-board"], self._station.stitch(run), self._station.cameras)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Any
 
 from tests.api.held.trends import HeldTrends
 from vaoi_station.errors import NotFoundError, StateError
@@ -17,20 +17,10 @@ from vaoi_station.runs.states.schemas import Choice, Decision, IdentitySummary, 
 from vaoi_station.store.run_search import RunFilter
 
 
-class Runs(Protocol):
-    """A station that knows its runs."""
-
-    def run(self, run: str) -> Any: ...
-
-    def runs(self, limit: int = 50, before: str | None = None) -> tuple[Any, ...]: ...
-
-    def publish(self, kind: str, message: str = "", **fields: Any) -> None: ...
-
-
 class HeldDecisions:
     """Search, counts and decisions over the runs that a held station has filmed."""
 
-    def __init__(self, station: Runs) -> None:
+    def __init__(self, station: Any) -> None:
         self._station = station
         self.made: dict[str, Decision] = {}
         self.missed = 0
@@ -59,7 +49,7 @@ class HeldDecisions:
 class HeldIdentities:
     """The identities of a held station: readings by run; a run in `pending` is being read."""
 
-    def __init__(self, station: Runs) -> None:
+    def __init__(self, station: Any) -> None:
         self._station = station
         self.identity = BoardIdentity(pattern="demo;{id}")
         self.readings: dict[str, BoardReading] = {}
@@ -94,7 +84,7 @@ class HeldIdentities:
 class HeldPins:
     """The pins of a held station; it keeps no recordings."""
 
-    def __init__(self, station: Runs) -> None:
+    def __init__(self, station: Any) -> None:
         self._station = station
         self.identities = HeldIdentities(station)
         self.mosaics: Any = None
@@ -135,7 +125,7 @@ class HeldPins:
 class HeldStorage:
     """Files of a held station that were set aside, by name: whether each is acknowledged."""
 
-    def __init__(self, station: Runs) -> None:
+    def __init__(self, station: Any) -> None:
         self._station = station
         self.files: dict[str, bool] = {}
 

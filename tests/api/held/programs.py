@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,29 @@ from vaoi_station.runs.lighting.programs import LightPrograms
 
 FIRMWARE = FirmwareLimits("1.3.0", 16, 4, 50.0, (1000.0, 1000.0, 500.0, 500.0), 16, 10_000.0)
 LIMITS = CameraLimits((20.0, 30_000.0), (0.0, 24.0))
-LINE = {
-    "conveyor_mm_s": [0.0, 100.0],
-    "barrier_mm": -40.0,
-    "start_delay_s": 0.32,
-    "trigger_period_s": 0.105,
-    "tail_s": 0.48,
-    "longest_board_mm": 80.0,
-    "expected_board": {"center_mm": 33.1, "rotation_deg": 0, "tolerance_mm": 4.0, "rotation_tolerance_deg": 3.0},
-}
+CONFIG = """# A station for tests.
+name = "test"
+calibration = "calibration.json"
+board_types = "types"
+data = "data"
+
+[line]
+conveyor_mm_s = [0.0, 100.0]    # along the motion
+barrier_mm = -40.0
+start_delay_s = 0.32
+trigger_period_s = 0.105
+tail_s = 0.48
+longest_board_mm = 80.0
+
+[line.expected_board]
+center_mm = 33.1
+rotation_deg = 0
+tolerance_mm = 4.0
+rotation_tolerance_deg = 3.0
+
+[simulation]
+scenario = "scenario.toml"
+"""
 
 
 def station_config(cameras: int, /, **changes: Any) -> StationConfig:
@@ -33,7 +48,7 @@ def station_config(cameras: int, /, **changes: Any) -> StationConfig:
         "calibration": Path("calibration.json"),
         "board_types": Path("types"),
         "data": Path("data"),
-        "line": LINE,
+        "line": tomllib.loads(CONFIG)["line"],
         "cameras": [{**camera, "name": f"cam{n}", "serial": str(n)} for n in range(cameras)],
         "controller": {
             "backend": "serial",

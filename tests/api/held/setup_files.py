@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from tests.api.held.programs import CONFIG
 from tests.api.held_station import CAMERAS, HEIGHT, PX_PER_MM, WIDTH, HeldStation
 from vaoi_station.api.setup.calibration import ArtworkOptions
 from vaoi_station.api.setup.station_files import StationFiles
@@ -19,29 +20,6 @@ from vaoi_station.model import Calibration
 PITCH_MM = 36.0
 FINE = 4
 OPTIONS = ArtworkOptions(mark_mm=2.0, tolerance_mm=1.5)
-CONFIG = """# A station for tests.
-name = "test"
-calibration = "calibration.json"
-board_types = "types"
-data = "data"
-
-[line]
-conveyor_mm_s = [0.0, 100.0]    # along the motion
-barrier_mm = -40.0
-start_delay_s = 0.32
-trigger_period_s = 0.105
-tail_s = 0.48
-longest_board_mm = 80.0
-
-[line.expected_board]
-center_mm = 33.1
-rotation_deg = 0
-tolerance_mm = 4.0
-rotation_tolerance_deg = 3.0
-
-[simulation]
-scenario = "scenario.toml"
-"""
 CAMERA = """
 [[cameras]]
 name = "cam{n}"

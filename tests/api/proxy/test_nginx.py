@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import socket
-import ssl
 import threading
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -102,22 +100,6 @@ def test_pictures_long_polls_and_events_pass_the_proxy_at_once(proxied: Proxied)
         assert any(following in line for line in lines if line.startswith("data:"))
         waiting.join()
     assert poll[0].json()["id"] == following
-
-
-def test_a_request_with_two_lengths_does_not_pass(proxied: Proxied) -> None:
-    address = proxied.client.base_url
-    context = ssl._create_unverified_context()
-    with (
-        socket.create_connection(("127.0.0.1", address.port or 0), 20) as plain,
-        context.wrap_socket(plain, server_hostname="localhost") as s,
-    ):
-        head = f"POST /api/v1/station/disarm HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {proxied.secret}\r\n"
-        s.sendall(
-            head.encode() + b"Content-Length: 4\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\nGET /x HTTP/1.1\r\n\r\n"
-        )
-        answer = b"".join(iter(lambda: s.recv(65536), b""))
-    assert answer.startswith(b"HTTP/1.1 400")
-    assert answer.count(b"HTTP/1.1 ") == 1
 
 
 def test_the_audit_log_and_limits_count_the_caller_and_not_the_proxy(proxied: Proxied) -> None:

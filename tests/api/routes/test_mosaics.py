@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.api.held.pictures import RUNS, picture
+from tests.api.held.replies import RUNS, picture
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.api.held.pictures import RUNS, picture
+from tests.api.held.replies import RUNS, picture
 from tests.runs.merging.finished_board import RADIANCE
 from vaoi_station.api.routes.pictures import ImageQuery, _wanted
 from vaoi_station.rendering.request import ImageOptions, ImageRequest

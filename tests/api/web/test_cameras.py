@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.api.web.test_views import SIZES, WIDE, examine
-from vaoi_station.api.cameras.examination import Examination, Examinations
+from vaoi_station.api.routes.doctor import Examination, Examinations
 from vaoi_station.config import KeepConfig
 from vaoi_station.doctor import Machine, Report, camera_checks, controller_checks, machine_checks, storage_checks
 from vaoi_station.doctor.finding import fault, warning

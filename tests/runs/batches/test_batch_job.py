@@ -7,8 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.api.held.batches import held_batches
-from tests.api.held.unpacked import documents, unpacked
+from tests.api.held.replies import documents, unpacked
 from tests.api.held_station import HeldStation
 from vaoi_station.api.rest_models import ViewEntry
 from vaoi_station.errors import GoneError, InputError
@@ -24,7 +23,7 @@ RUN = "r000001"
 
 
 def files_of(station: HeldStation, request: BatchRequest) -> dict[str, bytes]:
-    access = held_batches(station)
+    access = station.batches
     batch = access.open(RUN, request, f"/api/v1/runs/{RUN}/components", "?q")
     writer, content, parts = ContainerWriter("zip", 0), b"", batch.parts()
     while parts:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.api.held.batches import held_batches
 from tests.api.held_station import HeldStation
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files.images import write_image
@@ -31,14 +30,14 @@ def opened(access: BatchAccess, request: BatchRequest) -> Batch:
 
 def test_the_head_names_run_and_request(station: HeldStation) -> None:
     request = BatchRequest(images=ImageRequest.of({"limit": 1}), container="zip")
-    head = json.loads(opened(held_batches(station), request).head.content)
+    head = json.loads(opened(station.batches, request).head.content)
     assert {"run": "r000001", "board_id": "SN-1", "components": 3, "container": "zip"}.items() <= head.items()
     assert head["parameters"] == {"limit": 1}
 
 
 def test_the_rest_of_a_part_comes_next(station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vaoi_station.runs.batches.batch_job.PART_BYTES", 1)
-    access = held_batches(station)
+    access = station.batches
     batch = opened(access, BatchRequest(format="raw", container="zip"))
     [part] = batch.parts()
     names: list[str] = []
@@ -53,7 +52,7 @@ def test_the_rest_of_a_part_comes_next(station: HeldStation, monkeypatch: pytest
 
 
 def test_merged_pictures_are_files_too(station: HeldStation) -> None:
-    access = held_batches(station)
+    access = station.batches
     batch = opened(access, BatchRequest(components=("U1",), hdr=True, format="raw", container="zip"))
     found, rest = access.cut(batch, batch.parts()[0])
     assert rest is None
@@ -68,11 +67,11 @@ def test_merged_pictures_are_files_too(station: HeldStation) -> None:
 
 def test_a_light_that_the_run_does_not_have_is_refused_before_the_first_byte(station: HeldStation) -> None:
     with pytest.raises(InputError, match="light is 'left'"):
-        opened(held_batches(station), BatchRequest(images=ImageRequest.of({"light": "left"})))
+        opened(station.batches, BatchRequest(images=ImageRequest.of({"light": "left"})))
 
 
 def test_frames_that_have_gone_are_read_from_a_recording(station: HeldStation, tmp_path: Path) -> None:
-    access = held_batches(station)
+    access = station.batches
     request = BatchRequest(components=("U1",), format="raw", container="zip")
     batch = opened(access, request)
     in_memory, _ = access.cut(batch, batch.parts()[0])
@@ -99,7 +98,7 @@ def test_frames_that_have_gone_are_read_from_a_recording(station: HeldStation, t
 
 
 def test_the_end_states_whether_all_was_sent(station: HeldStation) -> None:
-    batch = opened(held_batches(station), BatchRequest())
+    batch = opened(station.batches, BatchRequest())
     assert json.loads(batch.end(9, 0, None).content)["complete"] is True
     cut = json.loads(batch.end(1, 0, GoneError("Too late.", code="frames-gone")).content)
     assert cut["complete"] is False

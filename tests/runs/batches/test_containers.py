@@ -7,7 +7,7 @@ import zipfile
 
 import pytest
 
-from tests.api.held.unpacked import unpacked
+from tests.api.held.replies import unpacked
 from vaoi_station.runs.batches.containers import CONTAINERS, ContainerName, ContainerWriter, Member, Packed, pack
 
 TIME_S = 1_700_000_000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 from urllib.parse import quote, urlencode
 
 from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
@@ -50,10 +50,7 @@ Resolution = Annotated[
 ]
 PICTURE = file_reply("The image; X-Image-* headers describe raw pixels.", *MEDIA_TYPES.values())
 RENDERED_AS: dict[ImageFormat, Rendered] = {
-    ImageFormat.PNG: "png",
-    ImageFormat.JPEG: "jpeg",
-    ImageFormat.TIFF: "tiff",
-    ImageFormat.NPY: "npy",
+    **{ImageFormat(name): name for name in get_args(Rendered)},
     ImageFormat.RAW: "npy",
 }
 """For each format of a reply, the format requested from the coordinator. Raw is npy without the header."""

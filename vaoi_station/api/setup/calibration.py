@@ -17,10 +17,10 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field, model_validator
 
-from vaoi_station.api.cameras.frames import CameraTrials
 from vaoi_station.api.http_caching import json_of
 from vaoi_station.api.limits import ThreadLimit
 from vaoi_station.api.parameters import file_reply, rest_router
+from vaoi_station.api.routes.cameras import CameraTrials
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup.station_files import StationFiles, replace_with_backup
 from vaoi_station.calibration import Limits, Outcome, calibrate

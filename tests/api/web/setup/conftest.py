@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.api.board_data.test_previews import import_here
 from tests.api.conftest import Served
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
+from tests.api.routes.test_previews import import_here
 from tests.api.web.test_views import examine, unreached
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
-from vaoi_station.api.board_data import previews
+from vaoi_station.api.routes import board_data
 from vaoi_station.files.access_keys import KeyFile
 
 SIZES = ((800, 480), (1024, 768), (1280, 800), (1920, 1080))
@@ -50,7 +50,7 @@ def engineer(
 
     Its parameter: whether station.toml states the nominal views of the cameras.
     """
-    monkeypatch.setattr(previews, "import_limited", import_here)
+    monkeypatch.setattr(board_data, "import_limited", import_here)
     audit = AuditLog(tmp_path / "audit.jsonl")
     access = AccessControl(keys, audit)
     served = Served(HeldStation(), access=access, files=setup_files(tmp_path, getattr(request, "param", True)))

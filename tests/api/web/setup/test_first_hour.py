@@ -14,7 +14,7 @@ from playwright.sync_api import Page, expect
 from tests.api.held.setup_files import film_board
 from tests.api.web.setup.test_types import choose_file
 from tests.board_data.readers import samples
-from vaoi_station.api.cameras.examination import Examination, Examinations
+from vaoi_station.api.routes.doctor import Examination, Examinations
 from vaoi_station.files.calibrations import Layout
 from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.run_ids import utc

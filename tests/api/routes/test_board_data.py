@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
-from tests.api.board_data.test_previews import import_here
 from tests.api.held_station import HeldStation
+from tests.api.routes.test_previews import import_here
 from tests.board_data.readers import samples
 from vaoi_station.api import middleware
 from vaoi_station.api.app import create_app
-from vaoi_station.api.board_data import previews
+from vaoi_station.api.routes import board_data
 from vaoi_station.model import BoardType
 
 PREVIEWS = "/api/v1/board-data/previews"
@@ -30,7 +30,7 @@ def held() -> HeldStation:
 def client(held: HeldStation) -> Iterator[TestClient]:
     """One service for all tests: each builds its OpenAPI document at the first request."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(previews, "import_limited", import_here)
+        patch.setattr(board_data, "import_limited", import_here)
         with TestClient(create_app(held, ["testserver"]), raise_server_exceptions=False) as client:
             yield client
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.api.held_station import HeldStation
-from vaoi_station.api.cameras.frames import LARGEST_PX, NewestFrames
+from vaoi_station.api.routes.cameras import LARGEST_PX, NewestFrames
 from vaoi_station.errors import NotFoundError
 
 

@@ -12,8 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
+from fastapi import APIRouter, Request
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from vaoi_station.api.limits import Seats, caller_of
+from vaoi_station.api.parameters import rest_router
+from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import DeviceError, NotFoundError
 
 LIMIT_S = 60.0
@@ -21,6 +25,8 @@ LIMIT_S = 60.0
 KEPT_S = 10.0
 """Time for which an answer, or a failure, is given again, so that several pages cause one examination."""
 LOWEST_PRIORITY = 19
+WAITING, WAITING_OF_CALLER = 32, 8
+"""Limits of requests that wait for an examination, in total and of one caller."""
 DOCTOR = (sys.executable, "-m", "vaoi_station", "doctor", "--json", "--config")
 
 
@@ -129,3 +135,20 @@ class Examinations:
             return type(error).__name__
         finally:
             self._ended_s = time.monotonic()
+
+
+def router(services: Services, config: Path | None) -> APIRouter:
+    """Create the route; `config` is the station.toml that the doctor examines."""
+    routes, examinations = rest_router(tags=["station"]), Examinations(config, services.hub.closing)
+    seats = Seats("requests for an examination that wait", WAITING, WAITING_OF_CALLER)
+
+    @routes.get("/doctor")
+    async def examine_station(request: Request) -> Examination:
+        """Run `vaoi doctor` on the station's machine and return its findings; it changes nothing and takes seconds.
+
+        An answer or failure of the last 10 s is given again. 404 `not-examinable`: the station has no station.toml.
+        """
+        with seats.take(caller_of(request).name):
+            return await examinations.examine()
+
+    return routes

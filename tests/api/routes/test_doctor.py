@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.api.cameras import examination
-from vaoi_station.api.cameras.examination import DOCTOR, Examinations
+from vaoi_station.api.routes import doctor
+from vaoi_station.api.routes.doctor import DOCTOR, Examinations
 from vaoi_station.errors import DeviceError
 
 FINDING = {"check": "disk", "subject": "", "level": "warning", "message": "nearly full", "action": "Make room."}
@@ -58,7 +58,7 @@ def test_one_examination_serves_all_who_ask_at_the_time(tmp_path: Path, monkeypa
         assert (first.worst, first.findings[0].action) == ("warning", "Make room.")
         assert await line.examinations.examine() == second == first
         assert [start[1] for start in line.starts()] == [str(tmp_path / "station.toml")]
-        monkeypatch.setattr(examination, "KEPT_S", -1)
+        monkeypatch.setattr(doctor, "KEPT_S", -1)
         report.write_text(json.dumps(REPORT | {"worst": "ok"}))
         assert (await line.examinations.examine()).worst == "ok"
 
@@ -96,5 +96,5 @@ def test_a_doctor_that_hangs_ends_with_the_station_or_at_its_limit(
             await asyncio.wait_for(examining, 30)
         assert not any(Path("/proc", start[0]).exists() for start in line.starts())
 
-    monkeypatch.setattr(examination, "LIMIT_S", limit_s)
+    monkeypatch.setattr(doctor, "LIMIT_S", limit_s)
     asyncio.run(run())

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from tests.board_data.readers import samples
-from vaoi_station.api.board_data import previews as module
-from vaoi_station.api.board_data.models import ImportOptions
-from vaoi_station.api.board_data.previews import AGE_S, MOST_PREVIEWS, Preview, Previews
+from vaoi_station.api.routes import board_data
+from vaoi_station.api.routes.board_data import AGE_S, MOST_PREVIEWS, ImportOptions, Preview, Previews
 from vaoi_station.board_data.import_process import ImportReply, ImportTask, run_import
 from vaoi_station.errors import InputError, NotFoundError
 
@@ -68,7 +67,7 @@ def test_the_size_of_all_replies_is_limited(kept: Previews, monkeypatch: pytest.
     """Ten replies of the largest size would take 320 MB of the station's memory."""
     first = upload(kept)
     assert first.reply is not None
-    monkeypatch.setattr(module, "MOST_REPLIES", int(3.5 * (len(first.reply.board_type) + len(first.reply.picture))))
+    monkeypatch.setattr(board_data, "MOST_REPLIES", int(3.5 * (len(first.reply.board_type) + len(first.reply.picture))))
     second, third = upload(kept), upload(kept)
     assert [p.id for p in kept.list()] == [first.id, second.id, third.id]
     kept.change(third.id, ImportOptions(repeat="2x2", pitch="60x50"))

@@ -1,1 +1,0 @@
-"""REST: what each camera shows at present, and the findings of `vaoi doctor`."""
