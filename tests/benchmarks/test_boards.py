@@ -29,13 +29,6 @@ def test_board_of_the_twin_has_all_frames_and_its_truth(small_board: BenchmarkBo
     assert small_board.truth["views"].keys() <= {c.address for c in small_board.board_type.components}
 
 
-def test_setup_holds_what_the_station_knows_before_the_first_frame(small_board: BenchmarkBoard) -> None:
-    setup = small_board.setup
-    assert len(setup.cameras) == 2
-    assert setup.conveyor_mm_s == small_board.head.conveyor_mm_s
-    assert setup.board_type is small_board.board_type
-
-
 def test_setup_knows_the_lights_and_the_rotation_of_a_recording(small_board: BenchmarkBoard) -> None:
     """Without its lights, a recording under lamps in turn was off by 0.3 px in benchmarks only."""
     head = small_board.head.model_copy(update={"lights": ("even", "left") * 3, "rotation_deg": 180})

@@ -41,11 +41,6 @@ def test_all_figures_are_present_and_finite(figures: SpeedFigures) -> None:
     assert low <= figures.stitch_ms_per_frame <= high
 
 
-def test_ratio_is_that_of_the_milliseconds(figures: SpeedFigures) -> None:
-    ratio = figures.paper_ms_per_frame / figures.stitch_ms_per_frame
-    assert figures.ratio_to_paper_method == pytest.approx(ratio, rel=0.02)
-
-
 @pytest.mark.usefixtures("two_threads")
 def test_number_of_threads_is_restored_after_an_error(small_board: BenchmarkBoard) -> None:
     class Unreadable(dict[tuple[int, int], Any]):

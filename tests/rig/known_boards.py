@@ -85,7 +85,7 @@ def evidence_of(
         passage_of(rendered, outcomes),
         run_json(rendered, lost),
         {"components": rendered.metadata.views},
-        RingCheck(whole, frozenset(), dict(wrong or {})),
+        RingCheck(whole, dict(wrong or {})),
         [18.0, 18.0],
     )
 

@@ -33,25 +33,6 @@ def test_a_command_equals_its_parsed_line(command: TriggerCommand) -> None:
     assert TriggerCommand.from_line(line + "\n") == command
 
 
-@given(COMMANDS)
-def test_a_line_is_one_line_of_six_words(command: TriggerCommand) -> None:
-    assert command.to_line().splitlines() == [command.to_line()]
-    assert command.to_line().split()[0] == "fire"
-    assert len(command.to_line().split()) == 6
-
-
-def test_defaults_are_a_whole_frame_in_the_rendered_light() -> None:
-    assert TriggerCommand(7).to_line() == "fire 7 0 1.0 0.0 None"
-
-
-@pytest.mark.parametrize(
-    "line", ["fire", "fire 1 2 3", "fire 1 2 3 4", "fire one 0 1 0 None", "fire 1 0 bright 0 None", ""]
-)
-def test_a_malformed_line_is_refused(line: str) -> None:
-    with pytest.raises(ValueError, match=r"unpack|invalid literal|could not convert"):
-        TriggerCommand.from_line(line)
-
-
 TIMEOUT_S = 20.0
 Install = Callable[[str], None]
 CAMERA = """
@@ -104,13 +85,6 @@ def test_triggers_are_reported_with_picture_and_frame_id(install: Install) -> No
     assert not running(camera)
 
 
-def test_the_program_is_started_with_address_and_serial(install: Install, log: Path) -> None:
-    install("print('ready', flush=True); log.write(' '.join(sys.argv[1:])); log.close(); sys.stdin.read()")
-    with CameraProcess("127.0.0.7", "VAOI-05"):
-        pass
-    assert log.read_text() == "-m vaoi_station.rig.virtual_camera 127.0.0.7 VAOI-05"
-
-
 def test_one_picture_of_another_file_returns_to_the_selected_one(install: Install, log: Path) -> None:
     install(CAMERA)
     with CameraProcess("127.0.0.2", "A") as camera:
@@ -161,12 +135,3 @@ def test_a_camera_that_hangs_is_refused_after_the_timeout(install: Install, monk
     with pytest.raises(DeviceError, match=r"does not start"), camera:
         pass
     assert not running(camera)
-
-
-def test_stopping_twice_or_before_the_start_does_nothing(install: Install) -> None:
-    install(CAMERA)
-    camera = CameraProcess("127.0.0.2", "A")
-    camera.stop()
-    with camera:
-        camera.stop()
-    assert not camera.trigger(TriggerCommand(0))

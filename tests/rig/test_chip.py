@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,83 +23,15 @@ from tests.rig.host import Host
 from vaoi_station.acquisition.controller.protocol import Step
 from vaoi_station.errors import DeviceError, NotFoundError
 from vaoi_station.rig import chip as firmware
-from vaoi_station.rig import device_process
 from vaoi_station.rig.chip import (
     HZ,
-    NS_PER_CYCLE,
     TRIGGER,
     Chip,
     Edge,
     Pulse,
     PulseDecoder,
 )
-from vaoi_station.rig.device_process import DEVICE_NICENESS, raise_priority, stop_process
 from vaoi_station.simulation import Scenario
-
-Start = Callable[[str], "subprocess.Popen[str]"]
-READ_TO_THE_END = "import sys; print('up', flush=True); sys.stdin.read()"
-NEVER_END = "import signal; print('up', flush=True); signal.pause()"
-
-
-@pytest.fixture
-def start() -> Iterator[Start]:
-    """Start a Python program and wait for its first line."""
-    started: list[subprocess.Popen[str]] = []
-
-    def run(program: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        started.append(process)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "up\n"
-        return process
-
-    yield run
-    for process in started:
-        process.kill()
-        process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None and not pipe.closed:
-                pipe.close()
-
-
-def test_a_process_ends_with_its_standard_input(start: Start) -> None:
-    process = start(READ_TO_THE_END)
-    stop_process(process, 20.0)
-    assert process.returncode == 0
-
-
-def test_a_process_that_does_not_end_is_killed(start: Start) -> None:
-    process = start(NEVER_END)
-    stop_process(process, 0.05)
-    assert process.returncode == -signal.SIGKILL
-
-
-def test_a_process_that_has_ended_is_reaped(start: Start) -> None:
-    process = start(READ_TO_THE_END)
-    assert process.stdin is not None
-    process.stdin.write("text that the process never reads")
-    os.kill(process.pid, signal.SIGKILL)
-    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
-    stop_process(process, 20.0)
-    assert process.returncode == -signal.SIGKILL
-
-
-def test_the_priority_is_raised_where_that_is_permitted(start: Start) -> None:
-    process = start(READ_TO_THE_END)
-    before = os.getpriority(os.PRIO_PROCESS, process.pid)
-    raise_priority(process.pid)
-    assert os.getpriority(os.PRIO_PROCESS, process.pid) in (before, DEVICE_NICENESS)
-
-
-def test_without_permission_the_priority_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: int) -> None:
-        raise PermissionError
-
-    monkeypatch.setattr(os, "setpriority", refuse)
-    raise_priority(os.getpid())
-
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD_WHEEL = "import sys; from hatchling.build import build_wheel; build_wheel(sys.argv[1])"
@@ -159,21 +91,6 @@ def test_the_wheel_has_the_sources_of_the_checkout_and_no_build_products(install
     for folder in ("firmware/chip", "firmware/logic", "virtual_rig"):
         sources = {path.relative_to(ROOT / "hw") for path in (ROOT / "hw" / folder).rglob("*.[ch]")}
         assert sources <= {path.relative_to(packaged) for path in files}
-
-
-def test_a_checkout_uses_its_own_sources() -> None:
-    assert firmware.find_sources() == ROOT / "hw" / "firmware"
-
-
-def test_the_packaged_sources_come_before_a_folder_hw_beside_the_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_sources: None
-) -> None:
-    for folder in (firmware.PACKAGED, firmware.CHECKOUT):
-        folder.mkdir()
-        (folder / "Makefile").touch()
-    assert firmware.find_sources() == firmware.PACKAGED
-    (firmware.PACKAGED / "Makefile").unlink()
-    assert firmware.find_sources() == firmware.CHECKOUT
 
 
 def test_missing_sources_are_named(no_sources: None) -> None:
@@ -238,13 +155,6 @@ def test_the_terminal_exists_while_the_chip_runs(built: Path, tmp_path: Path) ->
     assert not terminal.exists()
 
 
-def test_cycles_follow_the_clock_of_the_host(bench: Bench) -> None:
-    now_ns = time.monotonic_ns()
-    cycle = bench.chip.cycle_at(now_ns)
-    assert abs(bench.chip.host_ns(cycle) - now_ns) <= NS_PER_CYCLE
-    assert bench.chip.host_ns(cycle + HZ) - bench.chip.host_ns(cycle) == 1_000_000_000
-
-
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**40))
 def test_cycle_and_time_are_inverse(bench: Bench, cycle: int) -> None:
@@ -287,14 +197,6 @@ def test_an_emulator_that_ends_at_once_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_a_silent_emulator_is_refused_after_the_timeout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(device_process, "READY_TIMEOUT_S", 0.1)
-    chip = Chip(scripted(tmp_path, "read line"), tmp_path / "trigger", lambda _: None)
-    with pytest.raises(DeviceError, match="the emulated chip does not start"), chip:
-        pass
-    assert not chip.alive
-
-
 def test_edges_are_dated_by_the_last_clock_line(tmp_path: Path) -> None:
     """A reset starts the clock again; edges before it keep their times."""
     lines = "echo clock 0 1000\necho edge 16 PB1 1\necho clock 100 9000\necho reset 100\necho edge 116 PB1 0\nread line"
@@ -327,11 +229,6 @@ def test_a_flash_may_end_before_the_trigger() -> None:
 def test_a_trigger_without_light_is_a_dark_shot() -> None:
     [pulse] = play((10, "PB1", 1), (110, "PB1", 0))
     assert (pulse.channels, pulse.on_us) == ((), 0.0)
-
-
-def test_channels_without_their_gate_light_nothing() -> None:
-    [pulse] = play((0, "PD4", 1), (0, "PD7", 1), (10, "PB1", 1), (110, "PB1", 0))
-    assert pulse.channels == ()
 
 
 def test_light_before_the_trigger_is_not_seen() -> None:

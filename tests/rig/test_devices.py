@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -23,7 +23,6 @@ from vaoi_station.rig.devices import (
     Devices,
     FaultInjector,
     build_site,
-    frame_faults_of,
     prepare_boards,
 )
 from vaoi_station.rig.faults import parse_fault
@@ -103,15 +102,6 @@ def test_devices_end_in_the_reverse_order_of_their_start(
     ]  # fmt: skip
 
 
-def test_all_cameras_start_before_the_first_is_waited_for(
-    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scripted = Scripted(monkeypatch)
-    with Devices(small, tmp_path):
-        first_wait = scripted.log.index("wait camera 127.0.0.2")
-        assert scripted.log.index("start camera 127.0.0.3") < first_wait
-
-
 @pytest.mark.parametrize("fails", ["start Addresses", "wait camera 127.0.0.3", "start Chip"])
 def test_a_device_that_fails_takes_the_others_down(
     small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
@@ -123,26 +113,6 @@ def test_a_device_that_fails_takes_the_others_down(
     stopped = {step.removeprefix("stop ") for step in scripted.log if step.startswith("stop")}
     failed = fails.split(" ", 1)[1] if fails.startswith("start") else ""
     assert stopped - {"Renderer"} == started - {failed}
-
-
-def test_reports_of_cameras_reach_the_line_with_their_number(
-    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scripted = Scripted(monkeypatch)
-    with Devices(small, tmp_path) as devices:
-        reports: list[tuple[int, str, int]] = []
-        monkeypatch.setattr(devices.line, "on_camera_report", lambda *report: reports.append(report))
-        scripted.reports["VAOI-01"]("sent", 4, 65400)
-    assert reports == [(1, "sent", 4)]
-
-
-def test_the_calibration_board_is_rendered_on_request(
-    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scripted = Scripted(monkeypatch)
-    with Devices(small, tmp_path) as devices:
-        devices.lay_calibration_board()
-    assert "render None" in scripted.log
 
 
 @pytest.mark.parametrize(
@@ -209,14 +179,6 @@ def test_the_backends_are_the_real_ones(config: StationConfig, tmp_path: Path) -
     assert (config.simulation, config.replay) == (None, None)
 
 
-def test_cameras_have_the_size_and_the_nominal_view_of_the_array(small: Scenario, config: StationConfig) -> None:
-    for camera, head in zip(config.cameras, Twin(small).heads, strict=True):
-        assert (camera.width, camera.height, camera.exposure_us) == (head.width, head.height, head.exposure_us)
-        assert camera.nominal_center_mm == pytest.approx(head.nominal_center_mm)
-        assert camera.nominal_px_per_mm == head.nominal_px_per_mm
-        assert camera.pixel_format == "Mono8"
-
-
 def test_sixteen_bits_become_a_wider_pixel_format(
     small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path
 ) -> None:
@@ -258,7 +220,7 @@ def process() -> Iterator[subprocess.Popen[bytes]]:
 def test_a_stopped_process_resumes_at_the_end_of_the_context(process: subprocess.Popen[bytes]) -> None:
     """The rig is taken down in the middle of a stop of a minute."""
     with FaultInjector([parse_fault("stall:who=acquisition,board=0,row=1,for_s=60")]) as injector:
-        injector.set_process_source(lambda: {"acquisition": process.pid})
+        injector.attach(cast("Devices", None), lambda: {"acquisition": process.pid})
         injector.on_row(0, 0)
         assert injector.outages == []
         injector.on_row(0, 1)
@@ -273,7 +235,7 @@ def test_a_stopped_process_resumes_at_the_end_of_the_context(process: subprocess
 
 def test_a_stopped_station_excuses_no_lost_frame(process: subprocess.Popen[bytes]) -> None:
     with FaultInjector([parse_fault("stall:board=0,row=0,for_s=0.01")]) as injector:
-        injector.set_process_source(lambda: {"station": process.pid})
+        injector.attach(cast("Devices", None), lambda: {"station": process.pid})
         injector.on_row(0, 0)
         injector.on_row(0, 0)
         injector.finish()
@@ -294,9 +256,3 @@ def test_a_missing_process_is_reported() -> None:
     with FaultInjector([parse_fault("stall:who=worker 7,board=0,row=0")]) as injector:
         injector.on_row(0, 0)
     assert injector.failed == ["the station has no process 'worker 7' to stop"]
-
-
-def test_faults_of_frames_are_left_to_the_line() -> None:
-    words = ("loss:share=0.2", "ignored:camera=1,board=0,row=3", "kill")
-    frame_faults = frame_faults_of([parse_fault(word) for word in words])
-    assert (frame_faults.loss, frame_faults.ignored) == (0.2, frozenset({(0, 3, 1)}))

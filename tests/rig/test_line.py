@@ -29,8 +29,6 @@ from vaoi_station.rig.line import (
     VirtualLine,
     check_supported,
     lighting_of,
-    min_interval_s,
-    wall_clock_ns,
     with_cameras,
 )
 from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
@@ -82,14 +80,6 @@ def pass_by(line: Line, rendered: RenderedBoard) -> BoardPassage:
     while len(passage.fired) < rendered.rows and time.monotonic() < deadline_s:
         line.host.wait(0.1)
     return passage
-
-
-def test_the_cameras_clock_is_read_without_a_gap_between_two_clocks() -> None:
-    """Sixty times, whatever else this computer does: all within what a clock is corrected by meanwhile."""
-    now_ns = time.monotonic_ns()
-    walls_ns = [wall_clock_ns(now_ns) for _ in range(60)]
-    assert max(walls_ns) - min(walls_ns) < 100_000
-    assert abs(walls_ns[-1] - (time.time_ns() - time.monotonic_ns() + now_ns)) < 1_000_000_000
 
 
 def test_every_pulse_comes_when_its_frames_were_rendered_for(
@@ -245,12 +235,6 @@ class Short(RenderedBoard):
         return self.seconds
 
 
-def test_boards_do_not_come_faster_than_they_pass(boards: tuple[RenderedBoard, ...]) -> None:
-    scenario = scenario_of(("ring",))
-    assert min_interval_s(scenario, boards) == scenario.line.interval_s
-    assert min_interval_s(scenario, [Short(boards[0].directory, 7.13), *boards]) == 8.0
-
-
 def test_a_program_lights_each_row_for_its_time() -> None:
     lit = {"left": LightSection(), "right": LightSection()}
     steps = [{"light": "left", "on_us": 100.0}, {"light": "right"}]
@@ -349,14 +333,6 @@ def test_a_board_is_held_back_until_the_line_is_ready(short_boards: list[Rendere
         assert feeder.finished.wait(TIMEOUT_S)
     assert passed == [0, 1, 2], "each board waits before it starts"
     assert [passage.held_s is None for passage in feeder.passages] == [False, True, False]
-
-
-def test_the_end_of_the_context_stops_the_feeding(short_boards: list[RenderedBoard]) -> None:
-    line = ScriptedLine()
-    with feeder_of(line, short_boards, interval_s=3600.0) as feeder:
-        assert line.one_started.wait(TIMEOUT_S)
-    assert line.started == [0]
-    assert feeder.finished.is_set()
 
 
 def test_a_failure_is_raised_where_the_feeder_was_started(short_boards: list[RenderedBoard]) -> None:

@@ -21,16 +21,7 @@ from vaoi_station.stitching.work import StitchSetup
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkBoard:
-    """Frames of one board, with its calibration and CAD data.
-
-    Attributes:
-        name: name of the scenario or of the recording's directory.
-        head: cameras, rows and trigger times.
-        calibration: camera matrices N_i and lenses.
-        board_type: CAD data.
-        frames: pixels by (camera, row); missing frames are absent.
-        truth: exact positions from the twin; None for a recording.
-    """
+    """Frames of one board by (camera, row), with its calibration and CAD data; the truth only if the twin made it."""
 
     name: str
     head: RecordingHead
@@ -38,6 +29,10 @@ class BenchmarkBoard:
     board_type: BoardType
     frames: dict[tuple[int, int], NDArray[Any]]
     truth: dict[str, Any] | None
+
+    def frame(self, camera: int, row: int) -> NDArray[Any] | None:
+        """Return the pixels of a frame; None if it is missing."""
+        return self.frames.get((camera, row))
 
     @property
     def setup(self) -> StitchSetup:
@@ -66,12 +61,8 @@ def board_from_recording(directory: Path) -> BenchmarkBoard:
     head = recording.head
     calibration = read_calibration(directory / "calibration.json", head.cameras)
     # Frames are decoded here, once: benchmarks measure computation, not reading of files.
-    frames = {}
-    for i in range(len(head.cameras)):
-        for j in range(head.rows):
-            pixels = recording.frame(i, j)
-            if pixels is not None:
-                frames[i, j] = pixels
+    cells = ((i, j) for i in range(len(head.cameras)) for j in range(head.rows))
+    frames = {cell: pixels for cell in cells if (pixels := recording.frame(*cell)) is not None}
     return BenchmarkBoard(directory.name, head, calibration, read_board_type(directory / "board.json"), frames, None)
 
 

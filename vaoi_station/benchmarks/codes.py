@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -118,17 +118,8 @@ def _best_row(passage: Passage) -> int:
 
 
 def _read(passage: Passage, row: int, pixels: Any) -> BoardReading:
-    truth = passage.truth()
-    stitch = Stitch(
-        format="vaoi-stitch",
-        version=1,
-        method="auto",
-        image_matrices=truth["image_matrices"],
-        cad_matrix=truth["cad_matrix"],
-        row_motion=truth["row_motion"],
-        status=Status.OK,
-        quality={},
-    )
+    truth = {key: passage.truth()[key] for key in ("image_matrices", "cad_matrix", "row_motion")}
+    stitch = Stitch(format="vaoi-stitch", version=1, method="auto", status=Status.OK, quality={}, **truth)
     twin = passage.twin
     return read_codes(twin.board_type, stitch, twin.cameras, lambda _camera, at: pixels if at == row else None)
 
@@ -195,12 +186,8 @@ class DottedRates:
     """Drawings in which a text was read that is not that of the code."""
     off_px: float
     """Largest error of a corner of those that were read."""
-    share: tuple[float, float] = field(init=False)
+    share: tuple[float, float]
     """95 % interval of the share that is read (Wilson 1927)."""
-
-    def __post_init__(self) -> None:
-        """Compute the interval."""
-        object.__setattr__(self, "share", interval(self.read, self.drawings))
 
     def line(self) -> str:
         """Return the figures as one line of text."""
@@ -243,7 +230,8 @@ def measure_dotted_codes(
             read += bool(right)
             wrong += len(right) < len(found)
             off_px = max([off_px, *(float(np.hypot(*(s.corners_px - corners).T).max()) for s in right)])
-        rates.append(DottedRates(dot, module_px, inverted, disturbed, drawings, read, wrong, round(off_px, 2)))
+        figures = drawings, read, wrong, round(off_px, 2), interval(read, drawings)
+        rates.append(DottedRates(dot, module_px, inverted, disturbed, *figures))
         report(rates[-1].line())
     return rates
 

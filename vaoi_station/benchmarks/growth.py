@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,9 @@ import numpy as np
 from vaoi_station.benchmarks.process_usage import private_memory_bytes
 from vaoi_station.benchmarks.station_pace import PrerenderedRun, prerender
 from vaoi_station.benchmarks.tables import table
-from vaoi_station.errors import InternalError
 from vaoi_station.runs.host.processes import set_up_process
 from vaoi_station.simulation import Scenario
 
-ROWS = (4, 10, 33, 100, 333)
-"""Number of rows of each board. With three cameras the boards have 12 to 999 frames."""
 _CAMERAS, _BOARD_WIDTH_MM = 3, 90.0
 _OVERLAP = 1.15
 """Width of a camera's view divided by the pitch of the cameras, so that neighbours overlap despite mounting errors."""
@@ -50,19 +47,11 @@ class ScalingFigures:
 def measure_scaling(
     scenario: Scenario, folder: Path, rows: tuple[int, ...], report: Callable[[str], None]
 ) -> list[ScalingFigures]:
-    """Stitch boards like that of a scenario, each as long as the given number of rows needs.
-
-    Args:
-        scenario: boards, belt and cameras.
-        folder: where the frames of the boards are kept.
-        rows: number of rows of each board.
-        report: called with a sentence before each long step.
-    """
-    found = []
-    for count in rows:
-        board = prerender(long_board(scenario, count), folder / f"{count}", report)
-        found.append(_stitch_in_new_process(board))
-    return found
+    """Stitch boards like that of a scenario, each as long as the given number of rows needs; keep them in `folder`."""
+    # Each board needs a new process: the allocator keeps freed memory, so a large peak would hide a later smaller one.
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as processes:
+        boards = (prerender(long_board(scenario, count), folder / f"{count}", report) for count in rows)
+        return [processes.submit(_stitch, board).result() for board in boards]
 
 
 def long_board(scenario: Scenario, rows: int) -> Scenario:
@@ -80,26 +69,7 @@ def long_board(scenario: Scenario, rows: int) -> Scenario:
     return Scenario.model_validate(plain | {name: plain[name] | section for name, section in changes.items()})
 
 
-def _stitch_in_new_process(board: PrerenderedRun) -> ScalingFigures:
-    # Each board needs a new process: the allocator keeps freed memory, so a large peak would hide a later smaller one.
-    spawn = multiprocessing.get_context("spawn")
-    here, there = spawn.Pipe(duplex=False)
-    process = spawn.Process(target=_stitch, args=(board, there), name="vaoi-bench-growth", daemon=True)
-    process.start()
-    there.close()
-    try:
-        figures: ScalingFigures = here.recv()
-    except EOFError as end:
-        process.join()
-        raise InternalError(f"the process that stitched {board.directory} ended with code {process.exitcode}.") from end
-    finally:
-        here.close()
-    process.join()
-    process.close()
-    return figures
-
-
-def _stitch(board: PrerenderedRun, reply: Connection[Any, Any]) -> None:
+def _stitch(board: PrerenderedRun) -> ScalingFigures:
     set_up_process(one_thread=True)
     # Imported after `set_up_process`, because numeric libraries read their number of threads at import.
     import cv2
@@ -126,7 +96,7 @@ def _stitch(board: PrerenderedRun, reply: Connection[Any, Any]) -> None:
         stitch = runner.conclude(times_s, present, evidence)
         ended_s = time.process_time()
     width_mm, length_mm = np.ptp(board_type.extent(), axis=0) * board_type.mm_per_unit
-    figures = ScalingFigures(
+    return ScalingFigures(
         frames=len(present),
         rows=head.rows,
         board_mm=(round(float(width_mm), 1), round(float(length_mm), 1)),
@@ -138,8 +108,6 @@ def _stitch(board: PrerenderedRun, reply: Connection[Any, Any]) -> None:
         status=str(stitch.status),
         reasons=stitch.reasons,
     )
-    reply.send(figures)
-    reply.close()
 
 
 class _PeakMemory:
@@ -170,12 +138,14 @@ class _PeakMemory:
 def scaling_table(figures: Sequence[ScalingFigures]) -> str:
     """Return a table of the scaling figures, with one row per board."""
     head = ("frames", "rows", "board mm", "components", "links ms/frame", "conclude ms/frame", "own MB", "frames MB")
-    return table(head, [_scaling_row(f) for f in figures])
-
-
-def _scaling_row(f: ScalingFigures) -> tuple[object, ...]:
-    width, length = f.board_mm
-    return (
-        f.frames, f.rows, f"{width:.0f} × {length:.0f}", f.components, f"{f.links_ms_per_frame:.2f}",
-        f"{f.conclude_ms_per_frame:.2f}", f"{f.own_memory_mb:.1f}", f"{f.frames_mb:.0f}",
-    )  # fmt: skip
+    return table(
+        head,
+        [
+            (
+                *(f.frames, f.rows, f"{f.board_mm[0]:.0f} × {f.board_mm[1]:.0f}", f.components),
+                *(f"{f.links_ms_per_frame:.2f}", f"{f.conclude_ms_per_frame:.2f}"),
+                *(f"{f.own_memory_mb:.1f}", f"{f.frames_mb:.0f}"),
+            )
+            for f in figures
+        ],
+    )

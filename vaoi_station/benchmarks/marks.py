@@ -32,19 +32,7 @@ _OFF_SHARE = 0.15
 
 @dataclass(frozen=True)
 class MarkErrors:
-    """Errors of one kind of mark (shape, light or dark, size) under one imaging condition; rms and bias are per axis.
-
-    A figure is NaN if no mark was rendered or found from which it could be computed.
-
-    Attributes:
-        shape: shape of the mark.
-        light: whether the mark is lighter than its ground.
-        size_px: size of the mark.
-        condition: name of the imaging condition.
-        found: number of marks that were found.
-        of: number of marks that were rendered.
-        largest_px: length of the longest error.
-    """
+    """Errors of one kind of mark under one imaging condition; rms and bias are per axis, NaN if no mark was found."""
 
     shape: str
     light: bool
@@ -56,17 +44,13 @@ class MarkErrors:
     bias_px: tuple[float, float]
     largest_px: float
     claimed_px: float
-    """Standard deviation that the detector states, rms over all marks. Its key in JSON is `said_px`."""
+    """Standard deviation that the detector states, rms over all marks."""
     bound_px: float
     """Cramér-Rao bound of the error per axis, median over all marks."""
     paper_rms_px: float | None
     """Rms error of the paper's method; None if it found no mark."""
     ms: float
     """CPU time to locate one mark near its predicted centre, median."""
-
-
-_NAMES = {"circle": "disc"}
-"""Shape → its name in tables and plots, if that differs from the shape's own name."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +66,6 @@ class MarkFigures:
     def document(self) -> dict[str, Any]:
         """Return all figures of the benchmark as a dictionary for JSON."""
         document: dict[str, Any] = json_document(asdict(self))
-        # "said_px" is the key of the JSON file, which other programs may read.
-        document["rows"] = [_renamed(row, "claimed_px", "said_px") for row in document["rows"]]
         return document
 
     def lines(self) -> Iterator[str]:
@@ -95,25 +77,19 @@ class MarkFigures:
             rows = {r.condition: r for r in self.rows if (r.shape, r.light, r.size_px) == (shape, light, size)}
             cells = " | ".join(_cell(rows[c]) for c in CONDITIONS)
             ms = statistics.median(r.ms for r in rows.values())
-            kind = f"{'light' if light else 'dark'} {_NAMES.get(shape, shape)}"
+            kind = f"{'light' if light else 'dark'} {'disc' if shape == 'circle' else shape}"
             yield f"| {kind} | {size:g} | {cells} | {number(rows['noise'].bound_px, 4)} | {number(ms, 2)} |"
 
 
+@one_thread()
 def measure_marks(
     positions: int = 24, board: BenchmarkBoard | None = None, sizes_px: Sequence[float] = SIZES_PX
 ) -> MarkFigures:
-    """Measure marks of all kinds at random sub-pixel positions, which are the same at each call.
-
-    Args:
-        positions: number of marks of each kind and condition.
-        board: the board whose whole frames are searched; None: a board of the twin.
-        sizes_px: sizes of the marks.
-    """
-    with one_thread():
-        kinds = list(product(get_args(Shape), (True, False), sizes_px))
-        rows = [row for shape, light, size in kinds for row in measure_mark_kind(shape, light, size, positions)]
-        searched = board or board_from_twin()
-        return MarkFigures(tuple(rows), searched.name, _whole_frame_ms(searched))
+    """Measure marks of all kinds at random sub-pixel positions, the same at each call; search frames of a board."""
+    kinds = product(get_args(Shape), (True, False), sizes_px)
+    rows = [row for shape, light, size in kinds for row in measure_mark_kind(shape, light, size, positions)]
+    searched = board or board_from_twin()
+    return MarkFigures(tuple(rows), searched.name, _whole_frame_ms(searched))
 
 
 def measure_mark_kind(shape: Shape, light: bool, size_px: float, positions: int) -> Iterator[MarkErrors]:
@@ -180,11 +156,6 @@ def _whole_frame_ms(board: BenchmarkBoard) -> float:
     return _median(times, 3)
 
 
-def _renamed(row: dict[str, Any], name: str, key: str) -> dict[str, Any]:
-    """Return a copy of the dictionary `row` with the key `name` changed to `key`, in the same order."""
-    return {key if k == name else k: v for k, v in row.items()}
-
-
 def _rms(values: Floats) -> float:
     """Compute the root mean square, rounded to 5 decimals; NaN without values."""
     return round(float(np.sqrt(np.mean(np.square(values)))), 5) if values.size else math.nan
@@ -217,19 +188,7 @@ _VIGNETTE, _FRAME_PX = 0.25, (1392, 1040)
 
 
 def render_mark(shape: Shape, light: bool, size_px: float, at: Floats, side: int, copper: bool) -> Floats:
-    """Render a mark on a ground, blurred by 0.6 px.
-
-    Args:
-        shape: shape of the mark.
-        light: whether the mark is lighter than its ground.
-        size_px: size of the mark.
-        at: (2,) centre of the mark, px.
-        side: width and height of the image.
-        copper: whether a track runs beside the mark.
-
-    Returns:
-        (side, side) grey levels, not rounded.
-    """
+    """Render a mark with its centre at `at` (2,), px, blurred by 0.6 px; return (side, side) grey levels."""
     # Centres of the samples; pixel 0 reaches from −0.5 to 0.5 (docs/conventions.md).
     fine = (np.arange(side * _FINE) + 0.5) / _FINE - 0.5
     cover = _covered(shape, fine[None] - at[0], fine[:, None] - at[1], size_px)
@@ -260,12 +219,7 @@ def apply_condition(image: Floats, condition: Condition, g: np.random.Generator)
 
 
 def cramer_rao_px(image: Floats, variance: Floats) -> float:
-    """Return the Cramér-Rao bound of a mark's centre, px per axis, assuming that only the centre is unknown.
-
-    Args:
-        image: grey levels of the mark without noise.
-        variance: noise variance of each pixel.
-    """
+    """Return the Cramér-Rao bound of a mark's centre, px per axis, from its grey levels and their variances."""
     waves = 2j * np.pi * np.fft.fftfreq(len(image))
     # Derivatives come from the Fourier transform: differences of neighbouring pixels would make edges softer.
     spectrum = np.fft.fft2(image)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -40,7 +41,6 @@ class SpeedFigures:
     """Figures of the benchmark on one board. Times are CPU time of one thread unless a field states otherwise."""
 
     material: str
-    """Name of the measured board."""
     cameras: int
     rows: int
     frame_px: tuple[int, int]
@@ -69,26 +69,16 @@ class SpeedFigures:
     opencv: str
 
 
+@one_thread()
 def measure_stitching(board: BenchmarkBoard, repetitions: int = 5) -> SpeedFigures:
     """Measure stitching, the paper's method and rendering on one board."""
-    with one_thread():
-        return _measure_stitching(board, repetitions)
-
-
-def _measure_stitching(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
     # The first run also compiles functions, so it is not timed.
     stitch = stitch_board(board)
     frames = len(board.frames)
-    ours, theirs = [], []
-    failed = ""
-    for _ in range(repetitions):
-        ours.append(cpu_ms(lambda: stitch_board(board)) / frames)
+    ours = [cpu_ms(lambda: stitch_board(board)) / frames for _ in range(repetitions)]
     # Half the repetitions: the paper's method takes many times longer.
-    for _ in range(max(repetitions // 2, 1)):
-        theirs.append(cpu_ms(lambda: _paper(board)) / frames)
+    theirs = [cpu_ms(lambda: _paper(board)) / frames for _ in range(max(repetitions // 2, 1))]
     outcome = _paper(board)
-    if isinstance(outcome, Failure):
-        failed = outcome.reason
     ready = [_ready_ms(board) for _ in range(repetitions)]
     per_second, ratio = _rendering(board, stitch, repetitions)
     hdr = _hdr_ratio(board, stitch, repetitions)
@@ -103,7 +93,7 @@ def _measure_stitching(board: BenchmarkBoard, repetitions: int) -> SpeedFigures:
         stitch_spread_ms=(round(min(ours), 3), round(max(ours), 3)),
         paper_ms_per_frame=round(statistics.median(theirs), 2),
         ratio_to_paper_method=round(statistics.median(theirs) / statistics.median(ours), 2),
-        paper_failed=failed,
+        paper_failed=outcome.reason if isinstance(outcome, Failure) else "",
         ready_after_last_frame_ms=round(statistics.median(ready), 2),
         images_per_s=round(per_second, 1),
         render_ratio_to_warp=round(ratio, 3),
@@ -124,7 +114,7 @@ def _heights_ms(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> floa
     lights = tuple(setup.light(row) for row in range(board.head.rows)) if setup.lights else ()
 
     def measure() -> Any:
-        return measure_heights(board_type, stitch, setup.cameras, lambda i, j: board.frames.get((i, j)), lights)
+        return measure_heights(board_type, stitch, setup.cameras, board.frame, lights)
 
     measure()  # compiles
     return round(statistics.median(cpu_ms(measure) for _ in range(repetitions)), 1)
@@ -133,7 +123,7 @@ def _heights_ms(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> floa
 def stitch_board(board: BenchmarkBoard) -> Stitch:
     """Stitch a board, task by task, in this thread."""
     times_s = board.head.row_times_s()
-    runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
+    runner = TaskRunner(board.setup, board.frame)
     present = sorted(board.frames, key=lambda key: (key[1], key[0]))
     evidence = [runner.perform(task) for task in all_tasks(present, dict(enumerate(times_s)), board.setup)]
     return runner.conclude(times_s, present, evidence)
@@ -149,7 +139,7 @@ def _paper(board: BenchmarkBoard) -> Any:
 def _ready_ms(board: BenchmarkBoard) -> float:
     """Return the wall time, ms, from the last frame to the result, if all other tasks were done before."""
     times_s = board.head.row_times_s()
-    runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
+    runner = TaskRunner(board.setup, board.frame)
     present = list(board.frames)
     last = max(row for _, row in present)
     tasks = all_tasks(present, dict(enumerate(times_s)), board.setup)
@@ -169,7 +159,7 @@ def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple
 
     def ours() -> int:
         views = ViewCalculator(board.board_type, stitch, cameras).compute_all(board.board_type.components)
-        return len(render_all(views, lambda i, j: board.frames.get((i, j))))
+        return len(render_all(views, board.frame))
 
     views = ViewCalculator(board.board_type, stitch, cameras).compute_all(board.board_type.components)
     # Collected beforehand: only the warps are timed.
@@ -178,9 +168,7 @@ def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple
     ]
 
     def bare() -> None:
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        for frame, matrix, size in warps:
-            cv2.warpPerspective(frame, matrix, size, flags=flags)
+        _warp(warps)
 
     count = ours()
     bare()
@@ -188,6 +176,11 @@ def _rendering(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> tuple
     pairs = [(cpu_ms(ours), cpu_ms(bare)) for _ in range(repetitions)]
     ours_ms = statistics.median(a for a, _ in pairs)
     return count / ours_ms * 1e3, statistics.median(b / a for a, b in pairs)
+
+
+def _warp(warps: Iterable[tuple[NDArray[Any], Any, tuple[int, int]]]) -> None:
+    for frame, matrix, size in warps:
+        cv2.warpPerspective(frame, matrix, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
 
 
 def _hdr_ratio(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> float:
@@ -221,9 +214,6 @@ def _hdr_ratio(board: BenchmarkBoard, stitch: Stitch, repetitions: int) -> float
     return statistics.median(cpu_ms(merged) / cpu_ms(plain) for _ in range(repetitions))
 
 
-_FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-
-
 @dataclass(frozen=True)
 class MosaicFigures:
     """Figures of the mosaic of one board. Times are CPU time of one thread."""
@@ -243,29 +233,17 @@ class MosaicFigures:
     tile_ms_p95: float
 
 
-def measure_mosaic(board: BenchmarkBoard, repetitions: int = 5, stitch: Stitch | None = None) -> MosaicFigures:
-    """Measure the mosaic of a board; without a result, the board is stitched first.
-
-    Raises:
-        StateError: the board has no CAD mapping.
-    """
-    with one_thread():
-        return _measure_mosaic(board, repetitions, stitch)
-
-
-def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | None) -> MosaicFigures:
-    found = stitch_board(board) if stitch is None else stitch
+@one_thread()
+def measure_mosaic(board: BenchmarkBoard, repetitions: int = 5) -> MosaicFigures:
+    """Stitch a board and measure its mosaic; raise StateError if the board has no CAD mapping."""
+    found = stitch_board(board)
     projector = FrameIndex.of_result(found, board.setup.cameras)
     grid = MosaicGrid.of_board(board.board_type, projector.px_per_mm)
     choice = choose_frames(frames_of_head(board.head, sorted(board.frames)))
 
-    def read(camera: int, row: int) -> Any:
-        return board.frames.get((camera, row))
-
     def planned() -> Any:
-        return completed(
-            make_plan(choice, read, projector=projector, board_type=board.board_type, stitch=found, base=grid)
-        )
+        options: dict[str, Any] = {"projector": projector, "board_type": board.board_type, "stitch": found}
+        return completed(make_plan(choice, board.frame, base=grid, **options))
 
     plan = planned()
     renderer = TileRenderer(plan, projector, grid)
@@ -280,11 +258,10 @@ def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | No
 
     def ours() -> None:
         for box in boxes:
-            render_tile(renderer.spec(box), read)
+            render_tile(renderer.spec(box), board.frame)
 
     def bare() -> None:
-        for frame, matrix, size in warps:
-            cv2.warpPerspective(frame, matrix, size, flags=_FLAGS)
+        _warp(warps)
 
     ours()
     bare()
@@ -294,7 +271,7 @@ def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | No
     for level in range(levels_of(grid)):
         reduced = grid.reduced(2**level)
         small = TileRenderer(plan, projector, reduced)
-        tiles += [cpu_ms(lambda box=box, small=small: _encoded(small, box, read)) for box in _boxes(reduced)]  # type: ignore[misc]
+        tiles += [cpu_ms(partial(_encoded, small, box, board.frame)) for box in _boxes(reduced)]
     megapixels = grid.width * grid.height / 1e6
     return MosaicFigures(
         material=board.name,
@@ -309,7 +286,6 @@ def _measure_mosaic(board: BenchmarkBoard, repetitions: int, stitch: Stitch | No
 
 
 def _boxes(grid: MosaicGrid) -> list[tuple[int, int, int, int]]:
-    """Return all tiles of a grid."""
     return [
         (x, y, min(x + TILE_PX, grid.width), min(y + TILE_PX, grid.height))
         for y in range(0, grid.height, TILE_PX)

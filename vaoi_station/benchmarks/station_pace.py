@@ -1,4 +1,4 @@
-"""A board that the twin rendered beforehand: all its frames in one flat file, to be mapped by several processes."""
+"""A whole station in real time: boards that the twin rendered beforehand pass again and again."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process.main_loop import run_acquisition
 from vaoi_station.acquisition.replay import RecordedRow, ReplayController
 from vaoi_station.acquisition.ring import Ring, ring_path
-from vaoi_station.benchmarks.process_usage import CpuMeter, private_memory_bytes
+from vaoi_station.benchmarks.process_usage import cpu_s, private_memory_bytes
 from vaoi_station.benchmarks.tables import json_document, number, table
 from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import StateError
@@ -55,10 +55,7 @@ _FRAMES, _HEAD, _LINE, _DIGEST = "frames.raw", "recording.json", "line.json", "s
 
 @dataclass(frozen=True)
 class PrerenderedRun:
-    """A directory with the frames of one passage and the documents that a station needs to stitch them.
-
-    The object holds only the path of the directory, so that it can be sent to other processes.
-    """
+    """A directory with the frames of one passage and the documents that a station needs to stitch them."""
 
     directory: Path
 
@@ -91,13 +88,7 @@ class PrerenderedRun:
 
 
 def prerender(scenario: Scenario, directory: Path, report: Callable[[str], None] = lambda _: None) -> PrerenderedRun:
-    """Render the first board of a scenario on all cores, unless the directory already holds the same scenario.
-
-    Args:
-        scenario: the board and the line.
-        directory: where the frames are kept.
-        report: called with a sentence before each long step.
-    """
+    """Render the first board of a scenario on all cores, unless the directory already holds the same scenario."""
     run, digest = PrerenderedRun(directory), hashlib.sha256(scenario.model_dump_json().encode()).hexdigest()
     note = directory / _DIGEST
     if note.is_file() and note.read_text() == digest:
@@ -121,7 +112,6 @@ def prerender(scenario: Scenario, directory: Path, report: Callable[[str], None]
 
 
 def _render(passage: Passage, head: RecordingHead, path: Path) -> None:
-    """Write all frames of a passage into a new file."""
     frames: NDArray[Any] = np.memmap(path, np.uint8, "w+", shape=_shape(head))
 
     def render(row: int) -> None:
@@ -147,17 +137,9 @@ class FillRequest:
     slot: int
 
 
-@dataclass(frozen=True)
-class FrameSender:
-    """The running sender process and the station's end of its pipe."""
-
-    pid: int
-    connection: Connection[Any, Any]
-
-
 @contextlib.contextmanager
-def run_frame_sender(run: PrerenderedRun) -> Iterator[FrameSender]:
-    """Run the sender process inside a `with` block. The end of the block closes the pipe, and the process ends."""
+def run_frame_sender(run: PrerenderedRun) -> Iterator[tuple[int, Pipe]]:
+    """Run the sender inside a `with` block; yield its process id and the station's end of its pipe, which ends it."""
     spawn = multiprocessing.get_context("spawn")
     here, there = spawn.Pipe()
     process = spawn.Process(target=fill_slots, args=(run, there), name="vaoi-bench-sender", daemon=True)
@@ -166,14 +148,14 @@ def run_frame_sender(run: PrerenderedRun) -> Iterator[FrameSender]:
     there.close()
     assert process.pid is not None
     try:
-        yield FrameSender(process.pid, here)
+        yield process.pid, here
     finally:
         here.close()
         process.join()
         process.close()
 
 
-def fill_slots(run: PrerenderedRun, connection: Connection[Any, Any]) -> None:
+def fill_slots(run: PrerenderedRun, connection: Pipe) -> None:
     """Fill slots until the pipe is closed: receive the path of the ring, then requests; send each back when done."""
     set_up_process(one_thread=True)
     frames = run.map()
@@ -187,21 +169,6 @@ def fill_slots(run: PrerenderedRun, connection: Connection[Any, Any]) -> None:
             ring.memory(request.slot)[:] = frames[request.row, request.camera].reshape(-1)
             # Sent only after the copy: the acquisition process takes the returned request as the arrival of the frame.
             connection.send(request)
-
-
-@dataclass(frozen=True)
-class Playback:
-    """A prerendered run that passes again and again.
-
-    Attributes:
-        run: the frames and their trigger times.
-        rate: factor on the trigger rate of the prerendered run.
-        pause_s: pause between two passes.
-    """
-
-    run: PrerenderedRun
-    rate: float
-    pause_s: float
 
 
 class SenderConnection:
@@ -302,9 +269,17 @@ class SenderCamera:
         """Do nothing: the connection ends with its pipe."""
 
 
-def sender_devices(playback: Playback, sender: Pipe, _: StationConfig) -> Devices:
-    """Return the cameras, and a controller that repeats the run of `playback` at its rate without end."""
-    clock, connection, head = DeviceClock(), SenderConnection(sender), playback.run.head
+PAUSE_S = 1.0
+"""Pause between two boards at rate 1. At a higher rate the pause is divided by the rate."""
+READY_S = 300.0
+"""Time limit until the station is ready: processes start, workers compile and warm up."""
+RUN_LIMIT_S = 180.0
+"""Time limit for one run to end; after it the benchmark does not wait for further runs."""
+
+
+def sender_devices(run: PrerenderedRun, rate: float, sender: Pipe, _: StationConfig) -> Devices:
+    """Return the cameras, and a controller that repeats a run at a multiple of its rate without end."""
+    clock, connection, head = DeviceClock(), SenderConnection(sender), run.head
     cameras = tuple(SenderCamera(n, clock, connection) for n in range(len(head.cameras)))
 
     def deliver(row: int, time_s: float) -> int:
@@ -312,7 +287,7 @@ def sender_devices(playback: Playback, sender: Pipe, _: StationConfig) -> Device
             camera.trigger(row, time_s)
         return len(cameras)
 
-    times_s = head.row_times_s() / playback.rate
+    times_s = head.row_times_s() / rate
     rows = [
         RecordedRow(
             # Rounded to ns, as `RecordedRow` requires.
@@ -323,11 +298,10 @@ def sender_devices(playback: Playback, sender: Pipe, _: StationConfig) -> Device
         )
         for row in range(head.rows)
     ]
-    runs: Iterator[list[RecordedRow]] = repeat(rows)
-    return Devices(cameras, ReplayController(runs, clock, playback.pause_s, None))
+    return Devices(cameras, ReplayController(repeat(rows), clock, PAUSE_S / rate, None))
 
 
-def acquisition_launcher(config: StationConfig, ring: Path, playback: Playback, sender: Pipe) -> Launch:
+def acquisition_launcher(config: StationConfig, ring: Path, run: PrerenderedRun, rate: float, sender: Pipe) -> Launch:
     """Return a function that starts an acquisition process with the devices of `sender_devices`."""
 
     def launch() -> tuple[Process, Pipe]:
@@ -335,7 +309,7 @@ def acquisition_launcher(config: StationConfig, ring: Path, playback: Playback, 
         here, there = spawn.Pipe()
         # The sender attaches to the ring as its first message; the path is known only to the station.
         sender.send(str(ring))
-        arguments = (config, str(ring), there, playback, sender)
+        arguments = (config, str(ring), there, run, rate, sender)
         process = spawn.Process(target=_acquire, args=arguments, name="vaoi-acquisition", daemon=True)
         process.start()
         there.close()
@@ -344,17 +318,11 @@ def acquisition_launcher(config: StationConfig, ring: Path, playback: Playback, 
     return launch
 
 
-def _acquire(config: StationConfig, ring: str, connection: Pipe, playback: Playback, sender: Pipe) -> None:
+def _acquire(
+    config: StationConfig, ring: str, connection: Pipe, run: PrerenderedRun, rate: float, sender: Pipe
+) -> None:
     set_up_process(one_thread=False)
-    run_acquisition(config, Path(ring), connection, partial(sender_devices, playback, sender))
-
-
-PAUSE_S = 1.0
-"""Pause between two boards at rate 1. At a higher rate the pause is divided by the rate."""
-READY_S = 300.0
-"""Time limit until the station is ready: processes start, workers compile and warm up."""
-RUN_LIMIT_S = 180.0
-"""Time limit for one run to end; after it the benchmark does not wait for further runs."""
+    run_acquisition(config, Path(ring), connection, partial(sender_devices, run, rate, sender))
 
 
 @dataclass(frozen=True)
@@ -434,32 +402,25 @@ class StationUsage(NamedTuple):
 def measure_station_pace(
     run: PrerenderedRun, rate: float, boards: int, workers: int, folder: Path, ring: Path
 ) -> RateFigures:
-    """Run a station with the prerendered board at a multiple of its trigger rate, and measure it.
+    """Run a station with the prerendered board at a multiple of its velocity and trigger rate, and measure it.
 
-    Args:
-        run: the board, its array and its line.
-        rate: factor on belt velocity and trigger rate. Both grow together, so that the frames stay the same.
-        boards: number of boards that pass.
-        workers: number of worker processes.
-        folder: folder for the station's files, which are not deleted.
-        ring: directory for the file of the ring.
+    The files of the station stay in `folder`; `ring` is the directory of its ring.
     """
     config, load = pace_config(run, rate, workers, folder, ring), os.getloadavg()[0]
-    playback = Playback(run, rate, PAUSE_S / rate)
-    with run_frame_sender(run) as sender:
-        launch = acquisition_launcher(config, ring_path(config), playback, sender.connection)
+    with run_frame_sender(run) as (sender_pid, sender):
+        launch = acquisition_launcher(config, ring_path(config), run, rate, sender)
         with Station(config, launch) as station:
             coordinator = station.coordinator
             # Compilation and warm-up happen once per start of the station and would count as CPU time per frame.
-            wait_until_ready(coordinator, READY_S)
-            pids = {"station": os.getpid(), "sender": sender.pid}
+            _wait_until_ready(coordinator)
+            pids = {"station": os.getpid(), "sender": sender_pid}
             pids |= {p.name: p.pid for p in coordinator.snapshot().processes if p.pid is not None}
-            meter = CpuMeter(pids)
+            before_s = {name: cpu_s(pid) for name, pid in pids.items()}
             coordinator.arm(run.board_type.name, runs=boards)
             details = _follow(coordinator, boards)
             missed = coordinator.snapshot().boards_missed
             # This comes before the timelines are read, because their transfer is not part of the work per frame.
-            cpu = meter.read()
+            cpu = {name: cpu_s(pid) - before_s[name] for name, pid in pids.items()}
             memory = {name: round(private_memory_bytes(pid) / 1e6, 1) for name, pid in pids.items()}
             each = tuple(board_figures(d, coordinator.timeline(d.id)) for d in details)
     return rate_figures(run.head, rate, each, StationUsage(load, missed, cpu, memory))
@@ -501,44 +462,35 @@ def _faster(line: Line, rate: float) -> Line:
     )
 
 
-def _all_ready(coordinator: StationCoordinator) -> bool:
-    snapshot = coordinator.snapshot()
-    return snapshot.state == "idle" and not any(p.doing == "starting" for p in snapshot.processes)
+def _wait(condition: Callable[[], bool], limit_s: float) -> bool:
+    """Check a condition ten times a second; return False after the time limit."""
+    deadline_s = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            return False
+        time.sleep(0.1)
+    return True
 
 
-def wait_until_ready(coordinator: StationCoordinator, limit_s: float) -> None:
-    """Wait until all processes of the station are ready; raise StateError after `limit_s` seconds."""
-    deadline, seen = time.monotonic() + limit_s, 0
-    while not _all_ready(coordinator):
-        if time.monotonic() > deadline:
-            raise StateError(f"The station was not ready within {limit_s:.0f} s: {coordinator.snapshot().reasons}.")
-        # Workers become ready without an event, so the condition is also checked twice a second.
-        records = coordinator.events(seen, 0.5)
-        seen = records[-1].number if records else seen
+def _wait_until_ready(coordinator: StationCoordinator) -> None:
+    def ready() -> bool:
+        snapshot = coordinator.snapshot()
+        return snapshot.state == "idle" and not any(p.doing == "starting" for p in snapshot.processes)
+
+    if not _wait(ready, READY_S):
+        raise StateError(f"The station was not ready within {READY_S:.0f} s: {coordinator.snapshot().reasons}.")
 
 
 def _follow(coordinator: StationCoordinator, boards: int) -> list[RunDetail]:
     """Return the details of the runs in the order in which they end; fewer than `boards` if a run takes too long."""
-    runs: list[RunDetail] = []
-    while len(runs) < boards:
-        run = _next(coordinator, runs[-1].id if runs else None)
-        if run is None:
-            break
+    _wait(lambda: coordinator.latest() is not None, RUN_LIMIT_S)
+    runs, run = list[RunDetail](), coordinator.latest()
+    while run is not None and len(runs) < boards:
         runs.append(run)
+        run = coordinator.next_run(run.id, RUN_LIMIT_S) if len(runs) < boards else None
     if not runs:
         raise StateError(f"No run ended within {RUN_LIMIT_S:.0f} s.", action="See the log.")
     return runs
-
-
-def _next(coordinator: StationCoordinator, after: str | None) -> RunDetail | None:
-    """Return the run that ends next after the run `after` (None: the first run); None after the time limit."""
-    if after is not None:
-        return coordinator.next_run(after, RUN_LIMIT_S)
-    deadline, seen = time.monotonic() + RUN_LIMIT_S, 0
-    while (first := coordinator.latest()) is None and time.monotonic() < deadline:
-        records = coordinator.events(seen, 1.0)
-        seen = records[-1].number if records else seen
-    return first
 
 
 def board_figures(run: RunDetail, timeline: Timeline) -> BoardFigures:

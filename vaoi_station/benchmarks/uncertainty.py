@@ -75,17 +75,11 @@ class RunErrors:
 
 @dataclass(frozen=True)
 class Consistency:
-    """Summary of the real and predicted errors of several runs.
-
-    Attributes:
-        runs: number of runs with a CAD matrix C.
-        failed: number of runs without a CAD matrix; they are not part of the other figures.
-        normalised_mean: mean over the runs of `RunErrors.normalised`.
-        normalised_median: median over the runs of `RunErrors.normalised`.
-    """
+    """Summary of the real and predicted errors of several runs."""
 
     runs: int
     failed: int
+    """Number of runs without a CAD matrix; they are not part of the other figures."""
     normalised_mean: float
     normalised_median: float
     beyond_three: float
@@ -101,11 +95,7 @@ class Consistency:
 
 
 def summarise_runs(runs: Sequence[RunErrors]) -> Consistency:
-    """Summarise the real and predicted errors of several runs.
-
-    Raises:
-        InputError: no run has a CAD matrix, so there is nothing to compare.
-    """
+    """Summarise the real and predicted errors of several runs; raise InputError if none has a CAD matrix."""
     good = [r for r in runs if len(r.error_px)]
     if not good:
         raise InputError(f"none of {len(runs)} boards has a CAD mapping, so there is nothing to compare.")
@@ -123,20 +113,10 @@ def summarise_runs(runs: Sequence[RunErrors]) -> Consistency:
     )
 
 
-def _ignore(line: str) -> None:
-    """Do nothing with a line of progress. This is the default of the `report` arguments."""
-
-
 def twin_runs(
-    count: int, first_seed: int = FIRST_SEED, report: Callable[[str], object] = _ignore
+    count: int, first_seed: int = FIRST_SEED, report: Callable[[str], object] = lambda _: None
 ) -> Iterable[RunErrors]:
-    """Render and stitch boards of the twin, each with random array, board, belt, light and noise; yield their errors.
-
-    Args:
-        count: number of boards.
-        first_seed: seed of the first board; the next boards have the next seeds.
-        report: called with one line of text for each board.
-    """
+    """Render and stitch boards of the twin, each with random parameters; yield their errors."""
     for seed in range(first_seed, first_seed + count):
         twin = Twin(random_scenario(seed))
         passage = twin.passage(0)
@@ -155,7 +135,7 @@ def recordings_with_truth(directory: Path) -> list[Path]:
     return sorted(p.parent for p in directory.glob("*/truth.json") if (p.parent / "board.json").is_file())
 
 
-def recorded_runs(recordings: Iterable[Path], report: Callable[[str], object] = _ignore) -> Iterable[RunErrors]:
+def recorded_runs(recordings: Iterable[Path], report: Callable[[str], object]) -> Iterable[RunErrors]:
     """Stitch recordings, compare each with its truth file, and yield the errors."""
     for case in recordings:
         # A truth file holds no true surface, so only positions are compared.
@@ -166,14 +146,9 @@ def recorded_runs(recordings: Iterable[Path], report: Callable[[str], object] = 
 
 
 def compare_with_truth(board: BenchmarkBoard, surface_mm: dict[str, float] | None = None) -> RunErrors:
-    """Stitch one board and return the errors of its component positions and surface heights.
-
-    Args:
-        board: the frames of a board, with their truth.
-        surface_mm: component address → true surface height under the component; None if it is not known.
-    """
+    """Stitch one board and return the errors of its component positions and, by address, of surface heights."""
     assert board.truth is not None
-    runner = TaskRunner(board.setup, lambda i, j: board.frames.get((i, j)))
+    runner = TaskRunner(board.setup, board.frame)
     present, times_s = sorted(board.frames), board.head.row_times_s()
     tasks = all_tasks(present, dict(enumerate(times_s)), board.setup)
     stitch, findings = runner.conclude_with_findings(times_s, present, [runner.perform(task) for task in tasks])
@@ -209,11 +184,7 @@ def _surface(findings: Findings, true_mm: dict[str, float]) -> tuple[Floats, Flo
 
 
 def random_scenario(seed: int) -> Scenario:
-    """Return a scenario of small frames whose parameters are drawn at random from realistic ranges.
-
-    The random parameters are: noise, exposure, focus, vignetting, lens and mounting of the cameras; speed, slip, sway
-    and yaw of the belt; lift, tilt and bow of the board; direction and shadows of the light.
-    """
+    """Return a scenario of small frames whose parameters are drawn at random from realistic ranges."""
     # The second number makes these random numbers independent of those that the twin derives from the same seed.
     g = np.random.default_rng([seed, 9001])
 

@@ -49,7 +49,7 @@ def run(
     from vaoi_station.rig.faults import check_faults, parse_fault
     from vaoi_station.rig.line import check_supported, with_cameras
     from vaoi_station.rig.network import enter_namespace
-    from vaoi_station.rig.report import as_text
+    from vaoi_station.rig.report import text_lines
     from vaoi_station.rig.run import Plan, run_rig
     from vaoi_station.simulation import find_scenario, read_scenario
 
@@ -74,7 +74,7 @@ def run(
     except KeyboardInterrupt:
         # An interrupted run has no score, so it must not count as passed.
         raise typer.Exit(INTERRUPTED) from None
-    typer.echo(as_text(report))
+    typer.echo("\n".join(text_lines(report)))
     if json is not None:
         write_json(json, report.model_dump(mode="json"))
     raise typer.Exit(0 if report.ok else 1)

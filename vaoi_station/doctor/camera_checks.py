@@ -19,13 +19,16 @@ from vaoi_station.acquisition.cameras.aravis import library, network
 from vaoi_station.acquisition.cameras.aravis.connection import (
     OPENING_LOCK,
     USB3_MIN_VERSION,
-    find_by_serial,
+    locate,
     open_device,
-    require_reply,
-    search,
 )
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
-from vaoi_station.acquisition.cameras.aravis.settings import FRAME_TRIGGERS, TRIGGER_WIDTH, make_of, missing_features
+from vaoi_station.acquisition.cameras.aravis.settings import (
+    TRIGGER_WIDTH,
+    frame_trigger,
+    missing_features,
+    trigger_line,
+)
 from vaoi_station.config import CameraConfig
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.running_station import CheckContext
@@ -188,12 +191,7 @@ def _exposure_modes(opened: Any) -> tuple[str, ...]:
 
 @contextmanager
 def _opened(camera: CameraConfig) -> Iterator[Any]:
-    if camera.address is not None:
-        require_reply(camera, camera.address)
-        where = camera.address
-    else:
-        where = find_by_serial(camera, search()).address
-    opened = open_device(camera, where)
+    opened = open_device(camera, locate([camera])[0])
     try:
         yield opened
     finally:
@@ -216,9 +214,9 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
 def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     """Yield a finding for every requirement that the camera does not meet."""
     name = camera.name
-    line = camera.trigger_line or make_of(offered.vendor).line
+    line = trigger_line(camera, offered.vendor)
     one_of_these = "in station.toml to one of these."
-    if not set(FRAME_TRIGGERS) & set(offered.triggers):
+    if frame_trigger(offered.triggers) is None:
         shown = ", ".join(offered.triggers) or "nothing"
         message = f"offers the triggers {shown} only, but a frame trigger by wire is needed."
         yield fault(message, "Use a camera with a trigger input.", subject=name, code="camera-without-trigger")

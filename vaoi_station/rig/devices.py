@@ -16,7 +16,7 @@ from pathlib import Path
 from vaoi_station.acquisition.ring import RingLayout
 from vaoi_station.config import CameraConfig, ControllerConfig, LightConfig, RingConfig, StationConfig
 from vaoi_station.demo.station_files import ring_directory, to_toml
-from vaoi_station.errors import DeviceError, InternalError
+from vaoi_station.errors import DeviceError
 from vaoi_station.files import write_board_type, write_calibration
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.rig.camera_process import CameraProcess
@@ -58,7 +58,7 @@ class Devices:
             resources.enter_context(LoopbackAddresses(self.addresses))
             built = build(self._folder / "firmware")
             self.cameras = tuple(
-                CameraProcess(address, f"VAOI-{n:02d}", partial(self._on_camera_report, n))
+                CameraProcess(address, f"VAOI-{n:02d}", partial(self._report, n))
                 for n, address in enumerate(self.addresses)
             )
             for camera in self.cameras:
@@ -84,7 +84,7 @@ class Devices:
         """Render frames of the calibration board, which cameras send for pulses fired while no board passes."""
         self._renderer.render(FrameRequest(None))
 
-    def _on_camera_report(self, camera: int, word: str, picture: int, _: int) -> None:
+    def _report(self, camera: int, word: str, picture: int, _: int) -> None:
         self.line.on_camera_report(camera, word, picture)
 
 
@@ -226,7 +226,7 @@ class FaultInjector:
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self._faults = list(faults)
-        self._devices: Devices | None = None
+        self._devices: Devices
         self._processes: Callable[[], Mapping[str, int]] = dict
         self._threads: list[threading.Thread] = []
         self._change, self._closing = threading.Lock(), threading.Event()
@@ -235,13 +235,9 @@ class FaultInjector:
         self.failed: list[str] = []
         """Faults that could not be injected, one sentence each."""
 
-    def set_process_source(self, processes: Callable[[], Mapping[str, int]]) -> None:
-        """Set the function that returns the station's processes as {name: process id}."""
-        self._processes = processes
-
-    def attach(self, devices: Devices) -> None:
-        """Set the devices that faults act on, and start the noise on the serial port if it is one of the faults."""
-        self._devices = devices
+    def attach(self, devices: Devices, processes: Callable[[], Mapping[str, int]] = dict) -> None:
+        """Set what faults act on: devices, and the station's processes by name. Start the noise on the serial port."""
+        self._devices, self._processes = devices, processes
         for fault in self._faults:
             if fault.kind == "noise":
                 devices.chip.send(f"noise {fault.share} {fault.share}")
@@ -270,7 +266,7 @@ class FaultInjector:
             thread.join()
 
     def _kill(self, fault: Fault) -> None:
-        camera = self._attached_devices().cameras[fault.camera]
+        camera = self._devices.cameras[fault.camera]
         began_ns = time.monotonic_ns()
         camera.kill()
         self._add_outage(Outage(began_ns, OPEN_END_NS, fault.camera, "the camera was dead"))
@@ -293,8 +289,7 @@ class FaultInjector:
         name = "worker 0" if fault.who == "worker" else fault.who
         pid = self._processes().get(name)
         if pid is None:
-            # The station may have fewer workers than the fault names. The rig run then fails, because the fault was not
-            # tested.
+            # The station has fewer workers than the fault names.
             self.failed.append(f"the station has no process {name!r} to stop")
             return
         began_ns = time.monotonic_ns()
@@ -313,7 +308,7 @@ class FaultInjector:
 
     def _reset(self, fault: Fault) -> None:
         began_ns = time.monotonic_ns()
-        self._attached_devices().chip.send("reset external")
+        self._devices.chip.send("reset external")
         self._add_outage(Outage(began_ns, OPEN_END_NS, None, "the controller was reset"))
         self._add_recovery(fault, began_ns)
 
@@ -324,11 +319,6 @@ class FaultInjector:
                 replace(t, until_ns=ready_ns) if (t.from_ns, t.until_ns) == (recovery.began_ns, OPEN_END_NS) else t
                 for t in self.outages
             ]
-
-    def _attached_devices(self) -> Devices:
-        if self._devices is None:
-            raise InternalError("a board passed before the devices were attached.")
-        return self._devices
 
     def _add_outage(self, outage: Outage) -> None:
         with self._change:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from vaoi_station.errors import InputError
 from vaoi_station.simulation import Scenario
@@ -129,22 +130,24 @@ def _followers(fault: Fault, scenario: Scenario) -> list[Bounce]:
     ]
 
 
+_LIMITS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "share": (lambda share: 0 <= share <= 1, "from 0 to 1"),
+    "for_s": (lambda for_s: 0 < for_s <= 60, "above 0, at most 60 s"),
+    "row": (lambda row: row >= 0, "at least 0"),
+    "at_s": (lambda at_s: 0 <= at_s <= 60, "from 0 to 60 s"),
+    "gap_mm": (lambda gap_mm: 0 < gap_mm <= 10_000, "above 0, at most 10000 mm"),
+    "by_s": (lambda by_s: 0 < by_s <= 60, "above 0, at most 60 s"),
+    "count": (lambda count: 1 <= count <= 20, "from 1 to 20"),
+    "who": (
+        lambda who: re.fullmatch(r"station|acquisition|worker( \d+)?", who) is not None,
+        "station, acquisition, or worker N",
+    ),
+}
+"""Key of a fault → whether a value is allowed (nan is not), and the limit in words."""
+
+
 def _check(fault: Fault) -> None:
-    where = f"--fault {fault.kind}"
-    if not 0 <= fault.share <= 1:
-        raise InputError.field("vaoi rig", f"{where}: share", fault.share, "from 0 to 1")
-    if "for_s" in KINDS[fault.kind][1] and not 0 < fault.for_s <= 60:
-        raise InputError.field("vaoi rig", f"{where}: for_s", fault.for_s, "above 0, at most 60 s")
-    if fault.row < 0:
-        raise InputError.field("vaoi rig", f"{where}: row", fault.row, "at least 0")
-    # The range is tested with `not`, so that nan is refused as well.
-    if "at_s" in KINDS[fault.kind][1] and not 0 <= fault.at_s <= 60:
-        raise InputError.field("vaoi rig", f"{where}: at_s", fault.at_s, "from 0 to 60 s")
-    if not 0 < fault.gap_mm <= 10_000 and "gap_mm" in KINDS[fault.kind][1]:
-        raise InputError.field("vaoi rig", f"{where}: gap_mm", fault.gap_mm, "above 0, at most 10000 mm")
-    if not 0 < fault.by_s <= 60 and "by_s" in KINDS[fault.kind][1]:
-        raise InputError.field("vaoi rig", f"{where}: by_s", fault.by_s, "above 0, at most 60 s")
-    if not 1 <= fault.count <= 20:
-        raise InputError.field("vaoi rig", f"{where}: count", fault.count, "from 1 to 20")
-    if not re.fullmatch(r"station|acquisition|worker( \d+)?", fault.who):
-        raise InputError.field("vaoi rig", f"{where}: who", fault.who, "station, acquisition, or worker N")
+    for key in KINDS[fault.kind][1]:
+        value = getattr(fault, key)
+        if key in _LIMITS and not _LIMITS[key][0](value):
+            raise InputError.field("vaoi rig", f"--fault {fault.kind}: {key}", value, _LIMITS[key][1])

@@ -8,7 +8,6 @@ frame shows the board. For the score, every pulse is recorded with the outcome o
 
 from __future__ import annotations
 
-import contextlib
 import math
 import random
 import threading
@@ -89,8 +88,8 @@ class Lighting:
     def brightnesses(self, pulse: Pulse, camera: int, row: int | None = None) -> tuple[float, float | None]:
         """Return the brightness of a frame in the exposure modes Timed and TriggerWidth.
 
-        The second is None if the program has one exposure for all rows of the camera, so that it stays in Timed. In
-        Timed the exposure is that of the camera's register, which the program of such a camera does not set.
+        The second is None if all rows of the camera have one exposure, so that it stays in Timed. Otherwise its
+        register, which counts in Timed, is not set by the program.
         """
         if self.light_of(pulse) is None:
             return 0.0, None
@@ -106,7 +105,6 @@ class Lighting:
 
 
 def _share(share: float) -> float:
-    """Return a brightness, and exactly 1 if it is as good as the rendered one."""
     return 1.0 if abs(share - 1) < BRIGHTNESS_TOLERANCE else share
 
 
@@ -193,7 +191,7 @@ class VirtualLine:
     def on_edge(self, edge: Edge) -> None:
         """Handle an edge of one of the chip's outputs: if it completes a pulse, trigger the cameras."""
         if edge.pin == LINE_READY:
-            self._permit(edge.level)
+            (self._permitted.set if edge.level else self._permitted.clear)()
         pulse = self._decoder.process(edge)
         if pulse is not None:
             with self._change:
@@ -202,12 +200,6 @@ class VirtualLine:
     def wait_permitted(self, timeout_s: float) -> bool:
         """Wait until the output "line ready" is on, as a conveyor does with a board; return False after the timeout."""
         return self._permitted.wait(timeout_s)
-
-    def _permit(self, level: bool) -> None:
-        if level:
-            self._permitted.set()
-        else:
-            self._permitted.clear()
 
     def on_camera_report(self, camera: int, word: str, picture: int) -> None:
         """Record a camera's report: a frame was sent, or a trigger was ignored because no client had armed it.
@@ -243,7 +235,7 @@ class VirtualLine:
         """Handle a reset of the chip: outputs are low and planned edges are lost, so plan the later edges again."""
         assert self._chip is not None
         self._decoder = PulseDecoder()
-        self._permit(False)
+        self._permitted.clear()
         if self._passage is not None:
             self._plan_edges(self._passage, self._chip.cycle_at(time.monotonic_ns()))
 
@@ -312,30 +304,24 @@ class VirtualLine:
         return ("hit", LOST_PACKET_SHARE) if self._random.random() < self._frame_faults.loss else ("sent", 0.0)
 
     def _render_late(self, request: FrameRequest, pulse: Pulse) -> None:
-        """Render frames on demand in a separate thread, then trigger the cameras with the time stamp of the pulse."""
-
         def send() -> None:
-            with contextlib.suppress(InternalError):  # the rig is being stopped
+            try:
                 frames = self._render_on_demand(request)
-                self._trigger_all(frames, pulse)
+            except InternalError:  # the rig is being stopped
+                return
+            timestamp_ns = wall_clock_ns(pulse.host_ns)
+            for n, camera in enumerate(self._cameras):
+                stamp_ns = timestamp_ns + self._frame_faults.stamp_delay_ns(max(self._boards - 1, 0), n)
+                command = TriggerCommand(n if frames else DARK, stamp_ns, self._lighting.brightness(pulse, n))
+                camera.trigger(command, frames)
 
         # Rendering takes longer than a trigger period. In the chip's thread it would delay the pulses that follow.
         threading.Thread(target=send, name="late frames", daemon=True).start()
 
-    def _trigger_all(self, frames: Path | None, pulse: Pulse) -> None:
-        timestamp_ns = wall_clock_ns(pulse.host_ns)
-        for n, camera in enumerate(self._cameras):
-            stamp_ns = timestamp_ns + self._frame_faults.stamp_delay_ns(max(self._boards - 1, 0), n)
-            command = TriggerCommand(n if frames else DARK, stamp_ns, self._lighting.brightness(pulse, n))
-            camera.trigger(command, frames)
-
 
 def wall_clock_ns(host_ns: int) -> int:
-    """Convert a time of CLOCK_MONOTONIC to CLOCK_REALTIME, the clock of the virtual cameras. Both are in ns.
-
-    The two clocks are read one after the other, and an interruption between the readings makes their difference wrong.
-    So several pairs of readings are taken, and the pair that took the shortest time counts.
-    """
+    """Convert a time of CLOCK_MONOTONIC to CLOCK_REALTIME, the clock of the virtual cameras. Both are in ns."""
+    # An interruption between the readings of two clocks makes their difference wrong: the shortest of several counts.
     readings: list[tuple[int, int]] = []
     while len(readings) < _MIN_READINGS or (min(readings)[0] > _NARROW_NS and len(readings) < _MAX_READINGS):
         before_ns, wall_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()

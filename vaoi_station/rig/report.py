@@ -24,9 +24,8 @@ class AffectedFrame(Strict):
     camera: int
     row: int
     verdict: str
-    """`incomplete` or `missing`, as the station reports it."""
     cause: str
-    """Cause that the station reports."""
+    """Cause that the station reports; empty: none."""
     done: str
     """Fault that the rig injected; empty: none."""
 
@@ -37,14 +36,12 @@ class BoardScore(Strict):
     board: int
     run: str | None
     """Id of the run by which the station recorded this board; None if there is no such run."""
-    state: str | None
     status: str | None
     armed_id: str | None
     """Board id with which the station was armed for this board; None if it was not armed for it."""
     board_id: str | None
     """Board id of the station's run; None: the run has none."""
     reasons: tuple[str, ...]
-    cameras: int
     rows: int
     """Number of pulses that were fired."""
     rows_due: int
@@ -59,10 +56,6 @@ class BoardScore(Strict):
     mislit: tuple[str, ...] = ()
     """Descriptions of frames whose light or exposure the station states otherwise than the chip fired them."""
     affected: tuple[AffectedFrame, ...]
-    innocent: tuple[tuple[int, int], ...]
-    """(camera, row) of incomplete or missing frames without an injected fault."""
-    unnamed: tuple[tuple[int, int], ...]
-    """(camera, row) of incomplete or missing frames for which the station reports no cause."""
     unfilmed: int
     """Number of frames that were fired but that the station's run does not list."""
     pulse_off_us: float
@@ -94,7 +87,7 @@ class RigReport(Strict):
     """The document that `vaoi rig run --json` writes."""
 
     format: str = "vaoi-rig"
-    version: int = 4
+    version: int = 5
     ok: bool
     scenario: str
     cameras: int
@@ -117,12 +110,8 @@ class RigReport(Strict):
     """The reasons why `ok` is false, one sentence each."""
 
 
-def failings(report: RigReport, faults: Sequence[Fault], boards: int) -> tuple[str, ...]:
-    """Return one sentence for each way in which a rig run of `boards` boards went wrong; empty if it went well."""
-    return tuple(_failings(report, faults, boards))
-
-
-def _failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterator[str]:
+def failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterator[str]:
+    """Yield one sentence for each way in which a rig run of `boards` boards went wrong."""
     if len(report.boards) < boards:
         yield f"only {len(report.boards)} of {boards} boards passed"
     # After these faults a board has fewer rows, so its missing rows and its verdict are expected.
@@ -176,21 +165,19 @@ def _board_failings(board: BoardScore, hurt: set[int]) -> Iterator[str]:
     if board.affected and (board.sent_late_ms is None or board.sent_late_ms > LATE_MS):
         late = "without end" if board.sent_late_ms is None else f"by {board.sent_late_ms:.0f} ms"
         yield f"{where}: the rig itself delayed frames {late}: this machine is too busy for a verdict"
-    for cell in board.innocent:
-        yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and no fault was injected"
-    for cell in board.unnamed:
-        yield f"{where}: camera {cell[0]}, row {cell[1]} is not whole, and the station reports no cause"
-    yield from _result_failings(board, board.board in hurt)
+    for frame in board.affected:
+        if not frame.done:
+            yield f"{where}: camera {frame.camera}, row {frame.row} is not whole, and no fault was injected"
+        if not frame.cause:
+            yield f"{where}: camera {frame.camera}, row {frame.row} is not whole, and the station reports no cause"
+    yield from _verdict_failings(board, board.board in hurt)
 
 
-def _result_failings(board: BoardScore, hurt: bool) -> Iterator[str]:
-    """Yield each error in a board's verdict and reasons.
-
-    If `hurt` is true, the board has lost rows by a fault. Then only a reason is required, not the verdict ok.
-    """
+def _verdict_failings(board: BoardScore, hurt: bool) -> Iterator[str]:
     where = f"board {board.board}"
     if board.rows < board.rows_due and not board.reasons:
         yield f"{where}: only {board.rows} of {board.rows_due} rows were fired, and the station reports no reason"
+    # Of a board that has lost rows by a fault, only a reason is required, not the verdict ok.
     if hurt:
         return
     if board.rows < board.rows_due:
@@ -204,37 +191,26 @@ def _result_failings(board: BoardScore, hurt: bool) -> Iterator[str]:
 
 
 _HEAD = (
-    "board",
-    "verdict",
-    "ok",
-    "incomplete",
-    "missing",
-    "proven",
-    "pulse µs",
-    "sent ms",
-    "px rms",
-    "px max",
-    "open",
-    "ready ms",
-)
+    "board", "verdict", "ok", "incomplete", "missing", "proven",
+    "pulse µs", "sent ms", "px rms", "px max", "open", "ready ms",
+)  # fmt: skip
 _FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>9s}{:>8s}{:>8s}{:>6s}{:>10s}"
 MOST = 40
 """Largest number of lines about incomplete and missing frames."""
 
 
-def as_text(report: RigReport) -> str:
-    """Format the report of a rig run as text tables."""
-    return "\n".join(_lines(report))
-
-
-def _lines(report: RigReport) -> Iterator[str]:
+def text_lines(report: RigReport) -> Iterator[str]:
+    """Yield the report of a rig run as lines of text."""
     size = f"{report.cameras} cameras, {report.width_px} × {report.height_px} at {report.frames_per_s:.2f} frames/s"
     yield f"scenario {report.scenario!r}: {size}; faults: {', '.join(report.faults) or 'none'}"
     yield _FORM.format(*_HEAD)
     for board in report.boards:
         yield _FORM.format(*_row(board))
     yield from _affected(report)
-    yield from _reasons(report)
+    for board in report.boards:
+        # The frames are listed above.
+        if reasons := [reason for reason in board.reasons if not reason.startswith("Frames (camera, row)")]:
+            yield f"  board {board.board}, {board.rows} of {board.rows_due} rows: {' '.join(reasons)}"
     for recovery in report.recoveries:
         after = "never" if recovery.ready_after_s is None else f"{recovery.ready_after_s:.1f} s later"
         yield f"{recovery.fault}: over at {recovery.back_s:.1f} s, the station was ready {after}"
@@ -263,14 +239,6 @@ def _row(board: BoardScore) -> tuple[str, ...]:
         "–" if board.links_open is None else f"{board.links_open}",
         "–" if board.ready_after_last_frame_ms is None else f"{board.ready_after_last_frame_ms:.0f}",
     )
-
-
-def _reasons(report: RigReport) -> Iterator[str]:
-    """Yield the reasons of every run, except those that only list frames: `_affected` yields the frames."""
-    for board in report.boards:
-        text = [reason for reason in board.reasons if not reason.startswith("Frames (camera, row)")]
-        if text:
-            yield f"  board {board.board}, {board.rows} of {board.rows_due} rows: {' '.join(text)}"
 
 
 def _affected(report: RigReport) -> Iterator[str]:

@@ -140,7 +140,7 @@ class _Record:
     began_ns: int = field(default_factory=time.monotonic_ns)
     runs: list[dict[str, Any]] = field(default_factory=list)
     matrices: dict[str, dict[str, Any]] = field(default_factory=dict)
-    ring_checks: dict[str, RingCheck] = field(default_factory=dict)
+    ring_checks: dict[str, RingCheck | None] = field(default_factory=dict)
     missed: int = 0
     board_ids: list[str | None] = field(default_factory=list)
     """For each board the id with which the station was armed for it; None: that was not possible."""
@@ -177,17 +177,9 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
         injector = FaultInjector(plan.faults)
         progress(f"Starting {scenario.array.cameras} cameras and the controller.")
         with Devices(scenario, folder, frame_faults_of(plan.faults), injector.on_row) as devices:
-            port = devices.terminal
-            name = f"rig-{os.getpid()}"
+            site: dict[str, Any] = {"name": f"rig-{os.getpid()}", "workers": plan.workers, "interlock": True}
             config = build_site(
-                scenario,
-                rendered[0],
-                folder,
-                name=name,
-                addresses=devices.addresses,
-                port=port,
-                workers=plan.workers,
-                interlock=True,
+                scenario, rendered[0], folder, addresses=devices.addresses, port=devices.terminal, **site
             )
             progress("Starting the service.")
             with Service(config) as service, injector:
@@ -202,7 +194,6 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
 
 
 def _borrowed_ids(boards: Sequence[BoardScore], runs: Sequence[dict[str, Any]]) -> list[str]:
-    """Return one sentence for each run that belongs to no board of the rig but has the id of one."""
     fed = {board.run for board in boards}
     others = [run for run in runs if run["id"] not in fed and run.get("board_id") is not None]
     return [f"run {run['id']} of a board without an id has the board id {run['board_id']!r}" for run in others]
@@ -220,8 +211,7 @@ def _run_boards(
     client, record = Client(service.address), _Record()
     wait_until_idle(client)
     with StatusWatch(Client(service.address)) as watch:
-        injector.attach(devices)
-        injector.set_process_source(lambda: _processes(service, watch.last))
+        injector.attach(devices, lambda: _processes(service, watch.last))
         ids = _BoardIds(client, watch, rendered[0].board_type.name)
         client.post("/station/arm", board_type=ids.board_type, job_id="rig")
         watch.wait_ready(READY_TIMEOUT_S)
@@ -351,7 +341,6 @@ def _report(
 
 
 def _processes(service: Service, station: dict[str, Any]) -> dict[str, int]:
-    """Return process name → pid, for the station and its child processes."""
     children = {p["name"]: p["pid"] for p in station.get("processes", ()) if p["pid"] is not None}
     return {"station": service.pid, **children}
 

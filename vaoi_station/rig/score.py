@@ -24,25 +24,20 @@ MONO_8, MONO_16 = 0x01080001, 0x01100007
 
 @dataclass(frozen=True)
 class RingCheck:
-    """The check of one bay: its frames, as (camera, row), sorted by what their memory contains."""
+    """The check of the frames, as (camera, row), in one bay."""
 
     proven: frozenset[tuple[int, int]]
     """Complete frames of which every pixel equals the frame rendered for that camera and row."""
-    partial: frozenset[tuple[int, int]]
-    """Incomplete frames of which every pixel is black or equals the rendered pixel."""
     wrong: dict[tuple[int, int], str]
-    """All other frames, with a description of the difference."""
-    valid: bool = True
-    """Whether the bay still belonged to the run after the comparison; otherwise the comparison is not valid."""
+    """Frames with other pixels than rendered (or black, in an incomplete frame), with a description."""
 
 
-def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck:
-    """Compare one bay of the ring with the rendered frames of the board that was recorded into it."""
+def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck | None:
+    """Compare one bay of the ring with the rendered frames of its board; None if another board got it meanwhile."""
     frames = passage.rendered.map_frames()
     brightness = {fired.row: fired.brightness for fired in passage.fired if fired.row is not None}
     generation = ring.generation(bay)
     proven: set[tuple[int, int]] = set()
-    partial: set[tuple[int, int]] = set()
     wrong: dict[tuple[int, int], str] = {}
     for camera in range(ring.layout.cameras):
         for k in range(ring.layout.slots_per_camera):
@@ -56,11 +51,10 @@ def check_bay(ring: Ring, bay: int, passage: BoardPassage) -> RingCheck:
             difference = _compare(ring.memory(slot), frames, cell, brightness, mono, whole=state == WHOLE)
             if difference:
                 wrong[cell] = difference
-            else:
-                (proven if state == WHOLE else partial).add(cell)
+            elif state == WHOLE:
+                proven.add(cell)
     # The generation of a bay changes when the station gives the bay to the next board, even during this comparison.
-    valid = ring.generation(bay) == generation
-    return RingCheck(frozenset(proven), frozenset(partial), wrong, valid)
+    return RingCheck(frozenset(proven), wrong) if ring.generation(bay) == generation else None
 
 
 def bays_to_check(station: Mapping[str, Any]) -> dict[str, int]:
@@ -137,12 +131,15 @@ class BoardEvidence:
 def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
     """Compare the run of one board with truth, rendered frames and injected faults. Return the score."""
     passage, run, check = evidence.passage, evidence.run, evidence.ring_check
+    cameras = passage.rendered.metadata.cameras
     verdicts = _station_verdicts(run)
     reasons = _reasons(passage, outages)
     whole = {cell for cell, (verdict, _) in verdicts.items() if verdict == "ok"}
-    affected = [
-        _affected_frame(cell, verdicts[cell], reasons.get(cell, "")) for cell in sorted(verdicts) if cell not in whole
-    ]
+    affected = tuple(
+        AffectedFrame(camera=c, row=r, verdict=verdict, cause=cause, done=reasons.get((c, r), ""))
+        for (c, r), (verdict, cause) in sorted(verdicts.items())
+        if verdict != "ok"
+    )
     found = compare_with_truth(
         passage.rendered.metadata.views, evidence.matrices.get("components") or {}, evidence.px_per_mm
     )
@@ -152,24 +149,20 @@ def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:
     return BoardScore(
         board=passage.board,
         run=run["id"] if run else None,
-        state=run["state"] if run else None,
         status=run["verdict"] if run else None,
         armed_id=evidence.armed_id,
         board_id=(run or {}).get("board_id"),
         reasons=tuple(reason["message"] for reason in run["reasons"]) if run else (),
-        cameras=passage.rendered.metadata.cameras,
         rows=len(passage.fired),
         rows_due=passage.rendered.rows,
         ok=counts["ok"],
         incomplete=counts["incomplete"],
         missing=counts["missing"],
-        proven=len(check.proven & whole) if check and check.valid else None,
+        proven=len(check.proven & whole) if check else None,
         wrong=tuple(f"camera {c}, row {r}: {text}" for (c, r), text in sorted(wrong.items())),
         mislit=tuple(_mislit(passage, run, evidence.lighting)),
-        affected=tuple(affected),
-        innocent=tuple(cell for cell in sorted(verdicts) if cell not in whole and cell not in reasons),
-        unnamed=tuple(cell for cell, (verdict, cause) in sorted(verdicts.items()) if verdict != "ok" and not cause),
-        unfilmed=_unfilmed(passage, verdicts),
+        affected=affected,
+        unfilmed=len({(c, r) for r in range(len(passage.fired)) for c in range(cameras)} - set(verdicts)),
         pulse_off_us=max((abs(f.offset_us) for f in passage.fired if f.row is not None), default=0.0),
         sent_late_ms=_sent_late_ms(passage),
         notes=tuple(dict.fromkeys(f.note for f in passage.fired if f.note)),
@@ -222,11 +215,6 @@ def _sent_late_ms(passage: BoardPassage) -> float | None:
     return round(max(known, default=0.0), 1) if len(known) == len(late) else None
 
 
-def _affected_frame(cell: Cell, verdicts: tuple[str, str], done: str) -> AffectedFrame:
-    verdict, cause = verdicts
-    return AffectedFrame(camera=cell[0], row=cell[1], verdict=verdict, cause=cause, done=done)
-
-
 def _mislit(passage: BoardPassage, run: Mapping[str, Any] | None, lighting: Lighting | None) -> Iterator[str]:
     """Yield a text for each complete frame whose light or exposure is stated otherwise than fired."""
     for frame in run["frames"] if run and lighting else ():
@@ -241,9 +229,3 @@ def _mislit(passage: BoardPassage, run: Mapping[str, Any] | None, lighting: Ligh
             yield f"camera {camera}, row {row}: the station states the light {stated!r}, lit was {light!r}"
         if stated_us is None or abs(stated_us - exposure_us) > _EXPOSED_SHARE * exposure_us:
             yield f"camera {camera}, row {row}: the station states {stated_us} µs of light, it was {exposure_us:.1f} µs"
-
-
-def _unfilmed(passage: BoardPassage, verdicts: Mapping[Cell, object]) -> int:
-    """Return the number of fired frames that the station's run does not list."""
-    cells = {(c, r) for r in range(len(passage.fired)) for c in range(passage.rendered.metadata.cameras)}
-    return len(cells - set(verdicts))

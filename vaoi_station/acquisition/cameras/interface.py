@@ -29,14 +29,13 @@ class Slot:
     """Bytes behind the view that the camera may write to as well, for chunk data."""
 
 
-STATED_TOLERANCE_US, STATED_TOLERANCE_SHARE, STATED_TOLERANCE_DB = 20.0, 0.01, 0.3
-"""Tolerances of the exposure and the gain that a frame states: sensors expose whole lines, and gains have steps. Of the
-exposure the larger one of both counts."""
+GAIN_TOLERANCE_DB = 0.3
+"""Accepted difference of a gain: cameras have coarse steps of gain."""
 
 
-def stated_tolerance_us(exposure_us: float) -> float:
-    """Return the difference, µs, from which on a stated exposure is not this one."""
-    return max(STATED_TOLERANCE_US, STATED_TOLERANCE_SHARE * exposure_us)
+def exposure_tolerance_us(exposure_us: float) -> float:
+    """Return the accepted difference of an exposure, µs: some sensors round it to the time of a line of pixels."""
+    return max(20.0, 0.01 * exposure_us)
 
 
 @dataclass(frozen=True)
@@ -82,14 +81,6 @@ class CameraExposure:
     sequence: tuple[tuple[float, float], ...] = ()
     """Exposure (µs) and gain (dB) of the sets of the camera's sequencer, which its frames use in turn; empty if the
     camera uses no sequencer."""
-
-
-EXPOSURE_TOLERANCE, EXPOSURE_TOLERANCE_US = 0.01, 20.0
-"""Accepted difference of the exposure, relative and in µs; the larger limit counts. Some sensors round the exposure to
-the time of a line of pixels.
-"""
-GAIN_TOLERANCE_DB = 0.3
-"""Accepted difference of the gain. Cameras have coarse steps of gain."""
 
 
 @dataclass(frozen=True)

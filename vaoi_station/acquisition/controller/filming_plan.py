@@ -6,13 +6,10 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from vaoi_station.acquisition.cameras.interface import (
-    EXPOSURE_TOLERANCE,
-    EXPOSURE_TOLERANCE_US,
     GAIN_TOLERANCE_DB,
-    STATED_TOLERANCE_DB,
     CameraExposure,
     CameraLimits,
-    stated_tolerance_us,
+    exposure_tolerance_us,
 )
 from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.config import CameraConfig, StationConfig
@@ -101,7 +98,7 @@ def beyond_camera(
         checks.insert(0, ("exposure_us", "µs", wanted.exposures_us, limits.exposure_us))
     for key, unit, steps, bounds in checks:
         for n, value in enumerate(steps):
-            near = max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * value) if unit == "µs" else GAIN_TOLERANCE_DB
+            near = exposure_tolerance_us(value) if unit == "µs" else GAIN_TOLERANCE_DB
             # The sets of a sequencer are compared exactly; a register is read back, and a camera may have rounded it.
             spare = 0.0 if wanted.sequence else near
             if bounds is None or bounds[0] - spare <= value <= bounds[1] + spare:
@@ -385,13 +382,13 @@ def _sequence_faults(
     steps = [(row.exposures_us[number], row.gains_db[number]) for row in rows]
     for n, (exposure_us, gain_db) in enumerate(steps):
         for before, (other_us, other_db) in enumerate(steps[:n]):
-            apart_us = stated_tolerance_us(exposure_us) + stated_tolerance_us(other_us)
-            near = abs(exposure_us - other_us) < apart_us and abs(gain_db - other_db) < 2 * STATED_TOLERANCE_DB
+            apart_us = exposure_tolerance_us(exposure_us) + exposure_tolerance_us(other_us)
+            near = abs(exposure_us - other_us) < apart_us and abs(gain_db - other_db) < 2 * GAIN_TOLERANCE_DB
             if not near or (exposure_us, gain_db) == (other_us, other_db):
                 continue
             key, value, other, apart = "exposure_us", exposure_us, other_us, f"{apart_us:g} µs"
             if exposure_us == other_us:
-                key, value, other, apart = "gain_db", gain_db, other_db, f"{2 * STATED_TOLERANCE_DB:g} dB"
+                key, value, other, apart = "gain_db", gain_db, other_db, f"{2 * GAIN_TOLERANCE_DB:g} dB"
             limit = (
                 f"{other:g} as in program.{before}, or at least {apart} from it: by what the frames of {camera.label} "
                 "state, the two steps could not be distinguished"

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
-from vaoi_station.acquisition.cameras.interface import STATED_TOLERANCE_DB, stated_tolerance_us
+from vaoi_station.acquisition.cameras.interface import GAIN_TOLERANCE_DB, exposure_tolerance_us
 from vaoi_station.acquisition.clocks import ClockJump
 from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.pairing.evidence import NO_PACKET, Gap, explain_missing, find_gaps, median
@@ -117,9 +117,9 @@ def contradicted_frames(camera: int, frames: Iterable[ObservedFrame], program: S
         must_us, must_db = expected.exposures_us[camera], expected.gains_db[camera]
         # Steps are at least two tolerances apart in one of the two (`filming_plan`): a frame fits one step at most.
         # What a frame states may be no number (NaN), which is not below any limit.
-        if not abs(stated.exposure_us - must_us) < stated_tolerance_us(must_us):
+        if not abs(stated.exposure_us - must_us) < exposure_tolerance_us(must_us):
             what = f"an exposure of {stated.exposure_us:g} µs, but the light program has {must_us:g} µs"
-        elif stated.gain_db is not None and not abs(stated.gain_db - must_db) < STATED_TOLERANCE_DB:
+        elif stated.gain_db is not None and not abs(stated.gain_db - must_db) < GAIN_TOLERANCE_DB:
             what = f"a gain of {stated.gain_db:g} dB, but the light program has {must_db:g} dB"
         else:
             continue

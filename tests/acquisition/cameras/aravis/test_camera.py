@@ -15,7 +15,6 @@ from tests.acquisition.cameras.aravis.stand_in import camera_config
 from vaoi_station.acquisition.cameras.aravis import camera as camera_module
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
 from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
-from vaoi_station.acquisition.cameras.aravis.network import FoundCamera
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
     Arrival,
@@ -64,7 +63,7 @@ class StandInConnection:
     def __init__(self, config: CameraConfig, where: str, sequence: tuple[tuple[float, float], ...] = ()) -> None:
         self.config, self.where, self.sequence = config, where, sequence
         self.rewound, self.limits = 0, CameraLimits()
-        self.identity = Identity("Acme", "Model 1", self.serial, where, "")
+        self.identity = Identity(self.serial, where, "")
         self.is_gige = False
         self.stream = StandInStream()
         self.error: DeviceError | None = None
@@ -162,7 +161,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     monkeypatch.setattr(StandInConnection, "serial", "S1")
     monkeypatch.setattr(StandInConnection, "refusal", None)
     monkeypatch.setattr(camera_module, "Connection", StandInConnection)
-    monkeypatch.setattr(camera_module, "search", lambda: (FoundCamera("S1", "USB-2"),))
+    monkeypatch.setattr(camera_module, "locate", lambda _cameras: ["USB-2"])
     monkeypatch.setattr(camera_module, "CHECK_S", 0.01)
     monkeypatch.setattr(camera_module, "ABSENT_S", 0.02)
     monkeypatch.setattr(camera_module, "PACE", BackoffPolicy(first_s=0.01, longest_s=30.0, proven_s=10.0))
@@ -182,23 +181,11 @@ def test_frames_are_reported_by_the_camera_s_clock_and_counted(bench: Bench) -> 
     assert health.counters == (("n_losses", 0), ("n_underruns", 3))
 
 
-def test_the_clock_counts_from_the_opening(bench: Bench) -> None:
-    assert bench.camera.read_clock().device_s == 0.0
-
-
 def test_health_has_temperature_and_warning(bench: Bench) -> None:
     bench.camera.start(bench.events)
     bench.wait(lambda: bench.camera.health().temperature_c == 41.5)
     health = bench.camera.health()
     assert (health.connected, health.message, health.action, health.next_try_s) == (True, "small buffer", "", None)
-
-
-def test_slots_go_to_the_stream_and_come_back(bench: Bench) -> None:
-    for slot in SLOTS:
-        bench.camera.queue(slot)
-    assert bench.connection.stream.queued == SLOTS
-    assert bench.camera.take_back() == [0, 1, 2, 3]
-    assert bench.camera.take_back() == []
 
 
 def test_a_lost_camera_is_reported_with_its_reason_and_opened_again(bench: Bench) -> None:
@@ -227,14 +214,6 @@ def test_slots_wait_for_the_camera_in_their_order(bench: Bench, monkeypatch: pyt
     bench.next(CameraBack)
     bench.wait(lambda: bench.camera.health().connected)
     assert bench.connection.stream.queued == SLOTS
-
-
-def test_slots_of_a_lost_camera_can_be_taken_back(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(StandInConnection, "refusal", DeviceError("is absent", code="camera-absent"))
-    bench.camera.start(bench.events)
-    bench.camera.queue(SLOTS[3])
-    bench.lose()
-    assert bench.camera.take_back() == [3]
 
 
 def test_a_lost_camera_has_a_reason_an_action_and_no_clock(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,13 +248,6 @@ def test_a_camera_that_another_program_has_taken_is_lost(bench: Bench, monkeypat
     assert "no longer controlled by this station" in lost.why
     assert lost.since_s <= taken_s
     bench.next(CameraBack)
-
-
-def test_closing_releases_the_connection(bench: Bench) -> None:
-    bench.camera.start(bench.events)
-    bench.camera.close()
-    assert bench.connection.closed == [False]
-    assert not bench.camera.health().connected
 
 
 def test_exposure_is_set_now_or_when_the_camera_is_back(bench: Bench) -> None:

@@ -147,11 +147,6 @@ def test_a_serial_number_ends_with_a_zero_or_after_16_bytes() -> None:
     assert found.serial == "0123456789ABCDEF"
 
 
-def test_without_a_camera_nothing_replies() -> None:
-    assert not network.is_reachable("127.0.0.1", timeout_s=0.01)
-    assert network.read_control("127.0.0.1", timeout_s=0.01) is network.Control.ABSENT
-
-
 @pytest.fixture
 def camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
     """A socket in place of a camera; the port of the protocol is its port."""
@@ -170,14 +165,6 @@ def test_a_late_reply_to_an_earlier_request_is_passed_over(camera: socket.socket
         for number in (request_id - 1, request_id):
             camera.sendto(struct.pack(">HHHH", 0, 0x81, 4, number % 0x10000) + bytes(4), client)
         assert result.result()
-
-
-def test_a_lost_request_is_repeated_with_a_new_id(camera: socket.socket) -> None:
-    with ThreadPoolExecutor(1) as caller:
-        result = caller.submit(network.is_reachable, "127.0.0.1", timeout_s=0.05, tries=3)
-        ids = [camera.recvfrom(1024)[0][6:8] for _ in range(3)]
-        assert not result.result()
-    assert len(set(ids)) == 3
 
 
 def test_cameras_that_reply_to_the_broadcast_are_listed_by_address(

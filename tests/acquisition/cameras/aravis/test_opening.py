@@ -15,7 +15,6 @@ from vaoi_station.acquisition.cameras.aravis import camera as camera_module
 from vaoi_station.acquisition.cameras.aravis import network
 from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras, socket_bytes
 from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
-from vaoi_station.acquisition.cameras.aravis.network import FoundCamera
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError
 
@@ -31,7 +30,7 @@ class OpenConnection:
 
     def __init__(self, config: CameraConfig, where: str) -> None:
         self.config, self.where = config, where
-        self.identity = Identity("Acme", "Model 1", self.serials.get(where, where), where, "eth1")
+        self.identity = Identity(self.serials.get(where, where), where, "eth1")
         self.is_gige, self.packet_bytes = True, 1500
         self.share: PortShare | None = None
         self.closed = False
@@ -62,8 +61,7 @@ def _no_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_module, "Connection", OpenConnection)
     monkeypatch.setattr(camera_module, "AravisCamera", OpenCamera)
     monkeypatch.setattr(camera_module, "check_silence", lambda _connections: None)
-    monkeypatch.setattr(camera_module, "require_reply", lambda _config, _address: None)
-    monkeypatch.setattr(camera_module, "search", lambda: (FoundCamera("S1", "10.0.0.1"), FoundCamera("S2", "10.0.0.2")))
+    monkeypatch.setattr(camera_module, "locate", lambda cameras: [c.address or "10.0.0.2" for c in cameras])
     monkeypatch.setattr(network, "link_mbit_s", lambda _port: 1000.0)
 
 
@@ -93,11 +91,6 @@ def test_cameras_of_a_port_share_it(tmp_path: Path) -> None:
     assert {connection.share for connection in OpenConnection.opened} == {PortShare(3, 1000.0, 10 * 256)}
 
 
-def test_a_configured_link_speed_goes_before_that_of_the_port(tmp_path: Path) -> None:
-    open_aravis_cameras(station(tmp_path, {"address": "10.0.0.1", "link_mbit_s": 100.0}))
-    assert OpenConnection.opened[0].share == PortShare(1, 100.0, 10 * 256)
-
-
 def test_one_camera_at_two_addresses_is_refused(tmp_path: Path) -> None:
     OpenConnection.serials = {"10.0.0.1": "SAME", "10.0.0.2": "SAME"}
     with pytest.raises(InputError, match="cameras c0, c1: have the same serial number 'SAME'") as refused:
@@ -119,13 +112,3 @@ def test_after_a_refusal_all_cameras_are_closed(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match="refuses its settings"):
         open_aravis_cameras(station(tmp_path, *({"address": f"10.0.0.{k}"} for k in (1, 2, 3))))
     assert [connection.closed for connection in OpenConnection.opened] == [True] * 3
-
-
-def test_a_camera_that_sends_without_a_trigger_closes_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_connections: object) -> None:
-        raise DeviceError("sends frames although no trigger was fired")
-
-    monkeypatch.setattr(camera_module, "check_silence", fail)
-    with pytest.raises(DeviceError, match="no trigger"):
-        open_aravis_cameras(station(tmp_path, {"address": "10.0.0.1"}))
-    assert OpenConnection.opened[0].closed

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
 from vaoi_station.acquisition.cameras.aravis import settings
-from vaoi_station.acquisition.cameras.aravis.settings import GENERIC, MAKES, Setting, Value, make_of
+from vaoi_station.acquisition.cameras.aravis.settings import MAKES, Setting, Value, make_of
 from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader
 from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.errors import DeviceError
@@ -33,16 +33,6 @@ def test_a_make_is_found_whatever_follows_its_name(vendor: str, make: str, line:
     assert make_of(vendor).line == line
 
 
-@pytest.mark.parametrize("vendor", ["", "Unknown GmbH", "The Basler Company"])
-def test_an_unknown_make_gets_the_recipe_that_all_cameras_accept(vendor: str) -> None:
-    assert make_of(vendor) is GENERIC
-    assert GENERIC.off_while_changing, "some cameras refuse another source while the mode is on"
-
-
-def test_makes_are_written_as_they_are_compared() -> None:
-    assert all(make == make.casefold() for make in MAKES)
-
-
 pytestmark = pytest.mark.usefixtures("_stand_in")
 
 
@@ -54,22 +44,6 @@ def setting(wanted: Value, tolerance: float = 0.0) -> Setting:
 def test_numbers_match_within_their_tolerance(wanted: float, tolerance: float, share: float) -> None:
     assert setting(wanted, tolerance).matches(wanted + share * tolerance)
     assert not setting(wanted, tolerance).matches(wanted + 1.01 * tolerance + 1e-5 * wanted)
-
-
-@pytest.mark.parametrize(
-    ("wanted", "got", "matching"),
-    [
-        ("On", "On", True),
-        ("On", "Off", False),
-        ((0, 0, 8, 4), (0, 0, 8, 4), True),
-        ((0, 0, 8, 4), (0, 0, 8, 8), False),
-        (True, False, False),
-        (3, "3", False),
-        (3.0, 3, True),
-    ],
-)
-def test_other_values_match_exactly(wanted: Value, got: object, matching: bool) -> None:
-    assert setting(wanted).matches(got) is matching
 
 
 def test_everything_is_on_the_camera_afterwards() -> None:
@@ -98,14 +72,6 @@ def test_everything_is_on_the_camera_afterwards() -> None:
     )
 
 
-def test_automatic_functions_are_off_before_the_value_is_set() -> None:
-    camera = StandInCamera()
-    settings.apply(camera, camera_config())
-    names = [feature for feature, _ in camera.device.written]
-    assert names.index("ExposureAuto") < names.index("ExposureTime")
-    assert names.index("ExposureTime") < names.index("TriggerSelector")
-
-
 @pytest.mark.parametrize(("vendor", "while_changing"), [("Basler", "On"), ("FLIR", "Off"), ("Acme", "Off")])
 def test_the_mode_while_the_source_changes_is_that_of_the_recipe(vendor: str, while_changing: str) -> None:
     camera = StandInCamera(vendor)
@@ -115,12 +81,6 @@ def test_the_mode_while_the_source_changes_is_that_of_the_recipe(vendor: str, wh
     assert written[source - 1] == ("TriggerMode", while_changing)
     assert written[-1] == ("TriggerMode", "On")
     assert ("TriggerSelector", "AcquisitionStart") in written[:source], "the other trigger is switched off"
-
-
-def test_the_configured_line_goes_before_that_of_the_make() -> None:
-    camera = StandInCamera("Basler")
-    settings.apply(camera, camera_config(trigger_line="Line3"))
-    assert camera.device.features["TriggerSource"] == "Line3"
 
 
 def test_an_extra_of_the_recipe_is_written_only_where_the_camera_has_it() -> None:
@@ -180,19 +140,6 @@ def test_a_setting_that_a_later_one_changes_is_found() -> None:
     camera.device.set_string_feature_value = write  # type: ignore[method-assign]
     with pytest.raises(DeviceError, match="AcquisitionMode was set to 'Continuous', but reads 'SingleFrame'"):
         settings.apply(camera, camera_config())
-
-
-def test_a_setting_that_cannot_be_read_back() -> None:
-    camera = StandInCamera()
-    camera.device.refused.add("Gain")
-    with pytest.raises(DeviceError, match=r"c0: Gain cannot be read \(Gain is locked\)") as refused:
-        settings.compare(camera, "c0", [Setting("Gain", 1.0)])
-    assert refused.value.code == "setting-unread"
-
-
-def test_the_domain_of_an_error_is_left_out() -> None:
-    assert settings.error_text(StandInError("no reply.")) == "no reply"
-    assert settings.error_text(OSError("unreachable")) == "unreachable"
 
 
 def test_exposure_and_gain_alone_are_written_and_compared() -> None:
@@ -286,14 +233,6 @@ def test_every_set_is_saved_with_its_exposure_gain_and_next_set() -> None:
     assert device.features["SequencerFeatureEnable"] is True
     assert (device.features["SequencerSetStart"], device.features["SequencerMode"]) == (0, "On")
     assert device.features["SequencerConfigurationMode"] == "Off"
-
-
-def test_the_path_is_that_of_the_make() -> None:
-    for vendor, path in (("Basler", 1), ("Acme", 0)):
-        camera = sequenced(vendor, SequencerPathSelector=5)
-        del camera.device.features["SequencerSetLoad"]
-        settings.program_sequencer(camera, CONFIG, STEPS)
-        assert camera.device.features["SequencerPathSelector"] == path
 
 
 def test_a_set_that_was_not_saved_is_noticed() -> None:

@@ -71,12 +71,6 @@ def test_a_clock_that_was_set_back_makes_no_later_frame_suspect(monkeypatch: pyt
         assert check.fault(frame(began_ns=began_ns), 256) == ""
 
 
-def test_a_stream_that_counts_no_duplicates_is_checked_otherwise() -> None:
-    stream = StandInStream()
-    del stream.counters["n_duplicated_packets"]
-    assert FrameCheck(stream, KIND).fault(frame(), 256) == ""
-
-
 MEMORY = np.zeros((4, 256), np.uint8)
 SLOTS = [Slot(number, MEMORY[number]) for number in range(4)]
 
@@ -106,13 +100,6 @@ def bench(_stand_in: None) -> Iterator[Bench]:
     bench.slots.close()
 
 
-def test_a_buffer_is_the_memory_of_its_slot(bench: Bench) -> None:
-    for slot in SLOTS:
-        bench.slots.queue(slot)
-    pushed = [(buffer.size, buffer.address) for buffer in bench.aravis_stream.pushed]
-    assert pushed == [(256, slot.memory.ctypes.data) for slot in SLOTS]
-
-
 def test_a_whole_frame_has_its_id_and_time(bench: Bench) -> None:
     bench.slots.queue(SLOTS[0])
     result = bench.fill(id=65400, time_ns=123_456)
@@ -133,14 +120,6 @@ def test_a_failed_frame_has_neither(bench: Bench, status: BufferStatus, words: s
     result = bench.fill(status)
     assert (result.whole, result.frame_id, result.time_ns) == (False, None, None)
     assert words in result.fault
-
-
-@pytest.mark.parametrize("change", [{"width": 32}, {"height": 8}, {"code": PIXEL_FORMATS["Mono16"].code}])
-def test_a_frame_of_another_format_is_not_whole(bench: Bench, change: dict[str, int]) -> None:
-    bench.slots.queue(SLOTS[0])
-    result = bench.fill(BufferStatus.SUCCESS, 0, **change)
-    assert not result.whole
-    assert "not 16×16 px in format 0x01080001" in result.fault
 
 
 def test_unused_slots_are_taken_back_once(bench: Bench) -> None:
@@ -200,38 +179,11 @@ def test_a_buffer_that_was_taken_back_is_not_reported_again(bench: Bench) -> Non
     assert bench.results.empty()
 
 
-def test_a_pulling_thread_that_ends_is_a_fault(bench: Bench) -> None:
-    def fail() -> None:
-        raise RuntimeError("boom")
-
-    bench.aravis_stream.fill_when_popped = fail
-    bench.slots.thread.join(10)
-    assert str(bench.slots.thread.fault()) == "Thread 'test-frames' has ended (RuntimeError: boom)."
-
-
-def test_a_pulling_thread_that_hangs_is_a_fault(bench: Bench) -> None:
-    hangs, release = threading.Event(), threading.Event()
-
-    def stand() -> None:
-        hangs.set()
-        release.wait(10)
-
-    bench.slots.thread._limit_s = 0.0
-    bench.aravis_stream.fill_when_popped = stand
-    assert hangs.wait(10)
-    assert "hangs for" in str(bench.slots.thread.fault())
-    release.set()
-
-
 def test_closing_ends_the_thread_and_returns_the_unused_slots(bench: Bench) -> None:
     bench.slots.queue(SLOTS[2])
     assert bench.slots.close() == [SLOTS[2]]
     assert bench.slots.close() == []
     assert "test-frames" not in {thread.name for thread in threading.enumerate()}
-
-
-def test_only_counts_are_counters(bench: Bench) -> None:
-    assert bench.slots.counters() == {"n_completed_buffers": 0, "n_duplicated_packets": 0, "n_underruns": 0}
 
 
 class StandInReader:

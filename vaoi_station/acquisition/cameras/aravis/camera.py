@@ -11,7 +11,6 @@ import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from queue import SimpleQueue
 
 from vaoi_station.acquisition.cameras.aravis import network
@@ -21,9 +20,7 @@ from vaoi_station.acquisition.cameras.aravis.connection import (
     PortShare,
     absence_error,
     check_silence,
-    find_by_serial,
-    require_reply,
-    search,
+    locate,
 )
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
@@ -48,29 +45,12 @@ HEARTBEAT_S = 1.0
 OPENING_LIMIT_S = 60.0
 """Longest time for opening a camera: each access to one that has just gone takes 2.6 s (measured)."""
 TEMPERATURE_S = 5.0
-"""Interval of temperature readings.
-
-Every reading of a feature costs a round trip to the camera; reading all features took 11.8 s (Aravis #253)."""
+"""Interval of temperature readings: every reading costs a round trip to the camera."""
 PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=10.0)
-"""Pauses between attempts to open a lost camera. They grow to 30 s, because a camera that refuses its settings will
-probably refuse them again. For absent cameras, the longest pause is `ABSENT_S`.
-"""
+"""Pauses between attempts to open a lost camera: one that refuses its settings will probably refuse them again."""
 ABSENT_S = 2.0
-"""Longest pause between attempts to open a camera that is absent or used by another program: it may return at any time.
-
-It is also the interval at which the supervisor checks whether a camera that refused its settings has been unplugged."""
+"""The longest pause for a camera that is absent or used by another program: it may return at any time."""
 _ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost"})
-
-
-@dataclass
-class _Counts:
-    """Counts of the camera's frames and connection losses, time of the last complete frame, and last temperature."""
-
-    delivered: int = 0
-    incomplete: int = 0
-    losses: int = 0
-    last_frame_s: float | None = None
-    temperature_c: float | None = None
 
 
 class AravisCamera:
@@ -93,7 +73,9 @@ class AravisCamera:
         self._connection: Connection | None = connection
         self._waiting: list[Slot] = []
         self._arrivals: SimpleQueue[CameraEvent] = SimpleQueue()
-        self._counts = _Counts()
+        self._delivered = self._incomplete = self._losses = 0
+        self._last_frame_s: float | None = None
+        self._temperature_c: float | None = None
         self._counting = threading.Lock()
         self._fault: VaoiError | None = None
         self._access_error: DeviceError | None = None
@@ -113,28 +95,20 @@ class AravisCamera:
 
     def set_exposure(self, wanted: CameraExposure) -> None:
         """Write exposure and gain, read them back and compare. A lost camera gets them when it is opened again."""
-        with self._setting:
-            self._set_exposure(wanted)
-
-    def _set_exposure(self, wanted: CameraExposure) -> None:
-        before = self.config, self._sequence
-        # A connection that is opened later writes these settings. Whether frames have chunk data is not changed.
         way = "trigger-width" if wanted.by_trigger else "register"
-        self.config = self.config.model_copy(
-            update={
-                "exposure_us": wanted.exposures_us[0],
-                "gain_db": wanted.gain_db,
-                "exposure_by": "sequencer" if self.config.exposure_by == "sequencer" else way,
-            }
-        )
-        self._sequence = wanted.sequence
-        connection = self._connection
-        try:
-            if connection is not None:
-                self._bring_up_to_date(connection)
-        except DeviceError:
-            self.config, self._sequence = before
-            raise
+        # Whether frames have chunk data is not changed.
+        by = "sequencer" if self.config.exposure_by == "sequencer" else way
+        update = {"exposure_us": wanted.exposures_us[0], "gain_db": wanted.gain_db, "exposure_by": by}
+        with self._setting:
+            before, connection = (self.config, self._sequence), self._connection
+            # A connection that is opened later writes these settings.
+            self.config, self._sequence = self.config.model_copy(update=update), wanted.sequence
+            try:
+                if connection is not None:
+                    self._bring_up_to_date(connection)
+            except DeviceError:
+                self.config, self._sequence = before
+                raise
 
     def rewind(self) -> None:
         """Begin the sequence of exposures anew. A lost camera begins it when it is opened again."""
@@ -176,18 +150,18 @@ class AravisCamera:
     def health(self) -> CameraHealth:
         """Return the state, counts and temperature of the camera. Never block."""
         # The connection is read only once, because the supervisor may drop it between two uses.
-        connection, counts = self._connection, self._counts
+        connection = self._connection
         lost = self._fault if connection is None else None
         counters = connection.counters() if connection is not None else {}
         return CameraHealth(
             connected=connection is not None,
             message=lost.message if lost else connection.warning(self._share) if connection is not None else "",
             action=lost.action if lost else "",
-            temperature_c=counts.temperature_c if connection is not None else None,
-            delivered=counts.delivered,
-            incomplete=counts.incomplete,
-            last_frame_s=counts.last_frame_s,
-            counters=tuple(sorted({**counters, "n_losses": counts.losses}.items())),
+            temperature_c=self._temperature_c if connection is not None else None,
+            delivered=self._delivered,
+            incomplete=self._incomplete,
+            last_frame_s=self._last_frame_s,
+            counters=tuple(sorted({**counters, "n_losses": self._losses}.items())),
             next_try_s=self._backoff.due_s,
             limits=connection.limits if connection is not None else None,
         )
@@ -214,23 +188,13 @@ class AravisCamera:
         # Called by the pulling thread and by any thread that takes slots back.
         with self._counting:
             if result.whole:
-                self._counts.delivered += 1
-                self._counts.last_frame_s = result.host_time_s
+                self._delivered += 1
+                self._last_frame_s = result.host_time_s
             else:
-                self._counts.incomplete += 1
+                self._incomplete += 1
         time_s = None if result.time_ns is None else (result.time_ns - self._epoch_ns) * 1e-9
-        self._arrivals.put(
-            Arrival(
-                self.number,
-                result.slot.number,
-                result.whole,
-                result.frame_id,
-                time_s,
-                result.host_time_s,
-                result.fault,
-                result.stated,
-            )
-        )
+        taken = result.whole, result.frame_id, time_s, result.host_time_s, result.fault, result.stated
+        self._arrivals.put(Arrival(self.number, result.slot.number, *taken))
 
     def _supervise(self) -> None:
         temperature_due_s = 0.0
@@ -246,7 +210,7 @@ class AravisCamera:
                 with self._setting:
                     self._bring_up_to_date(self._connection)
                 if time.monotonic() >= temperature_due_s:
-                    self._counts.temperature_c = self._connection.temperature_c()
+                    self._temperature_c = self._connection.temperature_c()
                     temperature_due_s = time.monotonic() + TEMPERATURE_S
             except DeviceError as error:
                 self._on_loss(error)
@@ -266,10 +230,11 @@ class AravisCamera:
         if self._reopen():
             self._backoff.record_success()
         else:
-            self._backoff.record_failure(self._longest_pause_s())
+            self._record_failure()
 
-    def _longest_pause_s(self) -> float:
-        return ABSENT_S if self._fault and self._fault.code in _ABSENT else PACE.longest_s
+    def _record_failure(self) -> None:
+        absent = self._fault is not None and self._fault.code in _ABSENT
+        self._backoff.record_failure(ABSENT_S if absent else PACE.longest_s)
 
     def _check(self, connection: Connection) -> None:
         """Raise DeviceError if the camera is absent, or no longer controlled by this process."""
@@ -302,8 +267,8 @@ class AravisCamera:
             assert connection is not None
             # The stream's slots come first: they were queued before the waiting slots, and this order is kept.
             self._waiting = connection.stream.close() + self._waiting
-        self._counts.losses += 1
-        self._backoff.record_failure(self._longest_pause_s())
+        self._losses += 1
+        self._record_failure()
         why = error.message.removeprefix(f"{self.config.label}: ").rstrip(".")
         self._arrivals.put(CameraLost(self.number, self._last_reply_s, why, error))
         connection.close(gone=True)
@@ -325,23 +290,18 @@ class AravisCamera:
             # them: no frame of a board may have those values.
             with self._setting:
                 self._bring_up_to_date(connection)
-                self._take_over(connection, reading)
+                with self._lock:
+                    # The clock reading comes before the first frame: it begins an epoch with a new clock model.
+                    self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))
+                    for slot in self._waiting:
+                        connection.stream.queue(slot)
+                    self._waiting, self._connection = [], connection
         except DeviceError as error:
             self._fault = error
             connection.close()
             return False
         self._last_reply_s = self._last_controlled_s = time.monotonic()
         return True
-
-    def _take_over(self, connection: Connection, reading: ClockReading) -> None:
-        """Report that the camera is back, and give it the slots that waited for it."""
-        with self._lock:
-            # The clock reading must be in the queue before the first frame: it begins an epoch with a new clock model.
-            self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))
-            waiting, self._waiting = self._waiting, []
-            for slot in waiting:
-                connection.stream.queue(slot)
-            self._connection = connection
 
     def _connect(self) -> tuple[Connection, ClockReading]:
         # All objects are built anew: with the old ones `start_acquisition` raises nothing after a reconnection, and no
@@ -371,7 +331,7 @@ class AravisCamera:
             return self._identity.address
         if self.config.serial is None:
             raise absence_error(self.config, self._identity.address, "it does not answer")
-        return find_by_serial(self.config, search()).address
+        return locate([self.config])[0]
 
 
 STALL_S = 1.0
@@ -384,7 +344,7 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
     cameras: list[AravisCamera] = []
     with OPENING_LOCK:
         try:
-            for camera, where in zip(config.cameras, _locate_cameras(config.cameras), strict=True):
+            for camera, where in zip(config.cameras, locate(config.cameras), strict=True):
                 # Until a light program is armed, the register holds the exposure: pulses without a program use it.
                 by = camera.exposure_by if camera.exposure_by == "sequencer" else "register"
                 connections.append(Connection(camera.model_copy(update={"exposure_by": by}), where))
@@ -412,21 +372,7 @@ def socket_bytes(camera: CameraConfig, period_s: float) -> int:
     return max(2, math.ceil(STALL_S / period_s)) * camera.frame_bytes
 
 
-def _locate_cameras(cameras: Sequence[CameraConfig]) -> list[str]:
-    """Return the IP address or USB device id of each camera. One search covers all cameras given by serial number."""
-    found = search() if any(camera.serial for camera in cameras) else ()
-    addresses = []
-    for camera in cameras:
-        if camera.address is not None:
-            require_reply(camera, camera.address)
-            addresses.append(camera.address)
-        else:
-            addresses.append(find_by_serial(camera, found).address)
-    return addresses
-
-
 def _check_distinct(connections: Sequence[Connection]) -> None:
-    """Raise InputError if two `[[cameras]]` tables of station.toml open the same device (equal serial numbers)."""
     counts = Counter(connection.identity.serial for connection in connections)
     for serial, count in counts.items():
         if count > 1:
@@ -439,7 +385,6 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
 
 
 def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> list[PortShare]:
-    """Return for each camera the network port that it uses: number of its cameras, speed, receive buffer."""
     on_port = Counter(connection.identity.interface for connection in connections)
     shares = []
     for connection in connections:
@@ -450,12 +395,11 @@ def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> li
 
 
 def _check_budgets(config: StationConfig, connections: Sequence[Connection], shares: Sequence[PortShare]) -> None:
-    """Raise DeviceError if a network port is too slow to carry the frames of one row within a trigger period."""
-    ports: defaultdict[str, list[int]] = defaultdict(list)
-    for k, connection in enumerate(connections):
+    ports: defaultdict[str, list[tuple[Connection, PortShare]]] = defaultdict(list)
+    for connection, share in zip(connections, shares, strict=True):
         if connection.is_gige:
-            ports[connection.identity.interface].append(k)
+            ports[connection.identity.interface].append((connection, share))
     for port, members in ports.items():
-        payloads = [connections[k].config.frame_bytes for k in members]
-        packet = min(connections[k].packet_bytes for k in members)
-        network.check_budget(port, payloads, packet, shares[members[0]].link_mbit_s, config.line.shortest_period_s)
+        payloads = [connection.config.frame_bytes for connection, _ in members]
+        packet = min(connection.packet_bytes for connection, _ in members)
+        network.check_budget(port, payloads, packet, members[0][1].link_mbit_s, config.line.shortest_period_s)

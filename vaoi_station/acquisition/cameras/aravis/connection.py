@@ -36,15 +36,15 @@ FAKE_VENDOR = "Aravis"
 """Vendor name of Aravis' fake camera."""
 
 
-def find_clock(camera: Any, name: str) -> tuple[Callable[[], int], bool]:
-    """Return a function that reads the clock of a camera, ns, and whether that needs access to the camera."""
+def find_clock(camera: Any, name: str) -> Callable[[], int]:
+    """Return a function that reads the clock of a camera, ns."""
     device = camera.get_device()
     for command, value in LATCHES:
         if device.is_feature_available(command) and device.is_feature_available(value):
             hertz = device.get_timestamp_tick_frequency() if command.startswith("Gev") else 0
-            return partial(_latch, device, command, value, 1e9 / hertz if hertz else 1.0), True
+            return partial(_latch, device, command, value, 1e9 / hertz if hertz else 1.0)
     if (camera.get_vendor_name() or "") == FAKE_VENDOR:
-        return time.time_ns, False
+        return time.time_ns
     raise DeviceError(
         f"{name}: has no time stamp that can be latched ({', '.join(c for c, _ in LATCHES)}).",
         action="Use a camera whose clock can be latched; without it, frames cannot be assigned to pulses.",
@@ -75,9 +75,19 @@ def search() -> tuple[FoundCamera, ...]:
     )
 
 
-def find_by_serial(config: CameraConfig, found: Sequence[FoundCamera]) -> FoundCamera:
-    """Return the one device that has the serial number of a configured camera."""
-    matching = [device for device in found if device.serial == config.serial]
+def locate(cameras: Sequence[CameraConfig]) -> list[str]:
+    """Return the IP address or USB device id of each camera, which replies. One search covers all serial numbers."""
+    found = search() if any(camera.serial for camera in cameras) else ()
+    return [_address_of(camera, found) for camera in cameras]
+
+
+def _address_of(config: CameraConfig, found: Sequence[FoundCamera]) -> str:
+    if config.address is not None:
+        # Aravis needs 1.0 to 2.5 s to fail for an absent address (measured).
+        if not network.is_reachable(config.address):
+            raise absence_error(config, config.address, "it does not answer")
+        return config.address
+    matching = [device.address for device in found if device.serial == config.serial]
     if not matching:
         there = ", ".join(f"{d.serial} at {d.address}" for d in found) or "none"
         raise DeviceError(
@@ -87,7 +97,7 @@ def find_by_serial(config: CameraConfig, found: Sequence[FoundCamera]) -> FoundC
         )
     # A choice between them could give a camera the calibration of the other one.
     if len(matching) > 1:
-        places = ", ".join(d.address for d in matching)
+        places = ", ".join(matching)
         raise InputError(
             f"{config.label}: {len(matching)} cameras have the serial number {config.serial!r} ({places}).",
             action="Give their addresses in station.toml instead of the serial number.",
@@ -112,13 +122,6 @@ def open_device(config: CameraConfig, address: str) -> Any:
     return camera
 
 
-def require_reply(config: CameraConfig, address: str) -> None:
-    """Raise DeviceError if no camera replies at an IP address."""
-    # Aravis needs 1.0 to 2.5 s to fail for an absent address (measured).
-    if not network.is_reachable(address):
-        raise absence_error(config, address, "it does not answer")
-
-
 def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
     """Return the error for a camera that does not reply at its address. `why` is the cause, a text in brackets."""
     trouble = network.route_trouble(address)
@@ -138,16 +141,12 @@ RETENTION_US = 200_000
 # Aravis' default of 100 ms lost the first frames after a pause (Aravis #818, #746).
 RESENT_PACKETS, RESENT_SHARE = 20, 0.001
 """Count and share of packets that were sent again above which a camera is warned of. A sound network loses none."""
-TRAFFIC_CHECK_S = 0.02
-"""Interval at which a camera that must be silent is checked for packets."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Vendor, model, serial number and address of a camera, and the port of this computer on which it replied."""
+    """Serial number and address of a camera, and the port of this computer on which it replied."""
 
-    vendor: str
-    model: str
     serial: str
     address: str
     """IP address, or device id of a USB camera."""
@@ -160,7 +159,6 @@ class PortShare:
     """The network port that a camera uses: number of cameras on it, speed, and receive buffer."""
 
     cameras: int = 1
-    """Number of cameras on the port, including this one."""
     link_mbit_s: float | None = None
     socket_bytes: int = 0
     """Wanted size of the kernel's receive buffer for the camera's packets."""
@@ -185,7 +183,7 @@ class Connection:
         """Size of the receive buffer that the kernel granted for the camera's packets."""
         with self._device_access("does not report its identity"):
             self.identity = self._identity(where)
-            self._clock_ns, self._clock_is_remote = find_clock(self._camera, config.label)
+            self._clock_ns = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
     def configure(self, share: PortShare) -> None:
@@ -205,18 +203,14 @@ class Connection:
             self.limits = settings.limits_of(self._camera)
             payload = self._camera.get_payload()
         self._chunk_bytes = payload - self.config.frame_bytes
-        if self.config.chunk_room_bytes and not 0 < self._chunk_bytes <= self.config.chunk_room_bytes:
+        room = self.config.chunk_room_bytes
+        if not (0 < self._chunk_bytes <= room or self._chunk_bytes == room == 0):
+            chunks = f", and at most {room} bytes of chunk data are expected" if room else ""
+            off = "further chunks off (ChunkEnable)" if room else "line padding off ([cameras.features])"
             raise DeviceError(
-                f"{self.config.label}: sends frames of {payload} bytes, but {self.config.frame_bytes} bytes of pixels "
-                f"with at most {self.config.chunk_room_bytes} bytes of chunk data are expected.",
-                action="Turn further chunks off (ChunkEnable), or correct width, height, format.",
-                code="frame-size",
-            )
-        if self._chunk_bytes and not self.config.chunk_room_bytes:
-            raise DeviceError(
-                f"{self.config.label}: sends frames of {payload} bytes, but {self.config.width}×"
-                f"{self.config.height} px {self.config.pixel_format} are {self.config.frame_bytes}.",
-                action="Turn line padding off ([cameras.features]), or correct width, height, format.",
+                f"{self.config.label}: sends frames of {payload} bytes, but {self.config.width}×{self.config.height} "
+                f"px {self.config.pixel_format} are {self.config.frame_bytes}{chunks}.",
+                action=f"Turn {off}, or correct width, height, format.",
                 code="frame-size",
             )
 
@@ -235,7 +229,12 @@ class Connection:
                         settings.require_sequencer(self._camera, wanted, sequence)
                     settings.apply_exposure(self._camera, wanted)
                     if sequence:
-                        self._program(wanted, sequence)
+                        try:
+                            settings.program_sequencer(self._camera, wanted, sequence)
+                        except DeviceError:
+                            with contextlib.suppress(DeviceError):  # the first error says what is wrong
+                                settings.switch_sequencer_off(self._camera, wanted)
+                            raise
             self.config, self.sequence, self._exposure_known = wanted, sequence, True
 
     def has_exposure(self, wanted: CameraConfig, sequence: Sets) -> bool:
@@ -281,14 +280,8 @@ class Connection:
         stream = self._stream
         return {} if stream is None else stream.counters()
 
-    def traffic(self) -> int:
-        """Return the sum of the stream's counters. It increases with each packet that the camera sends."""
-        return sum(self.counters().values())
-
     def read_clock(self, epoch_ns: int) -> ClockReading:
         """Compare the camera's clock with the host's. Raise DeviceError if the camera does not reply."""
-        if not self._clock_is_remote:
-            return timed_reading(lambda: (self._clock_ns() - epoch_ns) * 1e-9)
         with self._device_access("does not report its time"):
             return timed_reading(lambda: (self._clock_ns() - epoch_ns) * 1e-9)
 
@@ -339,15 +332,6 @@ class Connection:
         # PyGObject may be in reference cycles, which only the garbage collector removes.
         gc.collect()
 
-    def _program(self, wanted: CameraConfig, sequence: Sets) -> None:
-        """Program the sequencer; leave it switched off if the camera does not take the sequence."""
-        try:
-            settings.program_sequencer(self._camera, wanted, sequence)
-        except DeviceError:
-            with contextlib.suppress(DeviceError):  # the first error says what is wrong
-                settings.switch_sequencer_off(self._camera, wanted)
-            raise
-
     @contextlib.contextmanager
     def _acquisition_stopped(self) -> Iterator[None]:
         """Stop the acquisition in a `with` block: a running camera locks its sequencer. Its stream keeps its slots."""
@@ -382,13 +366,7 @@ class Connection:
             device = camera.get_device()
             address = device.get_device_address().get_address().to_string()
             interface = network.interface_of(device.get_interface_address().get_address().to_string())
-        return Identity(
-            vendor=camera.get_vendor_name() or "",
-            model=camera.get_model_name() or "",
-            serial=camera.get_device_serial_number() or "",
-            address=address,
-            interface=interface,
-        )
+        return Identity(camera.get_device_serial_number() or "", address, interface)
 
     @contextlib.contextmanager
     def _device_access(self, trouble: str) -> Iterator[None]:
@@ -418,30 +396,18 @@ def _resend_warning(counters: dict[str, int]) -> str:
     )
 
 
-def check_silence(
-    connections: list[Connection],
-    latched_s: float = 0.15,
-    silence_s: float = 0.4,
-    abandoned: threading.Event | None = None,
-) -> None:
-    """Check that no camera sends frames before the first pulse. Return at once if one sends or the caller gives up."""
-    abandoned = abandoned or threading.Event()
+def check_silence(connections: list[Connection], latched_s: float = 0.15, silence_s: float = 0.4) -> None:
+    """Check that no camera sends frames before the first pulse."""
     # A trigger that a camera latched before the start of its acquisition yields one frame at once. That is no fault.
-    if abandoned.wait(latched_s):
-        return
+    time.sleep(latched_s)
     # No slot is queued yet, so the streams count arriving packets without storing them.
-    before = [connection.traffic() for connection in connections]
-    silent_until_s = time.monotonic() + silence_s
-    while True:
-        # Read first, so that packets that arrive within the last interval are seen.
-        is_over = time.monotonic() >= silent_until_s
-        for connection, count in zip(connections, before, strict=True):
-            if connection.traffic() != count:
-                raise DeviceError(
-                    f"{connection.config.label}: sends frames although no trigger was fired.",
-                    action="Check what its trigger input is wired to, and that nothing else triggers it.",
-                    code="camera-free-running",
-                )
-        # Nothing signals the absence of packets: only time can show it.
-        if is_over or abandoned.wait(min(TRAFFIC_CHECK_S, silence_s)):
-            return
+    before = [connection.counters() for connection in connections]
+    # Nothing signals the absence of packets: only time can show it.
+    time.sleep(silence_s)
+    for connection, counters in zip(connections, before, strict=True):
+        if connection.counters() != counters:
+            raise DeviceError(
+                f"{connection.config.label}: sends frames although no trigger was fired.",
+                action="Check what its trigger input is wired to, and that nothing else triggers it.",
+                code="camera-free-running",
+            )

@@ -13,12 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
-from vaoi_station.acquisition.cameras.interface import (
-    EXPOSURE_TOLERANCE,
-    EXPOSURE_TOLERANCE_US,
-    GAIN_TOLERANCE_DB,
-    CameraLimits,
-)
+from vaoi_station.acquisition.cameras.interface import GAIN_TOLERANCE_DB, CameraLimits, exposure_tolerance_us
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 
@@ -105,6 +100,16 @@ _BY_ARAVIS = {
 """Features that functions of Aravis write and read, which know the names and units of older cameras."""
 _KINDS = {bool: "boolean", int: "integer", float: "float", str: "string"}
 """Python type → its word in the names of Aravis' functions, as in `set_integer_feature_value`."""
+
+
+def frame_trigger(triggers: Sequence[str]) -> str | None:
+    """Return which of a camera's triggers gives one frame per pulse of a wire; None if there is none."""
+    return next((name for name in FRAME_TRIGGERS if name in triggers), None)
+
+
+def trigger_line(config: CameraConfig, vendor: str) -> str:
+    """Return the input that triggers a camera: the configured one, else that of its make."""
+    return config.trigger_line or make_of(vendor).line
 
 
 def write(camera: Any, name: str, settings: Iterable[Setting]) -> None:
@@ -245,7 +250,7 @@ def _exposure(camera: Any, config: CameraConfig) -> Iterator[Setting]:
 
 def _registers(camera: Any, exposure_us: float | None, gain_db: float) -> Iterator[Setting]:
     if exposure_us is not None:
-        yield Setting("ExposureTime", exposure_us, max(EXPOSURE_TOLERANCE_US, EXPOSURE_TOLERANCE * exposure_us))
+        yield Setting("ExposureTime", exposure_us, exposure_tolerance_us(exposure_us))
     if gain_db or camera.is_gain_available():
         yield Setting("Gain", gain_db, GAIN_TOLERANCE_DB)
 
@@ -263,7 +268,7 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
     yield from _available(camera, ("AcquisitionMode",), "Continuous")
     yield from _available(camera, ("AcquisitionFrameRateEnable",), False)
     triggers = camera.dup_available_triggers()
-    ours = next((name for name in FRAME_TRIGGERS if name in triggers), None)
+    ours = frame_trigger(triggers)
     if ours is None:
         raise DeviceError(
             f"{config.label}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
@@ -276,7 +281,7 @@ def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
             yield Setting("TriggerMode", "Off", shared=True)
     yield Setting("TriggerSelector", ours)
     yield Setting("TriggerMode", "Off" if make.off_while_changing else "On", shared=True)
-    yield Setting("TriggerSource", config.trigger_line or make.line)
+    yield Setting("TriggerSource", trigger_line(config, camera.get_vendor_name() or ""))
     yield Setting("TriggerActivation", "RisingEdge")
     for feature, value in make.extra:
         if _has(camera, feature) and camera.get_device().is_enumeration_entry_available(feature, value):
