@@ -40,9 +40,7 @@ class CodeRates:
     wrong: int
     """Views in which a text was read that is not that of the code."""
     off_mm: float
-    """Largest error of the place of a code that was read."""
     ms: float
-    """Mean time for a view."""
 
     def line(self) -> str:
         """Return the figures as one line of text."""
@@ -131,7 +129,6 @@ _DIGITS = {
 }  # fmt: skip
 """How many digits symbols hold, by version: 10 x 10 to 26 x 26, 8 x 18 to 16 x 36 (ISO/IEC 16022, table 7)."""
 _FINE = 8
-"""Number of samples per pixel and axis."""
 _CERTAIN = 1.96
 """Half the width of an interval that contains 95 % of a normal distribution, in standard deviations."""
 
@@ -144,19 +141,15 @@ class DottedCode:
     text: str = "12345678"
     module_px: float = 6.0
     dot: float = 0.85
-    """Diameter of the dots in modules."""
     inverted: bool = False
-    """Light dots on dark ground."""
     turned_deg: float = 0.0
     grey: tuple[float, float] = (70.0, 170.0)
     noise: float = 3.0
     blur_px: float = 0.7
     size_spread: float = 0.0
-    """Largest deviation of a dot's diameter, as a share of it."""
     displaced: float = 0.0
     """Largest displacement of a dot along each axis, in modules."""
     missing: float = 0.0
-    """Share of the dots that are missing."""
     oblique: float = 0.0
     """How much larger the nearest side of the code is than the farthest, about, as a share."""
     brushed: float = 0.0
@@ -187,7 +180,6 @@ class DottedRates:
     off_px: float
     """Largest error of a corner of those that were read."""
     share: tuple[float, float]
-    """95 % interval of the share that is read (Wilson 1927)."""
 
     def line(self) -> str:
         """Return the figures as one line of text."""

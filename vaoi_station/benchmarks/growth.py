@@ -23,7 +23,6 @@ _CAMERAS, _BOARD_WIDTH_MM = 3, 90.0
 _OVERLAP = 1.15
 """Width of a camera's view divided by the pitch of the cameras, so that neighbours overlap despite mounting errors."""
 _SAMPLE_S = 0.005
-"""Interval between two samples of the memory."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,6 @@ class ScalingFigures:
     own_memory_mb: float
     """Increase of the private memory during stitching, at its peak. Frames are mapped files and do not count."""
     frames_mb: float
-    """Size of all frames of the board, MB."""
     status: str
     reasons: tuple[str, ...]
 

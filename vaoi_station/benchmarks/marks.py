@@ -46,11 +46,9 @@ class MarkErrors:
     claimed_px: float
     """Standard deviation that the detector states, rms over all marks."""
     bound_px: float
-    """Cramér-Rao bound of the error per axis, median over all marks."""
     paper_rms_px: float | None
     """Rms error of the paper's method; None if it found no mark."""
     ms: float
-    """CPU time to locate one mark near its predicted centre, median."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,6 @@ class MarkFigures:
 
     rows: tuple[MarkErrors, ...]
     material: str
-    """Name of the board whose whole frames were searched."""
     whole_frame_ms: float
     """CPU time to search a whole frame for marks, without the reduction to quarter size; median over a board."""
 
@@ -179,7 +176,6 @@ CONDITIONS: dict[Condition, str] = {
     "copper": "clean, with a track as bright as the mark 0.3 sizes from its edge, on one side",
 }
 _FINE = 5
-"""Number of samples per pixel along each axis, from which a pixel's grey level is averaged."""
 _LIGHT, _DARK = 200.0, 50.0
 """Grey levels of a light mark and its ground; for a dark mark, they are exchanged."""
 _SHOT, _READ = 0.03, 1.5

@@ -48,12 +48,9 @@ class SpeedFigures:
     stitch_ms_per_frame: float
     """Time to compute all matrices from the frames, including fiducials and C, per frame."""
     stitch_spread_ms: tuple[float, float]
-    """Smallest and largest value of `stitch_ms_per_frame` among the repetitions."""
     paper_ms_per_frame: float
     ratio_to_paper_method: float
-    """Time of the paper's method divided by the time of our method."""
     paper_failed: str
-    """Why the paper's method found no chain; empty if it did."""
     ready_after_last_frame_ms: float
     """Wall time of the tasks of the last row and of the adjustment, when all earlier tasks are done."""
     images_per_s: float
@@ -220,10 +217,8 @@ class MosaicFigures:
 
     material: str
     megapixels: float
-    """Size of the largest picture."""
     repetitions: int
     plan_ms: float
-    """Time for the plan, from all frames; once per run."""
     mosaic_mpx_per_s: float
     """Rate at which the largest picture is rendered, without the plan and without writing."""
     mosaic_ratio_to_warp: float

@@ -181,7 +181,6 @@ class SenderConnection:
         self._sending = threading.Lock()
         self._arrivals: SimpleQueue[CameraEvent] | None = None
         self.thread = SupervisedThread(self._receive, "sender-replies")
-        """The thread that receives the replies."""
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
         """Start to put arrivals into a queue. Each camera calls this method; only the first call has an effect."""
@@ -351,14 +350,10 @@ class RateFigures:
     """
 
     rate: float
-    """Factor on the trigger rate of the prerendered run."""
     frames_per_s: float
-    """Frame rate of each camera."""
     mbit_per_s: float
-    """Data rate of all cameras while a board passes."""
     boards: int
     boards_missed: int
-    """Boards for which no bay was free, because earlier boards were still being stitched."""
     frames_lost: int
     kept_up: bool
     """Whether the station kept up with the line.
@@ -375,13 +370,10 @@ class RateFigures:
     cores: float
     """CPU time of the station's processes over the time in which boards pass, without the gaps between them."""
     sender_cores: float
-    """CPU time of the sender process over the time in which boards pass."""
     memory_mb: dict[str, float]
     """Private memory of each process after the last board; the ring is not counted."""
     statuses: dict[str, int]
-    """Number of boards by verdict."""
     load_before: float
-    """Load average of the machine over the minute before: other programs may have used part of the CPU."""
     each: tuple[BoardFigures, ...]
 
     def document(self) -> dict[str, Any]:

@@ -38,11 +38,9 @@ class RunErrors:
     error_px: Floats
     """(k, 2) error of each of the k views of components, px."""
     covariance_px2: Floats
-    """(k, 2, 2) predicted covariance of each error, px²."""
     surface_error_mm: Floats
     """Error of the surface height under each component, one value per component; empty if the truth is not known."""
     surface_sigma_mm: Floats
-    """Predicted standard deviation of each error of the surface height."""
 
     @property
     def distance(self) -> Floats:
@@ -85,7 +83,6 @@ class Consistency:
     beyond_three: float
     """Share of views with an error above 3 standard deviations: exp(−9/2) = 1.1 % for normal errors in the plane."""
     worst: float
-    """Longest error of all views, in standard deviations."""
     surface_normalised: float | None
     """Mean of the squared errors of the surface height over their variances; None if no true surface is known."""
 

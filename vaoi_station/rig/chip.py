@@ -119,7 +119,6 @@ class Pulse:
     """One trigger pulse for all cameras."""
 
     cycle: int
-    """Cycle of the trigger's rising edge."""
     host_ns: int
     """Time of that cycle, ns of CLOCK_MONOTONIC."""
     channels: tuple[int, ...]
@@ -127,7 +126,6 @@ class Pulse:
     on_us: float
     """Time, µs, for which the LED channels were on after the trigger's rising edge."""
     width_us: float = 0.0
-    """Time, µs, for which the trigger was high."""
 
 
 class PulseDecoder:
@@ -138,7 +136,6 @@ class PulseDecoder:
         self._trigger: Edge | None = None
         """Rising edge of the trigger whose pulse is not complete; None: no pulse has begun."""
         self._fallen: Edge | None = None
-        """Falling edge of that trigger; None while it is high."""
         self._gate: Edge | None = None
         self._lit: tuple[int, ...] = ()
         self._on_us = 0.0

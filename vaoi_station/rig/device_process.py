@@ -16,7 +16,6 @@ from vaoi_station.errors import DeviceError
 DEVICE_NICENESS = -10
 """Niceness (scheduling priority) of device processes. Only root may set a value below 0."""
 READY_TIMEOUT_S = 30.0
-"""Longest wait until a new process is ready; on an idle computer it needs half a second."""
 STOP_TIMEOUT_S = 10.0
 
 

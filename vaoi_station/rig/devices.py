@@ -29,7 +29,6 @@ from vaoi_station.simulation import Scenario, Twin
 from vaoi_station.simulation.motion.timetable import line_of
 
 TERMINAL = "trigger"
-"""Name of the symbolic link, in the rig's folder, that a station opens as the controller's serial port."""
 
 
 class Devices:
@@ -233,7 +232,6 @@ class FaultInjector:
         self.outages: list[Outage] = []
         self.recoveries: list[DeviceRecovery] = []
         self.failed: list[str] = []
-        """Faults that could not be injected, one sentence each."""
 
     def attach(self, devices: Devices, processes: Callable[[], Mapping[str, int]] = dict) -> None:
         """Set what faults act on: devices, and the station's processes by name. Start the noise on the serial port."""

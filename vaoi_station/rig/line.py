@@ -29,7 +29,6 @@ from vaoi_station.simulation import Scenario
 from vaoi_station.simulation.twin import program_of
 
 LINE_READY = "PC0"
-"""Pin of the output "line ready", which the conveyor obeys."""
 LEAD_S = 0.05
 """Time from `start_passage` to the start of the passage. The emulator must receive the planned edges in this time."""
 PULSE_TOLERANCE_S = 5e-6
@@ -41,12 +40,9 @@ COUNT_TOLERANCE_S = 50e-6
 BRIGHTNESS_TOLERANCE = 0.005
 """Relative difference up to which a brightness counts as the rendered brightness. LED on-times are exact to 0.2 µs."""
 LOST_PACKET_SHARE = 0.05
-"""Share of packets that are dropped from a frame with packet loss. With 100 packets, one such frame in 200 loses
-none."""
 
 _MIN_READINGS, _MAX_READINGS, _NARROW_NS = 3, 100, 20_000
 END_MARGIN_S = 0.5
-"""Time after the end of a rendered board, s. A later pulse does not belong to the board."""
 
 FrameOutcome = Literal["sent", "ignored", "hit", "lost", "dead", "late", "unarmed"]
 """The outcome of a camera's frame.
@@ -62,7 +58,6 @@ class Lighting:
     """The lights of the station: the LED channels of each light, and the exposure times of the cameras."""
 
     channels: dict[str, tuple[int, ...]]
-    """For each light, by its name, its LED channels."""
     exposures_us: tuple[float, ...]
     """Exposure of every camera. LEDs have no effect on a frame outside the exposure."""
     program: tuple[ProgramRow, ...] = ()
@@ -113,12 +108,10 @@ class FiredPulse:
     """One pulse during a passage, and the outcome of its frames."""
 
     row: int | None
-    """Row of the rendered board; None: no frame was rendered for the time of this pulse."""
     pulse: Pulse
     offset_us: float
     """Time of the pulse minus the nearest time for which frames were rendered, µs."""
     outcomes: list[FrameOutcome]
-    """Outcome of each camera's frame."""
     brightness: list[float]
     """Brightness of each camera's frame, relative to the rendered frame."""
     note: str = ""
@@ -146,7 +139,6 @@ class FrameFaults:
     """The faults of frames (lost packets, ignored pulses) that the virtual line injects, by camera and row."""
 
     loss: float = 0.0
-    """Share of the frames that lose packets."""
     ignored: frozenset[tuple[int, int, int]] = frozenset()
     """(board, row, camera) of pulses that a camera ignores."""
     late_stamps: tuple[tuple[int, int, float], ...] = ()
@@ -182,7 +174,6 @@ class VirtualLine:
         self._boards = 0
         self._end_ns = 0
         self.unexpected_pulses: list[Pulse] = []
-        """Pulses that were fired while no board passed."""
 
     def attach_chip(self, chip: Chip) -> None:
         """Set the chip whose edges `on_edge` receives."""
@@ -391,7 +382,6 @@ READY_TIMEOUT_S = 30.0
 """Longest wait until the station is ready for a board, and until it permits the board, s each. After it, the board
 passes nevertheless."""
 FEED_MARGIN_S = 1.0
-"""Time to wait after the last pulse or barrier edge of a board, s, before its passage counts as ended."""
 
 
 class BoardFeeder:
@@ -415,7 +405,6 @@ class BoardFeeder:
         self._thread = threading.Thread(target=self._work, name="feeder")
         self.passages: list[BoardPassage] = []
         self.finished = threading.Event()
-        """Event that is set when all boards have passed, or when feeding has ended early."""
         self._failure: DeviceError | None = None
 
     def __enter__(self) -> BoardFeeder:

@@ -15,7 +15,6 @@ from vaoi_station.errors import DeviceError, InputError
 
 FIRST_ADDRESS = (127, 0, 0, 2)
 MAX_CAMERAS = 200
-"""Largest number of cameras of one rig, so that the last byte of the last address stays below 255."""
 NAMESPACE_VARIABLE = "VAOI_RIG_NETWORK"
 """Environment variable set inside the rig's network namespace: `user` if it has a user namespace, else `net`."""
 

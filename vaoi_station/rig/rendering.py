@@ -57,9 +57,7 @@ class BoardMetadata(Strict):
     counts_s: tuple[float, ...] = ()
     """Time of each count of the belt's encoder; empty if the controller's clock spaces the rows."""
     lights: tuple[str, ...]
-    """Name of the light of every pulse."""
     lost: tuple[tuple[int, int], ...]
-    """(camera, row) of the frames that the scenario's faults lose."""
     views: dict[str, tuple[tuple[float, float, float, float], ...]]
     """The truth: component → (camera, row, x, y) of the centre of its footprint in each view, x and y in raw pixels."""
 
@@ -277,10 +275,8 @@ class FrameRequest:
     board: int | None
     """Number of the board; None: the calibration board, which lies under the cameras while no board passes."""
     time_s: float = 0.0
-    """Time since the start of the passage."""
     light: str = ""
     noise: int = 0
-    """Seed of the frames' noise; another number gives other noise."""
 
 
 class FrameRenderer:

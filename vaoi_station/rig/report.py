@@ -15,7 +15,6 @@ not count, because their results state a larger uncertainty.
 LATE_MS = 300.0
 """Delay from a pulse to the first packet of a frame above which the frame may arrive too late for the station."""
 READY_LIMIT_S = 12.0
-"""Longest accepted time from the recovery of a device until the station is ready again."""
 
 
 class AffectedFrame(Strict):
@@ -27,7 +26,6 @@ class AffectedFrame(Strict):
     cause: str
     """Cause that the station reports; empty: none."""
     done: str
-    """Fault that the rig injected; empty: none."""
 
 
 class BoardScore(Strict):
@@ -40,10 +38,8 @@ class BoardScore(Strict):
     armed_id: str | None
     """Board id with which the station was armed for this board; None if it was not armed for it."""
     board_id: str | None
-    """Board id of the station's run; None: the run has none."""
     reasons: tuple[str, ...]
     rows: int
-    """Number of pulses that were fired."""
     rows_due: int
     """Number of pulses that the board needs to be filmed completely."""
     ok: int
@@ -52,12 +48,10 @@ class BoardScore(Strict):
     proven: int | None
     """Number of complete frames whose pixels all equal the frame rendered for that camera and row; None: unchecked."""
     wrong: tuple[str, ...]
-    """Descriptions of frames whose pixels differ from the rendered frame."""
     mislit: tuple[str, ...] = ()
     """Descriptions of frames whose light or exposure the station states otherwise than the chip fired them."""
     affected: tuple[AffectedFrame, ...]
     unfilmed: int
-    """Number of frames that were fired but that the station's run does not list."""
     pulse_off_us: float
     """Largest difference between a pulse and the time for which its frames were rendered."""
     sent_late_ms: float | None
@@ -94,20 +88,16 @@ class RigReport(Strict):
     width_px: int
     height_px: int
     frames_per_s: float
-    """Frame rate of each camera while a board passes."""
     faults: tuple[str, ...]
     boards: tuple[BoardScore, ...]
     runs: int
-    """Number of runs of the station; more than `boards` if other boards followed closely."""
     boards_missed: int
     stray_pulses: int
     rms_px: float
-    """Rms position error over all views of components, of all boards with the verdict ok."""
     max_px: float
     recoveries: tuple[Recovery, ...]
     took_s: float
     failings: tuple[str, ...]
-    """The reasons why `ok` is false, one sentence each."""
 
 
 def failings(report: RigReport, faults: Sequence[Fault], boards: int) -> Iterator[str]:
@@ -196,7 +186,6 @@ _HEAD = (
 )  # fmt: skip
 _FORM = "{:>5s}  {:<9s}{:>6s}{:>12s}{:>9s}{:>8s}{:>10s}{:>9s}{:>8s}{:>8s}{:>6s}{:>10s}"
 MOST = 40
-"""Largest number of lines about incomplete and missing frames."""
 
 
 def text_lines(report: RigReport) -> Iterator[str]:

@@ -50,7 +50,6 @@ class StatusWatch:
         """(time, ready) of each reply: ns of CLOCK_MONOTONIC, and whether the station was ready with all cameras."""
         self._requested_ns = 0
         self.last: dict[str, Any] = {}
-        """JSON of the last reply to `GET station`."""
         self._thread = threading.Thread(target=self._poll, name="status watch")
 
     def __enter__(self) -> StatusWatch:
@@ -112,7 +111,6 @@ CONCLUDE_TIMEOUT_S = 300.0
 
 After an installation the workers compile first, which takes minutes on a busy machine."""
 READY_TIMEOUT_S = 30.0
-"""Time, s, in which the station must be ready again after a fault. After it, the station counts as not recovered."""
 
 
 @dataclass(frozen=True)
@@ -121,15 +119,12 @@ class Plan:
 
     scenario: Scenario
     name: str
-    """Name of the scenario, which the report shows."""
     boards: int
     faults: tuple[Fault, ...] = ()
     fault_texts: tuple[str, ...] = ()
-    """The texts of the faults as given on the command line."""
     cache: Path | None = None
     """Folder in which rendered boards are kept; None: a temporary folder."""
     different: int = 3
-    """Number of different rendered boards, which pass in turn."""
     workers: int = 2
 
 

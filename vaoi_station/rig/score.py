@@ -98,11 +98,8 @@ def _identify(pixels: NDArray[np.uint8], frames: NDArray[np.uint8], camera: int,
 
 
 Cell = tuple[int, int]
-"""A frame, as (camera, row)."""
 RUN_MATCH_S = 0.5
-"""Largest difference between the barrier edge of a run and that of a passage, if the run is of that passage."""
 _EXPOSED_SHARE = 0.02
-"""Largest difference of a stated exposure from the real one, as a share of it."""
 _OUTCOME_TEXTS: dict[FrameOutcome, str] = {
     "ignored": "the camera ignored the pulse",
     "hit": "packets were lost",
@@ -120,12 +117,10 @@ class BoardEvidence:
     """JSON of `runs/{id}`; None: the station has no run of the board."""
     matrices: dict[str, Any]
     ring_check: RingCheck | None
-    """Comparison of the ring with the rendered frames; None: not done."""
     px_per_mm: Sequence[float]
     armed_id: str | None = None
     """Board id with which the station was armed for this board; None if it was not armed for it."""
     lighting: Lighting | None = None
-    """The lights and the program of the rig; None: what frames were taken with is not compared."""
 
 
 def score(evidence: BoardEvidence, outages: Sequence[Outage]) -> BoardScore:

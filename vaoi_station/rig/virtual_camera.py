@@ -48,7 +48,6 @@ _TEMPERATURE = """
 EXPOSURE_MODE_ADDRESS = 0x9000
 """Address of the register that holds the ExposureMode, in the fake's memory beyond its own registers."""
 TIMED, TRIGGER_WIDTH = 0, 1
-"""Values of that register."""
 _EXPOSURE_MODE = f"""
 	<Enumeration Name="ExposureMode" NameSpace="Standard">
 		<DisplayName>Exposure Mode</DisplayName>
@@ -104,7 +103,6 @@ POLL_HZ = 50.0
 fake waits in a busy loop during the last millisecond of each interval.
 """
 BLACK_LEVEL = 2
-"""Grey value of a pixel without light, on a scale of 0 to 255."""
 _MONO_16 = 0x01100007
 
 

@@ -44,7 +44,6 @@ class StatedExposure:
 
     exposure_us: float
     gain_db: float | None
-    """None if the camera has no gain to set."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,6 @@ class CameraExposure:
     """Exposure of the rows, in turn. They are equal unless the width of the trigger or the sequencer sets them."""
     gain_db: float
     by_trigger: bool = False
-    """Whether the camera exposes for as long as the trigger is high."""
     sequence: tuple[tuple[float, float], ...] = ()
     """Exposure (µs) and gain (dB) of the sets of the camera's sequencer, which its frames use in turn; empty if the
     camera uses no sequencer."""
@@ -109,7 +107,6 @@ class CameraHealth:
     next_try_s: float | None = None
     """time.monotonic() of the next attempt to open a camera that is not connected; None during an attempt."""
     action: str = ""
-    """What the operator should do if the camera is not connected; empty if that is not known."""
     limits: CameraLimits | None = None
     """None for a camera without limits of its own, or one that is not connected."""
 

@@ -30,15 +30,10 @@ class Exposure:
 
     frame_id: int
     time_s: float
-    """Time stamp by the camera's clock."""
     begin_s: float
-    """Host time at which the transfer begins."""
     end_s: float
-    """Host time at which the transfer ends."""
     pixels: NDArray[np.uint8]
-    """All bytes of the frame, flat."""
     share: float = 1.0
-    """Share of the bytes that arrives, 0 … 1."""
 
 
 class VirtualCamera(CameraDevice):

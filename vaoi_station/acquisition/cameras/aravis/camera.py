@@ -39,7 +39,6 @@ from vaoi_station.errors import DeviceError, InputError, VaoiError
 from vaoi_station.supervised_thread import SupervisedThread
 
 CHECK_S = 0.25
-"""Interval at which the supervisor checks that the camera is present."""
 HEARTBEAT_S = 1.0
 """Interval at which Aravis checks that it still controls a camera. The state that Aravis reports may be this old."""
 OPENING_LIMIT_S = 60.0
@@ -67,7 +66,6 @@ class AravisCamera:
         in a float.
         """
         self._lock = threading.Lock()
-        """Lock that guards `_connection` and `_waiting`."""
         self._setting = threading.Lock()
         """Lock that guards the wanted exposure while it is written: the supervisor must not write it a second time."""
         self._connection: Connection | None = connection

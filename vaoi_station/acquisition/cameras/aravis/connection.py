@@ -33,7 +33,6 @@ LATCHES = (
 )
 """GenICam names of the latch command and of the latched value: SFNC 2 (value in ns), GigE Vision 1 (in ticks)."""
 FAKE_VENDOR = "Aravis"
-"""Vendor name of Aravis' fake camera."""
 
 
 def find_clock(camera: Any, name: str) -> Callable[[], int]:
@@ -133,11 +132,9 @@ def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
 
 
 USB3_MIN_VERSION = (0, 8, 30)
-"""The first version of Aravis that is reliable with USB3."""
 # Versions before 0.8.28 wait for USB3 data in a busy loop (Aravis #652). Version 0.8.29 corrected underruns (#568), and
 # 0.8.30 sets the status of a buffer before the buffer is passed on.
 RETENTION_US = 200_000
-"""Time, µs, for which Aravis waits for the missing packets of a frame."""
 # Aravis' default of 100 ms lost the first frames after a pause (Aravis #818, #746).
 RESENT_PACKETS, RESENT_SHARE = 20, 0.001
 """Count and share of packets that were sent again above which a camera is warned of. A sound network loses none."""
@@ -151,7 +148,6 @@ class Identity:
     address: str
     """IP address, or device id of a USB camera."""
     interface: str
-    """Network interface of this computer; empty for USB."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +157,6 @@ class PortShare:
     cameras: int = 1
     link_mbit_s: float | None = None
     socket_bytes: int = 0
-    """Wanted size of the kernel's receive buffer for the camera's packets."""
 
 
 class Connection:
@@ -180,7 +175,6 @@ class Connection:
         self._route_trouble = network.route_trouble(where) if self.is_gige else ""
         self.limits = CameraLimits()
         self.granted_bytes = 0
-        """Size of the receive buffer that the kernel granted for the camera's packets."""
         with self._device_access("does not report its identity"):
             self.identity = self._identity(where)
             self._clock_ns = find_clock(self._camera, config.label)

@@ -18,7 +18,6 @@ from typing import Any
 from vaoi_station.errors import DeviceError
 
 SYSTEM_PACKAGES = Path("/usr/lib/python3/dist-packages")
-"""Directory in which Debian and Ubuntu install python3-gi."""
 SHARED_OBJECT = "libaravis-0.8.so.0"
 PACKAGES = "python3-gi gir1.2-aravis-0.8"
 

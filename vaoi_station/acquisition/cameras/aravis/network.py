@@ -31,7 +31,6 @@ GVSP_OVERHEAD = 36
 ETHERNET_OVERHEAD = 38
 """Bytes that Ethernet adds to each packet on the wire: preamble 8, header 14, checksum 4, gap 12."""
 CONTROL_PORT = 3956
-"""UDP port of GVCP, the same for every camera."""
 _IP_MTU = 14
 
 
@@ -230,11 +229,8 @@ class Control(Enum):
     """Whether an application controls a camera, as the camera itself reports it (control channel privilege)."""
 
     ABSENT = "absent"
-    """The camera does not reply."""
     FREE = "free"
-    """No application controls the camera. A camera releases an application that sends no heartbeat."""
     CONTROLLED = "controlled"
-    """An application controls the camera; the camera does not report which one."""
 
 
 @dataclass(frozen=True)

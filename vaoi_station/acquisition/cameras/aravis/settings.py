@@ -26,12 +26,10 @@ FRAME_TRIGGERS = ("FrameStart", "FrameBurstStart", "AcquisitionStart")
 TRIGGER_WIDTH = "TriggerWidth"
 """The ExposureMode in which a camera exposes for as long as the trigger is high (SFNC)."""
 FEATURE_TOLERANCE = 0.01
-"""Accepted relative difference of a feature that station.toml sets by name."""
 SEQUENCER = (
     "SequencerMode", "SequencerConfigurationMode", "SequencerSetSelector", "SequencerSetNext",
     "SequencerTriggerSource", "SequencerSetSave",
 )  # fmt: skip
-"""Features without which a camera cannot be given a sequence."""
 SEQUENCER_SOURCES = ("FrameStart", "ExposureStart", "FrameEnd", "ExposureEnd")
 """Entries of SequencerTriggerSource that come once per frame, in order of preference."""
 _INSTEAD = "Let the on-time of the LEDs (on_us) make the difference between rows, or use a camera with a sequencer."
@@ -42,7 +40,6 @@ class Make:
     """What the cameras of one make need to be triggered by a wire."""
 
     line: str = "Line0"
-    """The opto-isolated input."""
     off_while_changing: bool = False
     """Whether the camera refuses to change TriggerSource while TriggerMode is On (Aravis #1045)."""
     extra: tuple[tuple[str, str], ...] = ()

@@ -41,7 +41,6 @@ class FrameFormat:
     width: int
     height: int
     code: int
-    """Code of the pixel format (PFNC)."""
 
     def __str__(self) -> str:
         return f"{self.width}×{self.height} px in format {self.code:#010x}"
@@ -133,11 +132,9 @@ class SlotResult:
     whole: bool
     frame_id: int | None
     time_ns: int | None
-    """Time stamp of the frame by the camera's clock, ns; None for an incomplete frame."""
     host_time_s: float
     fault: str = ""
     stated: StatedExposure | None = None
-    """The exposure that a complete frame states in its chunk data."""
 
 
 class SlotStream:
@@ -157,12 +154,10 @@ class SlotStream:
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
         self._buffer_pulled = threading.Condition(self._lock)
-        """Condition that is notified whenever a buffer was taken from the stream."""
         self._queued: dict[int, tuple[Any, Slot]] = {}
         """C pointer of a buffer → the buffer and its slot, for all buffers that the stream has."""
         self._ending = threading.Event()
         self.thread = SupervisedThread(self._pull, f"{name}-frames")
-        """The pulling thread."""
         self.thread.start()
 
     def queue(self, slot: Slot) -> None:

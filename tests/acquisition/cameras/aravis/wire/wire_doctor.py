@@ -6,10 +6,8 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-
-import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
 from tests.doctor.conftest import assert_problem, only
@@ -41,15 +39,6 @@ def memory_of(device: Device) -> bytes:
             assert struct.unpack(">HHHH", reply[:8])[1::2] == (0x0085, number)
             content += reply[12:]
     return bytes(content)
-
-
-@pytest.fixture
-def small_packets() -> Iterator[None]:
-    """The network as it comes: packets of 1500 bytes."""
-    before = Path("/sys/class/net/lo/mtu").read_text().strip()
-    subprocess.run(["ip", "link", "set", "lo", "mtu", "1500"], check=True)
-    yield
-    subprocess.run(["ip", "link", "set", "lo", "mtu", before], check=True)
 
 
 def test_cameras_that_are_fit_stay_as_they_are(device: Plug, station: Make) -> None:
@@ -90,28 +79,3 @@ def test_a_camera_that_another_program_uses(device: Plug, station: Make, tmp_pat
         finding = only(cameras(context(station(camera))))
         program.communicate("")
     assert_problem(finding, Level.FAULT, "another program controls the camera")
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"trigger_line": "Line7"}, "has no trigger input Line7; it has "),
-        ({"pixel_format": "Mono14"}, "has no pixel format Mono14; it has "),
-        ({"exposure_us": 99_000_000.0, "readout_us": 0.0}, "cannot expose for 9.9e+07 µs; its range is "),
-        ({"width": 4096, "height": 64}, "2048×2048 px, but the configured frame ends at column 4096, row 64"),
-    ],
-)
-def test_what_a_camera_cannot_do(device: Plug, station: Make, changes: dict[str, object], said: str) -> None:
-    config = station(device(0))
-    camera = config.cameras[0].model_copy(update=changes)
-    findings = list(cameras(context(config.model_copy(update={"cameras": (camera,)}))))
-    assert_problem(findings[0], Level.FAULT, said)
-
-
-@pytest.mark.usefixtures("small_packets")
-def test_small_packets_are_reported(device: Plug, station: Make) -> None:
-    *_, port = cameras(context(station(device(0))))
-    assert_problem(port, Level.WARNING, "MTU 1500", "packets of 1500 bytes")
-    *_, port = cameras(context(station(device(0), packet_bytes=8000)))
-    assert_problem(port, Level.WARNING, "c0 is configured for 8000")
-    assert port.action == "ip link set dev lo mtu 8000"

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, noise, thread_names
@@ -130,20 +129,6 @@ def test_formats_cross_the_wire_as_they_are(device: Plug, station: Make, opened:
         stage.close()
 
 
-def test_a_frame_of_another_size_than_configured_is_no_frame(device: Plug, station: Make, opened: Open) -> None:
-    """The camera changes its region without a request."""
-    camera = device(0)
-    stage = opened(station(camera))
-    stage.load()
-    camera.order("width 64")
-    assert camera.read_line() == "done"
-    camera.fire()
-    arrival = stage.arrival()
-    assert not arrival.complete
-    assert "64×64 px" in arrival.fault
-    assert "96×64 px" in arrival.fault
-
-
 def test_slots_that_were_taken_back_are_never_written_again(device: Plug, station: Make, opened: Open) -> None:
     camera = device(0)
     camera.show(noise(1))
@@ -233,24 +218,3 @@ def test_slots_change_hands_hundreds_of_times_and_nothing_piles_up(device: Plug,
 def resident_kib() -> int:
     status = Path("/proc/self/status").read_text()
     return int(next(line for line in status.splitlines() if line.startswith("VmRSS")).split()[1])
-
-
-def test_a_camera_reports_its_time_and_temperature(device: Plug, station: Make, opened: Open) -> None:
-    camera = device(0)
-    stage = opened(station(camera))
-    stage.load()
-    first = stage.cameras[0].read_clock()
-    camera.fire()
-    arrival = stage.arrival()
-    second = stage.cameras[0].read_clock()
-    assert arrival.time_s is not None
-    assert first.device_s < arrival.time_s < second.device_s
-    assert first.bound_s < 1e-3
-    assert np.isclose(second.device_s - first.device_s, second.host_s - first.host_s, atol=1e-3)
-    for _ in range(200):
-        if stage.cameras[0].health().temperature_c is not None:
-            break
-        stage.cameras[0].queue(stage.slot(arrival.slot))
-        camera.fire()
-        stage.arrival()
-    assert stage.cameras[0].health().temperature_c == 41.5
