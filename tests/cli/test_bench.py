@@ -31,12 +31,6 @@ def test_figures_are_printed_and_written(vaoi: Any, small_recording: Path, tmp_p
     assert (figures["cameras"], figures["rows"], figures["frame_px"]) == (2, 6, [640, 480])
 
 
-def test_absent_recording_is_refused(vaoi: Any, tmp_path: Path) -> None:
-    said = vaoi("bench", "--case", tmp_path / "nothing")
-    assert said.code == 2
-    assert "there is no such file" in said.err
-
-
 def test_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One station runs; the figures of the second rate repeat those of the first."""
     real, measured = station_pace.measure_station_pace, list[RateFigures]()

@@ -111,7 +111,3 @@ def test_places_bodies_and_sizes_of_several_files_are_imported(
     (tmp_path / "b.zip").write_bytes(samples.odb_zip(samples.ODB | samples.ODB_PANEL))
     assert vaoi("board-types", "import", tmp_path / "b.zip", "--step", "panel", "--name", "four", *last).code == 0
     assert {c.panel for c in station.types["four"].components} == {"1", "2", "3", "4"}
-
-
-def test_a_wrong_address_is_refused(vaoi: Callable[..., Result]) -> None:
-    assert "must start with http" in vaoi("board-types", "list", "--station", "station-3").err

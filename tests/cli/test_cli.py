@@ -45,14 +45,6 @@ def test_errors_are_one_sentence_with_an_exit_code(
     assert (done.code, done.out, done.err) == (code, "", sentence)
 
 
-def test_any_other_exception_is_an_internal_error(vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("VAOI_TRACEBACK", raising=False)
-    fail_with(monkeypatch, ZeroDivisionError("division by zero"))
-    done = vaoi("stitch", "case", "--out", "out.json")
-    assert done.code == 4
-    assert done.err.startswith("vaoi: internal error: ZeroDivisionError: division by zero. Report it")
-
-
 def test_traceback_is_shown_on_request(vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("VAOI_TRACEBACK", "1")
     fail_with(monkeypatch, ZeroDivisionError("division by zero"))

@@ -16,7 +16,6 @@ from vaoi_station.files import open_recording, read_board_type, read_stitch
 from vaoi_station.files.images import read_image
 from vaoi_station.geometry import apply
 from vaoi_station.rendering import ImageRequest
-from vaoi_station.version import __version__
 
 
 def test_pictures_of_components_with_their_matrices(
@@ -49,13 +48,6 @@ def test_pictures_of_components_with_their_matrices(
     assert listing[0]["coverage"] == 1
 
 
-def test_resolution_and_minimum_coverage(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
-    options = ("--component", "R1", "--px-per-mm", 9, "--min-coverage", 1)
-    assert vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path).code == 0
-    listing = json.loads((tmp_path / "R1.json").read_text())
-    assert {(v["px_per_mm"], v["coverage"]) for v in listing} == {(9.0, 1.0)}
-
-
 def test_unknown_component_is_refused_with_a_list_of_components(
     vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
 ) -> None:
@@ -63,24 +55,6 @@ def test_unknown_component_is_refused_with_a_list_of_components(
     assert said.code == 2
     assert "board type 'small' has no component 'U99'. It has " in said.err
     assert not list(tmp_path.glob("*.png"))
-
-
-def test_run_without_cad_mapping_cannot_be_cut(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
-    data = json.loads(result.read_text())
-    data.update(cad_matrix=None, status="failed", reasons=["the fiducials were not found"])
-    (tmp_path / "failed.json").write_text(json.dumps(data))
-    said = vaoi("cut", small_recording, "--result", tmp_path / "failed.json", "--component", "U1", "--out", tmp_path)
-    assert said.code == 3
-    assert "no CAD mapping" in said.err
-    assert "the fiducials were not found" in said.err
-
-
-def test_too_large_a_picture_is_refused(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
-    options = ("--component", "U1", "--px-per-mm", 1000)
-    said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
-    assert said.code == 2
-    assert "U1: px_per_mm is 1000" in said.err
-    assert "megapixels" in said.err
 
 
 @pytest.mark.parametrize(
@@ -103,22 +77,6 @@ def test_result_of_another_recording_is_refused(
     assert not list(tmp_path.glob("*.png"))
 
 
-def test_result_of_another_board_of_the_same_array_is_refused(
-    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
-) -> None:
-    assert vaoi("simulate", "small", "--board", 1, "--out", tmp_path / "board-1").code == 0
-    said = vaoi("cut", tmp_path / "board-1", "--result", result, "--component", "U1", "--out", tmp_path / "cut")
-    assert said.code == 2
-    assert f"{result}: belongs to another recording: it was made from recording '{small_recording.name}'" in said.err
-    assert "'board-1'" in said.err
-    assert not (tmp_path / "cut").exists()
-
-
-def test_version_is_printed(vaoi: Any) -> None:
-    said = vaoi("--version")
-    assert (said.code, said.out, said.err) == (0, f"vaoi_station {__version__}\n", "")
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -135,13 +93,6 @@ def test_options_that_exclude_each_other(
     said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
     assert said.code == 2
     assert words in said.err
-
-
-def test_all_components_at_once(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
-    options = ("--all", "--px-per-mm", 2)
-    assert vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path).code == 0
-    listed = {path.stem for path in tmp_path.glob("*.json")}
-    assert listed == {c.address.replace("/", "_") for c in read_board_type(small_recording / "board.json").components}
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
@@ -250,19 +201,6 @@ def test_bad_input_is_refused(
     said = vaoi("cut", small_recording, "--result", result, *options, "--hdr", "--out", tmp_path)
     assert said.code == 2
     assert words in said.err
-
-
-def test_flat_fields_of_another_array_are_refused(
-    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
-) -> None:
-    from tests.photometry.white_recordings import film, white
-
-    film(tmp_path / "white", white(120))
-    assert vaoi("flatfield", tmp_path / "white", "--out", tmp_path / "flat").code == 0
-    options = ("--component", "U1", "--hdr", "--flatfield", tmp_path / "flat")
-    said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
-    assert said.code == 2
-    assert "px, but its frames have" in said.err or "are of an array of 2 cameras" in said.err
 
 
 @pytest.fixture(scope="module")

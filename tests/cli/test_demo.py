@@ -21,19 +21,6 @@ def test_options_of_one_board_need_once(vaoi: Callable[..., Result], options: li
     assert "--out and --json need --once" in done.err
 
 
-def test_a_file_as_the_directory_is_refused(vaoi: Callable[..., Result], tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("")
-    done = vaoi("demo", "--scenario", "small", "--once", "--out", tmp_path / "out")
-    assert (done.code, done.out) == (2, "")
-    assert "is a file" in done.err
-
-
-def test_unknown_scenario_is_refused(vaoi: Callable[..., Result]) -> None:
-    done = vaoi("demo", "--scenario", "smal")
-    assert (done.code, done.out) == (2, "")
-    assert "there is no scenario 'smal'" in done.err
-
-
 @pytest.mark.parametrize(("ok", "code"), [(True, 0), (False, 1)])
 def test_exit_code_of_one_board_and_its_document(
     vaoi: Callable[..., Result], monkeypatch: pytest.MonkeyPatch, ok: bool, code: int

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from vaoi_station.cli import app
-from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.errors import InputError
 
 
 def vaoi_plan(*options: str) -> Result:
@@ -53,12 +53,6 @@ def test_figures_of_the_paper_as_text() -> None:
         assert figure in text
 
 
-def test_options_change_an_example() -> None:
-    document = json.loads(vaoi_plan("--example", "paper", "--cameras", "13", "--frame-rate-hz", "8.1", "--json").stdout)
-    assert document["ok"] is True
-    assert "paper" not in document
-
-
 def test_own_requirements() -> None:
     result = vaoi_plan(
         *("--width-mm", "200", "--resolution-px-per-mm", "20", "--speed-mm-s", "50", "--sensor-width-mm", "11.3"),
@@ -75,18 +69,6 @@ def test_missing_requirements_are_named_by_their_options() -> None:
     assert isinstance(result.exception, InputError)
     assert "--resolution-px-per-mm, --speed-mm-s, --sensor-px-v" in str(result.exception)
     assert "--width-mm" not in str(result.exception)
-
-
-def test_impossible_values_are_refused_with_field_value_and_limit() -> None:
-    result = vaoi_plan("--example", "paper", "--speed-mm-s", "0")
-    assert isinstance(result.exception, InputError)
-    assert "speed_mm_s is 0.0, but must be a finite number above 0" in str(result.exception)
-
-
-def test_unknown_example_is_refused() -> None:
-    result = vaoi_plan("--example", "line 3")
-    assert isinstance(result.exception, NotFoundError)
-    assert "example 'line 3' does not exist. The only example is 'paper'." in str(result.exception)
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -10,9 +10,7 @@ from typing import Any
 import pytest
 
 from tests.plant.conftest import recording
-from vaoi_station.cli.plants import progress_bar, run_selection, verdicts_of
-from vaoi_station.errors import InputError
-from vaoi_station.model import Status
+from vaoi_station.cli.plants import progress_bar
 from vaoi_station.plant import cluster
 from vaoi_station.plant.archive import Archive, RunLabel
 from vaoi_station.plant.cluster import ClusterOptions, cluster_address, connection
@@ -26,20 +24,6 @@ def archive(recording: Path, tmp_path: Path) -> Archive:
     made = Archive.create(tmp_path / "archive")
     made.add(recording, station="line 1", label=RunLabel(run="r1", time="2026-11-01T10:00:00Z"))
     return made
-
-
-def test_options_become_a_selection() -> None:
-    chosen = run_selection("main*", "2026-03-01", None, "line 1", "degraded")
-    assert (chosen.board_type, chosen.since, chosen.station, chosen.verdict) == (
-        "main*", "2026-03-01", "line 1", Status.DEGRADED,
-    )  # fmt: skip
-    assert run_selection(None, None, None, None, None).verdict is None
-
-
-def test_verdicts_are_words() -> None:
-    assert verdicts_of("ok, failed") == (Status.OK, Status.FAILED)
-    with pytest.raises(InputError, match="one of ok, degraded, failed"):
-        verdicts_of("ok,")
 
 
 def test_the_bar_counts_what_an_earlier_call_has_done(capsys: pytest.CaptureFixture[str]) -> None:
@@ -111,12 +95,6 @@ def test_pruning_refuses_what_would_remove_too_much(filmed: Path, vaoi: Any) -> 
     assert vaoi("archive", "prune", filmed, "--grace-hours", "17", "--nothing-added").code == 0
 
 
-def test_what_is_no_archive_is_refused(tmp_path: Path, vaoi: Any) -> None:
-    said = vaoi("archive", "list", tmp_path)
-    assert said.code == 2
-    assert "is no archive" in said.err
-
-
 NOWHERE = ("--scheduler", "tcp://127.0.0.1:1", "--patience", "1")
 
 
@@ -136,16 +114,6 @@ def test_wrong_options_and_an_absent_scheduler_are_named(
 ) -> None:
     done = vaoi("restitch", archive.url, "--out", tmp_path / "out", *options)
     assert (done.code, text in done.err) == (code, True), done.err
-
-
-def test_a_fault_of_an_archive_gives_exit_code_1(vaoi: Callable[..., Any], archive: Archive, tmp_path: Path) -> None:
-    manifest = Path(archive.url) / archive.run("r1").key
-    manifest.write_text("{")
-    done = vaoi("restitch", archive.url, "--out", tmp_path / "out", *NOWHERE)
-    assert done.code == 1, "without a run to do, no scheduler is needed"
-    assert str(manifest) in done.err
-    assert "0 of 0 runs stitched" in done.out
-    assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1
 
 
 def pretend_to_be_old() -> None:

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from tests.cli.conftest import Result
 from tests.identity.conftest import DATAMATRIX
 from vaoi_station.cli import app
-from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.errors import InputError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.images import read_image, write_image
 from vaoi_station.files.results import write_stitch
@@ -44,31 +44,6 @@ def test_recording_is_complete(tmp_path: Path) -> None:
     assert (out / "truth.json").exists()
     with pytest.raises(InputError, match="already holds"):
         _run("small", "--out", str(out))
-
-
-def test_missing_frames_are_listed_and_the_truth_is_optional(tmp_path: Path) -> None:
-    scenario = tmp_path / "lossy.toml"
-    scenario.write_text(
-        "[array]\nwidth_px = 64\nheight_px = 48\npx_per_mm = 4.0\n"
-        "[board]\nwidth_mm = 30.0\nlength_mm = 20.0\n"
-        "[line]\nbarrier_mm = -10.0\nstart_delay_s = 0.05\ntail_s = 0.1\n"
-        "[[faults.lost_frames]]\ncamera = 1\nrow = 1\n"
-    )
-    out = tmp_path / "out"
-    assert "1 frames missing" in _run(str(scenario), "--out", str(out), "--no-truth")
-    assert open_recording(out).head.missing == ((1, 1),)
-    assert not (out / "truth.json").exists()
-
-
-def test_calibration_board(tmp_path: Path) -> None:
-    _run("small", "--out", str(tmp_path), "--calibration-board")
-    assert open_recording(tmp_path).head.rows == 1
-    assert (tmp_path / "layout.json").exists()
-
-
-def test_unknown_scenario_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(NotFoundError, match="no scenario 'nothing'"):
-        _run("nothing", "--out", str(tmp_path))
 
 
 def edit(path: Path, change: Callable[[Any], Any]) -> None:
@@ -238,25 +213,6 @@ def test_bad_input_is_one_sentence_that_names_the_file(
     assert not out.exists(), "nothing half done is left behind"
 
 
-def test_directory_without_a_recording_is_refused(vaoi: Any, tmp_path: Path) -> None:
-    said = vaoi("stitch", tmp_path / "nowhere", "--out", tmp_path / "r.json")
-    assert said.code == 2
-    assert "nowhere/recording.json: there is no such file" in said.err
-
-
-def test_frame_listed_as_missing_is_accepted(vaoi: Any, recording: Path, tmp_path: Path) -> None:
-    lose_a_frame(recording)
-    edit(recording / "recording.json", lambda d: d.update(missing=[[1, 3]]))
-    assert vaoi("stitch", recording, "--out", tmp_path / "r.json").code == 0
-    assert read_stitch(tmp_path / "r.json").status is Status.OK
-
-
-def test_unknown_method_is_refused(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
-    said = vaoi("stitch", small_recording, "--out", tmp_path / "r.json", "--method", "magic")
-    assert said.code == 2
-    assert "magic" in said.err
-
-
 def test_reference_is_kept_and_never_overwritten(
     vaoi: Callable[..., Result], small_recording: Path, tmp_path: Path
 ) -> None:
@@ -268,13 +224,6 @@ def test_reference_is_kept_and_never_overwritten(
     refused = vaoi("teach", small_recording, "--out", out)
     assert refused.code == 2
     assert "exists already" in refused.err
-
-
-def test_absent_recording_is_refused(vaoi: Callable[..., Result], tmp_path: Path) -> None:
-    done = vaoi("teach", tmp_path, "--out", tmp_path / "reference")
-    assert done.code == 2
-    assert "there is no such file" in done.err
-    assert not (tmp_path / "reference").exists()
 
 
 def test_a_board_that_does_not_lie_with_the_given_rotation_is_no_reference(
@@ -304,12 +253,6 @@ def test_report_is_one_file(run: Path, tmp_path: Path) -> None:
     assert out.read_text().startswith("<!doctype html>")
 
 
-def test_default_is_the_working_directory(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(app, ["report", str(run), "--method", "features"]).exit_code == 0
-    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
-
-
 def test_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     done = CliRunner().invoke(app, ["report", str(run), "--bundle", str(kept)])
@@ -322,16 +265,6 @@ def test_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) ->
     assert (tmp_path / "r.html").is_file()
     refused = CliRunner().invoke(app, ["report", str(run), "--bundle", str(kept)])
     assert isinstance(refused.exception, InputError)
-
-
-def test_no_report_is_made_of_a_directory_without_a_recording(tmp_path: Path) -> None:
-    assert isinstance(CliRunner().invoke(app, ["report", str(tmp_path)]).exception, NotFoundError)
-
-
-def test_the_expected_rotation_is_an_option(run: Path, tmp_path: Path) -> None:
-    """The board lies upright: expected upside down, it is not found."""
-    done = CliRunner().invoke(app, ["report", str(run), "--out", str(tmp_path / "r.html"), "--rotation", "180"])
-    assert done.output.startswith("failed: ")
 
 
 def test_component_is_where_the_document_says(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
@@ -384,15 +317,6 @@ def test_wrong_options_are_refused_and_nothing_is_written(
     assert said.code == 2
     assert words in said.err
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("name", ["b.tif", "b.tif.json"])
-def test_existing_output_is_refused(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_text("mine")
-    said = vaoi("mosaic", small_recording, "--result", result, "--out", tmp_path / "b.tif")
-    assert said.code == 2
-    assert f"{tmp_path / name}: exists and is not overwritten" in said.err
-    assert (tmp_path / name).read_text() == "mine"
 
 
 def test_heights_agree_with_the_truth_of_the_twin(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
@@ -454,13 +378,6 @@ def test_a_map_is_written_beside_the_heights_and_a_region_off_the_board_is_refus
     assert not (tmp_path / "no.json").exists()
 
 
-def test_flat_fields_of_another_array_are_refused(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
-    run, result = case
-    said = vaoi("heights", run, "--result", result, "--out", tmp_path / "h.json", "--flatfield", tmp_path / "none")
-    assert said.code == 2
-    assert "flatfield.json" in said.err
-
-
 @pytest.fixture(scope="module")
 def coded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A recording of a small board with a code, and its result from the truth."""
@@ -497,12 +414,6 @@ def test_code_is_printed_and_compared(vaoi: Any, coded: tuple[Path, Path], tmp_p
     assert "identity: differs" in said.out
 
 
-def test_code_of_dots_is_read(vaoi: Any, tmp_path: Path) -> None:
-    run, result = record(tmp_path, {**DATAMATRIX, "dot_modules": 0.7, "module_mm": 0.4, "inverted": True})
-    said = vaoi("identify", run, "--result", result, "--expect", "SN000042")
-    assert said.out.splitlines()[-1] == "identity: agrees, board 'SN000042'"
-
-
 def test_board_type_without_identity_is_searched_everywhere(
     vaoi: Any, coded: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -512,13 +423,6 @@ def test_board_type_without_identity_is_searched_everywhere(
     (tmp_path / "board.json").write_text(json.dumps(board))
     said = vaoi("identify", run, "--result", result, "--board", tmp_path / "board.json")
     assert "identity: not-compared, board 'coded;SN000042'" in said.out
-
-
-def test_input_is_not_overwritten(vaoi: Any, coded: tuple[Path, Path]) -> None:
-    run, result = coded
-    said = vaoi("identify", run, "--result", result, "--out", result)
-    assert said.code == 2
-    assert "is read by this command and is not overwritten" in said.err
 
 
 def test_shifted_and_mirrored_data_are_corrected_to_those_of_the_twin(
@@ -550,14 +454,3 @@ def test_shifted_and_mirrored_data_are_corrected_to_those_of_the_twin(
     again = vaoi("check-board", run, "--result", result, "--board-type", run / "board.json", "--out", out)
     assert again.code == 2
     assert "exists" in again.err
-
-
-def test_right_data_leave_nothing_to_correct(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
-    run, result = case
-    said = vaoi(
-        "check-board", run, "--result", result, "--board-type", run / "board.json", "--corrected", tmp_path / "c.json"
-    )
-    assert said.code == 3
-    assert "nothing to correct" in said.out
-    assert "nothing to correct" in said.err
-    assert not (tmp_path / "c.json").exists()

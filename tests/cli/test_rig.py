@@ -41,17 +41,6 @@ def test_impossible_arguments_are_refused_before_the_start(arguments: tuple[str,
     assert words in error.message
 
 
-def test_scenario_must_exist() -> None:
-    assert isinstance(refusal("run", "--scenario", "atlantis"), NotFoundError)
-
-
-def test_up_refuses_a_directory_with_files(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("…")
-    error = refusal("up", "--out", str(tmp_path))
-    assert isinstance(error, InputError)
-    assert "is not a new or empty directory" in error.message
-
-
 @pytest.mark.parametrize("arguments", [("run",), ("up", "--out", "rig")])
 def test_missing_firmware_sources_are_refused_before_a_board_is_rendered(
     arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -177,15 +177,6 @@ def test_board_at_rest_is_filmed_without_a_calibration(config: Path, tmp_path: P
     assert again.exit_code == 0, again.output
 
 
-def test_several_pictures_at_rest_keep_the_present_calibration(config: Path, tmp_path: Path) -> None:
-    arguments = ["record", "--config", str(config), "--out", str(tmp_path / "out"), "--runs", "2", "--still"]
-    done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 0, done.output
-    for name in ("run-001", "run-002"):
-        assert open_recording(tmp_path / "out" / name).head.rows == 1
-        assert (tmp_path / "out" / name / "calibration.json").is_file()
-
-
 def test_exit_code_and_text(vaoi: Callable[..., Result], tmp_path: Path) -> None:
     path, _ = write_station_files(scenario_path("small"), tmp_path)
     (tmp_path / "data").mkdir()
@@ -197,16 +188,6 @@ def test_exit_code_and_text(vaoi: Callable[..., Result], tmp_path: Path) -> None
     assert "colour: is an unknown key" in done.out
     assert "line.tint: is an unknown key" in done.out
     assert "2 faults" in done.out
-
-
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
-def test_files_with_byte_order_marks_are_no_problem(vaoi: Callable[..., Result], tmp_path: Path, encoding: str) -> None:
-    path, _ = write_station_files(scenario_path("small"), tmp_path)
-    (tmp_path / "data").mkdir()
-    plain = vaoi("check-config", path)
-    for file in (path, *tmp_path.rglob("*.json"), *tmp_path.rglob("scenario.toml")):
-        file.write_bytes(file.read_text().encode(encoding))
-    assert vaoi("check-config", path) == plain
 
 
 def test_a_configuration_in_utf_16_without_a_mark_is_a_fault_with_an_action(
@@ -237,13 +218,6 @@ def test_exit_code_and_output(
     assert finding.message in done.out
     if as_json:
         assert json.loads(done.out) == report.document()
-
-
-def test_machine_is_checked_without_a_configuration(vaoi: Callable[..., Result], tmp_path: Path) -> None:
-    done = vaoi("doctor", "--config", tmp_path / "none.toml")
-    assert done.code == 2
-    assert "none.toml: there is no such file" in done.out
-    assert " compiled code " in done.out
 
 
 def test_a_bundle_is_written_once(vaoi: Callable[..., Result], tmp_path: Path) -> None:
@@ -390,11 +364,6 @@ def test_a_file_that_exceeds_the_limits_of_an_import_is_refused(
     assert (done.code, "the file is refused. Try a part." in done.err) == (2, True), done.err
 
 
-def test_without_out_it_is_refused(vaoi: Vaoi, board: Path) -> None:
-    done = vaoi("import", str(board))
-    assert (done.code, "Give it by --out board.json." in done.err) == (2, True)
-
-
 def test_places_and_bodies_of_two_files_are_joined(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
     placer, out = tmp_path / "p.csv", tmp_path / "board.json"
     placer.write_text("Ref,X(mm),Y(mm),Rot\nR1,110,10,0\nJ1,130,20,90\nFID1,105,5,0\n")
@@ -416,13 +385,3 @@ def test_panels_of_the_file_or_of_the_user(vaoi: Vaoi, board: Path, tmp_path: Pa
     for name, refs in (("a", {"1/R1", "4/C1"}), ("b", {"1/R1", "2/J1"})):
         document = json.loads((tmp_path / f"{name}.json").read_text())
         assert {f"{c['panel']}/{c['ref']}" for c in document["components"]} >= refs
-
-
-def test_a_table_of_sizes_may_have_a_byte_order_mark(vaoi: Vaoi, tmp_path: Path) -> None:
-    places, sizes = tmp_path / "places.csv", tmp_path / "sizes.toml"
-    places.write_bytes("Designator,Footprint,X (mm),Y (mm),Rotation,Layer\nK1,MY-RELAY,1,2,0,top\n".encode("utf-8-sig"))
-    sizes.write_bytes("[[package]]\npattern = '^MY-RELAY'\nsize = [15.0, 7.5]\n".encode("utf-16"))
-    done = vaoi("import", places, "--sizes", sizes, "--out", tmp_path / "board.json")
-    assert done.code == 0, done.err
-    (k1,) = json.loads((tmp_path / "board.json").read_text())["components"]
-    assert (k1["width"], k1["height"]) == (15.0, 7.5)

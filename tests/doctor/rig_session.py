@@ -15,6 +15,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,19 +76,30 @@ def service(path: Path, config: StationConfig) -> subprocess.Popen[str]:
     return process
 
 
+def state(config: StationConfig) -> dict[str, Any]:
+    """Ask a station for its state, again until the limit of this session: on a busy machine one reply may be late."""
+    end_s = time.monotonic() + TIMEOUT_S
+    while True:
+        try:
+            return ask(config.api)
+        except TimeoutError:
+            if time.monotonic() > end_s:
+                raise
+
+
 def wait_until_idle(config: StationConfig) -> None:
     """Wait until the station is idle; the event stream wakes the loop at least every two seconds."""
     connection = http.client.HTTPConnection(config.api.host, config.api.port, timeout=TIMEOUT_S)
     connection.request("GET", "/api/v1/events")
     stream = connection.getresponse()
-    while ask(config.api)["state"] != "idle":
+    while state(config)["state"] != "idle":
         stream.readline()
     connection.close()
 
 
 def processes(config: StationConfig) -> list[Any]:
     """Return the station's processes; a restarted process has another pid."""
-    return [(process["name"], process["pid"], process["restarts"]) for process in ask(config.api)["processes"]]
+    return [(process["name"], process["pid"], process["restarts"]) for process in state(config)["processes"]]
 
 
 def main(directory: Path) -> None:

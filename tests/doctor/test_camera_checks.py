@@ -40,10 +40,6 @@ def test_versions_of_aravis(version: tuple[int, int, int], perhaps_usb: int, lev
         assert_problem(finding, level, "unreliable with USB3")
 
 
-def test_simulated_cameras_need_no_library(context: CheckContext) -> None:
-    assert only(camera_checks.aravis(context)).level is Level.NOT_APPLICABLE
-
-
 OFFERED = camera_checks.Offered(
     vendor="Maker", model="M", serial="1", triggers=("FrameStart",), sources=("Line0", "Line1"),
     formats=("Mono8", "Mono12"), exposure_us=(10.0, 1e6), sensor=(2048, 1536), trigger_mode="Off", port="lo",
@@ -84,12 +80,6 @@ def test_every_unmet_requirement_is_a_fault(fields: dict[str, Any], words: str) 
     assert_problem(only(camera_checks.judge_camera(configured(**fields), OFFERED)), Level.FAULT, words)
 
 
-def test_camera_without_a_frame_trigger_is_a_fault() -> None:
-    for triggers, words in (((), "nothing"), (("ExposureEnd",), "ExposureEnd only")):
-        finding = only(camera_checks.judge_camera(configured(), replace(OFFERED, triggers=triggers)))
-        assert_problem(finding, Level.FAULT, words)
-
-
 def test_packets_larger_than_the_camera_sends_are_a_warning() -> None:
     """The interface takes such packets; a larger MTU would not help."""
     finding = camera_checks.judge_port("lo", [(configured(packet_bytes=40000), OFFERED)], 0.1)
@@ -108,10 +98,6 @@ def test_port_that_is_too_slow_is_a_fault() -> None:
     camera = configured(width=2048, height=1536, link_mbit_s=100.0)
     finding = camera_checks.judge_port("lo", [(camera, OFFERED), (camera, OFFERED)], 0.01)
     assert_problem(finding, Level.FAULT, "2 cameras on port lo")
-
-
-def test_simulated_cameras_are_not_checked(context: CheckContext) -> None:
-    assert only(camera_checks.cameras(context)).level is Level.NOT_APPLICABLE
 
 
 def test_state_of_cameras_of_a_running_station(config: StationConfig) -> None:

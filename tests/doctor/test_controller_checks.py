@@ -31,10 +31,6 @@ def status(state: State, **fields: int) -> Status:
     return replace(STATUS, state=state, **fields)
 
 
-def test_simulated_controller_is_not_checked(context: CheckContext) -> None:
-    assert only(controller_checks.controller(context)).level is Level.NOT_APPLICABLE
-
-
 def test_controller_of_a_running_station_is_reported_by_it(config: StationConfig) -> None:
     known = CheckContext(config, Machine(), RunningProcess(4711, {"state": "idle", "controller": "armed"}))
     assert only(controller_checks.controller(known)).message == "armed"
@@ -45,12 +41,6 @@ def test_controller_of_a_running_station_is_reported_by_it(config: StationConfig
 def test_absent_port_ends_the_check(context: CheckContext, tmp_path: Path) -> None:
     config = changed(context.config, "controller", backend="serial", port=str(tmp_path / "gone"))
     assert_problem(only(controller_checks.controller(with_config(context, config))), Level.FAULT, "there is no", "gone")
-
-
-def test_absent_port_lists_the_serial_devices(tmp_path: Path) -> None:
-    (tmp_path / "dev/serial/by-id").mkdir(parents=True)
-    (tmp_path / "dev/serial/by-id/usb-FTDI").write_text("")
-    assert_problem(controller_checks.judge_port(tmp_path / "gone", Machine(tmp_path)), Level.FAULT, "usb-FTDI")
 
 
 def test_file_is_no_serial_port(tmp_path: Path) -> None:
@@ -77,15 +67,6 @@ def test_delay_of_the_usb_bridge(tmp_path: Path, delay: str | None, count: int) 
     assert len(findings) == count
     if delay is not None and count:
         assert_problem(findings[0], Level.WARNING, f"{delay} ms", "limit: 1 ms")
-
-
-def test_firmware_is_described() -> None:
-    ident = replace(IDENT, major=1, firmware_major=1, firmware_minor=2, firmware_patch=3, boots=9, unit=7)
-    finding = controller_checks.judge_firmware(replace(ident, build=b"f8e2a4c\0"))
-    assert finding.message == "version 1.2.3 (f8e2a4c), protocol 1.0, unit 7, start number 9"
-    erased = controller_checks.judge_firmware(replace(ident, unit=0xFFFFFFFF))
-    assert "no unit number" in erased.message
-    assert erased.figures["unit"] is None
 
 
 def test_lights_within_the_limits_are_ok_and_others_are_a_fault(config: StationConfig) -> None:
@@ -118,11 +99,6 @@ def test_clock_bound_is_judged_by_the_trigger_period(bound_s: float, period_s: f
         assert finding.level is Level.OK
 
 
-def test_an_interlock_needs_firmware_with_its_output() -> None:
-    assert controller_checks.judge_interlock(replace(IDENT, ready_longest_ms=1000)).level is Level.OK
-    assert controller_checks.judge_interlock(replace(IDENT, ready_longest_ms=0)).level is Level.FAULT
-
-
 def test_each_level_is_announced_and_the_last_is_low() -> None:
     shown: list[str] = []
     with fake_firmware() as (port, firmware):
@@ -140,10 +116,3 @@ def test_an_output_that_does_not_follow_is_reported() -> None:
         with pytest.raises(DeviceError, match="stays low") as stuck:
             toggle_line_output(ControllerConfig(backend="serial", port=port), lambda _: None, level_s=0.01)
     assert stuck.value.code == "interlock-stuck"
-
-
-def test_firmware_without_the_output_is_named() -> None:
-    with fake_firmware() as (port, firmware):
-        firmware.ident = replace(firmware.ident, minor=1, ready_longest_ms=0)
-        with pytest.raises(DeviceError, match="has no output 'line ready'"):
-            toggle_line_output(ControllerConfig(backend="serial", port=port), lambda _: None)

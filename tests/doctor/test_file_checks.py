@@ -13,7 +13,7 @@ import pytest
 
 from tests.doctor.conftest import assert_problem, changed, only, with_config, without_privileges
 from tests.peers.certificates import Certificate, make_authority, make_certificate
-from vaoi_station.config import ApiConfig, LightConfig, ReplayConfig
+from vaoi_station.config import ApiConfig, LightConfig
 from vaoi_station.doctor import file_checks
 from vaoi_station.doctor.file_checks import readable_by_others, receivers, station_certificate
 from vaoi_station.doctor.finding import Level
@@ -25,12 +25,6 @@ from vaoi_station.model.receivers import MqttConfig, PushConfig
 def test_complete_files_are_ok(context: CheckContext) -> None:
     for check in (file_checks.calibration, file_checks.board_types, file_checks.stand_ins):
         assert {finding.level for finding in check(context)} == {Level.OK}, check
-
-
-def test_calibration_of_another_array_is_a_fault(context: CheckContext) -> None:
-    cameras = (*context.config.cameras, context.config.cameras[0].model_copy(update={"name": "third"}))
-    three = with_config(context, context.config.model_copy(update={"cameras": cameras}))
-    assert_problem(only(file_checks.calibration(three)), Level.FAULT, "calibration.json", "3")
 
 
 def test_absent_calibration_is_a_fault(context: CheckContext) -> None:
@@ -84,18 +78,6 @@ def test_scenario_with_another_period_is_a_fault(context: CheckContext) -> None:
     assert_problem(only(file_checks.stand_ins(slower)), Level.FAULT, "period_s is 0.2")
 
 
-def test_absent_recordings_are_a_fault(context: CheckContext, tmp_path: Path) -> None:
-    config = changed(context.config, "controller", backend="replay")
-    config = config.model_copy(update={"replay": ReplayConfig(recordings=(tmp_path / "gone",))})
-    assert_problem(only(file_checks.stand_ins(with_config(context, config))), Level.FAULT, "gone")
-
-
-def test_real_devices_need_no_stand_ins(context: CheckContext) -> None:
-    config = changed(context.config, "controller", backend="serial")
-    finding = only(file_checks.stand_ins(with_config(context, config)))
-    assert finding.level is Level.NOT_APPLICABLE
-
-
 def with_flat_fields(
     context: CheckContext, directory: Path, created: str, width: int | None = None, light: str | None = None
 ) -> CheckContext:
@@ -134,14 +116,6 @@ def test_flat_fields_of_other_lights_than_those_of_the_rows_are_reported(context
     assert fit.level is Level.OK
 
 
-def test_flat_fields_of_another_array_are_a_fault(context: CheckContext, tmp_path: Path) -> None:
-    today = datetime.now(UTC).isoformat()
-    other = with_flat_fields(context, tmp_path, today, width=100)
-    assert_problem(only(file_checks.flat_fields(other)), Level.FAULT, "has 100×", "px, but its frames have")
-    (tmp_path / "flatfield.json").unlink()
-    assert_problem(only(file_checks.flat_fields(other)), Level.FAULT, "flatfield.json: there is no such file")
-
-
 def test_only_a_file_that_every_user_can_read_is_named(tmp_path: Path) -> None:
     secret = tmp_path / "secret"
     secret.touch(0o600)
@@ -157,10 +131,6 @@ def test_only_a_file_that_every_user_can_read_is_named(tmp_path: Path) -> None:
 def with_certificate(context: CheckContext, made: Certificate) -> CheckContext:
     api = ApiConfig(certificate=made.certificate, private_key=made.private_key)
     return with_config(context, context.config.model_copy(update={"api": api}))
-
-
-def test_a_station_without_tls_needs_no_check(context: CheckContext) -> None:
-    assert only(station_certificate(context)).level is Level.NOT_APPLICABLE
 
 
 @pytest.mark.parametrize(("days", "level", "word"), [(400, Level.OK, "valid until"), (20, Level.WARNING, "refuse it")])
@@ -187,22 +157,6 @@ def test_files_that_are_absent_or_do_not_fit_each_other_are_a_fault(context: Che
         assert finding.code == "certificate-unusable"
 
 
-def test_a_key_that_the_service_cannot_read_is_a_fault(context: CheckContext, tmp_path: Path) -> None:
-    made = make_certificate(tmp_path)
-    made.private_key.chmod(0)
-    with without_privileges():
-        finding = only(station_certificate(with_certificate(context, made)))
-    assert_problem(finding, Level.FAULT, "Permission denied")
-
-
-def test_a_key_that_every_user_can_read_is_named(context: CheckContext, tmp_path: Path) -> None:
-    made = make_certificate(tmp_path, days=400)
-    made.private_key.chmod(0o644)
-    private, valid = station_certificate(with_certificate(context, made))
-    assert_problem(private, Level.WARNING, "private key", "every user")
-    assert valid.level is Level.OK
-
-
 def with_push(context: CheckContext, **fields: object) -> CheckContext:
     push = PushConfig.model_validate(fields)
     return with_config(context, context.config.model_copy(update={"push": push}))
@@ -212,10 +166,6 @@ def private(path: Path, text: str, mode: int = 0o600) -> Path:
     path.write_text(text)
     path.chmod(mode)
     return path
-
-
-def test_a_station_without_a_broker_needs_no_check(context: CheckContext) -> None:
-    assert only(receivers(context)).level is Level.NOT_APPLICABLE
 
 
 def test_a_sound_broker_is_ok(context: CheckContext, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.doctor.machine import Machine, format_bytes, is_directory, nearest, writable
+from vaoi_station.doctor.machine import Machine
 
 
 @pytest.fixture
@@ -22,24 +22,6 @@ def machine(tmp_path: Path) -> Machine:
     (proc / "7").mkdir()
     (proc / "7/status").write_text("VmLck:\t     8 kB\n")
     return Machine(tmp_path)
-
-
-def test_values_are_read_and_absent_ones_are_none(machine: Machine) -> None:
-    assert machine.sysctl("net.core.rmem_max") == 212992
-    assert machine.sysctl("net.core.absent") is None
-    assert machine.text("proc/absent") is None
-    assert machine.number("proc/meminfo") is None
-    assert machine.available_memory() == 42 * 1024
-    assert machine.locked_bytes(7) == 8 * 1024
-    assert machine.locked_bytes(8) is None
-
-
-@pytest.mark.parametrize(
-    ("capabilities", "allowed"), [("0", False), ("4000", True), ("1ffffffffff", True), ("bfff", False)]
-)
-def test_capability_to_lock_memory(machine: Machine, capabilities: str, allowed: bool) -> None:
-    (machine.root / "proc/self/status").write_text(f"CapEff:\t{capabilities}\n")
-    assert machine.may_lock_anything() == allowed
 
 
 def test_the_longest_and_last_mount_point_holds_a_path(machine: Machine, tmp_path: Path) -> None:
@@ -73,20 +55,3 @@ def test_holders_of_an_open_file(tmp_path: Path) -> None:
     with path.open("w"):
         assert os.getpid() in [holder.pid for holder in Machine().holders(path)]
     assert list(Machine().holders(path)) == []
-
-
-def test_places_in_the_file_system(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    assert nearest(tmp_path / "a" / "b") == tmp_path
-    assert writable(tmp_path / "a" / "b")
-    assert not writable(tmp_path / "file")
-    assert is_directory(tmp_path)
-    assert not is_directory(tmp_path / "file")
-    assert not is_directory(tmp_path / "a")
-
-
-@pytest.mark.parametrize(
-    ("count", "text"), [(2.1e9, "2.1 GB"), (348e6, "348 MB"), (64e3, "64 kB"), (999, "0.999 kB"), (0, "0 kB")]
-)
-def test_bytes_as_text(count: float, text: str) -> None:
-    assert format_bytes(count) == text

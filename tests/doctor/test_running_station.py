@@ -13,7 +13,7 @@ import pytest
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.doctor.conftest import assert_problem, at_port, only, with_aravis, with_config, without_privileges
+from tests.doctor.conftest import assert_problem, at_port, only, without_privileges
 from tests.peers.certificates import make_authority, make_certificate
 from tests.peers.web_server import ScriptedHandler, serving
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
@@ -46,10 +46,6 @@ def replying(status: int, body: bytes) -> Iterator[int]:
 
     with serving(Handler) as address:
         yield int(address.rpartition(":")[2])
-
-
-def test_no_ring_means_no_running_station(config: StationConfig) -> None:
-    assert running_station.find(config) is None
 
 
 def test_owner_of_the_ring_without_a_reply_is_a_warning(owned: StationConfig) -> None:
@@ -113,12 +109,6 @@ def test_reasons_and_warnings_of_the_station_become_findings(config: StationConf
     assert_problem(warning, Level.WARNING, "camera right has moved")
 
 
-def test_reasons_of_a_station_that_is_not_faulted_are_warnings(config: StationConfig) -> None:
-    snapshot = {"state": "idle", "reasons": [{"code": "x", "message": "m", "action": "a"}]}
-    _, finding = running_station.station(CheckContext(config, Machine(), RunningProcess(4711, snapshot)))
-    assert finding.level is Level.WARNING
-
-
 @pytest.fixture
 def closed(tmp_path: Path) -> Iterator[tuple[ApiConfig, str]]:
     """The configuration of a station with TLS that asks for a key on loopback too, and a key."""
@@ -153,22 +143,3 @@ def test_a_station_that_listens_everywhere_is_asked_on_loopback() -> None:
     everywhere = ApiConfig(host="0.0.0.0", port=1)  # noqa: S104  (an address to connect to)
     assert address_of(everywhere) == ("127.0.0.1", 1)
     assert address_of(ApiConfig(host="10.0.0.1")) == ("10.0.0.1", 8350)
-
-
-@pytest.mark.parametrize(
-    ("pid", "description", "command"),
-    [(4711, "process 4711", "ps -fp 4711"), (None, "a process of another user", "vaoi doctor …, as root")],
-)
-def test_a_running_process_is_described(pid: int | None, description: str, command: str) -> None:
-    process = RunningProcess(pid)
-    assert (process.description, process.inspect_command) == (description, command)
-
-
-def test_layout_is_that_of_the_configuration(context: CheckContext) -> None:
-    assert context.layout == RingLayout.of(context.config)
-
-
-def test_only_aravis_cameras_are_real(context: CheckContext) -> None:
-    assert context.real_cameras == ()
-    config = with_aravis(context.config)
-    assert with_config(context, config).real_cameras == config.cameras

@@ -34,16 +34,6 @@ def test_data_directory_without_write_permission_is_a_fault(context: CheckContex
     assert_problem(finding, Level.FAULT, "locked/data cannot be written to by this user")
 
 
-def test_file_in_place_of_the_data_directory_is_a_fault(context: CheckContext) -> None:
-    context.config.data.write_text("")
-    assert_problem(only(storage_checks.data(context)), Level.FAULT, "is not a directory")
-
-
-def test_absent_data_directory_is_ok_and_is_not_created(context: CheckContext) -> None:
-    assert only(storage_checks.data(context)).level is Level.OK
-    assert not context.config.data.exists()
-
-
 def space(free_bytes: float, *, inodes: int = 1000, free_inodes: int = 1000) -> Any:
     """Return the figures of a file system as os.statvfs gives them."""
     return cast(

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import re
 import signal
 import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import dask
 import pytest
-from distributed import Future, LocalCluster, get_worker
+from distributed import Future, LocalCluster
 
 from tests.plant.conftest import add_runs, task_of
 from vaoi_station import RecordedRun
@@ -27,14 +24,11 @@ from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.cluster import (
     AHEAD,
     ClusterOptions,
-    Crew,
     Dispatch,
-    Reply,
     RunFault,
-    UnseenArchive,
+    WorkerFault,
     cluster_address,
     connection,
-    dashboard_link,
     perform,
     software,
 )
@@ -62,13 +56,6 @@ def test_the_wait_for_a_scheduler_is_bounded() -> None:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(StateError, match=r"no scheduler answers within 0\.5 s"), connection(address, 0.5):
             pass
-
-
-def test_the_link_to_the_dashboard_is_that_of_the_port_that_dask_got(cluster: ClusterOptions) -> None:
-    assert cluster.scheduler is not None
-    link = dashboard_link(cluster.scheduler, cluster.patience_s)
-    with connection(cluster.scheduler, cluster.patience_s) as client:
-        assert link == client.dashboard_link
 
 
 def test_waiting_processes_of_the_local_cluster_wake_up_rarely(cluster: ClusterOptions) -> None:
@@ -105,85 +92,6 @@ def test_a_worker_that_is_slow_to_come_back_after_its_end_is_not_given_up() -> N
         # It would be closed as soon as it is there.
         client.submit(time.sleep, 1.0).result(timeout=20)
         assert process not in client.run(os.getpid).values()
-
-
-def until(crew: Crew, reached: Callable[[], bool]) -> None:
-    """Update a crew until a state is reached: the first reply of a worker may take long on a busy machine."""
-    deadline = time.monotonic() + 120
-    while not reached():
-        assert time.monotonic() < deadline
-        crew.update()
-
-
-def test_workers_with_other_software_are_named_and_not_used(cluster: ClusterOptions) -> None:
-    assert cluster.scheduler is not None
-    reported: list[str] = []
-    with connection(cluster.scheduler, cluster.patience_s) as client:
-        workers = set(client.scheduler_info()["workers"])
-        other = Crew(client, "vaoi_station 0.0.1", (), reported.append)
-        until(other, lambda: len(reported) == len(workers))
-        other.update()
-        assert not other.admitted
-        assert len(reported) == len(workers), "each is reported once"
-        assert f"it has {software()}, but must have vaoi_station 0.0.1." in reported[0]
-        same = Crew(client, software(), (), reported.append)
-        until(same, lambda: same.admitted == workers)
-        assert not same.refused
-        assert same.resource != other.resource
-
-
-def test_a_worker_that_is_started_again_under_its_address_is_asked_again() -> None:
-    address, stated = "tcp://10.0.0.7:4000", "vaoi_station 2"
-    process = {"local_directory": "/scratch/worker-a"}
-    has, asked, reported = "vaoi_station 1", list[str](), list[str]()
-
-    def run(*_: object, workers: list[str], on_error: str) -> dict[str, Reply]:
-        asked.append(process["local_directory"][-1])
-        return dict.fromkeys(workers, Reply(has))
-
-    client: Any = SimpleNamespace(scheduler_info=lambda: {"workers": {address: process}}, run=run)
-    crew = Crew(client, stated, (), reported.append)
-    crew.update()
-    crew.update()
-    assert (crew.admitted, asked, len(reported)) == (set(), ["a"], 1)
-    process["local_directory"], has = "/scratch/worker-b", stated
-    crew.update()
-    assert crew.admitted == {address}, "it was updated"
-    process["local_directory"] = "/scratch/worker-c"
-    crew.update()
-    crew.update()
-    assert asked == ["a", "b", "c"], "each process gets the resource, also one that came back between two looks"
-    assert crew.admitted == {address}
-
-
-def test_a_worker_that_hangs_does_not_keep_the_others_from_being_admitted(cluster: ClusterOptions) -> None:
-    assert cluster.scheduler is not None
-    with connection(cluster.scheduler, cluster.patience_s) as client:
-        processes = client.run(os.getpid)
-        hanging, *others = processes
-        os.kill(processes[hanging], signal.SIGSTOP)
-        try:
-            crew = Crew(client, software(), (), lambda _: None)
-            until(crew, lambda: crew.admitted == {*others})
-        finally:
-            os.kill(processes[hanging], signal.SIGCONT)
-        until(crew, lambda: crew.admitted == {*processes})
-        assert not crew.refused
-
-
-def test_a_worker_that_does_not_see_the_archive_is_named_until_it_does(cluster: ClusterOptions, tmp_path: Path) -> None:
-    assert cluster.scheduler is not None
-    reported: list[str] = []
-    url = str(tmp_path / "archive")
-    with connection(cluster.scheduler, cluster.patience_s) as client:
-        crew = Crew(client, software(), [url], reported.append)
-        until(crew, lambda: len(crew.refused) == len(client.scheduler_info()["workers"]))
-        crew.update()
-        assert len(reported) == len(crew.refused)
-        assert f"it cannot read an archive: {url}: is no archive" in reported[0]
-        Archive.create(url)
-        until(crew, lambda: not crew.refused)
-        assert crew.admitted == {*client.scheduler_info()["workers"]}
 
 
 def refuse(task: RunTask, text: str) -> None:
@@ -299,9 +207,10 @@ def test_without_a_usable_worker_the_wait_is_bounded(stored: Archive, cluster: C
     with connection(cluster.scheduler, cluster.patience_s) as client:
         client.wait_for_workers(2, timeout=120)  # The test before may have killed one.
         client.run(software)  # The first time takes long on a busy machine.
-    with pytest.raises(StateError, match=r"No usable worker for 0\.2 s; runs are left\. worker tcp://"):
-        dispatch.work(cluster.scheduler, [task], [stored.url], cluster.patience_s, workers_patience_s=0.2)
+    with pytest.raises(StateError, match=r"No usable worker for 2 s; runs are left\. worker tcp://"):
+        dispatch.work(cluster.scheduler, [task], [stored.url], cluster.patience_s, workers_patience_s=2.0)
     assert len(dispatch.refused_workers) == 2
+    assert f"it has {software()}, but must have vaoi_station 0.0.1." in dispatch.refused_workers[0]
 
 
 @contextmanager
@@ -323,34 +232,56 @@ def mounted(cluster: ClusterOptions, archive: Path, machines: Path) -> Iterator[
                 client.run(os.chdir, folder, workers=[address])
 
 
-def test_runs_that_wait_at_a_worker_without_its_share_are_given_to_another(
-    board: RecordedRun, cluster: ClusterOptions, tmp_path: Path
+def test_workers_that_do_not_see_the_archive_are_named_until_they_do(
+    stored: Archive, cluster: ClusterOptions, tmp_path: Path
 ) -> None:
-    """A worker never begins a run that it was given before it lost the resource, and Dask leaves it there."""
-    archive = Archive.create(tmp_path / "archive")
-    add_runs(archive, board.directory, 6)
-    tasks = [replace(task_of(archive, run.run), archive="share") for run in archive.runs()]
-    marker, kept = tmp_path / "lost", list[RunTask]()
+    tasks = [replace(task_of(stored, run.run), archive=str(tmp_path / "share")) for run in stored.runs()]
+    kept: list[RunTask] = []
+    reported: list[str] = []
 
-    def lose_share(_: RunTask) -> bytes | UnseenArchive:
-        try:
-            marker.mkdir()
-        except FileExistsError:
-            return b"done"
-        worker: Any = get_worker()
-        while len(worker.state.tasks) < AHEAD:
-            threading.Event().wait(0.02)
-        (name,) = (name for name in worker.state.total_resources if name.startswith("vaoi-"))
-        taken = worker.set_resources(**{name: 0})
-        asyncio.run_coroutine_threadsafe(taken, worker.loop.asyncio_loop).result(30)
-        Path("share").unlink()
-        return UnseenArchive("the share is gone", worker.address)
+    def report(text: str) -> None:
+        reported.append(text)
+        if len(reported) == 2:
+            (tmp_path / "share").symlink_to(stored.url)
 
-    with mounted(cluster, tmp_path / "archive", tmp_path) as address:
-        dispatch = Dispatch(software(), lose_share, lambda task, _: kept.append(task), refuse, lambda _: None)
-        dispatch.work(address, tasks, ["share"], cluster.patience_s)
+    assert cluster.scheduler is not None
+    dispatch = Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, report)
+    dispatch.work(cluster.scheduler, tasks, [tasks[0].archive], cluster.patience_s, workers_patience_s=120)
+    assert len(reported) == 2, "each is reported once"
+    assert f"it cannot read an archive: {tmp_path / 'share'}: is no archive" in reported[0]
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
-    assert len(dispatch.refused_workers) == 1
+
+
+def test_a_worker_that_hangs_does_not_keep_the_others_from_their_work(stored: Archive, cluster: ClusterOptions) -> None:
+    tasks = [task_of(stored, run.run) for run in stored.runs()]
+    kept: list[RunTask] = []
+    assert cluster.scheduler is not None
+    with connection(cluster.scheduler, cluster.patience_s) as client:
+        client.wait_for_workers(2, timeout=120)
+        hanging = min(client.run(os.getpid).values())
+        os.kill(hanging, signal.SIGSTOP)
+        try:
+            dispatch = Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, lambda _: None)
+            dispatch.work(cluster.scheduler, tasks, [stored.url], cluster.patience_s, workers_patience_s=120)
+        finally:
+            os.kill(hanging, signal.SIGCONT)
+    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
+
+
+def test_a_run_that_ends_its_worker_again_and_again_is_left_out(stored: Archive) -> None:
+    tasks = [task_of(stored, run.run) for run in list(stored.runs())[:2]]
+    deadly, kept, faults = tasks[0].key, list[str](), list[str]()
+
+    def die(task: RunTask) -> bytes:
+        if task.key == deadly:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return b"done"
+
+    with cluster_address(ClusterOptions(workers=1)) as address:
+        dispatch = Dispatch(software(), die, lambda task, _: kept.append(task.key), note(faults), lambda _: None)
+        dispatch.work(address, tasks, [stored.url], 30, workers_patience_s=120)
+    assert kept == [tasks[1].key]
+    assert [deadly in fault and "its worker ended 4 times" in fault for fault in faults] == [True]
 
 
 def test_a_worker_that_loses_its_share_costs_no_run(
@@ -397,22 +328,6 @@ def test_a_worker_that_is_killed_before_its_outcome_is_fetched_costs_no_wait(
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "without another scheduler"
 
 
-def test_the_only_worker_may_be_killed_in_mid_run(stored: Archive) -> None:
-    tasks = [task_of(stored, run.run) for run in stored.runs()]
-    kept: list[RunTask] = []
-
-    with cluster_address(ClusterOptions(workers=1)) as address, connection(address, 120) as client:
-
-        def keep(task: RunTask, _: bytes) -> None:
-            kept.append(task)
-            if len(kept) == 1:
-                (process,) = client.run(os.getpid).values()
-                os.kill(process, signal.SIGKILL)
-
-        Dispatch(software(), restitch_run, keep, refuse, pytest.fail).work(address, tasks, [stored.url], 120)
-    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
-
-
 def test_work_gets_archive_run_and_a_directory_that_goes(stored: Archive) -> None:
     seen: list[Path] = []
 
@@ -452,7 +367,7 @@ def test_an_archive_that_goes_during_the_work_is_no_fault_of_the_run(stored: Arc
         raise InputError("a blob is absent.")
 
     outcome = perform(task_of(moved, "r2"), work)
-    assert isinstance(outcome, UnseenArchive)
+    assert isinstance(outcome, WorkerFault)
     assert "is no archive" in outcome.message
 
 

@@ -18,7 +18,7 @@ import pytest
 from vaoi_station import StitchedRun
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.files.images import encode_png, read_image
-from vaoi_station.model import Component, Status
+from vaoi_station.model import Status
 from vaoi_station.plant import cluster
 from vaoi_station.plant.archive import Archive, RunSelection
 from vaoi_station.plant.catalogue import read_manifest
@@ -34,7 +34,6 @@ from vaoi_station.plant.datasets import (
     Listener,
     Splits,
     WebDatasetWriter,
-    board_key,
     crop_run,
     crops_from,
     crops_of,
@@ -74,18 +73,6 @@ def test_every_order_of_arrival_gives_the_same(tmp_path: Path) -> None:
         assert not list(tmp_path.iterdir())
 
 
-def test_an_outcome_is_taken_as_soon_as_those_before_it_have_come(tmp_path: Path) -> None:
-    taken: list[bytes] = []
-    ordered = InOrder(tmp_path, taken.append)
-    ordered.put(0, b"a")
-    assert taken == [b"a"]
-    ordered.put(2, b"c")
-    assert taken == [b"a"]
-    assert len(list(tmp_path.iterdir())) == 1, "it waits on the disk"
-    ordered.put(1, None)
-    assert taken == [b"a", b"c"]
-
-
 @pytest.fixture(scope="module")
 def crops(boards: Archive, tmp_path_factory: pytest.TempPathFactory) -> list[Crop]:
     run = boards.run("r1")
@@ -120,19 +107,6 @@ def test_the_outline_is_counted_from_the_corner_of_the_crop(crops: list[Crop]) -
     assert crop.outline_px.max(0) == pytest.approx([width, height], abs=1.01)
 
 
-def test_a_place_that_is_not_fitted_has_no_outline(crops: list[Crop]) -> None:
-    empty = [c for c in crops if c.outline_px is None]
-    assert empty
-    assert {c.facts["component"] for c in empty} == {"R1"}
-
-
-def test_the_verdict_is_that_of_the_run(boards: Archive, tmp_path: Path) -> None:
-    """An identity that is required degrades a run whose result is ok."""
-    run = boards.run("r1").model_copy(update={"verdict": Status.DEGRADED})
-    crop = next(crops_of(run, boards.extract(run, tmp_path / "run"), CropOptions(("R1",))))
-    assert crop.facts["verdict"] == "degraded"
-
-
 def test_what_a_run_does_not_have_is_refused(boards: Archive, tmp_path: Path) -> None:
     run = boards.run("r1")
     folder = boards.extract(run, tmp_path / "run")
@@ -143,15 +117,6 @@ def test_what_a_run_does_not_have_is_refused(boards: Archive, tmp_path: Path) ->
     (folder / "result.json").write_text(text.replace('"cad_matrix": [', '"cad_matrix": null, "x_old": [', 1))
     with pytest.raises(StateError, match="run r1: its result has no CAD mapping"):
         list(crops_of(run, folder, CropOptions()))
-
-
-@pytest.mark.parametrize(
-    ("wanted", "admitted"),
-    [("X[1]", True), ("X[?]", True), ("X*", True), ("X1", False), ("2/X[1]", True), ("2/*", True)],
-)
-def test_brackets_belong_to_the_name(wanted: str, admitted: bool) -> None:
-    part = Component(ref="X[1]", panel="2", center=(0.0, 0.0), width=1.0, height=1.0)
-    assert CropOptions((wanted,)).admits(part) is admitted
 
 
 def task_of(archive: Archive, run: str) -> CropTask:
@@ -169,23 +134,12 @@ def test_crops_come_back_from_a_worker(boards: Archive) -> None:
     assert found.crops[0].pixels.shape == (found.crops[0].facts["height_px"], found.crops[0].facts["width_px"])
 
 
-def test_a_run_of_another_verdict_has_no_crops(boards: Archive) -> None:
-    content = crop_run(task_of(boards, "bad"))
-    assert isinstance(content, bytes)
-    assert crops_from(content) == ("run line 9/bad", None)
-
-
-def test_a_run_without_an_id_of_its_board_is_a_board_of_its_own(boards: Archive) -> None:
-    assert board_key(boards.run("bad")) == "run line 9/bad"
-
-
 def test_what_cannot_be_done_is_named(boards: Archive) -> None:
     task = task_of(boards, "r1")
     replaced = crop_run(replace(task, manifest="0" * 16))
     assert isinstance(replaced, RunFault)
     assert "was replaced after the run was selected" in replaced.message
-    with pytest.raises(StateError, match="but must have vaoi_station 0"):
-        crop_run(replace(task, software="vaoi_station 0"))
+    assert "but must have vaoi_station 0" in str(crop_run(replace(task, software="vaoi_station 0")))
 
 
 NAME = '2/R1.0 µ"x'
@@ -216,13 +170,6 @@ def test_images_annotations_and_categories(tmp_path: Path) -> None:
     image = tmp_path / "val" / val["images"][0]["file_name"]
     assert np.array_equal(read_image(image), crop(None).pixels)
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
-
-
-def test_an_empty_split_is_an_empty_list(tmp_path: Path) -> None:
-    with CocoWriter(tmp_path, ["train"], {}):
-        pass
-    document = json.loads((tmp_path / "annotations" / "instances_train.json").read_text())
-    assert document == {"info": {}, "categories": [], "images": [], "annotations": []}
 
 
 def test_an_error_leaves_no_annotations(tmp_path: Path) -> None:

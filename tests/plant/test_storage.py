@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.plant.conftest import filmed_again
-from vaoi_station.errors import DeviceError, InputError, NotFoundError
+from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files import open_recording
 from vaoi_station.files.directories import make_directories
 from vaoi_station.plant.archive import Archive, RunLabel
@@ -45,14 +45,6 @@ def test_objects_are_written_listed_read_and_deleted(storage: Storage) -> None:
     storage.delete("runs/one/a.json")
     assert storage.entry("runs/one/a.json") is None
     assert [entry.key for entry in storage.entries("runs")] == ["runs/two/b.json"]
-
-
-def test_what_is_absent_is_said(storage: Storage) -> None:
-    assert storage.names("runs") == []
-    assert list(storage.entries("runs")) == []
-    assert storage.entry("runs/a") is None
-    with pytest.raises(NotFoundError, match="runs/a"):
-        storage.read("runs/a")
 
 
 def test_unfinished_files_are_no_objects_and_files_of_other_programs_are_no_leftovers(tmp_path: Path) -> None:
@@ -108,24 +100,10 @@ def test_nothing_is_written_below_a_mount_point_that_lost_its_share(
     assert [path.name for path in (tmp_path / "share").iterdir()] == ["archive.json"]
 
 
-def test_a_directory_that_went_is_not_made_again(tmp_path: Path) -> None:
-    (tmp_path / "share").mkdir()
-    storage = LocalStorage(tmp_path / "share")
-    (tmp_path / "share").rmdir()
-    with pytest.raises(DeviceError, match="is absent"):
-        storage.write("blobs/ab/x", b"x")
-    assert not (tmp_path / "share").exists()
-
-
 def test_without_the_extra_the_refusal_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(InputError, match=r"Install vaoi-station\[plant\]"):
         FsspecStorage("memory://a")
-
-
-def test_an_unknown_system_is_refused() -> None:
-    with pytest.raises(InputError, match="is no address of an archive"):
-        FsspecStorage("nothing-like-it://a")
 
 
 def test_errors_of_the_system_name_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,18 +165,6 @@ def test_two_stations_write_at_the_same_time(bucket: str, recording: Path, tmp_p
     assert len(list(archive.storage.entries("blobs"))) == 2 + 3 + 4
     back = open_recording(archive.extract("b", tmp_path / "back"))
     assert np.array_equal(back.frame(0, 1), open_recording(recording).frame(0, 1))  # type: ignore[arg-type]
-
-
-def test_runs_are_pruned(bucket: str, recording: Path) -> None:
-    archive = Archive.create(bucket)
-    archive.add(recording, label=RunLabel(run="a"))
-    assert archive.prune(ids=frozenset({"a"}), grace_s=-60.0).blobs == 6
-    assert [entry.key for entry in archive.storage.entries("")] == ["archive.json"]
-
-
-def test_an_absent_bucket_is_no_archive(bucket: str) -> None:
-    with pytest.raises(InputError, match="is no archive"):
-        Archive.open("s3://not-there/archive")
 
 
 def test_a_server_that_does_not_answer_is_named(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 
 import duckdb
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -28,12 +27,6 @@ def test_the_document_lists_every_column(table: str) -> None:
     lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
     for column in TABLES[table]:
         assert f"| `{table}` | `{column.name}` | {column.kind} | {column.meaning} |" in lines
-
-
-def test_fields_carry_their_meaning() -> None:
-    field = arrow_schema("seams").field("residual_px")
-    assert field.type == pa.float64()
-    assert field.metadata == {b"meaning": b"median residual of the links between both"}
 
 
 KEY = RunKey("line 1", "r1", "2026-11-23T10:00:00Z", "small", "B1")
@@ -103,14 +96,6 @@ def test_residuals_of_a_component_are_those_between_the_frames_that_show_it(stit
     assert [components[name][r1] for name in names] == [0, None, None, None]
 
 
-def test_components_of_a_run_have_residuals_within_those_of_the_pairs(stitched: StitchedRun) -> None:
-    tables = result_tables(KEY, "new", stitched.result, stitched.board_type, stitched.recording.head)
-    found = [v for v in tables["components"]["residual_px"] if v is not None]
-    stated = [pair["rms_px"] for pair in stitched.result.quality["link_pairs"] if pair["used"]]
-    assert found
-    assert min(stated) <= min(found) <= max(found) <= max(stated)
-
-
 def test_figures_of_another_form_are_none(stitched: StitchedRun) -> None:
     """The quality of a result accepts any keys and values, also those of older versions."""
     wrong = {
@@ -132,12 +117,6 @@ def test_figures_of_another_form_are_none(stitched: StitchedRun) -> None:
     assert tables["cameras"]["center_x_mm"] == tables["cameras"]["x_px"] == [None] * 3
     assert set(tables["components"]["sigma_px"]) == set(tables["views"]["sigma_px"]) == {None}
     assert tables["seams"]["camera"] == []
-
-
-def test_without_a_board_type_there_are_no_components(stitched: StitchedRun) -> None:
-    result = stitched.result.model_copy(update={"components": None, "cad_matrix": None})
-    tables = result_tables(KEY, "new", result, None, stitched.recording.head)
-    assert tables["components"]["run"] == tables["views"]["run"] == []
 
 
 @pytest.fixture

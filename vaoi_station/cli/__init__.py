@@ -109,7 +109,6 @@ def main() -> None:
 
 
 def _end(message: str, code: int) -> NoReturn:
-    """End the program with a message and an exit code."""
     from vaoi_station.runs.host.logs import is_journal, with_priority
 
     text = f"vaoi: {message}"

@@ -210,7 +210,6 @@ def _array(
     field_mm: str | None,
     px_per_mm: float | None,
 ) -> tuple[int, float, tuple[float, float]]:
-    """Return number of cameras, distance of neighbours, and field of view, from the options or else from `config`."""
     view = None if field_mm is None else _pair(field_mm, "--field-mm")
     if config is not None:
         found = _configured(config, px_per_mm)
@@ -229,7 +228,6 @@ def _array(
 
 
 def _configured(config: Path, px_per_mm: float | None) -> tuple[int, float | None, tuple[float, float] | None]:
-    """Return number of cameras, distance of neighbours and field of view (mm) from nominal values in `config`."""
     from vaoi_station.calibration.artwork.artwork_files import array_of
     from vaoi_station.config import read_config
 

@@ -182,7 +182,6 @@ def cut(
 
 
 def _named(board_type: BoardType, addresses: Sequence[str]) -> Iterator[Component]:
-    """Yield the components with these addresses; raise NotFoundError for one that the board type does not have."""
     from vaoi_station.errors import NotFoundError
 
     for address in addresses:

@@ -25,8 +25,6 @@ from vaoi_station.model.stitch_result import known_height_mm
 from vaoi_station.photometry import FlatFields, NoiseModel, Taken, noise_from_frames
 from vaoi_station.rendering import View, ViewCalculator
 
-_KEPT_FRAMES = 96
-"""Number of frames that are kept in memory, so that frames that show many components are read once."""
 _NOISE_FRAMES = 4
 """Number of frames from which the noise is estimated without flat fields."""
 
@@ -123,7 +121,6 @@ def _write(
     form: tuple[MergedFormat, bool],
     same: dict[str, Any],
 ) -> None:
-    """Write the pictures of a component and their listing, whose entries all have the values `same`."""
     stem = part.address.replace("/", "_")
     curve = ToneCurve.of(pictures[-1].value) if pictures else None
     suffix = {"jpeg": "jpg"}.get(form[0], form[0])
@@ -173,7 +170,6 @@ def describe_view(view: View) -> dict[str, Any]:
 
 
 def _noise(recording: Recording) -> NoiseModel:
-    """Estimate the noise from some frames of a recording, of all its exposures."""
     head = recording.head
     keys = [(i, j) for j in range(head.rows) for i in range(len(head.cameras)) if (i, j) not in head.missing]
     keys.sort(key=lambda k: head.exposure_us(*k) * head.gain(*k))

@@ -54,7 +54,6 @@ def demo(
 
 
 def _once(scenario: Path, out: Path, port: int | None, as_json: bool) -> int:
-    """Film one board and print the report. Return 0 if the run is ok, else 1."""
     from vaoi_station.demo.boards import film_single_board
     from vaoi_station.demo.report import as_text
 

@@ -59,7 +59,6 @@ def revoke(name: NAME, config: ConfigOf = CONFIG) -> None:
 
 
 def _note(config: Path, command: str, scopes: Sequence[str] = ()) -> None:
-    """Write a command that has changed the keys to the audit log of the station, with the user who gave it."""
     from vaoi_station.config import read_config
     from vaoi_station.files.access_keys import AUDIT_FILE, note_change
 

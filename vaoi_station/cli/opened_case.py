@@ -22,8 +22,6 @@ from vaoi_station.stitching.recordings.origin import check_origin
 
 _KEPT_FRAMES = 96
 """Number of frames that are kept in memory, so that frames that show many components are read once."""
-_NOISE_FRAMES = 4
-"""Number of frames from which the noise is estimated without flat fields."""
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,6 @@ def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
 
 
 INCOMPLETE = 1
-"""Exit code if runs or workers were left out. Each is named on stderr."""
 INTERRUPTED = 130
 
 

@@ -357,7 +357,6 @@ def check_board(
 
 
 def _lines(report: BoardCheck) -> list[str]:
-    """Return the report in sentences."""
     lines = []
     r = report.residual
     if r is not None:

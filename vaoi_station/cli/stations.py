@@ -39,7 +39,6 @@ def serve(
 
 
 STILL_RATE_HZ = 1.0
-"""Pulse rate for several pictures of a board at rest."""
 
 
 def record(
@@ -284,7 +283,6 @@ def import_file(
 
 
 def _import_board_data(out: Path, task: dict[str, object]) -> None:
-    """Write a board type, and print what was recognised and what to check."""
     from vaoi_station.board_data.import_process import OF_PERSONS, ImportTask, import_limited
     from vaoi_station.files.board_types import write_board_type
     from vaoi_station.files.directories import refuse_existing

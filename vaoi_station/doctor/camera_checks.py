@@ -80,7 +80,6 @@ class Offered:
     serial: str
     triggers: tuple[str, ...]
     sources: tuple[str, ...]
-    """Inputs of the camera that can be a trigger source."""
     formats: tuple[str, ...]
     exposure_us: tuple[float, float]
     sensor: tuple[int, int]
@@ -91,9 +90,7 @@ class Offered:
     address: str = ""
     packets: network.PacketLimits | None = None
     exposure_modes: tuple[str, ...] = ()
-    """Entries of the feature ExposureMode; empty if the camera does not have it."""
     without: tuple[str, ...] = ()
-    """Features of a sequencer that the camera does not have."""
 
 
 def cameras(context: CheckContext) -> Iterator[Finding]:
@@ -141,7 +138,6 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
 
 
 def _search_hint(camera: CameraConfig, error: VaoiError) -> str:
-    """Return a sentence with a command that searches for a camera that did not reply; empty for other errors."""
     if error.code != "camera-absent":
         return ""
     return f"Try: ping -c 1 {camera.address}" if camera.address else "Try: arv-tool-0.8"
@@ -212,7 +208,6 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
 
 
 def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
-    """Yield a finding for every requirement that the camera does not meet."""
     name = camera.name
     line = trigger_line(camera, offered.vendor)
     one_of_these = "in station.toml to one of these."
@@ -289,7 +284,6 @@ def of_running_station(context: CheckContext) -> Iterator[Finding]:
 
 
 def _judge_reported(state: dict[str, Any]) -> Finding:
-    """Judge one camera by the state that the station reports."""
     name, message = str(state.get("name")), str(state.get("message") or "")
     for called in (name, f"camera {name}"):
         message = message.removeprefix(f"{called}: ")

@@ -301,7 +301,6 @@ def _group(gid: int) -> str:
 
 
 TIMES = 3
-"""How often the output goes high."""
 LEVEL_S = 4.0
 """Time for which each level lasts, s: long enough for a multimeter."""
 

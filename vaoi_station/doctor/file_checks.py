@@ -120,7 +120,6 @@ def flat_fields(context: CheckContext) -> Iterator[Finding]:
 
 
 def _sound_board_types(config: StationConfig) -> list[BoardType]:
-    """Return the board types that can be read; another check reports the others."""
     if not is_directory(config.board_types):
         return []
     listed = BoardTypeDirectory(config.board_types).list()
@@ -175,7 +174,6 @@ def stand_ins(context: CheckContext) -> Iterator[Finding]:
 
 
 _OTHERS = 0o007
-"""Permissions of users who are neither owner nor group of a file."""
 
 
 def readable_by_others(path: Path, what: str, subject: str) -> Iterator[Finding]:
@@ -191,7 +189,6 @@ def readable_by_others(path: Path, what: str, subject: str) -> Iterator[Finding]
 
 
 EARLY = timedelta(days=30)
-"""Time before the end of a certificate from which on the check warns."""
 
 
 def station_certificate(context: CheckContext) -> Iterator[Finding]:

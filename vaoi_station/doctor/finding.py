@@ -33,7 +33,6 @@ class Finding:
     level: Level
     message: str
     action: str = ""
-    """The concrete step that solves the problem; empty without a problem."""
     subject: str = ""
     """The camera, file or port that the finding concerns, for checks that examine several; otherwise empty."""
     figures: Figures = field(default_factory=dict)
@@ -70,7 +69,6 @@ class Report:
     """Name of the station; empty if its configuration could not be read."""
     config: str
     created: str
-    """Time of the report in UTC, in the format of RFC 3339."""
     host: str
     version: str
     running: int | None

@@ -160,7 +160,6 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
 
 
 def _judge_ring(context: CheckContext, needed: int, free: int, available: int | None) -> Finding:
-    """Judge the space that the ring needs on its file system, and the memory that is left for other programs."""
     layout, directory = context.layout, context.config.ring.directory
     figures: Figures = {"ring_bytes": needed, "free_bytes": free, "available_bytes": available}
     message = (

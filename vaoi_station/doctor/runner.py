@@ -33,7 +33,6 @@ MACHINE_CHECKS: tuple[tuple[str, Callable[[Machine], Iterable[Finding]]], ...] =
     ("compiled code", machine_checks.compiled_code_cache),
     ("time", machine_checks.wall_clock),
 )
-"""Checks that need no configuration: name in the report, and function."""
 STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], ...] = (
     ("station", running_station.station),
     ("calibration", file_checks.calibration),
@@ -124,7 +123,6 @@ def _run_check(name: str, check: Callable[[T], Iterable[Finding]], subject: T) -
 
 
 def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]]:
-    """Read station.toml. If it cannot be read, return a finding of a fault in place of the configuration."""
     try:
         config = read_config(path)
     except VaoiError as error:

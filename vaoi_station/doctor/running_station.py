@@ -30,7 +30,6 @@ class RunningProcess:
     snapshot: dict[str, Any] = field(default_factory=dict)
     """The station's reply to GET station; empty if it did not reply."""
     no_reply_reason: str = ""
-    """Why there is no reply; empty if there is one."""
 
     @property
     def description(self) -> str:
@@ -180,13 +179,11 @@ def station(context: CheckContext) -> Iterator[Finding]:
 
 
 def _from_reason(level: Callable[..., Finding], reason: dict[str, Any]) -> Finding:
-    """Turn a reason or a warning of the station into a finding with the same code, message and action."""
     code = str(reason.get("code"))
     return level(str(reason.get("message")), str(reason.get("action") or ""), subject=code, code=code)
 
 
 def _port(api: ApiConfig) -> Finding:
-    """Check that no other program listens at the address and port of the station's REST service."""
     # Connect instead of bind: to bind the port would take it from a station that starts at this moment.
     address = address_of(api)
     try:

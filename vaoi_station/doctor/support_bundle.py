@@ -47,7 +47,6 @@ COMMANDS = {
     "network.txt": ("ip", "-brief", "address"),
     "usb.txt": ("lsusb",),
 }
-"""Members of the bundle that come from commands of the system."""
 MACHINE_FILES = ("etc/os-release", "proc/version", "proc/meminfo", "proc/loadavg", "proc/mounts", "proc/uptime")
 
 _MISSING = "not available: "
@@ -115,7 +114,6 @@ def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials
 
 
 def _members(path: Path, credentials: CallerCredentials | None) -> Iterator[tuple[str, str]]:
-    """Yield the name and the content of every member."""
     yield "station.toml", _attempt(lambda: read_text(path, "replace"))
     yield "check-config.txt", _attempt(lambda: problems_as_text(path, check_config(path)))
     yield "doctor.json", _attempt(lambda: json.dumps(run_checks(path, credentials=credentials).document(), indent=1))

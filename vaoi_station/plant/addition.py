@@ -42,7 +42,6 @@ FILES: dict[DocumentKind, str] = {
     "light_program": "light_program.json",
     "run": RUN_FILE,
 }
-"""The files of a recording that an archive keeps besides the frames."""
 REFERENCE = "reference"
 """Folder of the reference in a recording that was restored; a station keeps its references in one folder for all."""
 _NEEDED: tuple[DocumentKind, ...] = ("head", "calibration", "board_type")
@@ -56,7 +55,6 @@ REWRITE_S, LONGEST_S = 12 * 3600.0, 6 * 3600.0
 
 
 _RANK: dict[Status | None, int] = {Status.OK: 0, Status.DEGRADED: 1, Status.FAILED: 2, None: 3}
-"""Verdicts from the best to the worst."""
 
 
 class Documents(NamedTuple):
@@ -70,8 +68,6 @@ class Documents(NamedTuple):
 
 @dataclass(frozen=True)
 class _Content:
-    """The files of a recording, or of a reference, that an archive keeps."""
-
     paths: dict[DocumentKind, Path]
     recording: Recording
 
@@ -143,7 +139,6 @@ def _refuse_late(storage: Storage, run: ArchivedRun, began_s: float) -> None:
 
 
 def _paths(folder: Path, given: Documents) -> dict[DocumentKind, Path]:
-    """Return the files of the documents; NotFoundError if one that is needed or given is absent."""
     named = given._asdict()
     paths: dict[DocumentKind, Path] = {}
     for kind, name in FILES.items():
@@ -171,7 +166,6 @@ def _reference(folder: Path, record: StationRecord | None) -> tuple[str, _Conten
 
 
 def _store_reference(storage: Storage, name: str, content: _Content) -> ArchivedReference | None:
-    """Store a reference; None if its station deletes it meanwhile."""
     directory = content.recording.directory
     known = _STORED.get((storage.url, directory))
     if known is not None and all(_is_there(storage, blob) for blob in known.blobs):
@@ -217,7 +211,6 @@ def _store_frames(storage: Storage, recording: Recording) -> Iterator[FrameBlob]
 
 
 def _store_blob(storage: Storage, blob: Blob, stored: bytes) -> None:
-    """Write a blob, unless it is there undamaged."""
     # One that is damaged is replaced, not referred to again. A run is usually new, so that few blobs are read for this.
     if not _is_there(storage, blob) or digest_of(storage.read(blob.key)) != blob.sha256:
         storage.write(blob.key, stored)
@@ -306,6 +299,5 @@ def _content(storage: Storage, blob: DocumentBlob) -> bytes:
 
 
 def _written_at(path: Path) -> str:
-    """Return when a file was written, RFC 3339 in UTC with milliseconds."""
     moment = datetime.fromtimestamp(path.stat().st_mtime, UTC)
     return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")

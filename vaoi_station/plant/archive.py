@@ -24,7 +24,7 @@ from vaoi_station.files.documents import check_format, write_bytes
 from vaoi_station.files.images import Image, decode, write_image
 from vaoi_station.plant import addition, catalogue
 from vaoi_station.plant.addition import FILES, REFERENCE
-from vaoi_station.plant.catalogue import UNDER_WAY_S, SameRecordings, recording_of
+from vaoi_station.plant.catalogue import UNDER_WAY_S, recording_of
 from vaoi_station.plant.manifest import (
     BLOBS,
     DRAFTS,
@@ -48,7 +48,6 @@ MARKER = "archive.json"
 VERSION = 1
 ALL_RUNS, AS_RECORDED = RunSelection(), RunLabel()
 GRACE_S = 24 * 3600.0
-"""Age below which blobs that no run needs are kept."""
 
 
 @dataclass
@@ -60,7 +59,6 @@ class Verified:
     blobs: int = 0
     bytes: int = 0
     faults: int = 0
-    """Number of everything that was reported."""
 
 
 @dataclass
@@ -71,9 +69,7 @@ class Pruned:
     blobs: int = 0
     bytes: int = 0
     drafts: int = 0
-    """Number of runs that were begun and never ended."""
     leftovers: int = 0
-    """Number of unfinished files of programs that were killed."""
     faults: int = 0
 
 
@@ -223,11 +219,11 @@ class Archive:
         # Shared documents and references are read once; the frames of runs are hardly ever shared, and their digests
         # would take memory.
         sound: set[str] = set()
-        recordings = SameRecordings()
+        recordings: dict[str, str] = {}
         for run in self.runs(selection, report, under_way_s):
             verified.runs += 1
             address = f"{self.url}/{run.key}"
-            if (other := recordings.earlier(address, recording_of(run))) is not None:
+            if (other := recordings.setdefault(recording_of(run), address)) != address:
                 report(
                     ArchiveFault(
                         f"{address}: is the same recording as {other}, with equal frames and head.",
@@ -320,7 +316,6 @@ class Archive:
             return pruned
 
         def remove_old(entries: Iterable[Entry]) -> int:
-            """Remove what is older than the grace period, and return the number."""
             removed = 0
             for entry in list(entries):
                 if (now - entry.changed).total_seconds() > grace_s:
@@ -337,7 +332,6 @@ class Archive:
         return pruned
 
     def _write(self, run: ArchivedRun, content: ArchivedRun | ArchivedReference, folder: Path) -> None:
-        """Write documents and frames of a run, or of its reference, to a folder."""
         for kind, blob in content.documents.items():
             write_bytes(folder / FILES[kind], self._read_document(run, blob), durable=False)
         for frame in content.frames:

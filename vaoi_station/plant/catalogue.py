@@ -26,9 +26,7 @@ from vaoi_station.plant.manifest import (
 from vaoi_station.plant.storage import Storage
 
 READERS = 16
-"""Number of manifests that are read at a time."""
 AHEAD = 4 * READERS
-"""Number of manifests that are read, or have been, before the next one is used."""
 UNDER_WAY_S = 3600.0
 """A run that was begun less than this ago may be under way."""
 
@@ -48,17 +46,6 @@ def places(storage: Storage) -> Iterator[Place]:
         for day in storage.names(f"{RUNS}/{folder}"):
             for name in storage.names(f"{RUNS}/{folder}/{day}"):
                 yield Place(f"{RUNS}/{folder}/{day}/{name}", unquote(folder), day, name.removesuffix(".json"))
-
-
-def runs(
-    storage: Storage, selection: RunSelection, on_fault: OnFault, under_way_s: float = UNDER_WAY_S
-) -> Iterator[ArchivedRun]:
-    """Yield the selected runs, and report those that are half written; see `Archive.runs`."""
-    found = single_places(storage, selection, on_fault)
-    for manifest in read_ahead((storage, place.key) for place in found):
-        if (run := selected(manifest, selection, on_fault)) is not None:
-            yield run
-    report_half_written(storage, selection, on_fault, under_way_s)
 
 
 def single_places(storage: Storage, selection: RunSelection, on_fault: OnFault) -> list[Place]:
@@ -102,12 +89,6 @@ def report_half_written(
     storage: Storage, selection: RunSelection, on_fault: OnFault, under_way_s: float = UNDER_WAY_S
 ) -> None:
     """Report the selected runs whose addition began more than `under_way_s` ago and did not end."""
-    for fault in _half_written(storage, selection, under_way_s):
-        on_fault(fault)
-
-
-def _half_written(storage: Storage, selection: RunSelection, under_way_s: float) -> Iterator[ArchiveFault]:
-    """Yield the selected runs whose addition began more than `under_way_s` ago and did not end."""
     now = datetime.now(UTC)
     for draft in storage.entries(DRAFTS):
         if (now - draft.changed).total_seconds() <= under_way_s:
@@ -119,10 +100,12 @@ def _half_written(storage: Storage, selection: RunSelection, under_way_s: float)
             continue  # Its addition has just ended.
         except VaoiError:
             pass  # It is damaged: which run was meant is not known.
-        yield ArchiveFault(
-            f"{storage.url}: run {draft.key.removeprefix(f'{DRAFTS}/').removesuffix('.json')} is half written: "
-            f"its addition began at {draft.changed:%Y-%m-%d %H:%M} UTC and did not end.",
-            "Add it again, which goes on where it ended, or remove what is there by `vaoi archive prune`.",
+        on_fault(
+            ArchiveFault(
+                f"{storage.url}: run {draft.key.removeprefix(f'{DRAFTS}/').removesuffix('.json')} is half written: "
+                f"its addition began at {draft.changed:%Y-%m-%d %H:%M} UTC and did not end.",
+                "Add it again, which goes on where it ended, or remove what is there by `vaoi archive prune`.",
+            )
         )
 
 
@@ -178,35 +161,13 @@ def several(storage: Storage, found: list[Place]) -> InputError:
     )
 
 
-class SameRecordings:
-    """The recordings of the runs that were given to `earlier`.
-
-    Two runs are one recording if their frames and their heads are equal. Equal frames alone are not enough: a station
-    that replays a recording films the same frames again, and the head of each run has its id and the times of its rows.
-    """
-
-    def __init__(self) -> None:
-        self._known: dict[str, str] = {}
-        """Addresses by the digest of the recording. Manifests of a plant's runs would not fit into memory."""
-
-    def earlier(self, address: str, recording: str) -> str | None:
-        """Return the address of an earlier run that is the same recording; None if there is none.
-
-        Args:
-            address: address of the manifest of the run.
-            recording: `recording_of` the run.
-        """
-        first = self._known.setdefault(recording, address) if recording else address
-        return None if first == address else first
-
-
 def recording_of(run: ArchivedRun) -> str:
-    """Return a digest of the frames and the head of a run, of what its manifest states; empty if either is absent.
+    """Return what equals that of another run if both are one recording: a digest of frames and head as stored.
 
-    Heads count as they are stored: equal ones that two releases of zlib compressed differently have two digests. To
-    compare their content, each head of a station that replays a recording would have to be read.
+    Equal frames alone are not enough: a station that replays a recording films the same frames again, and the head of
+    each run has its id and the times of its rows.
     """
     head = run.documents.get("head")
     if head is None or not run.frames:
-        return ""
+        return run.key
     return digest_of(f"{frames_digest(run.frames)} {head.sha256}".encode())

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import duckdb
 
 MOST_LISTED = 200
-"""Number of boards and of components that are listed, those that changed most first."""
 
 
 class BoardChange(NamedTuple):
@@ -28,13 +27,10 @@ class BoardChange(NamedTuple):
     former: str
     new: str
     views: int
-    """Number of positions that both results state."""
     changed: int
-    """Number of those that moved by more than their σ."""
     rms_px: float | None
     worst_px: float | None
     worst_sigmas: float | None
-    """The largest motion, in σ of the position."""
 
 
 class CameraChange(NamedTuple):
@@ -44,13 +40,11 @@ class CameraChange(NamedTuple):
     camera: int
     runs: int
     changed: int
-    """Number of runs in which its estimated displacement changed by more than its σ."""
     x_px: float
     """Change of the estimated displacement against that of the station's other cameras, x."""
     y_px: float
     turn_px: float
     size_px: float
-    """Length of (x_px, y_px)."""
     sigma_px: float | None
     """σ of the displacement in one run, rms of x and y."""
     view_px: float | None
@@ -70,14 +64,11 @@ class ComponentChange(NamedTuple):
     component: str
     runs: int
     changed: int
-    """Number of runs in which one of its positions moved by more than its σ."""
     rms_px: float
     worst_sigmas: float | None
     x_mm: float | None
-    """Mean change of its place, tester coordinates."""
     y_mm: float | None
     height_mm: float | None
-    """Mean change of its height."""
 
 
 @dataclass(frozen=True)
@@ -85,17 +76,14 @@ class Changes:
     """The comparison of all runs of a data set."""
 
     runs: int
-    """Number of runs with both results."""
     only_new: int
     """Number of runs without a former result."""
     verdicts: tuple[tuple[str, str, int], ...]
-    """Former and new verdict, and the number of runs."""
     views: int
     changed_views: int
     changed_boards: int
     """Number of runs in which a position moved by more than its σ, or whose verdict changed."""
     changed_components: int
-    """Number of components of which a position moved by more than its σ in any run."""
     boards: tuple[BoardChange, ...]
     cameras: tuple[CameraChange, ...]
     components: tuple[ComponentChange, ...]
@@ -274,11 +262,7 @@ def _cameras(changes: Changes) -> Section:
             c.station,
             str(c.camera),
             f"{c.changed} of {c.runs}",
-            number(c.size_px),
-            number(c.x_px),
-            number(c.y_px),
-            number(c.turn_px),
-            number(c.sigma_px),
+            *map(number, (c.size_px, c.x_px, c.y_px, c.turn_px, c.sigma_px)),
             number(c.sigmas, 1),
             number(c.view_px),
         ]

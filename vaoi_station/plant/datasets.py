@@ -43,7 +43,6 @@ from vaoi_station.rendering import ChosenImages, ChosenView, ImageRequest, ViewC
 from vaoi_station.rendering.selection import component_covariances, describe, frame_facts, render_chosen
 
 UNKNOWN = "unknown"
-"""Category of components whose package the board type does not state."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,6 @@ class Crop:
     """One picture of a component."""
 
     png: bytes
-    """The picture, encoded where it was cut out."""
     facts: dict[str, Any]
     """Everything that is known about it, as JSON values; docs/plant.md lists them."""
     outline_px: NDArray[np.float64] | None
@@ -257,7 +255,6 @@ def outline_document(crop: Crop) -> dict[str, Any]:
 
 
 SAMPLES = 2000
-"""Number of samples of a shard."""
 
 
 class WebDatasetWriter:
@@ -306,7 +303,6 @@ class WebDatasetWriter:
 
 DEFAULT = "train=0.8,val=0.1,test=0.1"
 RESERVED = "annotations"
-"""Name of a directory of every COCO data set."""
 
 
 @dataclass(frozen=True)
@@ -384,7 +380,6 @@ class CropTask:
     key: str
     manifest: str
     number: int
-    """Place of the run in the data set, from 0."""
     software: str
     crops: CropOptions
     verdicts: tuple[Status, ...]
@@ -394,7 +389,6 @@ class RunCrops(NamedTuple):
     """What becomes of one run."""
 
     board: str
-    """What stands for its board."""
     crops: tuple[Crop, ...] | None
     """None: the run has another verdict than those that are asked for."""
 
@@ -405,7 +399,6 @@ def crop_run(task: CropTask) -> Outcome:
     A data set with a part of a run would depend on where it failed.
 
     Raises:
-        StateError: this process has another software than the task states.
         DeviceError: storage or disk do not answer. Another attempt may succeed.
     """
     return perform(task, lambda archive, run, scratch: pickle.dumps(_cut(archive, run, scratch, task)))
@@ -469,15 +462,10 @@ class DatasetSummary:
     """How a call ended."""
 
     runs: int
-    """Number of runs whose crops are in the data set."""
     crops: dict[str, int]
-    """Number of crops by split."""
     empty: int
-    """Number of crops without a component."""
     other_verdicts: int
-    """Number of runs that were left out by their verdict."""
     left_out: tuple[str, ...]
-    """Runs that could not be used, and why."""
 
 
 def write_dataset(

@@ -24,18 +24,15 @@ RUNS, BLOBS, DRAFTS = "runs", "blobs", "drafts"
 """First part of the keys of manifests, of blobs, and of runs that are being added."""
 DocumentKind = Literal["head", "calibration", "board_type", "result", "light_program", "run"]
 FOLDER_BYTES = 255
-"""Longest name of a folder of common file systems."""
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 def _is_a_time(text: str) -> str:
-    """Refuse a day or an hour that does not exist: the day is a part of the key of the manifest."""
     datetime.fromisoformat(text)
     return text
 
 
 def _fits_a_folder(station: str) -> str:
-    """Refuse a name that no file system takes as the name of a folder."""
     if (size := len(station_folder(station))) > FOLDER_BYTES:
         raise ValueError(f"takes {size} bytes as the name of a folder, must be at most {FOLDER_BYTES}")
     return station
@@ -53,7 +50,6 @@ class RunLabel:
     time: str | None = None
     """Begin of the run in UTC, RFC 3339 with a Z; None: as the recording states, or when it was written."""
     serial: str | None = None
-    """Id of the board; None: as the station reported it."""
 
 
 class Blob(Strict):
@@ -72,7 +68,6 @@ class DocumentBlob(Blob):
     """A stored document."""
 
     packed: bool = False
-    """Whether it is compressed by zlib."""
 
 
 class FrameBlob(Blob):
@@ -107,11 +102,8 @@ class ArchivedRun(Strict):
     revision: str | None = None
     """Revision of the data of the board type, as their owner names it."""
     verdict: Status | None = None
-    """Verdict of the result; None if there is none."""
     serial: str | None = None
-    """Id of the board; None if the station did not know it."""
     pixels: Annotated[Whole, Field(ge=0)]
-    """Number of pixels of all frames."""
     documents: dict[DocumentKind, DocumentBlob]
     frames: tuple[FrameBlob, ...]
     reference: ArchivedReference | None = None
@@ -175,7 +167,6 @@ class RunSelection:
     """Conditions that a run must fulfil together; None admits every run."""
 
     board_type: str | None = None
-    """Name, or a pattern with * and ?."""
     since: str | None = None
     """Earliest begin of a run: UTC, a day or RFC 3339."""
     until: str | None = None
@@ -246,7 +237,6 @@ class ArchiveFault(NamedTuple):
     """Something of an archive that cannot be used: the rest can."""
 
     what: str
-    """The run, manifest or blob, and what is wrong with it."""
     action: str
 
     def __str__(self) -> str:
@@ -269,8 +259,6 @@ RUN_FILE = "run.json"
 
 
 class _Identity(BaseModel):
-    """What an archive needs of the identity of a board."""
-
     state: str
     board_id: str | None = None
 

@@ -45,9 +45,7 @@ class Terms:
 
     software: str
     calibration: bytes | None = None
-    """Content of a calibration.json."""
     board_type: bytes | None = None
-    """Content of a board.json."""
     method: MethodName | None = None
 
     def document(self) -> dict[str, Any]:
@@ -114,7 +112,6 @@ FORMAT, VERSION = "vaoi-restitched-run", 1
 _OF_RESULTS = frozenset(code.value for code in ReasonCode)
 """Codes of reasons that follow from the pictures of a run: another result finds them again if they hold."""
 _NOTES = frozenset({"board-type-draft", "reference-unusable"})
-"""Codes of remarks, which degrade no run."""
 _REPEATED = ("stitch-", "trigger-", "frames-")
 """Beginnings of the codes of reasons in the record of a run that another stitch of its recording finds again."""
 
@@ -143,7 +140,6 @@ def restitch_run(task: RunTask) -> Outcome:
     """Stitch one run, and return its file: packed JSON with tables, result and cost.
 
     Raises:
-        StateError: this process has another software than the terms state.
         DeviceError: storage or disk do not answer. Another attempt may succeed.
     """
     return perform(task, lambda archive, run, scratch: _restitch(archive, run, scratch, task.terms))
@@ -194,7 +190,6 @@ def read_outcome(path: Path) -> dict[str, Any]:
 
 
 def _tables(run: ArchivedRun, former: Stitch | None, result: Stitch, opened: OpenedRun) -> Tables:
-    """Return the rows of both results; those of the former one come first."""
     key = RunKey(run.station, run.run, run.time, run.board_type, run.serial)
     head = opened.recording.head
     tables = result_tables(key, "new", result, opened.setup.board_type, head)
@@ -255,13 +250,9 @@ class Summary:
     """How a call ended."""
 
     runs: int
-    """Number of selected runs."""
     done: int
-    """Number of those that are stitched, by this call or an earlier one."""
     stitched: int
-    """Number of runs that this call has stitched."""
     left_out: tuple[str, ...]
-    """Runs, archives' faults and workers that were left out, and why."""
     unequal: dict[str, list[str]]
     """Runs that were not stitched with all that their station used, by the reason."""
     changes: Changes
@@ -345,7 +336,6 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
 
 
 def _claim(session: Session) -> None:
-    """Make the output directory one of these terms, or check that it is."""
     path = session.out / HEAD
     document = {"format": "vaoi-restitch", "version": 1, "terms": session.terms.document()}
     if path.exists():
@@ -367,7 +357,6 @@ def _claim(session: Session) -> None:
 
 
 def _done(session: Session, tasks: list[RunTask]) -> Iterator[Tables]:
-    """Yield the tables of every stitched run, in the order of the tasks."""
     for task in tasks:
         path = session.out / task.file
         if not path.is_file():
@@ -383,7 +372,6 @@ def _done(session: Session, tasks: list[RunTask]) -> Iterator[Tables]:
 
 
 def _unequal(session: Session) -> list[str]:
-    """Return for each reason how many runs were not stitched with all that their station used."""
     return [f"{len(runs)} runs, the first is {runs[0]}: {note}" for note, runs in session.unequal.items()]
 
 

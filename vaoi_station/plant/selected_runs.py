@@ -8,7 +8,6 @@ from typing import NamedTuple
 from vaoi_station.errors import VaoiError
 from vaoi_station.plant.archive import Archive, RunSelection
 from vaoi_station.plant.catalogue import (
-    SameRecordings,
     read_ahead,
     recording_of,
     report_half_written,
@@ -23,14 +22,11 @@ class SelectedRun(NamedTuple):
 
     archive: str
     key: str
-    """Place of its manifest."""
     manifest: str
     """Digest of its manifest: any other run under its id has another one, and so has the run before a change."""
 
 
 class _Place(NamedTuple):
-    """Where a manifest is."""
-
     archive: Archive
     key: str
 
@@ -85,8 +81,7 @@ class SelectedRuns:
         return list(dict.fromkeys(place.archive.url for same in self._groups for place in same))
 
     def __iter__(self) -> Iterator[SelectedRun]:
-        """Yield the runs. They can be iterated once."""
-        recordings = SameRecordings()
+        recordings: dict[str, str] = {}
         manifests = read_ahead((place.archive.storage, place.key) for same in self._groups for place in same)
         for places in self._groups:
             read = [(place, selected(next(manifests), self._selection, self._report)) for place in places]
@@ -96,7 +91,7 @@ class SelectedRuns:
             else:
                 self.runs -= 1
 
-    def _chosen(self, same: list[tuple[_Place, ArchivedRun]], recordings: SameRecordings) -> SelectedRun | None:
+    def _chosen(self, same: list[tuple[_Place, ArchivedRun]], recordings: dict[str, str]) -> SelectedRun | None:
         """Return the run that several archives may have; None, with a report, if it is not to be used."""
         place, run = same[0]
         if len(same) > 1 and len({(other.key, other.digest) for _, other in same}) > 1:
@@ -106,7 +101,7 @@ class SelectedRuns:
                 "one archive."
             )
             return None
-        if (earlier := recordings.earlier(place.address, recording_of(run))) is not None:
+        if (earlier := recordings.setdefault(recording_of(run), place.address)) != place.address:
             self._leave_out(
                 f"{place.address}: is the same recording as {earlier}, which is taken. Remove the one that is wrong "
                 "from its archive."
@@ -115,7 +110,6 @@ class SelectedRuns:
         return SelectedRun(place.archive.url, place.key, run.digest)
 
     def _usable(self, places: list[_Place]) -> list[_Place]:
-        """Return the places of one run whose manifests can be used, and report the others."""
         manifests = read_ahead((place.archive.storage, place.key) for place in places)
         read = zip(places, manifests, strict=True)
         return [place for place, manifest in read if selected(manifest, self._selection, self._report) is not None]

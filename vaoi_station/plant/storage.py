@@ -25,36 +25,20 @@ class Entry(NamedTuple):
     key: str
     size: int
     changed: datetime
-    """When it was written, UTC, by the clock of the storage."""
 
 
 class Storage(Protocol):
     """What an archive needs of a file system or an object store: whole objects, no locks, no renames."""
 
     @property
-    def url(self) -> str:
-        """Path or address, as it is shown in messages."""
-
-    def read(self, key: str) -> bytes:
-        """Return an object; NotFoundError if it is absent, DeviceError if the storage does not answer."""
-
-    def write(self, key: str, content: bytes) -> None:
-        """Write an object so that readers see the old or the new one; DeviceError if the storage refuses it."""
-
-    def entry(self, key: str) -> Entry | None:
-        """Return size and time of an object; None if it is absent."""
-
-    def names(self, prefix: str) -> list[str]:
-        """Return the sorted names directly below a prefix, of objects and folders; none if it is absent."""
-
-    def entries(self, prefix: str) -> Iterator[Entry]:
-        """Yield all objects below a prefix, sorted by key."""
-
-    def leftovers(self) -> Iterator[Entry]:
-        """Yield the unfinished files of writers: those under way, and those of writers that were killed."""
-
-    def delete(self, key: str) -> None:
-        """Delete an object, if it is there."""
+    def url(self) -> str: ...  # noqa: D102
+    def read(self, key: str) -> bytes: ...  # noqa: D102
+    def write(self, key: str, content: bytes) -> None: ...  # noqa: D102
+    def entry(self, key: str) -> Entry | None: ...  # noqa: D102
+    def names(self, prefix: str) -> list[str]: ...  # noqa: D102
+    def entries(self, prefix: str) -> Iterator[Entry]: ...  # noqa: D102
+    def leftovers(self) -> Iterator[Entry]: ...  # noqa: D102
+    def delete(self, key: str) -> None: ...  # noqa: D102
 
 
 class LocalStorage:
@@ -78,7 +62,7 @@ class LocalStorage:
         except (FileNotFoundError, NotADirectoryError) as error:
             raise NotFoundError(f"{path}: there is no such file.") from error
         except OSError as error:
-            raise DeviceError(f"{path}: cannot be read ({error.strerror}).", code="archive-absent") from error
+            raise self._unreadable(key, error) from error
 
     def write(self, key: str, content: bytes) -> None:
         """Write an object, on the disk when this returns; DeviceError if the disk refuses it, or is another one."""
@@ -115,8 +99,7 @@ class LocalStorage:
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
-            path = self._directory / key
-            raise DeviceError(f"{path}: cannot be read ({error.strerror}).", code="archive-absent") from error
+            raise self._unreadable(key, error) from error
         return Entry(key, state.st_size, datetime.fromtimestamp(state.st_mtime, UTC))
 
     def names(self, prefix: str) -> list[str]:
@@ -126,8 +109,7 @@ class LocalStorage:
         except (FileNotFoundError, NotADirectoryError):
             return []
         except OSError as error:
-            path = self._directory / prefix
-            raise DeviceError(f"{path}: cannot be read ({error.strerror}).", code="archive-absent") from error
+            raise self._unreadable(prefix, error) from error
         return sorted(name for name in found if not name.startswith("."))
 
     def entries(self, prefix: str) -> Iterator[Entry]:
@@ -150,8 +132,10 @@ class LocalStorage:
         try:
             yield from files_below(self._directory / prefix, hidden=hidden)
         except OSError as error:
-            path = self._directory / prefix
-            raise DeviceError(f"{path}: cannot be read ({error.strerror}).", code="archive-absent") from error
+            raise self._unreadable(prefix, error) from error
+
+    def _unreadable(self, key: str, error: OSError) -> DeviceError:
+        return DeviceError(f"{self._directory / key}: cannot be read ({error.strerror}).", code="archive-absent")
 
     def delete(self, key: str) -> None:
         """Delete a file, if it is there, and the directory that it leaves empty."""
@@ -165,7 +149,6 @@ class LocalStorage:
 
 
 def _file_system_of(directory: Path) -> int | None:
-    """Return the number of the file system of a directory; None if it is absent or does not answer."""
     try:
         return directory.stat().st_dev
     except OSError:
@@ -234,7 +217,6 @@ class FsspecStorage:
 
     @contextmanager
     def _explained(self, key: str, done: str, code: str) -> Iterator[None]:
-        """Turn every error of the system into one that names the object."""
         try:
             yield
         except FileNotFoundError as error:

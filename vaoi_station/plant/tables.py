@@ -116,7 +116,6 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("sigma_px", "real", "σ of this position in the direction in which it is largest"),
     ),
 }
-"""Columns by table."""
 
 
 def arrow_schema(table: str) -> pa.Schema:
@@ -144,7 +143,6 @@ class RunKey(NamedTuple):
     station: str
     run: str
     time: str
-    """Begin, UTC, RFC 3339."""
     board_type: str
     board_id: str | None = None
 
@@ -305,7 +303,6 @@ def _views(result: Stitch) -> Iterator[dict[str, Any]]:
 
 
 def _largest_sigma(xx: float | None, xy: float | None, yy: float | None) -> float | None:
-    """Return the standard deviation in the direction in which it is largest, of a covariance ((xx, xy), (xy, yy))."""
     if xx is None or xy is None or yy is None:
         return None
     return math.sqrt(max((xx + yy) / 2 + math.hypot((xx - yy) / 2, xy), 0.0))
@@ -321,7 +318,6 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 
 
 def _sequence(value: Any, length: int) -> Sequence[Any]:
-    """Return a sequence of the given length; of None if the value has another form."""
     return value if isinstance(value, list | tuple) and len(value) == length else [None] * length
 
 
