@@ -6,16 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
-from vaoi_station.cli.cutting import image_request
-from vaoi_station.errors import InputError
 from vaoi_station.files import open_recording, read_board_type, read_stitch
 from vaoi_station.files.images import read_image
 from vaoi_station.geometry import apply
-from vaoi_station.rendering import ImageRequest
 
 
 def test_pictures_of_components_with_their_matrices(
@@ -174,18 +170,6 @@ def test_measured_heights_give_the_plane(
     assert {entry.get("plane_height_mm", entry.get("height_mm")) for entry in listing} == {1.375}
 
 
-@pytest.mark.parametrize("form", ["tiff", "png", "jpeg"])
-def test_formats_of_a_region(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, form: str) -> None:
-    options = ("--region", 5, 5, 12, 9, "--hdr", "--format", form, "--px-per-mm", 5)
-    said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
-    assert (said.code, said.err) == (0, "")
-    listing = json.loads((tmp_path / "region.json").read_text())
-    picture = cv2.imread(str(tmp_path / listing[-1]["file"]), cv2.IMREAD_UNCHANGED)
-    assert picture is not None
-    assert picture.shape == (20, 35)
-    assert picture.dtype == (np.float32 if form == "tiff" else np.uint8)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -289,21 +273,3 @@ def test_what_cannot_be_met_is_refused(
     assert said.code == 2
     assert words in said.err
     assert not (tmp_path / "out").exists()
-
-
-def test_options_make_the_request() -> None:
-    wanted = image_request((10.0, 20.0), (5.0, 30.0), "120", light="left", limit=2)
-    assert wanted == ImageRequest.of(
-        {
-            "min_exposure_us": 10.0,
-            "max_exposure_us": 20.0,
-            "min_angle_deg": 5.0,
-            "max_angle_deg": 30.0,
-            "seen_from": 120.0,
-            "light": "left",
-            "limit": 2,
-            "measure": True,
-        }
-    )
-    with pytest.raises(InputError, match="limit"):
-        image_request(None, None, None, limit=0)

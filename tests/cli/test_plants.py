@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from tests.plant.conftest import recording
-from vaoi_station.cli.plants import progress_bar
 from vaoi_station.plant import cluster
 from vaoi_station.plant.archive import Archive, RunLabel
 from vaoi_station.plant.cluster import ClusterOptions, cluster_address, connection
@@ -24,13 +23,6 @@ def archive(recording: Path, tmp_path: Path) -> Archive:
     made = Archive.create(tmp_path / "archive")
     made.add(recording, station="line 1", label=RunLabel(run="r1", time="2026-11-01T10:00:00Z"))
     return made
-
-
-def test_the_bar_counts_what_an_earlier_call_has_done(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress_bar("runs") as show:
-        for done in (3, 4, 5):
-            show(done, 5)
-    assert "runs" in capsys.readouterr().out
 
 
 @pytest.fixture

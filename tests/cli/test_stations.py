@@ -16,8 +16,6 @@ from tests.board_data.readers import samples
 from tests.cli.conftest import Result
 from tests.transfer.conftest import Site, make_rig, site, store
 from vaoi_station import doctor, station
-from vaoi_station.board_data import import_process
-from vaoi_station.board_data.import_process import ImportLimits
 from vaoi_station.cli import app
 from vaoi_station.cli.options import credentials_of
 from vaoi_station.config import read_config
@@ -205,7 +203,7 @@ def test_a_configuration_in_utf_16_without_a_mark_is_a_fault_with_an_action(
 
 @pytest.mark.parametrize(
     ("finding", "code"),
-    [(ok("fine"), 0), (warning("slow", "Hurry.", code="x"), 1), (fault("broken", "Repair it.", code="x"), 2)],
+    [(ok("fine"), 0), (warning("x", "slow", "Hurry."), 1), (fault("x", "broken", "Repair it."), 2)],
 )
 @pytest.mark.parametrize("as_json", [False, True])
 def test_exit_code_and_output(
@@ -352,36 +350,3 @@ def test_wrong_options_are_refused(vaoi: Vaoi, board: Path, tmp_path: Path, opti
     done = vaoi("import", str(board), "--out", str(tmp_path / "x.json"), *options)
     assert (done.code, message in done.err) == (2, True), done.err
     assert not (tmp_path / "x.json").exists()
-
-
-def test_a_file_that_exceeds_the_limits_of_an_import_is_refused(
-    vaoi: Vaoi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(import_process, "OF_PERSONS", ImportLimits(memory_bytes=400 * 2**20, advice="Try a part."))
-    bomb = tmp_path / "bomb.zip"
-    bomb.write_bytes(samples.odb_zip(samples.ODB | {"job/steps/pcb/eda/data": "PKG A 0 0 0 1 1;\n" * 3_000_000}))
-    done = vaoi("import", str(bomb), "--out", str(tmp_path / "x.json"))
-    assert (done.code, "the file is refused. Try a part." in done.err) == (2, True), done.err
-
-
-def test_places_and_bodies_of_two_files_are_joined(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
-    placer, out = tmp_path / "p.csv", tmp_path / "board.json"
-    placer.write_text("Ref,X(mm),Y(mm),Rot\nR1,110,10,0\nJ1,130,20,90\nFID1,105,5,0\n")
-    done = vaoi("import", str(placer), "--join", str(board), "--out", str(out))
-    assert done.code == 0, done.err
-    assert "rotated by 0° and shifted by (100.000, 0.000) mm; 3 agree within 0 µm" in done.out
-    document = json.loads(out.read_text())
-    assert {c["ref"]: c["width"] for c in document["components"]} == {"R1": 2.0, "J1": 7.5, "FID1": 1.2}
-    assert min(x for x, _ in document["outline"]) == 100
-
-
-def test_panels_of_the_file_or_of_the_user(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
-    (tmp_path / "b.zip").write_bytes(samples.odb_zip(samples.ODB | samples.ODB_PANEL))
-    done = vaoi("import", str(tmp_path / "b.zip"), "--step", "panel", "--out", str(tmp_path / "a.json"))
-    assert "check: step panel is a panel of 4 boards: 4 of step pcb; their positions count from 1." in done.out
-    grid = ("--repeat", "2x1", "--pitch", "60x0", "--rotate", "0,180", "--border", "5x5")
-    done = vaoi("import", str(board), *grid, "--out", str(tmp_path / "b.json"))
-    assert (done.code, "6 components" in done.out) == (0, True), done.err
-    for name, refs in (("a", {"1/R1", "4/C1"}), ("b", {"1/R1", "2/J1"})):
-        document = json.loads((tmp_path / f"{name}.json").read_text())
-        assert {f"{c['panel']}/{c['ref']}" for c in document["components"]} >= refs

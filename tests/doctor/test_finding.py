@@ -20,8 +20,8 @@ def report(*findings: Finding) -> Report:
         ((), Level.OK, 0),
         ((not_applicable("none"),), Level.NOT_APPLICABLE, 0),
         ((ok("fine"), not_applicable("none")), Level.OK, 0),
-        ((ok("fine"), warning("slow", "hurry", code="slow")), Level.WARNING, 1),
-        ((fault("broken", "repair", code="broken"), warning("slow", "hurry", code="slow"), ok("fine")), Level.FAULT, 2),
+        ((ok("fine"), warning("slow", "slow", "hurry")), Level.WARNING, 1),
+        ((fault("broken", "broken", "repair"), warning("slow", "slow", "hurry"), ok("fine")), Level.FAULT, 2),
     ],
 )
 def test_the_worst_level_decides_the_exit_code(findings: tuple[Finding, ...], worst: Level, code: int) -> None:
@@ -38,8 +38,8 @@ def named(station: str, *findings: Finding) -> Report:
 def test_lines_actions_and_summary() -> None:
     findings = (
         replace(ok("fine"), check="disk"),
-        replace(fault("is absent", "Check it.", code="x", subject="left"), check="cameras"),
-        replace(warning("slow", "Hurry.", code="y"), check="disk"),
+        replace(fault("x", "is absent", "Check it.", "left"), check="cameras"),
+        replace(warning("y", "slow", "Hurry."), check="disk"),
         replace(not_applicable("none"), check="usb"),
     )
     assert as_text(named("s", *findings)).splitlines() == [

@@ -69,12 +69,6 @@ def test_a_cache_that_the_user_of_the_service_cannot_write_is_a_warning_for_root
     assert finding.action == f"install -d -o daemon -g daemon -m 750 {installed}/cache"
 
 
-def test_the_unit_of_another_installation_does_not_count(installed: Path) -> None:
-    unit = installed / "usr/lib/systemd/system" / machine_checks.UNIT
-    unit.write_text(unit.read_text().replace(f"ExecStart={sys.prefix}", "ExecStart=/opt/other"))
-    assert "by the service" not in only(machine_checks.compiled_code_cache(Machine(installed))).message
-
-
 def test_wall_clock() -> None:
     figures = {"synchronised": True, "max_error_ms": 1.5}
     assert machine_checks.judge_wall_clock(0, 1500).figures == figures
@@ -86,15 +80,6 @@ def test_wall_clock() -> None:
 def test_ring_larger_than_any_memory_is_a_fault(context: CheckContext) -> None:
     huge = with_config(context, changed(context.config, "line", longest_board_mm=1e9))
     assert_problem(next(iter(machine_checks.ring_space(huge))), Level.FAULT, "3 runs × 2 cameras", "has")
-
-
-def test_little_available_memory(context: CheckContext, tmp_path: Path) -> None:
-    (tmp_path / "proc").mkdir()
-    needed = context.layout.file_bytes
-    for available, level in ((needed // 2, Level.FAULT), (needed + needed // 4, Level.WARNING), (2 * needed, Level.OK)):
-        (tmp_path / "proc" / "meminfo").write_text(f"MemTotal: 1 kB\nMemAvailable: {available // 1024} kB\n")
-        poor = CheckContext(context.config, Machine(tmp_path), None)
-        assert only(machine_checks.ring_space(poor)).level is level
 
 
 def test_absent_ring_directory_is_a_fault(context: CheckContext) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import threading
 import zlib
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,11 +15,10 @@ import pytest
 from tests.plant.conftest import filmed_again
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files import open_recording
-from vaoi_station.files.images import encode_png, read_image, write_image
 from vaoi_station.plant import addition
 from vaoi_station.plant.archive import Archive, RunLabel
 from vaoi_station.plant.catalogue import recording_of
-from vaoi_station.plant.manifest import ArchivedRun, ArchiveFault, RunSelection, ignore_fault
+from vaoi_station.plant.manifest import ArchivedRun, ArchiveFault, RunSelection
 from vaoi_station.plant.storage import LocalStorage
 from vaoi_station.runs.handover.adder import PacedStorage
 
@@ -45,32 +43,6 @@ def test_runs_are_listed_by_station_and_found_by_id(archive: Archive) -> None:
     assert archive.run("b").station == "line 2/top"
     with pytest.raises(NotFoundError, match="has no run 'c'"):
         archive.run("c")
-
-
-def test_two_runs_with_one_id_are_named_and_the_others_listed(archive: Archive, recording: Path) -> None:
-    archive.add(recording, station="two", label=RunLabel(run="a", time="2026-03-02T08:00:00Z"))
-    faults: list[ArchiveFault] = []
-    assert [run.run for run in archive.runs(on_fault=faults.append)] == ["b"]
-    assert len(faults) == 1
-    assert "2 runs have the id a: runs/one/2026-03-01/a.json" in faults[0].what
-    with pytest.raises(InputError, match="2 runs have the id a"):
-        archive.run("a")
-
-
-@pytest.mark.parametrize(
-    ("content", "named"),
-    [
-        (b'{"format"', "not valid JSON"),
-        (b'{"format": "vaoi-archived-run", "version": 2}', "version is 2"),
-        (b'{"format": "vaoi-archived-run", "version": 1}', "station"),
-    ],
-)
-def test_a_manifest_that_cannot_be_read_is_named(archive: Archive, content: bytes, named: str) -> None:
-    archive.storage.write("runs/one/2026-03-01/a.json", content)
-    faults: list[ArchiveFault] = []
-    assert [run.run for run in archive.runs(on_fault=faults.append)] == ["b"]
-    assert "a.json" in str(faults[0])
-    assert named in str(faults[0])
 
 
 def test_a_renamed_manifest_is_named(archive: Archive) -> None:
@@ -183,15 +155,6 @@ def test_a_run_that_another_zlib_compressed_is_the_same(
     assert [run.documents for run in archive.runs()] == [first.documents]
 
 
-def test_a_run_whose_frames_another_release_compressed_is_the_same(
-    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    archive = Archive.create(tmp_path / "archive")
-    first = archive.add(recording, station="line 1", label=RunLabel("one"))
-    monkeypatch.setattr(addition, "encode_png", lambda image: encode_png(image, 6))
-    assert archive.add(recording, station="line 1", label=RunLabel("one")) == first
-
-
 @pytest.mark.parametrize("again", [RunLabel("one"), RunLabel("two")])
 def test_damaged_blobs_are_replaced_when_the_run_or_another_that_has_them_is_added(
     tmp_path: Path, recording: Path, again: RunLabel
@@ -213,11 +176,6 @@ def test_a_damaged_manifest_comes_back_from_the_recording(tmp_path: Path, record
     archive.storage.write(first.key, b"{")
     assert archive.add(recording) == first
     assert list(archive.runs()) == [first]
-
-
-def test_a_name_that_no_folder_can_have_is_refused(tmp_path: Path, recording: Path) -> None:
-    with pytest.raises(InputError, match="takes 270 bytes as the name of a folder, must be at most 255"):
-        Archive.create(tmp_path / "archive").add(recording, station="线" * 30)
 
 
 def placed(recording: Path, data: Path, run: str) -> Path:
@@ -247,35 +205,6 @@ def test_the_reference_of_a_run_is_stored_once_and_comes_back(tmp_path: Path, re
     assert (restored / "reference" / "board.json").read_bytes() == (taught / "board.json").read_bytes()
     assert Archive.create(tmp_path / "second").add(restored).reference == b.reference, "it is added from there again"
     assert archive.prune(grace_s=0.0, dry=True).blobs == 0
-
-
-class ReadingsNoted(LocalStorage):
-    """A directory that notes what is read from it."""
-
-    def __init__(self, directory: Path) -> None:
-        super().__init__(directory)
-        self.keys: list[str] = []
-
-    def read(self, key: str) -> bytes:
-        self.keys.append(key)
-        return super().read(key)
-
-
-def test_for_a_new_run_no_frame_is_read_from_the_archive(tmp_path: Path, recording: Path) -> None:
-    first, second = (placed(recording, tmp_path / "data", run) for run in ("a", "b"))
-    shutil.copytree(recording, tmp_path / "data" / "references" / "taught")
-    for frame in (first / "frames").iterdir():
-        write_image(frame, read_image(frame) + 1)
-    for frame in (second / "frames").iterdir():
-        write_image(frame, read_image(frame) + 2)
-    archive = Archive.create(tmp_path / "archive")
-    archive.add(first)
-    storage = ReadingsNoted(tmp_path / "archive")
-    added = Archive(storage).add(second)
-    assert added.reference is not None
-    assert len(added.blobs) == 4 + 3 + 3 + 3
-    shared = [added.documents[kind].key for kind in ("calibration", "board_type")]
-    assert sorted(key for key in storage.keys if key.startswith("blobs")) == sorted(shared)
 
 
 def test_a_reference_that_was_archived_stays(tmp_path: Path, recording: Path) -> None:
@@ -348,31 +277,6 @@ def test_selected_runs_that_are_half_written_are_reported(tmp_path: Path) -> Non
     assert not faults, "it is of another board type"
     assert not list(Archive(storage).runs(RunSelection(), faults.append))
     assert "run s/r is half written: its addition began at 1970-01-01" in faults[0].what
-
-
-def test_manifests_are_read_many_at_a_time_and_yielded_in_order(tmp_path: Path) -> None:
-    class Slow(LocalStorage):
-        """A storage whose reads end only when two have been in progress at once."""
-
-        lock, inside, together = threading.Lock(), 0, threading.Event()
-
-        def read(self, key: str) -> bytes:
-            with self.lock:
-                self.inside += 1
-                if self.inside > 1:
-                    self.together.set()
-            assert self.together.wait(timeout=60)
-            with self.lock:
-                self.inside -= 1
-            return super().read(key)
-
-    storage = Slow(tmp_path)
-    for n in range(200):
-        run = ArchivedRun(
-            run=f"r{n:03d}", station="s", time="2026-03-01T08:00:00Z", board_type="t", pixels=8, documents={}, frames=()
-        )
-        storage.write(run.key, run.text().encode())
-    assert [run.run for run in Archive(storage).runs(RunSelection(), ignore_fault)] == [f"r{n:03d}" for n in range(200)]
 
 
 def test_a_run_comes_back_as_it_was(tmp_path: Path, recording: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import socket
 import time
@@ -32,7 +31,6 @@ from vaoi_station.plant.cluster import (
     perform,
     software,
 )
-from vaoi_station.plant.manifest import ArchivedRun
 from vaoi_station.plant.restitch import RunTask, Terms, read_outcome, restitch_run
 
 
@@ -328,18 +326,6 @@ def test_a_worker_that_is_killed_before_its_outcome_is_fetched_costs_no_wait(
     assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "without another scheduler"
 
 
-def test_work_gets_archive_run_and_a_directory_that_goes(stored: Archive) -> None:
-    seen: list[Path] = []
-
-    def work(archive: Archive, run: ArchivedRun, scratch: Path) -> bytes:
-        assert not list(scratch.iterdir())
-        seen.append(scratch)
-        return f"{archive.url} {run.run}".encode()
-
-    assert perform(task_of(stored, "r2"), work) == f"{stored.url} r2".encode()
-    assert not seen[0].exists()
-
-
 @pytest.mark.parametrize("kind", [InputError, StateError])
 def test_a_fault_of_the_run_is_returned(stored: Archive, kind: type[InputError | StateError]) -> None:
     def work(*_: object) -> bytes:
@@ -369,12 +355,6 @@ def test_an_archive_that_goes_during_the_work_is_no_fault_of_the_run(stored: Arc
     outcome = perform(task_of(moved, "r2"), work)
     assert isinstance(outcome, WorkerFault)
     assert "is no archive" in outcome.message
-
-
-def test_version_sources_and_libraries_are_stated() -> None:
-    assert re.fullmatch(
-        r"vaoi_station \S+ \(sources [0-9a-f]{12}, Python 3\.\d+, numpy \S+, numba \S+, opencv \S+\)", software()
-    )
 
 
 def test_workers_of_this_machine_ignore_the_key(cluster: ClusterOptions) -> None:

@@ -8,7 +8,6 @@ import shutil
 import tarfile
 from collections import Counter
 from dataclasses import replace
-from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 import pytest
 
 from vaoi_station import StitchedRun
-from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files.images import encode_png, read_image
 from vaoi_station.model import Status
 from vaoi_station.plant import cluster
@@ -30,18 +29,15 @@ from vaoi_station.plant.datasets import (
     CropOptions,
     CropTask,
     DatasetTerms,
-    InOrder,
     Listener,
     Splits,
     WebDatasetWriter,
     crop_run,
-    crops_from,
     crops_of,
     write_dataset,
 )
 from vaoi_station.plant.manifest import ArchivedRun
 from vaoi_station.plant.storage import Storage
-from vaoi_station.rendering import ImageOptions, ImageRequest
 
 
 def test_boards_are_shared_out_as_stated() -> None:
@@ -50,27 +46,6 @@ def test_boards_are_shared_out_as_stated() -> None:
     assert counts["train"] == pytest.approx(3200, abs=100)
     assert counts["val"] == pytest.approx(400, abs=70)
     assert {splits.of_board("board 7") for _ in range(3)} == {Splits.of(DEFAULT).of_board("board 7")}
-
-
-@pytest.mark.parametrize(
-    "text", ["", "train", "train=0", "train=a", "a=0.5,a=0.5", "train=0.8,val=0.1", "a/b=1", "annotations=1"]
-)
-def test_wrong_shares_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--splits"):
-        Splits.of(text)
-
-
-OUTCOMES = [b"a", None, b"c", b""]
-
-
-def test_every_order_of_arrival_gives_the_same(tmp_path: Path) -> None:
-    for order in permutations(range(len(OUTCOMES))):
-        taken: list[bytes] = []
-        ordered = InOrder(tmp_path, taken.append)
-        for number in order:
-            ordered.put(number, OUTCOMES[number])
-        assert taken == [b"a", b"c", b""]
-        assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -107,31 +82,9 @@ def test_the_outline_is_counted_from_the_corner_of_the_crop(crops: list[Crop]) -
     assert crop.outline_px.max(0) == pytest.approx([width, height], abs=1.01)
 
 
-def test_what_a_run_does_not_have_is_refused(boards: Archive, tmp_path: Path) -> None:
-    run = boards.run("r1")
-    folder = boards.extract(run, tmp_path / "run")
-    dark = CropOptions(("U1",), ImageRequest.of(ImageOptions(light="infrared")))
-    with pytest.raises(InputError, match="infrared"):
-        list(crops_of(run, folder, dark))
-    text = (folder / "result.json").read_text()
-    (folder / "result.json").write_text(text.replace('"cad_matrix": [', '"cad_matrix": null, "x_old": [', 1))
-    with pytest.raises(StateError, match="run r1: its result has no CAD mapping"):
-        list(crops_of(run, folder, CropOptions()))
-
-
 def task_of(archive: Archive, run: str) -> CropTask:
     found = archive.run(run)
     return CropTask(archive.url, found.key, found.digest, 0, software(), CropOptions(("U1",)), (Status.OK,))
-
-
-def test_crops_come_back_from_a_worker(boards: Archive) -> None:
-    content = crop_run(task_of(boards, "r1"))
-    assert isinstance(content, bytes)
-    found = crops_from(content)
-    assert found.board == "board B1"
-    assert found.crops
-    assert {crop.facts["component"] for crop in found.crops} == {"U1"}
-    assert found.crops[0].pixels.shape == (found.crops[0].facts["height_px"], found.crops[0].facts["width_px"])
 
 
 def test_what_cannot_be_done_is_named(boards: Archive) -> None:
@@ -170,12 +123,6 @@ def test_images_annotations_and_categories(tmp_path: Path) -> None:
     image = tmp_path / "val" / val["images"][0]["file_name"]
     assert np.array_equal(read_image(image), crop(None).pixels)
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
-
-
-def test_an_error_leaves_no_annotations(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), CocoWriter(tmp_path, ["train"], {}) as writer:
-        writer.add("other", crop(None))
-    assert not list((tmp_path / "annotations").iterdir())
 
 
 def test_samples_are_whole_and_shards_bounded(tmp_path: Path) -> None:

@@ -33,7 +33,6 @@ from vaoi_station.plant.restitch import (
     Terms,
     _with_verdict,
     open_archived,
-    read_outcome,
     restitch,
     restitch_run,
     with_lasting_reasons,
@@ -66,11 +65,6 @@ def test_method_and_terms_are_those_of_the_station(board: RecordedRun, tmp_path:
     assert (setup.method, setup.visibility, notes) == ("fiducials", TERMS.visibility, [])
     assert setup.expectation.corner_mm[0] == 1.0
     assert open_archived(run, tmp_path, Terms("any", method="features"))[0].setup.method == "features"
-
-
-def test_a_record_without_terms_is_named(board: RecordedRun, tmp_path: Path) -> None:
-    _, notes = open_archived(extracted(board, tmp_path, None), tmp_path, Terms("any"))
-    assert notes == ["Its station did not state where it expected the board, and what of it was to be seen."]
 
 
 @pytest.mark.parametrize("method", ["auto", "reference"])
@@ -168,14 +162,6 @@ def test_reasons_that_another_result_does_not_mend_keep_a_run_degraded(stitched:
     assert with_lasting_reasons(None, None, sound) is sound
 
 
-def test_another_calibration_is_used(stored: Archive, moved_calibration: Path, tmp_path: Path) -> None:
-    document = outcome_of(stored, "r0", tmp_path, Terms(software(), calibration=moved_calibration.read_bytes()))
-    tables = document["tables"]
-    assert isinstance(tables, dict)
-    moved = tables["cameras"]["y_px"]
-    assert moved[4] - moved[1] == pytest.approx(-0.2, abs=0.03)
-
-
 def test_another_board_type_holds_for_the_new_result_only(stored: Archive, board: RecordedRun, tmp_path: Path) -> None:
     document = json.loads((board.directory / "board.json").read_text(encoding="utf-8"))
     first, second, *others = document["components"]
@@ -211,17 +197,6 @@ def test_a_run_that_was_replaced_after_its_selection_is_a_fault(stored: Archive)
 FLIPPED = gzip.compress(bytes(range(256)) * 9, mtime=0)
 FLIPPED = FLIPPED[:10] + bytes([FLIPPED[10] ^ 0b110]) + FLIPPED[11:]
 """The bits say that the block is of a type that there is not."""
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"", FLIPPED, gzip.compress(b"{"), gzip.compress(b"[]"), gzip.compress(b'{"format": "vaoi-restitched-run"}')],
-    ids=["empty", "a flipped bit", "no JSON", "no object", "no version"],
-)
-def test_a_damaged_file_is_refused_with_what_to_do(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "r.json.gz").write_bytes(content)
-    with pytest.raises(InputError, match=r"r\.json\.gz: .* Delete it and repeat"):
-        read_outcome(tmp_path / "r.json.gz")
 
 
 def test_a_call_writes_data_set_and_report_and_goes_on(

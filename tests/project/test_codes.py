@@ -45,7 +45,9 @@ def _values(node: ast.AST) -> Iterator[ast.expr | None]:
         case ast.keyword(arg="code", value=value) | ast.Assign(targets=[ast.Name(id="code" | "CODE")], value=value):
             yield value
         case ast.Call(
-            func=ast.Attribute(attr="add_reason") | ast.Name(id="Note" | "noted" | "add_conflict"), args=[value, *_]
+            func=ast.Attribute(attr="add_reason")
+            | ast.Name(id="Note" | "noted" | "add_conflict" | "fault" | "warning"),
+            args=[value, *_],
         ):
             yield value
 

@@ -44,7 +44,7 @@ def aravis(context: CheckContext) -> Iterator[Finding]:
         library.aravis()
         found = library.version()
     except DeviceError as error:
-        yield fault(error.message, error.action, code=error.code)
+        yield fault(error.code, error.message, error.action)
         return
     gi = str(sys.modules["gi"].__version__)
     yield judge_version(found, gi, sum(camera.serial is not None for camera in context.real_cameras))
@@ -59,12 +59,12 @@ def judge_version(found: tuple[int, int, int], gi: str, perhaps_usb: int) -> Fin
     # the status of a buffer before it is pushed. Only a camera named by its serial number can be on USB.
     if perhaps_usb and found < USB3_MIN_VERSION:
         return warning(
+            "aravis-old",
             f"{message}: unreliable with USB3 cameras; {perhaps_usb} of the cameras may be on USB.",
             "Name GigE cameras by their address; for USB3 use a distribution with Aravis 0.8.30 or later (Debian 13).",
-            figures=figures,
-            code="aravis-old",
+            **figures,
         )
-    return ok(message, figures=figures)
+    return ok(message, **figures)
 
 
 JUMBO = 8000
@@ -113,14 +113,14 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
         except VaoiError as error:
             message = error.message.removeprefix(f"{camera.label}: ")
             action = f"{error.action} {_search_hint(camera, error)}".strip()
-            yield fault(message, action, subject=camera.name, code=error.code)
+            yield fault(error.code, message, action, camera.name)
             continue
         except glib_error() as error:
             message, action = (
                 f"stopped replying during the check: {error}",
                 "Check its cable and power; switch it off and on.",
             )
-            yield fault(message, action, subject=camera.name, code="camera-stopped-replying")
+            yield fault("camera-stopped-replying", message, action, camera.name)
             continue
         yield from judge_camera(camera, offered)
         serials[offered.serial].append(camera.name)
@@ -132,7 +132,7 @@ def of_real_cameras(context: CheckContext) -> Iterator[Finding]:
                 f"{', '.join(names)} have the same serial number {serial!r}.",
                 "Correct their addresses in station.toml.",
             )
-            yield fault(message, action, subject=names[0], code="camera-ambiguous", figures={"serial": serial})
+            yield fault("camera-ambiguous", message, action, names[0], serial=serial)
     for port, members in ports.items():
         yield judge_port(port, members, context.config.line.shortest_period_s)
 
@@ -204,7 +204,7 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
         named = f"{offered.vendor} {offered.model} {offered.serial}".strip()
         mode = "on" if offered.trigger_mode == "On" else f"{offered.trigger_mode.lower()} now, the station turns it on"
         figures: Figures = {"serial": offered.serial, "trigger_mode": offered.trigger_mode, "port": offered.port}
-        yield ok(f"{named} replies and is free; the trigger is {mode}", subject=camera.name, figures=figures)
+        yield ok(f"{named} replies and is free; the trigger is {mode}", camera.name, **figures)
 
 
 def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
@@ -214,34 +214,30 @@ def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     if frame_trigger(offered.triggers) is None:
         shown = ", ".join(offered.triggers) or "nothing"
         message = f"offers the triggers {shown} only, but a frame trigger by wire is needed."
-        yield fault(message, "Use a camera with a trigger input.", subject=name, code="camera-without-trigger")
+        yield fault("camera-without-trigger", message, "Use a camera with a trigger input.", name)
     elif line not in offered.sources:
         message = f"has no trigger input {line}; it has {', '.join(offered.sources)}."
-        yield fault(message, f'Set trigger_line = "…" {one_of_these}', subject=name, code="camera-without-input")
+        yield fault("camera-without-input", message, f'Set trigger_line = "…" {one_of_these}', name)
     if camera.pixel_format not in offered.formats:
         message = f"has no pixel format {camera.pixel_format}; it has {', '.join(offered.formats)}."
-        yield fault(message, f"Set pixel_format {one_of_these}", subject=name, code="camera-without-format")
+        yield fault("camera-without-format", message, f"Set pixel_format {one_of_these}", name)
     low, high = offered.exposure_us
     if not low <= camera.exposure_us <= high:
         message = f"cannot expose for {camera.exposure_us:g} µs; its range is {low:g} … {high:g} µs."
-        yield fault(
-            message, "Set exposure_us in station.toml within this range.", subject=name, code="exposure-out-of-range"
-        )
+        yield fault("exposure-out-of-range", message, "Set exposure_us in station.toml within this range.", name)
     by_register = 'Set exposure_by = "auto" or "register" in station.toml.'
     if camera.exposure_by == "trigger-width" and TRIGGER_WIDTH not in offered.exposure_modes:
         has = f"its exposure modes are {', '.join(offered.exposure_modes)}" if offered.exposure_modes else "it has none"
         message = f"cannot expose for the width of the trigger, as exposure_by states: {has}."
-        yield fault(message, by_register, subject=name, code="camera-without-trigger-width")
+        yield fault("camera-without-trigger-width", message, by_register, name)
     if camera.exposure_by == "sequencer" and offered.without:
         message = f"has no sequencer, as exposure_by states: {', '.join(offered.without)} missing."
-        yield fault(message, by_register, subject=name, code="sequencer-absent")
+        yield fault("sequencer-absent", message, by_register, name)
     right, bottom = camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height
     width, height = offered.sensor
     if right > width or bottom > height:
         message = f"has a sensor of {width}×{height} px, but the configured frame ends at column {right}, row {bottom}."
-        yield fault(
-            message, "Correct width, height and offset_px in station.toml.", subject=name, code="frame-exceeds-sensor"
-        )
+        yield fault("frame-exceeds-sensor", message, "Correct width, height and offset_px in station.toml.", name)
 
 
 def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s: float) -> Finding:
@@ -252,7 +248,7 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
         link = members[0][0].link_mbit_s or network.link_mbit_s(port)
         network.check_budget(port, [c.frame_bytes for c, _ in members], packet, link, period_s)
     except VaoiError as error:
-        return fault(error.message, error.action, subject=port, figures={"mtu": mtu}, code=error.code)
+        return fault(error.code, error.message, error.action, port, mtu=mtu)
     figures: Figures = {"mtu": mtu, "packet_bytes": packet, "link_mbit_s": link, "cameras": len(members)}
     speed = f"{link:g} Mbit/s" if link else "link speed unknown"
     message = f"{len(members)} camera{'s' if len(members) > 1 else ''}, MTU {mtu}, packets of {packet} bytes, {speed}"
@@ -262,12 +258,12 @@ def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s:
         allowed = f"Set packet_bytes to {packet}: the cameras of this port send no larger packets."
         action = f"ip link set dev {port} mtu {wish}" if wish > mtu else allowed
         message += f"; {wished[0].name} is configured for {wish}."
-        return warning(message, action, subject=port, figures=figures, code="packets-above-mtu")
+        return warning("packets-above-mtu", message, action, port, **figures)
     if packet < JUMBO:
         message += "; larger packets cost less processor time."
         action = f"ip link set dev {port} mtu 9000"
-        return warning(message, action, subject=port, figures=figures, code="packets-small")
-    return ok(message, subject=port, figures=figures)
+        return warning("packets-small", message, action, port, **figures)
+    return ok(message, port, **figures)
 
 
 def of_running_station(context: CheckContext) -> Iterator[Finding]:
@@ -276,9 +272,9 @@ def of_running_station(context: CheckContext) -> Iterator[Finding]:
     states = context.running.snapshot.get("cameras", ())
     if not states:
         yield warning(
+            "cameras-unreported",
             "another process uses the cameras and does not report their state; they were not opened.",
             f"{context.running.inspect_command}; end it, and run vaoi doctor again",
-            code="cameras-unreported",
         )
     yield from (_judge_reported(state) for state in states)
 
@@ -291,9 +287,9 @@ def _judge_reported(state: dict[str, Any]) -> Finding:
     if not state.get("connected"):
         action = "Check its power and cable; the station opens it again by itself."
         message = f"is not connected: {message or 'no reason given'}"
-        return fault(message, action, subject=name, figures=figures, code="camera-lost")
+        return fault("camera-lost", message, action, name, **figures)
     if message:
         action = "See docs/internals/acquisition.md."
-        return warning(message, action, subject=name, figures=figures, code="camera-remark")
+        return warning("camera-remark", message, action, name, **figures)
     counted = f"{figures['delivered']} frames delivered, {figures['incomplete']} incomplete"
-    return ok(f"connected, {counted}", subject=name, figures=figures)
+    return ok(f"connected, {counted}", name, **figures)

@@ -84,7 +84,7 @@ def controller(context: CheckContext) -> Iterator[Finding]:
     try:
         reply = ask(settings)
     except DeviceError as error:
-        yield fault(error.message, error.action, subject="firmware", code=error.code)
+        yield fault(error.code, error.message, error.action, "firmware")
         return
     yield judge_firmware(reply.ident)
     yield judge_limits(reply.ident, context.config)
@@ -101,9 +101,9 @@ def of_running_station(context: CheckContext) -> Finding:
     assert context.running is not None
     if not context.running.snapshot:
         return warning(
+            "controller-unreported",
             "another process uses the controller and does not report its state; its port was not opened.",
             f"{context.running.inspect_command}; end it, and run vaoi doctor again",
-            code="controller-unreported",
         )
     return ok(str(context.running.snapshot.get("controller") or "the station has no state of it yet"))
 
@@ -144,33 +144,31 @@ def judge_port(port: Path, machine: Machine) -> Finding:
             "Connect the controller; deploy/71-vaoi-controller.rules in /etc/udev/rules.d/ gives the port its name."
         )
         message = f"there is no {port}; serial devices present: {', '.join(there) or 'none'}."
-        return fault(message, action, subject="port", code="port-absent", figures={"path": str(port)})
+        return fault("port-absent", message, action, "port", path=str(port))
     if not stat.S_ISCHR(found.st_mode) or not machine.is_terminal(found.st_rdev):
         return fault(
-            f"{port} is no serial port.",
-            "Correct `port` under [controller].",
-            subject="port",
-            code="port-unusable",
-            figures={"path": str(port)},
+            "port-unusable", f"{port} is no serial port.", "Correct `port` under [controller].", "port", path=str(port)
         )
     if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
         group = _group(found.st_gid)
         message = f"{port} may not be read and written by this user (group {group}, {stat.filemode(found.st_mode)})."
         return fault(
+            "port-forbidden",
             message,
             f"usermod -aG {group} vaoi, then restart the service",
-            subject="port",
-            code="port-forbidden",
-            figures={"path": str(port), "group": group},
+            "port",
+            path=str(port),
+            group=group,
         )
     if holders := [h for h in machine.holders(port) if h.pid != os.getpid()]:
         shown = ", ".join(f"{h.name} (process {h.pid})" for h in holders)
         return fault(
+            "port-in-use",
             f"{port} is in use by {shown}.",
             f"End it: kill {holders[0].pid}",
-            subject="port",
-            code="port-in-use",
-            figures={"path": str(port), "process": holders[0].pid},
+            "port",
+            path=str(port),
+            process=holders[0].pid,
         )
     return ok(f"{port} → {port.resolve()}, free" if port.is_symlink() else f"{port}, free", subject="port")
 
@@ -180,11 +178,11 @@ def judge_latency(port: Path, machine: Machine) -> Iterator[Finding]:
     kept_ms = machine.number(LATENCY.format(name=port.resolve().name))
     if kept_ms is not None and kept_ms > 1:
         yield warning(
+            "usb-bridge-slow",
             f"the USB bridge delays bytes by up to {kept_ms} ms (limit: 1 ms), which makes the clock fit less exact.",
             f"echo 1 > /{LATENCY.format(name=port.resolve().name)}; permanently: deploy/71-vaoi-controller.rules",
-            subject="port",
-            figures={"latency_timer_ms": kept_ms},
-            code="usb-bridge-slow",
+            "port",
+            latency_timer_ms=kept_ms,
         )
 
 
@@ -197,7 +195,7 @@ def judge_firmware(ident: Ident) -> Finding:
     figures: Figures = {"firmware": version, "build": build, "boots": ident.boots, "unit": unit}
     named = "no unit number" if unit is None else f"unit {unit}"
     message = f"version {version} ({build or 'no commit'}), protocol {ident.major}.{ident.minor}, {named}"
-    return ok(f"{message}, start number {ident.boots}", subject="firmware", figures=figures)
+    return ok(f"{message}, start number {ident.boots}", "firmware", **figures)
 
 
 def judge_limits(ident: Ident, config: StationConfig) -> Finding:
@@ -208,11 +206,11 @@ def judge_limits(ident: Ident, config: StationConfig) -> Finding:
         make_program(filming_plan(config), config.controller, ident)
     except InputError as error:
         action = error.action or "Correct [controller] in station.toml, or the firmware's logic/pulses/limits.h."
-        return fault(error.message, action, subject="limits", figures=figures, code="pulse-limits-exceeded")
+        return fault("pulse-limits-exceeded", error.message, action, "limits", **figures)
     shown = ", ".join(f"{ticks * TICK_S * 1e6:g}" for ticks in longest[: ident.channels])
     message = f"longest pulses {shown} µs, lit at most 1/{1 << ident.led_duty_shift} of the time"
     lights = "the lights of station.toml respect them" if config.controller.lights else "no lights are configured"
-    return ok(f"{message}; {lights}", subject="limits", figures=figures)
+    return ok(f"{message}; {lights}", "limits", **figures)
 
 
 def judge_interlock(ident: Ident) -> Finding:
@@ -220,9 +218,9 @@ def judge_interlock(ident: Ident) -> Finding:
     try:
         check_interlock(ident)
     except DeviceError as error:
-        return fault(error.message, error.action, subject="interlock", code=error.code)
+        return fault(error.code, error.message, error.action, "interlock")
     message = f"the output 'line ready' falls at most {ident.ready_longest_ms} ms after the station is gone"
-    return ok(message, subject="interlock", figures={"ready_longest_ms": ident.ready_longest_ms})
+    return ok(message, "interlock", ready_longest_ms=ident.ready_longest_ms)
 
 
 def judge_status(status: Status) -> Finding:
@@ -235,22 +233,12 @@ def judge_status(status: Status) -> Finding:
         reason = Fault(status.fault).name.lower() if status.fault in set(Fault) else str(status.fault)
         action = "Start the station, which disarms it; find the cause in docs/internals/acquisition.md."
         return warning(
-            f"{message}; it has entered its safe state ({reason}).",
-            action,
-            subject="state",
-            figures=figures,
-            code="controller-safe",
+            "controller-safe", f"{message}; it has entered its safe state ({reason}).", action, "state", **figures
         )
     if status.state != State.IDLE:
         action = "End the program that armed it; the controller enters its safe state three seconds later."
-        return warning(
-            f"{message}, although no station runs here.",
-            action,
-            subject="state",
-            figures=figures,
-            code="controller-armed",
-        )
-    return ok(message, subject="state", figures=figures)
+        return warning("controller-armed", f"{message}, although no station runs here.", action, "state", **figures)
+    return ok(message, "state", **figures)
 
 
 def judge_encoder(reply: ControllerReply, line: Line) -> Finding:
@@ -264,18 +252,16 @@ def judge_encoder(reply: ControllerReply, line: Line) -> Finding:
     message = f"{counts} counts in {took_s:.2f} s, {speed_mm_s:.1f} mm/s by encoder.counts_per_mm"
     if counts < -BACKWARDS_COUNTS:
         action = "Exchange its channels A and B (hw/wiring.md), or check the direction of the belt."
-        return fault(
-            f"{message}: it counts backwards.", action, subject="encoder", figures=figures, code="encoder-backwards"
-        )
+        return fault("encoder-backwards", f"{message}: it counts backwards.", action, "encoder", **figures)
     if counts <= BACKWARDS_COUNTS:
         action = "Let the belt run and repeat vaoi doctor; if no count arrives then, check encoder, supply and cable."
         nothing = f"{message}: the belt is at rest, or it does not count."
-        return warning(nothing, action, subject="encoder", figures=figures, code="encoder-still")
+        return warning("encoder-still", nothing, action, "encoder", **figures)
     if abs(speed_mm_s - line.speed_mm_s) > SPEED_SHARE * line.speed_mm_s:
         action = "Correct counts_per_mm under [line.encoder], or conveyor_mm_s; the belt may not have its speed yet."
         nominal = f"{message}, but conveyor_mm_s is {line.speed_mm_s:g} mm/s."
-        return warning(nominal, action, subject="encoder", figures=figures, code="encoder-speed")
-    return ok(message, subject="encoder", figures=figures)
+        return warning("encoder-speed", nominal, action, "encoder", **figures)
+    return ok(message, "encoder", **figures)
 
 
 def judge_clock(readings: Sequence[ClockReading], period_s: float) -> Finding:
@@ -289,8 +275,8 @@ def judge_clock(readings: Sequence[ClockReading], period_s: float) -> Finding:
     if bound_s > (limit_s := min(CLOCK_LIMIT_S, CLOCK_SHARE * period_s)):
         message = f"{message}, but the limit for this trigger period is {limit_s * 1e3:g} ms."
         action = "Connect it without a hub; install -m 644 deploy/71-vaoi-controller.rules /etc/udev/rules.d/."
-        return fault(message, action, subject="clock", figures=figures, code="clock-unknown")
-    return ok(message, subject="clock", figures=figures)
+        return fault("clock-unknown", message, action, "clock", **figures)
+    return ok(message, "clock", **figures)
 
 
 def _group(gid: int) -> str:

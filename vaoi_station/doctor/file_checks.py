@@ -36,7 +36,7 @@ def calibration(context: CheckContext) -> Iterator[Finding]:
             "vaoi record --config station.toml --out board-film --still; vaoi calibrate board-film: "
             "docs/engineering/calibration.md"
         )
-        yield fault(error.message, error.action or first, code="calibration-unusable", figures={"path": str(path)})
+        yield fault("calibration-unusable", error.message, error.action or first, path=str(path))
         return
     made = f", made {read.created}" if read.created else ""
     yield ok(f"{path}: {len(read.camera_matrices)} cameras{made}")
@@ -47,35 +47,35 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
     directory = context.config.board_types
     if not is_directory(directory):
         yield fault(
+            "board-types-absent",
             f"there is no directory {directory}, or this user cannot see it.",
             f"install -d -o $USER {directory}",
-            code="board-types-absent",
-            figures={"path": str(directory)},
+            path=str(directory),
         )
         return
     files = BoardTypeDirectory(directory).list()
     for file in files:
         if file.fault is not None:
             action = file.fault.action or "Correct the file; docs/formats.md describes it."
-            yield fault(file.fault.message, action, subject=file.path.name, code="board-type-unreadable")
+            yield fault("board-type-unreadable", file.fault.message, action, file.path.name)
     sound = [file.board_type.name for file in files if file.board_type is not None]
     if not files:
         yield warning(
+            "board-types-empty",
             f"{directory} is empty: the station cannot be armed without a board type.",
             "Put a board type there, NAME.json: docs/formats.md.",
-            code="board-types-empty",
-            figures={"path": str(directory)},
+            path=str(directory),
         )
     elif not writable(directory):
         yield warning(
+            "board-types-read-only",
             f"{directory} cannot be written to: board types cannot be stored by REST.",
             f"chown vaoi {directory}",
-            code="board-types-read-only",
-            figures={"path": str(directory)},
+            path=str(directory),
         )
     elif sound:
         types = "1 board type" if len(sound) == 1 else f"{len(sound)} board types"
-        yield ok(f"{directory}: {types} can be read", figures={"board_types": len(sound)})
+        yield ok(f"{directory}: {types} can be read", board_types=len(sound))
 
 
 def flat_fields(context: CheckContext) -> Iterator[Finding]:
@@ -90,9 +90,7 @@ def flat_fields(context: CheckContext) -> Iterator[Finding]:
         heads = [camera.head for camera in config.cameras]
         fields.check(heads, config.known_lights or fields.named_lights)
     except VaoiError as error:
-        yield fault(
-            error.message, error.action or again, code="flat-fields-unusable", figures={"path": str(config.flat_fields)}
-        )
+        yield fault("flat-fields-unusable", error.message, error.action or again, path=str(config.flat_fields))
         return
     for board_type in _sound_board_types(config):
         if board_type.program:
@@ -100,19 +98,19 @@ def flat_fields(context: CheckContext) -> Iterator[Finding]:
                 fields.check(heads, [step.light for step in board_type.program])
             except VaoiError as error:
                 yield warning(
+                    "flat-fields-lack-program",
                     f"board type {board_type.name!r}: {error.message}",
                     error.action or again,
-                    code="flat-fields-lack-program",
-                    figures={"board_type": board_type.name},
+                    board_type=board_type.name,
                 )
     days = fields.age_days(datetime.now(UTC))
     if days is not None and days > EXPIRED_DAYS:
         yield warning(
+            "flat-fields-old",
             f"{config.flat_fields}: the flat fields are {days:.0f} days old and expire after {EXPIRED_DAYS}: lamps "
             "age, and dust settles on lenses.",
             again,
-            figures={"days": round(days)},
-            code="flat-fields-old",
+            days=round(days),
         )
         return
     age = "" if days is None else f", {days:.0f} days old"
@@ -142,12 +140,7 @@ def programs(context: CheckContext) -> Iterator[Finding]:
         except InputError as error:
             wrong = True
             action = error.action or "Correct it; docs/engineering/light.md describes programs and their limits."
-            yield fault(
-                error.message,
-                action,
-                subject="station" if board_type is None else board_type.name,
-                code="program-unusable",
-            )
+            yield fault("program-unusable", error.message, action, "station" if board_type is None else board_type.name)
     if not wrong:
         station = f"{len(config.program)} steps in station.toml" if config.program else "none in station.toml"
         yield ok(f"{station}, {len(own)} of {len(sound)} board types with a program or a line of their own")
@@ -163,9 +156,9 @@ def stand_ins(context: CheckContext) -> Iterator[Finding]:
         check_backends(context.config)
     except VaoiError as error:
         yield fault(
+            "stand-in-unusable",
             error.message,
             error.action or "Correct the tables [simulation] or [replay] of station.toml.",
-            code="stand-in-unusable",
         )
         return
     yield ok(
@@ -180,11 +173,11 @@ def readable_by_others(path: Path, what: str, subject: str) -> Iterator[Finding]
     """Warn of a file with a secret that every user of the machine can read."""
     if path.stat().st_mode & _OTHERS:
         yield warning(
+            "secret-not-private",
             f"{what} in {path} can be read by every user.",
             f"chmod o= {path}",
-            subject=subject,
-            code="secret-not-private",
-            figures={"path": str(path)},
+            subject,
+            path=str(path),
         )
 
 
@@ -201,24 +194,24 @@ def station_certificate(context: CheckContext) -> Iterator[Finding]:
         CertificateFiles(api.certificate, api.private_key)
         end = valid_until(api.certificate)
     except InputError as error:
-        yield fault(error.message, error.action, code="certificate-unusable")
+        yield fault("certificate-unusable", error.message, error.action)
         return
     yield from readable_by_others(api.private_key, "the private key of the station", "")
     if end is None:
-        yield ok(f"{api.certificate} and its private key fit each other", figures={"path": str(api.certificate)})
+        yield ok(f"{api.certificate} and its private key fit each other", path=str(api.certificate))
         return
     left = end - datetime.now(UTC)
     date = f"{end:%Y-%m-%d %H:%M} UTC"
     figures: Figures = {"path": str(api.certificate), "days": left.days}
     if left < EARLY:
         yield warning(
+            "certificate-expires",
             f"{api.certificate} is valid until {date} only: callers refuse it then.",
             "Replace certificate and private key; the station reads them again without a restart.",
-            code="certificate-expires",
-            figures=figures,
+            **figures,
         )
     else:
-        yield ok(f"{api.certificate} is valid until {date}", figures=figures)
+        yield ok(f"{api.certificate} is valid until {date}", **figures)
 
 
 def receivers(context: CheckContext) -> Iterator[Finding]:
@@ -236,7 +229,7 @@ def receivers(context: CheckContext) -> Iterator[Finding]:
 def _broker(broker: MqttConfig) -> Iterator[Finding]:
     if importlib.util.find_spec("paho") is None:
         message = f"push.mqtt: {broker.host} is configured, but the package paho-mqtt is absent."
-        yield warning(message, "pip install 'vaoi-station[mqtt]'", subject="mqtt", code="mqtt-package-absent")
+        yield warning("mqtt-package-absent", message, "pip install 'vaoi-station[mqtt]'", "mqtt")
     if broker.password_file is not None:
         figures: Figures = {"path": str(broker.password_file)}
         message, action = f"push.mqtt.password_file: {broker.password_file} is empty.", "Write the password."
@@ -246,7 +239,7 @@ def _broker(broker: MqttConfig) -> Iterator[Finding]:
             unusable, message = True, f"push.mqtt.password_file: {error.message}"
             action = error.action or "Write the password to it, and make it readable to the service."
         if unusable:
-            yield warning(message, action, subject="mqtt", code="mqtt-password-unusable", figures=figures)
+            yield warning("mqtt-password-unusable", message, action, "mqtt", **figures)
         if broker.password_file.is_file():
             yield from readable_by_others(broker.password_file, "push.mqtt: the password", "mqtt")
     if broker.ca is not None:
@@ -255,7 +248,7 @@ def _broker(broker: MqttConfig) -> Iterator[Finding]:
         except OSError as error:
             message = f"push.mqtt.ca: {broker.ca} cannot be read as PEM certificates ({error})."
             figures = {"path": str(broker.ca)}
-            yield warning(message, "Give a PEM file.", subject="mqtt", code="certificate-unusable", figures=figures)
+            yield warning("certificate-unusable", message, "Give a PEM file.", "mqtt", **figures)
     if broker.certificate is not None and broker.private_key is not None:
         try:
             # Without a password here, an encrypted key would be asked for at the terminal.
@@ -263,4 +256,4 @@ def _broker(broker: MqttConfig) -> Iterator[Finding]:
         except (OSError, ValueError) as error:
             message = f"push.mqtt: {broker.certificate} and {broker.private_key} cannot be used ({error})."
             action = "Give a certificate and its private key as PEM files without a password."
-            yield warning(message, action, subject="mqtt", code="certificate-unusable")
+            yield warning("certificate-unusable", message, action, "mqtt")

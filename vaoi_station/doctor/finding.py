@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 FORMAT, VERSION = "vaoi-doctor", 1
-Figures = Mapping[str, float | int | str | bool | None]
+Figure = float | int | str | bool | None
+Figures = Mapping[str, Figure]
 """Values for programs: measured ones with units in the names, and files or names that the message states."""
 
 
@@ -41,19 +42,19 @@ class Finding:
     """What is wrong, for programs and translations (docs/codes.md); empty without a problem."""
 
 
-def ok(message: str, *, subject: str = "", figures: Figures | None = None) -> Finding:
+def ok(message: str, subject: str = "", **figures: Figure) -> Finding:
     """Make a finding without a problem."""
-    return Finding(Level.OK, message, subject=subject, figures=figures or {})
+    return Finding(Level.OK, message, "", subject, figures)
 
 
-def warning(message: str, action: str, *, code: str, subject: str = "", figures: Figures | None = None) -> Finding:
+def warning(code: str, message: str, action: str, subject: str = "", **figures: Figure) -> Finding:
     """Make a finding of a problem with which the station can still film."""
-    return Finding(Level.WARNING, message, action, subject, figures or {}, code=code)
+    return Finding(Level.WARNING, message, action, subject, figures, code=code)
 
 
-def fault(message: str, action: str, *, code: str, subject: str = "", figures: Figures | None = None) -> Finding:
+def fault(code: str, message: str, action: str, subject: str = "", **figures: Figure) -> Finding:
     """Make a finding of a problem because of which the station cannot film."""
-    return Finding(Level.FAULT, message, action, subject, figures or {}, code=code)
+    return Finding(Level.FAULT, message, action, subject, figures, code=code)
 
 
 def not_applicable(message: str) -> Finding:

@@ -75,7 +75,7 @@ def judge_cache_of_service(unit: ServiceUnit) -> Finding:
     except KeyError:
         message = f"the user {unit.user} of the service does not exist."
         action = f"useradd --system {unit.user}"
-        return fault(message, action, code="service-user-absent", figures={"user": unit.user})
+        return fault("service-user-absent", message, action, user=unit.user)
     action = f"install -d -o {unit.user} -g {unit.user} -m 750 {unit.cache}"
     figures: Figures = {"path": str(unit.cache)}
     try:
@@ -85,14 +85,14 @@ def judge_cache_of_service(unit: ServiceUnit) -> Finding:
         return ok(f"will be stored in {unit.cache} by the service")
     except OSError as error:
         message = f"{unit.cache}, the cache of the service, cannot be examined ({error.strerror})."
-        return warning(message, action, code="code-cache-unusable", figures=figures)
+        return warning("code-cache-unusable", message, action, **figures)
     groups = os.getgrouplist(unit.user, user.pw_gid)
     mode = status.st_mode >> (6 if status.st_uid == user.pw_uid else 3 if status.st_gid in groups else 0)
     if stat.S_ISDIR(status.st_mode) and (mode & 0o3 == 0o3 or user.pw_uid == 0):
         return ok(f"is stored in {unit.cache} by the service")
     message = f"{unit.cache} cannot be written to by {unit.user}, the user of the service: "
     message += "every start compiles for about a minute."
-    return warning(message, action, code="code-cache-unusable", figures=figures)
+    return warning("code-cache-unusable", message, action, **figures)
 
 
 def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
@@ -110,7 +110,7 @@ def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
         message = f"neither {defaults[0]} nor {defaults[1]} can be written to"
         action = "Set NUMBA_CACHE_DIR to a directory of this user, as deploy/vaoi-station.service does."
     message += ": every start compiles for about a minute."
-    return warning(message, action, code="code-cache-unusable", figures={"path": str(places[-1])})
+    return warning("code-cache-unusable", message, action, path=str(places[-1]))
 
 
 def wall_clock(_: Machine) -> Iterator[Finding]:
@@ -128,9 +128,9 @@ def judge_wall_clock(state: int, max_error_us: int) -> Finding:
         return not_applicable("the kernel does not report whether the wall clock is synchronised")
     if state == TIME_ERROR:
         message = "the wall clock is not synchronised: names and times of runs drift away from those of other machines."
-        return warning(message, "timedatectl set-ntp true", figures={"synchronised": False}, code="wall-clock-free")
+        return warning("wall-clock-free", message, "timedatectl set-ntp true", synchronised=False)
     figures: Figures = {"synchronised": True, "max_error_ms": round(max_error_us / 1e3, 3)}
-    return ok(f"synchronised, error at most {max_error_us / 1e3:.0f} ms", figures=figures)
+    return ok(f"synchronised, error at most {max_error_us / 1e3:.0f} ms", **figures)
 
 
 def ring_space(context: CheckContext) -> Iterator[Finding]:
@@ -139,16 +139,16 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
     figures: Figures = {"path": str(directory)}
     if not is_directory(directory):
         action = "mount -t tmpfs tmpfs /dev/shm, or set [ring] directory"
-        yield fault(f"there is no directory {directory} for the ring.", action, code="ring-directory", figures=figures)
+        yield fault("ring-directory", f"there is no directory {directory} for the ring.", action, **figures)
         return
     if context.running is not None:
         message = f"{context.running.description} holds the ring of {format_bytes(needed)}"
-        yield ok(message, figures={"ring_bytes": needed})
+        yield ok(message, ring_bytes=needed)
         return
     if not writable(directory):
         action = "chmod 1777 /dev/shm, or set [ring] directory"
         message = f"{directory} cannot be written to by this user."
-        yield fault(message, action, code="ring-directory", figures=figures)
+        yield fault("ring-directory", message, action, **figures)
         return
     space = os.statvfs(directory)
     yield _judge_ring(context, needed, space.f_bavail * space.f_frsize, context.machine.available_memory())
@@ -156,7 +156,7 @@ def ring_space(context: CheckContext) -> Iterator[Finding]:
     kind = context.machine.filesystem_of(directory)
     if kind not in {"tmpfs", "ramfs", "hugetlbfs", None}:
         message = f"{directory} is on {kind}, not in memory: writing frames would wait for a disk."
-        yield warning(message, "Set [ring] directory to /dev/shm.", code="ring-on-disk", figures=figures)
+        yield warning("ring-on-disk", message, "Set [ring] directory to /dev/shm.", **figures)
 
 
 def _judge_ring(context: CheckContext, needed: int, free: int, available: int | None) -> Finding:
@@ -170,14 +170,14 @@ def _judge_ring(context: CheckContext, needed: int, free: int, available: int | 
         # The ring's pages count against the tmpfs limit; a tenth more leaves space for other programs' files.
         remount = f"mount -o remount,size={round(needed * 1.1 / 2**20) + 1}M {directory}"
         message += f"; {directory} has {format_bytes(free)} free."
-        return fault(message, f"{remount}; or: {_SMALLER}.", figures=figures, code="ring-too-large")
+        return fault("ring-too-large", message, f"{remount}; or: {_SMALLER}.", **figures)
     if available is not None and available < needed:
         message += f"; the machine has {format_bytes(available)} of memory left."
-        return fault(message, f"{_SMALLER}.", figures=figures, code="ring-too-large")
+        return fault("ring-too-large", message, f"{_SMALLER}.", **figures)
     if available is not None and available < 1.5 * needed:
         message += f"; only {format_bytes(available - needed)} of memory remain for all other programs."
-        return warning(message, f"{_SMALLER}.", figures=figures, code="memory-scarce")
-    return ok(f"{message}; {directory} has {format_bytes(free)} free", figures=figures)
+        return warning("memory-scarce", message, f"{_SMALLER}.", **figures)
+    return ok(f"{message}; {directory} has {format_bytes(free)} free", **figures)
 
 
 def lock_limit(context: CheckContext) -> Iterator[Finding]:
@@ -197,21 +197,21 @@ def judge_locked(locked: int | None, needed: int, pid: int) -> Finding:
     """Judge how much memory a running station has locked."""
     figures: Figures = {"locked_bytes": locked, "ring_bytes": needed}
     if locked is not None and locked >= needed:
-        return ok(f"process {pid} has locked its ring, {format_bytes(locked)}", figures=figures)
+        return ok(f"process {pid} has locked its ring, {format_bytes(locked)}", **figures)
     message = f"process {pid} has not locked its ring: frames are late when memory is short."
-    return warning(message, _LOCK, figures=figures, code="ring-not-locked")
+    return warning("ring-not-locked", message, _LOCK, **figures)
 
 
 def judge_lock(limit: int, needed: int) -> Finding:
     """Judge the limit of this user for locked memory (RLIMIT_MEMLOCK)."""
     figures: Figures = {"limit_bytes": limit, "ring_bytes": needed}
     if limit == resource.RLIM_INFINITY:
-        return ok("this user may lock memory without limit", figures=figures)
+        return ok("this user may lock memory without limit", **figures)
     message = f"this user may lock {format_bytes(limit)} of memory"
     if limit >= needed:
-        return ok(message, figures=figures)
+        return ok(message, **figures)
     message += f", the ring has {format_bytes(needed)}: frames are late when memory is short."
-    return warning(message, _LOCK, figures=figures, code="lock-limit-low")
+    return warning("lock-limit-low", message, _LOCK, **figures)
 
 
 def socket_buffers(context: CheckContext) -> Iterator[Finding]:
@@ -230,14 +230,14 @@ def judge_buffers(granted: int | None, needed: int) -> Finding:
     figures: Figures = {"rmem_max_bytes": granted, "needed_bytes": needed}
     if granted is None:
         action = "Run sysctl net.core.rmem_max and correct what it reports."
-        return fault("net.core.rmem_max cannot be read.", action, figures=figures, code="socket-buffer-unknown")
+        return fault("socket-buffer-unknown", "net.core.rmem_max cannot be read.", action, **figures)
     message = f"net.core.rmem_max is {format_bytes(granted)}, "
     if granted >= needed:
-        return ok(f"{message}{format_bytes(needed)} are needed", figures=figures)
+        return ok(f"{message}{format_bytes(needed)} are needed", **figures)
     message += f"but a camera sends {format_bytes(needed)} in a second: frames are lost when the machine stalls."
     action = f"sysctl -w net.core.rmem_max={2 ** math.ceil(math.log2(needed))}; permanently: "
     action += "install -m 644 deploy/60-vaoi.conf /etc/sysctl.d/"
-    return warning(message, action, figures=figures, code="socket-buffer-small")
+    return warning("socket-buffer-small", message, action, **figures)
 
 
 def usb_memory(context: CheckContext) -> Iterator[Finding]:
@@ -257,8 +257,8 @@ def judge_usb_memory(granted_mb: int | None, cameras: int) -> Finding:
     if granted_mb is None:
         return not_applicable("this machine has no USB")
     if not 0 < granted_mb < needed_mb:
-        return ok(f"usbfs_memory_mb is {granted_mb or 'without limit'}, {needed_mb} are needed", figures=figures)
+        return ok(f"usbfs_memory_mb is {granted_mb or 'without limit'}, {needed_mb} are needed", **figures)
     message = f"usbfs_memory_mb is {granted_mb}, {cameras} cameras on USB need {needed_mb}: the last ones do not start."
     action = f"echo 256 > /{USB_PARAMETER}; permanently: "
     action += "install -m 644 deploy/vaoi-usb-memory.conf /etc/tmpfiles.d/"
-    return fault(message, action, figures=figures, code="usb-memory-small")
+    return fault("usb-memory-small", message, action, **figures)

@@ -119,7 +119,7 @@ def _run_check(name: str, check: Callable[[T], Iterable[Finding]], subject: T) -
     except Exception as error:  # noqa: BLE001  (one broken check must not hide what the others find)
         message = f"the check itself failed: {type(error).__name__}: {error}"
         action = "Report this with the output of vaoi doctor --json."
-        return [replace(fault(message, action, code="check-failed"), check=name)]
+        return [replace(fault("check-failed", message, action), check=name)]
 
 
 def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]]:
@@ -129,8 +129,8 @@ def _read_configuration(path: Path) -> tuple[StationConfig | None, list[Finding]
         return None, [_wrong(error.message, error.action)]
     backends = sorted({config.controller.backend, *(c.backend for c in config.cameras)})
     message = f"{path}: {len(config.cameras)} cameras, {' and '.join(backends)}"
-    return config, [replace(ok(message, figures={"cameras": len(config.cameras)}), check="configuration")]
+    return config, [replace(ok(message, cameras=len(config.cameras)), check="configuration")]
 
 
 def _wrong(message: str, action: str = "") -> Finding:
-    return replace(fault(message, action or REMEDY, code="configuration-wrong"), check="configuration")
+    return replace(fault("configuration-wrong", message, action or REMEDY), check="configuration")

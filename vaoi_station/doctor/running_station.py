@@ -162,16 +162,16 @@ def station(context: CheckContext) -> Iterator[Finding]:
         return
     if running.no_reply_reason:
         yield warning(
+            "station-silent",
             f"{running.description} uses the station's ring, but no station replies at port {api.port} "
             f"({running.no_reply_reason}); it is starting, or it is vaoi record.",
             running.inspect_command,
-            code="station-silent",
         )
         return
     snapshot = running.snapshot
     yield ok(
         f"runs as {running.description}, state {snapshot['state']!r}; its devices are not opened",
-        figures={"state": str(snapshot["state"])},
+        state=str(snapshot["state"]),
     )
     level = fault if snapshot["state"] == "faulted" else warning
     yield from (_from_reason(level, reason) for reason in snapshot.get("reasons", ()))
@@ -180,7 +180,7 @@ def station(context: CheckContext) -> Iterator[Finding]:
 
 def _from_reason(level: Callable[..., Finding], reason: dict[str, Any]) -> Finding:
     code = str(reason.get("code"))
-    return level(str(reason.get("message")), str(reason.get("action") or ""), subject=code, code=code)
+    return level(code, str(reason.get("message")), str(reason.get("action") or ""), code)
 
 
 def _port(api: ApiConfig) -> Finding:
@@ -190,10 +190,10 @@ def _port(api: ApiConfig) -> Finding:
         with socket.create_connection(address, timeout=TIMEOUT_S):
             pass
     except OSError:
-        return ok(f"is not running; port {api.port} is free", figures={"port": api.port})
+        return ok(f"is not running; port {api.port} is free", port=api.port)
     return fault(
+        "api-port-in-use",
         f"is not running, but another program listens at {address[0]}:{api.port}.",
         f"Find it by ss -ltnp 'sport = :{api.port}' and end it, or set [api] port in station.toml.",
-        figures={"port": api.port},
-        code="api-port-in-use",
+        port=api.port,
     )

@@ -31,18 +31,18 @@ def data(context: CheckContext) -> Iterator[Finding]:
     there = nearest(directory)
     if not there.is_dir():
         yield fault(
+            "data-no-directory",
             f"{there} is not a directory.",
             "Name another directory as `data` in station.toml.",
-            code="data-no-directory",
-            figures={"path": str(there)},
+            path=str(there),
         )
         return
     if not writable(directory):
         yield fault(
+            "data-read-only",
             f"{directory} cannot be written to by this user (uid {os.geteuid()}).",
             f"chown vaoi {there}, or run vaoi doctor as the user of the service: runuser -u vaoi -- vaoi doctor …",
-            code="data-read-only",
-            figures={"path": str(directory)},
+            path=str(directory),
         )
         return
     space = os.statvfs(there)
@@ -60,33 +60,31 @@ def database(path: Path) -> Iterator[Finding]:
             yield from _judge_database(path)
         except (sqlite3.DatabaseError, OSError) as error:
             yield fault(
+                "database-unsound",
                 f"{path}: is not a sound database ({error}).",
                 "Restore a backup, or let the station set it aside at its next start and begin anew.",
-                code="database-unsound",
-                figures={"path": str(path)},
+                path=str(path),
             )
     elif path.with_name(f"{path.name}.begun").exists():
         yield warning(
+            "database-gone",
             f"{path}: there was a database, and it is gone.",
             "Restore a backup, if there is one.",
-            code="database-gone",
-            figures={"path": str(path)},
+            path=str(path),
         )
     known = acknowledged_files(path)
     for kept in sorted({*path.parent.glob(f"{path.name}.damaged-*[0-9Z]")} - known):
         yield warning(
+            "database-damaged",
             f"{kept}: was set aside because it was damaged.",
             f"Recover it (sqlite3 {kept.name} .recover), check the disk, then delete it.",
-            code="database-damaged",
-            figures={"path": str(kept)},
+            path=str(kept),
         )
 
 
 def _judge_database(path: Path) -> Iterator[Finding]:
     if not path.is_file():
-        yield fault(
-            f"{path}: is not a regular file.", "Move it away.", code="database-no-file", figures={"path": str(path)}
-        )
+        yield fault("database-no-file", f"{path}: is not a regular file.", "Move it away.", path=str(path))
         return
     # Opened for reading only, so that no log is applied and no file is made; the station may be running.
     connection = sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True, timeout=1)
@@ -97,18 +95,13 @@ def _judge_database(path: Path) -> Iterator[Finding]:
         connection.close()
     if version > VERSION:
         yield fault(
+            "database-newer",
             f"{path}: has version {version} of the tables; this software knows versions up to {VERSION}.",
             "Start the newer vaoi_station that wrote it.",
-            code="database-newer",
-            figures={"path": str(path)},
+            path=str(path),
         )
     elif tables and "runs" not in tables:
-        yield fault(
-            f"{path}: is a database of another program.",
-            "Move it away.",
-            code="database-foreign",
-            figures={"path": str(path)},
-        )
+        yield fault("database-foreign", f"{path}: is a database of another program.", "Move it away.", path=str(path))
 
 
 def judge_space(space: os.statvfs_result, where: str) -> Finding:
@@ -118,27 +111,27 @@ def judge_space(space: os.statvfs_result, where: str) -> Finding:
     # Some file systems, such as btrfs, report no inodes at all (f_files is 0): they have no such limit.
     if space.f_files and not space.f_favail:
         return fault(
+            "inodes-used-up",
             f"{where}: no file can be created, because all inodes are in use.",
             f"Delete files; df -i {where} shows the inodes in use.",
-            figures=figures,
-            code="inodes-used-up",
+            **figures,
         )
     message = f"{where}: {format_bytes(free)} free"
     if free < SCANT_BYTES:
         return fault(
+            "disk-space-short",
             f"{message}, {format_bytes(SCANT_BYTES)} are needed.",
             f"Delete files; du -xh -d 2 {where} | sort -h lists the largest directories.",
-            figures=figures,
-            code="disk-space-short",
+            **figures,
         )
     if free < LITTLE_BYTES:
         return warning(
+            "disk-space-short",
             f"{message}, less than {format_bytes(LITTLE_BYTES)}; kept recordings need more.",
             f"Delete files; du -xh -d 2 {where} | sort -h lists the largest directories.",
-            figures=figures,
-            code="disk-space-short",
+            **figures,
         )
-    return ok(message, figures=figures)
+    return ok(message, **figures)
 
 
 def bytes_in_use(directory: Path) -> int:
@@ -168,7 +161,7 @@ def judge_quotas(space: os.statvfs_result, used_bytes: int, keep: KeepConfig, wh
     needed = (keep.database_gb + keep.mosaics_gb) * 1e9 + (recordings + DISK_RESERVE if recordings else 0)
     figures: Figures = {"free_bytes": free, "used_bytes": used_bytes, "quota_bytes": needed}
     if free + used_bytes >= needed:
-        return ok(f"{where}: {format_bytes(free)} free", figures=figures)
+        return ok(f"{where}: {format_bytes(free)} free", **figures)
     allowed = f"{keep.database_gb:g} GB for the database, {keep.mosaics_gb:g} GB for pictures of boards" + (
         f", {keep.recordings_gb:g} GB for recordings and {format_bytes(DISK_RESERVE)} as a reserve"
         if recordings
@@ -176,10 +169,10 @@ def judge_quotas(space: os.statvfs_result, used_bytes: int, keep: KeepConfig, wh
     )
     short = needed - free - used_bytes
     return warning(
+        "disk-below-quotas",
         f"{where}: {format_bytes(free)} free and {format_bytes(used_bytes)} in use by the station are "
         f"{format_bytes(short)} less than [keep] allows ({allowed}): recordings, then old runs, will be deleted "
         "before their time.",
         "Lower [keep] database_gb or recordings_gb in station.toml, or move `data` to a larger disk.",
-        figures=figures,
-        code="disk-below-quotas",
+        **figures,
     )

@@ -75,8 +75,8 @@ def found_by_the_doctor() -> Report:
         camera_checks.judge_version((0, 8, 26), "3.42.2", 2),
         machine_checks.judge_cache_of_service(machine_checks.ServiceUnit("no-such-user", Path("/cache"))),
         controller_checks.judge_port(Path("/dev/vaoi-absent"), Machine()),
-        warning("Disk is full.", "Free space.", code="storage-full"),
-        fault("Newer.", "Read on.", code="newer-code"),
+        warning("storage-full", "Disk is full.", "Free space."),
+        fault("newer-code", "Newer.", "Read on."),
     )
     return Report("s", "station.toml", "2026-01-01T00:00:00Z", "host", "1.0", None, findings)
 
