@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from vaoi_station.files.documents import write_bytes
 from vaoi_station.reporting.drawing import Section, facts, number, page, table, tag, text
 
 if TYPE_CHECKING:
@@ -202,20 +201,12 @@ GROUP BY m.board_type, m.component
 _FIRST = " ORDER BY changed DESC, sigmas DESC NULLS LAST, 1, 2 LIMIT ?"
 
 
-def write_changes(
-    path: Path, changes: Changes, terms: list[tuple[str, str]], left_out: list[str], unequal: Sequence[str] = ()
-) -> None:
-    """Write the comparison as a file. The file is complete, or it is not written at all."""
-    write_bytes(path, render_changes(changes, terms, left_out, unequal).encode())
-
-
 def render_changes(
     changes: Changes, terms: list[tuple[str, str]], left_out: list[str], unequal: Sequence[str] = ()
 ) -> str:
     """Return the comparison as an HTML document.
 
     Args:
-        changes: the comparison.
         terms: name and value of everything that the runs were stitched with.
         left_out: what was left out, and why, in sentences.
         unequal: which runs were not stitched with all that their station used, in sentences.

@@ -111,8 +111,8 @@ class ArchivedRun(Strict):
 
     @property
     def key(self) -> str:
-        """Place of the manifest in the archive."""
-        return manifest_key(self.station, self.time, self.run)
+        """Place of the manifest: by station and day, so that a selection lists only what it needs."""
+        return f"{RUNS}/{station_folder(self.station)}/{self.time[:10]}/{self.run}.json"
 
     @property
     def draft_key(self) -> str:
@@ -138,11 +138,6 @@ class ArchivedRun(Strict):
     def digest(self) -> str:
         """Digest of the manifest, 16 hex digits: equal runs have equal ones."""
         return digest_of(self.text().encode())[:16]
-
-
-def manifest_key(station: str, time: str, run: str) -> str:
-    """Return the place of a manifest: by station and day, so that a selection lists only what it needs."""
-    return f"{RUNS}/{station_folder(station)}/{time[:10]}/{run}.json"
 
 
 def station_folder(station: str) -> str:

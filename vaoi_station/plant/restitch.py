@@ -27,7 +27,7 @@ from vaoi_station.files.results import stitch_document
 from vaoi_station.model import ReasonCode, Status, Stitch
 from vaoi_station.plant.addition import REFERENCE
 from vaoi_station.plant.archive import Archive, RunSelection
-from vaoi_station.plant.changes import Changes, compare, write_changes
+from vaoi_station.plant.changes import Changes, compare, render_changes
 from vaoi_station.plant.cluster import ClusterOptions, Dispatch, Outcome, cluster_address, dashboard_link, perform
 from vaoi_station.plant.manifest import ArchivedRun, StationRecord, read_record
 from vaoi_station.plant.selected_runs import SelectedRuns
@@ -329,7 +329,8 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
         session.progress(finished, selected.runs)
     write_tables(session.out / TABLES, _done(session, tasks))
     changes = compare(session.out / TABLES)
-    write_changes(session.out / REPORT, changes, _terms(session), session.left_out, _unequal(session))
+    report = render_changes(changes, _terms(session), session.left_out, _unequal(session))
+    write_bytes(session.out / REPORT, report.encode())
     write_json(session.out / FAULTS, session.left_out)
     write_json(session.out / UNEQUAL, session.unequal)
     return Summary(len(tasks), finished, stitched, tuple(session.left_out), session.unequal, changes)
