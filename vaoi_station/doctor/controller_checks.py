@@ -170,7 +170,7 @@ def judge_port(port: Path, machine: Machine) -> Finding:
             path=str(port),
             process=holders[0].pid,
         )
-    return ok(f"{port} → {port.resolve()}, free" if port.is_symlink() else f"{port}, free", subject="port")
+    return ok(f"{port} → {port.resolve()}, free" if port.is_symlink() else f"{port}, free", "port")
 
 
 def judge_latency(port: Path, machine: Machine) -> Iterator[Finding]:

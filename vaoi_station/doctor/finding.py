@@ -42,17 +42,17 @@ class Finding:
     """What is wrong, for programs and translations (docs/codes.md); empty without a problem."""
 
 
-def ok(message: str, subject: str = "", **figures: Figure) -> Finding:
+def ok(message: str, subject: str = "", /, **figures: Figure) -> Finding:
     """Make a finding without a problem."""
     return Finding(Level.OK, message, "", subject, figures)
 
 
-def warning(code: str, message: str, action: str, subject: str = "", **figures: Figure) -> Finding:
+def warning(code: str, message: str, action: str, subject: str = "", /, **figures: Figure) -> Finding:
     """Make a finding of a problem with which the station can still film."""
     return Finding(Level.WARNING, message, action, subject, figures, code=code)
 
 
-def fault(code: str, message: str, action: str, subject: str = "", **figures: Figure) -> Finding:
+def fault(code: str, message: str, action: str, subject: str = "", /, **figures: Figure) -> Finding:
     """Make a finding of a problem because of which the station cannot film."""
     return Finding(Level.FAULT, message, action, subject, figures, code=code)
 
