@@ -95,11 +95,7 @@ def cut_merged(
 
 
 def _taken(head: RecordingHead, light: str | None) -> dict[tuple[int, int], Taken]:
-    """Return what the frames (camera, row) were taken with; only those of one light, because metal differs under each.
-
-    Raises:
-        InputError: no frame has this light.
-    """
+    """Return what the frames (camera, row) of one light were taken with: metal differs under each."""
     every = {
         (i, j): Taken(head.exposure_us(i, j), head.gain(i, j), head.light(j) or None)
         for i in range(len(head.cameras))

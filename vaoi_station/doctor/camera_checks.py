@@ -144,11 +144,7 @@ def _search_hint(camera: CameraConfig, error: VaoiError) -> str:
 
 
 def ask(camera: CameraConfig) -> Offered:
-    """Open a camera, read its capabilities, and close it.
-
-    Raises:
-        DeviceError, InputError: the camera does not reply, or refuses to be opened.
-    """
+    """Open a camera, read its capabilities, and close it; DeviceError or InputError if it refuses."""
     with OPENING_LOCK, _opened(camera) as opened:
         device = opened.get_device()
         port = address = ""

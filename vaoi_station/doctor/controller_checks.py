@@ -109,11 +109,7 @@ def of_running_station(context: CheckContext) -> Finding:
 
 
 def ask(settings: ControllerConfig) -> ControllerReply:
-    """Read identity, status and clock readings from the controller.
-
-    Raises:
-        DeviceError: the controller does not reply, or not as expected.
-    """
+    """Read identity, status and clock readings; DeviceError if the controller does not reply as expected."""
     with closing(Waker()) as waker, closing(Port(settings.port, settings.baud, waker)) as port:
         exchange = Exchange(port, Link(), lambda _news, _heard_s: None, settings.port)
         ident = check_ident(exchange.identify())
@@ -296,11 +292,7 @@ def toggle_line_output(
 ) -> None:
     """Switch the output high and low in turn; `show` receives what to expect at each level. It ends low.
 
-    The firmware permits this only while no station has armed it. If this program ends, the firmware lowers the output
-    by itself within a second.
-
-    Raises:
-        DeviceError: the controller does not reply, has no such output, is armed, or the output does not follow.
+    The firmware permits this only while no station has armed it, and lowers the output within a second if this ends.
     """
     with closing(Waker()) as waker, closing(Port(settings.port, settings.baud, waker)) as port:
         exchange = Exchange(port, Link(), lambda _news, _heard_s: None, settings.port)

@@ -82,10 +82,6 @@ def request(
 
     Of the reply at most about `most_bytes` are read. Reading ends early after `timeout_s`, or when `complete` is true
     of what was read: the stream of events has no end.
-
-    Raises:
-        OSError, HTTPException: no station replies at this address, or another one than its certificate names.
-        InputError: the trusted certificate of the credentials cannot be used.
     """
     credentials = credentials or CallerCredentials()
     if api.certificate is None:
@@ -139,12 +135,7 @@ def find(config: StationConfig, credentials: CallerCredentials | None = None) ->
 
 
 def ask(api: ApiConfig, credentials: CallerCredentials | None = None) -> dict[str, Any]:
-    """Request the state from the station's REST service (`GET station`).
-
-    Raises:
-        OSError, HTTPException, ValueError: no station replies at this address.
-        InputError: the station asks for a key, or the trusted certificate cannot be used.
-    """
+    """Request the state; OSError, HTTPException or ValueError without a station, InputError without a key."""
     status, content = request(api, "/api/v1/station", TIMEOUT_S, LARGEST_REPLY, credentials)
     document = json.loads(content)
     if status in (http.client.UNAUTHORIZED, http.client.FORBIDDEN):

@@ -148,14 +148,7 @@ def bytes_in_use(directory: Path) -> int:
 
 
 def judge_quotas(space: os.statvfs_result, used_bytes: int, keep: KeepConfig, where: str) -> Finding:
-    """Judge whether a disk holds what the quotas of [keep] allow: database and recordings with their reserve.
-
-    Args:
-        space: figures of the file system.
-        used_bytes: size of the database and recordings that are there already.
-        keep: the quotas.
-        where: name of the directory in the message.
-    """
+    """Judge whether a disk holds what [keep] allows: database and recordings with their reserve; `used_bytes` count."""
     free = space.f_bavail * space.f_frsize
     recordings = keep.recordings_gb * 1e9
     needed = (keep.database_gb + keep.mosaics_gb) * 1e9 + (recordings + DISK_RESERVE if recordings else 0)

@@ -92,11 +92,7 @@ class Bundle(NamedTuple):
 def write_support_bundle(config: Path, out: Path, credentials: CallerCredentials | None = None) -> Bundle:
     """Write the bundle of a station as a new .tar.gz file; return what it has.
 
-    In place of anything that cannot be read, the bundle states the cause. So a bundle can be made of a station in any
-    state.
-
-    Raises:
-        InputError: the file exists, or cannot be written.
+    In place of anything that cannot be read, the bundle states the cause.
     """
     refuse_existing(out)
     members = {name: without_secrets(content) for name, content in _members(config, credentials)}

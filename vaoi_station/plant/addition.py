@@ -258,10 +258,9 @@ def _store_manifest(storage: Storage, run: ArchivedRun) -> ArchivedRun:
 
 
 def _differs_by_record(storage: Storage, before: ArchivedRun, run: ArchivedRun) -> bool:
-    """Return whether a run differs only by its record, as that of one run does over time.
+    """Return whether a run differs only by its record: the identity of a board may be found after its run was archived.
 
-    The identity of a board may be found, and change, after its run was archived. It states another id only where it
-    lowers the verdict.
+    It states another id only where it lowers the verdict.
     """
     if "run" not in run.documents:
         return False

@@ -86,11 +86,7 @@ class Archive:
 
     @classmethod
     def create(cls, url: str | Path) -> Archive:
-        """Make a new archive; an archive that is there already is opened.
-
-        Raises:
-            InputError: the path has other things, or the archive is newer than the software.
-        """
+        """Make a new archive, or open the one that is there; InputError if the path has other things."""
         storage = _storage(url)
         if storage.entry(MARKER) is None:
             if storage.names(""):
@@ -102,12 +98,7 @@ class Archive:
 
     @classmethod
     def open(cls, url: str | Path) -> Archive:
-        """Open an archive: a path, or an address that fsspec understands.
-
-        Raises:
-            InputError: there is no archive, or it is newer than the software.
-            DeviceError: the storage does not answer.
-        """
+        """Open a path, or an address that fsspec understands; InputError if there is no archive, or a newer one."""
         storage = _storage(url)
         try:
             data = catalogue.read_document(storage, MARKER)
@@ -172,12 +163,8 @@ class Archive:
     def extract(self, run: ArchivedRun | str, folder: Path) -> Path:
         """Write a run to a new folder as the station would read it, and return the folder.
 
-        It has `recording.json`, frames, `calibration.json`, `board.json`, and `result.json`, `light_program.json`,
-        `run.json` and `reference` where the archive has them.
-
-        Raises:
-            InputError: the folder exists, or a blob is damaged.
-            NotFoundError: there is no such run, or a blob is missing.
+        It has all that the archive has of the run. InputError or NotFoundError names a blob that is damaged or missing;
+        then nothing is written.
         """
         run = self.run(run) if isinstance(run, str) else run
         with new_directory(folder) as draft:
@@ -271,9 +258,7 @@ class Archive:
         Args:
             selection: which runs to remove; None: no run, unless `ids` names some.
             ids: remove the runs with these ids only, also if their manifests cannot be read.
-            grace_s: younger blobs are kept, because another station may be about to use them.
             dry: count what would be removed, and remove nothing.
-            on_fault: called with what could not be done.
         """
         pruned = Pruned()
 
@@ -353,12 +338,7 @@ class Archive:
         return image
 
     def _read_blob(self, run: ArchivedRun, blob: Blob) -> bytes:
-        """Return a blob of a run, compared with its checksum.
-
-        Raises:
-            NotFoundError: it is missing.
-            InputError: it is damaged.
-        """
+        """Return a blob of a run; InputError or NotFoundError if it is damaged or missing."""
         action = "Restore it from a copy of the archive, or add the run again from its recording."
         try:
             content = self.storage.read(blob.key)

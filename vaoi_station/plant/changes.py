@@ -204,13 +204,7 @@ _FIRST = " ORDER BY changed DESC, sigmas DESC NULLS LAST, 1, 2 LIMIT ?"
 def render_changes(
     changes: Changes, terms: list[tuple[str, str]], left_out: list[str], unequal: Sequence[str] = ()
 ) -> str:
-    """Return the comparison as an HTML document.
-
-    Args:
-        terms: name and value of everything that the runs were stitched with.
-        left_out: what was left out, and why, in sentences.
-        unequal: which runs were not stitched with all that their station used, in sentences.
-    """
+    """Return the comparison as an HTML document; `terms` are name and value of all that the runs were stitched with."""
     sections = [_numbers(changes, terms), _listed("left-out", "Left out", "", left_out)]
     if unequal:
         lead = "These runs may have changed because their archive does not have all that their stations used."

@@ -83,8 +83,7 @@ Outcome = bytes | RunFault | WorkerFault
 def perform(task: ArchivedTask, work: Callable[[Archive, ArchivedRun, Path], bytes]) -> Outcome:
     """Perform a task: `work` gets the archive, the run and an empty directory, which is removed afterwards.
 
-    Raises:
-        DeviceError: storage or disk do not answer. Another attempt may succeed.
+    DeviceError says that storage or disk do not answer: another attempt may succeed.
     """
     if unfit := _unfit(task.software):
         return WorkerFault(unfit)
@@ -217,11 +216,7 @@ def cluster_address(options: ClusterOptions) -> Iterator[str]:
 
 @contextmanager
 def connection(address: str, patience_s: float) -> Iterator[Client]:
-    """Yield a client of a scheduler.
-
-    Raises:
-        StateError: the scheduler does not answer in time.
-    """
+    """Yield a client of a scheduler; StateError if it does not answer in time."""
     from distributed import Client
 
     try:
@@ -236,11 +231,7 @@ def connection(address: str, patience_s: float) -> Iterator[Client]:
 
 
 def dashboard_link(address: str, patience_s: float) -> str | None:
-    """Return the address of a scheduler's dashboard; None if it serves none.
-
-    Raises:
-        StateError: the scheduler does not answer in time.
-    """
+    """Return the address of a scheduler's dashboard; None if it serves none."""
     from distributed.comm.addressing import get_address_host
 
     port = _identity(address, patience_s).get("services", {}).get("dashboard")
@@ -354,17 +345,10 @@ class Dispatch(Generic[_Task]):
         patience_s: float,
         workers_patience_s: float | None = None,
     ) -> None:
-        """Work on all tasks. A scheduler that has ended is waited for, and given what is not done.
+        """Work on all tasks; the next one is taken when a worker is to have it.
 
-        Args:
-            address: that of the scheduler.
-            tasks: the runs. The next one is taken when a worker is to have it.
-            archives: what the workers must see.
-            patience_s: longest wait for the scheduler.
-            workers_patience_s: longest wait for a usable worker; None: as long as for the scheduler.
-
-        Raises:
-            StateError: the scheduler, or any usable worker, is absent for too long.
+        A scheduler that has ended is waited for, and given what is not done. StateError if it, or any usable worker, is
+        absent for longer than the patience.
         """
         self._more, archives = iter(tasks), tuple(archives)
         before = -1

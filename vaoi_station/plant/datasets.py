@@ -85,9 +85,7 @@ class Crop:
 def crops_of(run: ArchivedRun, folder: Path, options: CropOptions) -> Iterator[Crop]:
     """Yield the crops of an extracted run, ordered by frame and by component as the board type has them.
 
-    Raises:
-        InputError: a document or frame is invalid, or the run has no frame under the light that is asked for.
-        StateError: the run has no CAD mapping, so that no component can be found.
+    InputError or StateError says why the run has none: a damaged document, another light, no CAD mapping.
     """
     recording = open_recording(folder)
     head = recording.head
@@ -394,13 +392,7 @@ class RunCrops(NamedTuple):
 
 
 def crop_run(task: CropTask) -> Outcome:
-    """Cut the components of one run out: all of them or none.
-
-    A data set with a part of a run would depend on where it failed.
-
-    Raises:
-        DeviceError: storage or disk do not answer. Another attempt may succeed.
-    """
+    """Cut the components of one run out, all of them or none: a part would depend on where it failed."""
     return perform(task, lambda archive, run, scratch: pickle.dumps(_cut(archive, run, scratch, task)))
 
 
@@ -477,16 +469,7 @@ def write_dataset(
 ) -> DatasetSummary:
     """Write the crops of all selected runs to a new directory, which is complete or not there.
 
-    Args:
-        archives: their addresses.
-        terms: what the data set is made of. Equal ones give equal bytes, also on clusters of different sizes.
-        out: the directory.
-        cluster: where components are cut out; None: in this process, one run after the other.
-        listener: what receives progress and faults.
-
-    Raises:
-        InputError: the directory exists, or an archive cannot be opened.
-        StateError: scheduler or workers do not answer.
+    Equal terms give equal bytes, also on clusters of different sizes. Without a cluster this process does the work.
     """
     refuse_existing(out)
     listener = listener or Listener()

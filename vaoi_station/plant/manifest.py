@@ -295,8 +295,7 @@ class StationRecord(BaseModel):
 def read_record(folder: Path) -> StationRecord | None:
     """Read the record in a recording; None if no station filmed it.
 
-    Raises:
-        InputError: it is invalid, or the codes of the board were still to be read, which may lower the verdict.
+    InputError if the codes of the board are still to be read, which may lower the verdict.
     """
     path = folder / RUN_FILE
     if not path.is_file():

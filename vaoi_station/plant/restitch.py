@@ -61,11 +61,7 @@ class Terms:
 def open_archived(folder: Path, scratch: Path, terms: Terms) -> tuple[OpenedRun, list[str]]:
     """Open an extracted run for stitching.
 
-    Returns:
-        The run, and in sentences why its result may differ from that of its station with equal terms.
-
-    Raises:
-        InputError: the documents do not fit together, or the method needs a reference that is absent or unusable.
+    Returns also, in sentences, why its result may differ from that of its station with equal terms.
     """
     reference = folder / REFERENCE
     calibration = _replaced("calibration.json", terms.calibration, scratch, reference)
@@ -137,11 +133,7 @@ class RunTask:
 
 
 def restitch_run(task: RunTask) -> Outcome:
-    """Stitch one run, and return its file: packed JSON with tables, result and cost.
-
-    Raises:
-        DeviceError: storage or disk do not answer. Another attempt may succeed.
-    """
+    """Stitch one run, and return its file: packed JSON with tables, result and cost."""
     return perform(task, lambda archive, run, scratch: _restitch(archive, run, scratch, task.terms))
 
 
@@ -173,11 +165,7 @@ def _restitch(archive: Archive, run: ArchivedRun, scratch: Path, terms: Terms) -
 
 
 def read_outcome(path: Path) -> dict[str, Any]:
-    """Read the file of a stitched run.
-
-    Raises:
-        InputError: it is damaged, or of a newer version.
-    """
+    """Read the file of a stitched run; InputError if it is damaged, or of a newer version."""
     action = "Delete it and repeat the command: the run is stitched again."
     try:
         document = json.loads(gzip.decompress(path.read_bytes()))
@@ -286,10 +274,6 @@ def restitch(session: Session, options: ClusterOptions) -> Summary:
     """Stitch all selected runs that are not done yet, then write data set and report.
 
     After an interruption of any kind the same call goes on where this one ended.
-
-    Raises:
-        InputError: an archive or an option is wrong, or the directory has runs that were stitched with other terms.
-        StateError: scheduler or workers do not answer.
     """
     options.check()
     _claim(session)

@@ -47,11 +47,7 @@ class SelectedRuns:
     """
 
     def __init__(self, archives: Sequence[str], selection: RunSelection, leave_out: Callable[[str], None]) -> None:
-        """List the archives. Of several, one that is absent, or newer than the software, is reported and not used.
-
-        Raises:
-            VaoiError: no archive can be used.
-        """
+        """List the archives. Of several, one that cannot be used is reported; if none can, VaoiError is raised."""
         self._selection, self._leave_out = selection, leave_out
         found: dict[str, list[_Place]] = {}
         failures: list[VaoiError] = []
