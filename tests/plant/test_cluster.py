@@ -267,8 +267,8 @@ def test_a_worker_that_hangs_does_not_keep_the_others_from_their_work(stored: Ar
 
 
 def test_a_run_that_ends_its_worker_again_and_again_is_left_out(stored: Archive) -> None:
-    tasks = [task_of(stored, run.run) for run in list(stored.runs())[:2]]
-    deadly, kept, faults = tasks[0].key, list[str](), list[str]()
+    tasks = [task_of(stored, run.run) for run in stored.runs()][:3]
+    deadly, kept, faults = tasks[1].key, list[str](), list[str]()
 
     def die(task: RunTask) -> bytes:
         if task.key == deadly:
@@ -278,7 +278,7 @@ def test_a_run_that_ends_its_worker_again_and_again_is_left_out(stored: Archive)
     with cluster_address(ClusterOptions(workers=1)) as address:
         dispatch = Dispatch(software(), die, lambda task, _: kept.append(task.key), note(faults), lambda _: None)
         dispatch.work(address, tasks, [stored.url], 30, workers_patience_s=120)
-    assert kept == [tasks[1].key]
+    assert sorted(kept) == sorted([tasks[0].key, tasks[2].key]), "also if it was at the same worker"
     assert [deadly in fault and "its worker ended 4 times" in fault for fault in faults] == [True]
 
 

@@ -390,7 +390,7 @@ class Dispatch(Generic[_Task]):
                 if now_s - seen_s > patience_s:
                     raise self._without_workers(patience_s)
                 for address, worker in fit.items():
-                    while len(worker.given) < worker.most and self._next():
+                    while self._takes_more(worker):
                         task = self._waiting.popleft()
                         worker.given[self._submit(address, self._perform, task, retries=RETRIES)] = task
                 with suppress(Empty):
@@ -399,6 +399,14 @@ class Dispatch(Generic[_Task]):
             # Also after Ctrl-C: what was given and not received is done again, by this call or the next.
             for worker in self._workers.values():
                 self._take_back(worker)
+
+    def _takes_more(self, worker: _Worker[_Task]) -> bool:
+        """Return whether a worker is to have the next run; one whose worker has ended is alone, so that it shows."""
+        if not self._next():
+            return False
+        tasks = (*worker.given.values(), self._waiting[0])
+        suspected = any((task.archive, task.key) in self._worker_faults for task in tasks)
+        return len(worker.given) < (1 if suspected else worker.most)
 
     def _submit(self, address: str, function: Callable[..., Any], *inputs: object, **options: int) -> Any:
         # A key of its own: the key of another call for the same run would give that call's outcome.
