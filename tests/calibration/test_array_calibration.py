@@ -10,8 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from vaoi_station.calibration import Outcome, array_calibration, calibrate
-from vaoi_station.calibration.mark_identification import find_hypotheses
+from vaoi_station.calibration import Outcome, calibrate
 from vaoi_station.errors import InputError
 from vaoi_station.files import write_recording
 from vaoi_station.files.calibrations import Layout
@@ -196,24 +195,6 @@ def test_a_blurred_camera_is_refused(rig: Any, sigma: float) -> None:
     assert "camera 1: " in said
     assert "the limit is 2.0 px" in said
     assert "Focus the lens" in said
-
-
-def test_a_dark_camera_is_refused(rig: Any) -> None:
-    assert "contrast" in _refused(rig.calibrate(change=lambda i, f: f // 20))
-
-
-def test_other_layouts_are_not_tried_for_a_frame_that_no_layout_can_calibrate(
-    rig: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    searches = []
-
-    def search(*known: Any) -> Any:
-        searches.append(known)
-        return find_hypotheses(*known)
-
-    monkeypatch.setattr(array_calibration, "find_hypotheses", search)
-    _refused(rig.calibrate(change=lambda i, f: f // 20 if i else f))
-    assert len(searches) == 2, "one per camera"
 
 
 def test_a_print_out_of_scale_is_calibrated_with_a_warning(rig: Any) -> None:

@@ -37,8 +37,3 @@ def test_dirt_and_scratches_hide_the_ground(rig: Any) -> None:
     frame = rig.frames[0].copy()
     frame[y - 2 : y + 3, x - 60 : x + 60] = 30
     assert _expected(rig, frame, free) == [False]
-
-
-def test_without_marks_no_ground_is_known_to_be_blank() -> None:
-    plain = np.full((360, 480), 200, np.uint8)
-    assert not find_blank_ground(detect_marks(plain, KIND), KIND).blank.any()

@@ -5,20 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vaoi_station.calibration.camera_prior import RADIAL_PX, CameraPrior, shape_of_view, to_basis
-from vaoi_station.geometry.camera_error import basis_fields
+from vaoi_station.calibration.camera_prior import RADIAL_PX, CameraPrior, shape_of_view
 
 PRIOR = CameraPrior((695.5, 519.5), 868.8, 40.0, 483.0)
-
-
-def test_fields_of_the_basis_have_their_own_coefficients() -> None:
-    fields = basis_fields((PRIOR.grid_px - PRIOR.center_px) / PRIOR.radius_px)
-    np.testing.assert_allclose(to_basis(fields), np.eye(9), atol=1e-9)
-
-
-def test_a_similarity_has_neither_stretch_nor_perspective() -> None:
-    turned = np.array([[38.0, -3.0, 400.0], [3.0, 38.0, 700.0], [0, 0, 1]])
-    np.testing.assert_allclose(shape_of_view(PRIOR, turned), 0, atol=1e-6)
 
 
 def test_stretch_and_perspective_are_displacements_at_the_corner() -> None:

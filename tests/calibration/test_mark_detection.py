@@ -4,10 +4,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pytest
 
 from vaoi_station.calibration.mark_detection import MarkAppearance, detect_marks
-from vaoi_station.files.calibrations import Layout
 from vaoi_station.pixel_formats import eight_bit_grey
 
 KIND = MarkAppearance(24.0, 0.25, light=False)
@@ -53,17 +51,3 @@ def test_a_half_covered_mark_is_doubtful(rig: Any) -> None:
     seen = detect_marks(frame, KIND)
     assert len(seen.px) == len(at) - 1
     assert all("covered or damaged" in why for _, why in seen.doubtful)
-
-
-def test_kinds_follow_the_layout() -> None:
-    layout = Layout.model_validate(
-        {
-            "unit": "inch",
-            "mark": {"size": 0.1, "width": 0.02, "polarity": "light"},
-            "marks": [{"x": 0, "y": 0}] * 4,
-        }
-    )
-    kind = MarkAppearance.of(layout, 10.0)
-    assert kind.size_px == pytest.approx(25.4)
-    assert kind.arm == pytest.approx(0.2)
-    assert kind.light

@@ -84,8 +84,3 @@ def test_hidden_marks_speak_less_against_an_assignment_than_marks_missing_on_bla
     shifted = [h for h in others if h.offset_mm[0] < -6 and len(h.pairs) == len(best.pairs)]
     assert shifted
     assert best.score > max(h.score for h in shifted) + 4
-
-
-def test_without_marks_there_is_no_hypothesis() -> None:
-    assert find_hypotheses(np.zeros((0, 2)), OWN, HEADS[0], 0, SIZE) == ()
-    assert find_hypotheses(np.array([[600.0, 500], [700, 700]]), OWN + 500, HEADS[0], 0, SIZE) == ()

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vaoi_station.calibration.plausibility import find_implausibility, local_scales, print_scale_note
+from vaoi_station.calibration.plausibility import find_implausibility
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import CameraHead
 
@@ -13,12 +13,6 @@ HEAD = CameraHead(width=1392, height=1040, exposure_us=1.0, nominal_center_mm=(0
 def _view(x: float = 40.0, y: float = 40.0, tilt_per_mm: float = 0.0) -> Floats:
     middle = np.array([[1, 0, 695.5], [0, 1, 519.5], [0, 0, 1]])
     return np.asarray(middle @ np.array([[x, 0, 0], [0, y, 0], [tilt_per_mm, 0, 1.0]]))
-
-
-def test_a_camera_as_designed_is_plausible() -> None:
-    assert find_implausibility(_view(), HEAD, 483.0) is None
-    assert find_implausibility(_view(40.05, 40.0, 3e-6), HEAD, 483.0) is None
-    assert local_scales(_view(), HEAD) == pytest.approx((40, 40))
 
 
 @pytest.mark.parametrize(
@@ -35,10 +29,3 @@ def test_impossible_views_are_refused(matrix: Floats, reason: str) -> None:
     said = find_implausibility(matrix, HEAD, 483.0)
     assert said is not None
     assert reason in said
-
-
-def test_a_print_out_of_scale_gives_a_warning() -> None:
-    assert print_scale_note(1.01) is None
-    said = print_scale_note(0.97)
-    assert said is not None
-    assert "3.0% smaller" in said

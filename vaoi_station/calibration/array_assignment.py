@@ -71,12 +71,9 @@ class Assignment:
 def assign_array(
     options: Sequence[tuple[Hypothesis, ...]], heads: Sequence[CameraHead], tolerance_mm: float
 ) -> Iterator[Assignment]:
-    """Choose one hypothesis for each camera, and test each choice against the others when it is asked for.
+    """Choose one of the hypotheses of each camera, and test each choice against the others when it is asked for.
 
-    Args:
-        options: hypotheses of each camera.
-        heads: nominal views of the cameras.
-        tolerance_mm: how well `nominal_center_mm` is known for the board as it lies, as two standard deviations.
+    `tolerance_mm` states how well `nominal_center_mm` is known for the board as it lies, as two standard deviations.
     """
     search = _Search.of(options, heads, tolerance_mm)
     choice = search.best()
@@ -161,7 +158,7 @@ class _Search:
 
     def _climb(self, choice: NDArray[np.intp], fixed: int | None) -> NDArray[np.intp]:
         for _ in range(_ROUNDS):
-            better = np.argmax(self._with_prior(self._pose(choice, self.seen)), axis=1)
+            better = np.argmax(self._with_prior(self._pose(choice)), axis=1)
             if fixed is not None:
                 better[fixed] = choice[fixed]
             if np.array_equal(better, choice):
@@ -175,7 +172,7 @@ class _Search:
 
     def total(self, choice: NDArray[np.intp]) -> float:
         """Return the log-likelihood of the frames and the nominal views, at the most likely pose of the board."""
-        pose = self._pose(choice, self.seen)
+        pose = self._pose(choice)
         chosen = self._with_prior(pose)[np.arange(len(choice)), choice][self.seen].sum()
         return float(chosen - (pose[:2] ** 2).sum() / (2 * self.sigma_mm**2) - pose[2] ** 2 / (2 * _TURN_RAD**2))
 
@@ -197,9 +194,9 @@ class _Search:
         turn = self.angle[camera, k]
         return np.append(self.offset[camera, k] + turn * self._turned()[camera], turn)
 
-    def _pose(self, choice: NDArray[np.intp], used: NDArray[np.bool_]) -> Floats:
-        """Estimate shift and turn (3,) of the board from the chosen hypotheses of the cameras `used`."""
-        who = np.flatnonzero(used & self.seen)
+    def _pose(self, choice: NDArray[np.intp]) -> Floats:
+        """Estimate shift and turn (3,) of the board from the chosen hypotheses."""
+        who = np.flatnonzero(self.seen)
         offset, angle, turned = self.offset[who, choice[who]], self.angle[who, choice[who]], self._turned()[who]
         pose = np.zeros(3)
         design = np.zeros((2 * len(who), 3))

@@ -110,17 +110,10 @@ def calibrate(
     layout: Layout,
     limits: Limits | None = None,
 ) -> Outcome:
-    """Calibrate an array from one frame per camera that shows the calibration board.
+    """Calibrate an array from one frame per camera of a board, whose coordinates become the tester's.
 
-    Args:
-        heads: frame sizes and nominal views of the cameras.
-        frame_of: returns the frame of one camera, or None if it is missing.
-        layout: layout of the board; its coordinates become the tester's.
-        limits: limits that a calibration must keep, and the working distance.
-
-    Raises:
-        InputError: if a frame or a camera's nominal view is missing. A camera that is refused because of the content of
-            its frame raises no error: the outcome contains the cause.
+    A missing frame or nominal view raises InputError. A camera that is refused because of the content of its frame
+    raises none: the outcome contains the cause.
     """
     limits = limits or Limits()
     kinds, detections = [], []
@@ -177,7 +170,6 @@ class _FilmedBoard:
         return f"The marks fit the layout {ways}: write layout.json as the cameras see the board, or turn the board."
 
     def _fits(self, marks_mm: Floats) -> bool:
-        """Return whether all cameras would be calibrated by a layout."""
         # Most variants fit no camera: the first camera that is refused decides.
         options = []
         for camera in range(len(self.heads)):

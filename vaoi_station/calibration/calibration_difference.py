@@ -52,38 +52,24 @@ class CalibrationDifference:
         """Return the text lines of the report: the removed motion, and the differences of each camera."""
         turned = math.degrees(self.angle_rad)
         x, y = self.shift_mm
-        out = (
-            []
-            if self.one_board
-            else [
-                f"board displaced by ({x:+.3f}, {y:+.3f}) mm and {turned:+.4f}° between the two; this motion is removed"
-            ]
-        )
-        for i, (rms, most) in enumerate(zip(self.rms_px, self.max_px, strict=True)):
-            out.append(f"camera {i}: calibrations differ by {rms:.3f} px rms, {most:.3f} px at most")
-        return out
+        moved = f"board displaced by ({x:+.3f}, {y:+.3f}) mm and {turned:+.4f}° between the two; this motion is removed"
+        cameras = [
+            f"camera {i}: calibrations differ by {rms:.3f} px rms, {most:.3f} px at most"
+            for i, (rms, most) in enumerate(zip(self.rms_px, self.max_px, strict=True))
+        ]
+        return cameras if self.one_board else [moved, *cameras]
 
 
 def compare_calibrations(
     this: Calibration,
     other: Calibration,
     heads: Sequence[CameraHead],
-    grid: tuple[int, int] = GRID,
     *,
     one_board: bool = False,
 ) -> CalibrationDifference:
-    """Compute the difference of two calibrations over each frame.
+    """Compute the difference of two calibrations of the same cameras over each frame.
 
-    Args:
-        this: one calibration.
-        other: the other, of the same cameras.
-        heads: sizes of the frames.
-        grid: number of points across and down each frame.
-        one_board: whether both have the same tester coordinates, such as a calibration and its correction. Then no
-            motion is removed.
-
-    Raises:
-        InputError: if the numbers of cameras differ.
+    No motion is removed if both have the same tester coordinates (`one_board`), as a calibration and its correction.
     """
     counts = len(this.camera_matrices), len(other.camera_matrices), len(heads)
     if len(set(counts)) > 1:
@@ -92,7 +78,7 @@ def compare_calibrations(
             action="Compare calibrations of one array.",
         )
     mine, theirs = this.cameras(tuple(heads)), other.cameras(tuple(heads))
-    grids = [_grid(head, grid) for head in heads]
+    grids = [_grid(head) for head in heads]
     # One motion is estimated for all cameras together. A separate motion for each would hide a camera that was knocked.
     here = [camera.ground(g) for camera, g in zip(mine, grids, strict=True)]
     there = [camera.ground(g) for camera, g in zip(theirs, grids, strict=True)]
@@ -104,16 +90,13 @@ def compare_calibrations(
     return CalibrationDifference(tuple(grids), tuple(differences), a.mean(0) - b.mean(0), angle, one_board)
 
 
-def _grid(head: CameraHead, grid: tuple[int, int]) -> Floats:
-    x, y = np.linspace(0, head.width - 1, grid[0]), np.linspace(0, head.height - 1, grid[1])
+def _grid(head: CameraHead) -> Floats:
+    x, y = np.linspace(0, head.width - 1, GRID[0]), np.linspace(0, head.height - 1, GRID[1])
     return np.stack(np.meshgrid(x, y), -1)
 
 
 def _fit_rigid_motion(target: Floats, source: Floats) -> tuple[Floats, float]:
-    """Fit the rigid motion from points `source` (k, 2) to points `target` (k, 2) by least squares.
-
-    Returns its matrix (3, 3) and its angle.
-    """
+    """Fit the rigid motion from `source` (k, 2) to `target` by least squares; return its matrix (3, 3) and angle."""
     p, q = source - source.mean(0), target - target.mean(0)
     angle = math.atan2(float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum()))
     c, s = math.cos(angle), math.sin(angle)

@@ -113,17 +113,7 @@ def calibrate_camera(
     appearance: MarkAppearance,
     limits: Limits,
 ) -> CameraResult:
-    """Calibrate one camera.
-
-    Args:
-        camera: index of the camera.
-        head: its frame size and nominal view.
-        detected: detected marks in its frame.
-        assignment: assignment of the detected marks to the layout.
-        marks_mm: (k, 2) all marks of the layout.
-        appearance: appearance of marks in this frame.
-        limits: limits that a calibration must keep, and the working distance.
-    """
+    """Calibrate one camera by the detected marks in its frame and their assignment to the layout (k, 2)."""
     # General checks come first, specific ones last: the first cause found is the most useful one for the operator.
     hypothesis = assignment.chosen
     due = _expected_marks(head, camera, detected, hypothesis, marks_mm, appearance)
@@ -139,17 +129,23 @@ def calibrate_camera(
     marks = _measure_expected(
         place if place is not None else hypothesis.similarity, head, detected, hypothesis, marks_mm, appearance
     )
-    index, px = _measured_positions(marks)
-    fit = fit_camera(marks_mm[index], px, _prior(head, limits))
+    index, px = [m.index for m in marks if m.px is not None], np.array([m.px for m in marks if m.px is not None])
+    prior = CameraPrior(
+        ((head.width - 1) / 2, (head.height - 1) / 2),
+        math.hypot(head.width, head.height) / 2,
+        head.nominal_px_per_mm or 1.0,
+        limits.working_distance_mm,
+        limits.mark_accuracy_mm,
+        limits.flatness_mm,
+    )
+    fit = fit_camera(marks_mm[index], px, prior)
     if isinstance(fit, Failure):
         action = "Use marks that span the frame in both directions; uncover those that are not detected."
         return CameraResult(camera, head, detected, marks, None, fit.reason, action)
     fit, kept = remove_outliers(fit, marks_mm[index], px)
-    marks = _with_residuals(marks, index, kept, fit)
-    result = CameraResult(camera, head, detected, marks, fit, notes=_warnings(marks, detected, fit))
-    result = replace(result, notes=(*result.notes, *_doubts(result, assignment, limits)))
+    result = CameraResult(camera, head, detected, _with_residuals(marks, index, kept, fit), fit)
     refusal, action = _check_fit(result, hypothesis, limits)
-    return CameraResult(camera, head, detected, marks, fit, refusal, action, result.notes)
+    return replace(result, refusal=refusal, action=action, notes=_notes(result, fit, assignment, limits))
 
 
 def is_frame_usable(detected: DetectedMarks, appearance: MarkAppearance, head: CameraHead) -> bool:
@@ -273,23 +269,17 @@ def _measure_expected(
             marks.append(MarkObservation(k, expected[k], detected.px[known[k]]))
             continue
         mark = locate_cross(detected.grey, expected[k], appearance)
+        note = ""
         if isinstance(mark, Failure):
-            marks.append(MarkObservation(k, expected[k], note=f"not found ({mark.reason})"))
+            note = f"not found ({mark.reason})"
         elif mark.light != appearance.light or mark.score < least:
-            marks.append(
-                MarkObservation(k, expected[k], note=f"less similar than the others (correlation {mark.score:.2f})")
-            )
+            note = f"less similar than the others (correlation {mark.score:.2f})"
         # The prediction is accurate to a few pixels. Anything further away than a quarter of a mark is another object.
         elif np.hypot(*(mark.px - expected[k])) > 0.25 * appearance.size_px:
-            marks.append(MarkObservation(k, expected[k], note="not at its predicted position"))
-        else:
-            marks.append(MarkObservation(k, expected[k], mark.px))
+            note = "not at its predicted position"
+        px = None if note or isinstance(mark, Failure) else mark.px
+        marks.append(MarkObservation(k, expected[k], px, note=note))
     return tuple(marks)
-
-
-def _measured_positions(marks: tuple[MarkObservation, ...]) -> tuple[list[int], Floats]:
-    """Return indices and positions (k, 2) of the measured marks."""
-    return [m.index for m in marks if m.px is not None], np.array([m.px for m in marks if m.px is not None])
 
 
 def _with_residuals(
@@ -297,25 +287,24 @@ def _with_residuals(
 ) -> tuple[MarkObservation, ...]:
     """Return the marks with the residuals of the fit. Marks that the fit excluded get a note instead."""
     residual = {index[k]: fit.residuals_px[n] for n, k in enumerate(kept)}
-    out = []
-    for m in marks:
+
+    def known(m: MarkObservation) -> MarkObservation:
         if m.px is None:
-            out.append(m)
-        elif m.index in residual:
-            expected = m.px - residual[m.index]
-            out.append(MarkObservation(m.index, expected, m.px, residual[m.index]))
-        else:
-            out.append(MarkObservation(m.index, m.expected_px, m.px, None, "inconsistent with the others"))
-    return tuple(out)
+            return m
+        if m.index not in residual:
+            return replace(m, note="inconsistent with the others")
+        return replace(m, expected_px=m.px - residual[m.index], residual_px=residual[m.index])
+
+    return tuple(map(known, marks))
 
 
-def _warnings(marks: tuple[MarkObservation, ...], detected: DetectedMarks, fit: Fit) -> tuple[Note, ...]:
-    """Return the warnings for a calibrated camera."""
-    unused = [("expected at", m.expected_px, f"is {m.note}") for m in marks if not m.used]
+def _notes(result: CameraResult, fit: Fit, assignment: Assignment, limits: Limits) -> tuple[Note, ...]:
+    """List unused marks, what the marks did not determine, and what only the nominal view decided."""
+    unused = [("expected at", m.expected_px, f"is {m.note}") for m in result.marks if not m.used]
     unused += [
         ("at", np.array(at), why)
-        for at, why in detected.doubtful
-        if all(m.used or np.hypot(*(m.expected_px - at)) > 10 for m in marks)
+        for at, why in result.detected.doubtful
+        if all(m.used or np.hypot(*(m.expected_px - at)) > 10 for m in result.marks)
     ]
     notes = []
     for where, (x, y), why in unused:
@@ -324,17 +313,10 @@ def _warnings(marks: tuple[MarkObservation, ...], detected: DetectedMarks, fit: 
     if fit.freedom < _NO_FREEDOM:
         sentence = "four marks determine N without redundancy: its residuals are always 0 and do not check it"
         notes.append(Note("four-marks", sentence))
-    return tuple(notes)
-
-
-def _doubts(result: CameraResult, assignment: Assignment, limits: Limits) -> tuple[Note, ...]:
-    """List what the marks did not determine, and what only the nominal view decided."""
-    notes = []
     if not result.lens_known:
         count, sigma = result.used, f"{result.corner_sigma_px:.1f}"
-        sentence = (
-            f"{_count(count)} marks do not determine the lens: ± {sigma} px at the corners (1 σ); film 9 or more marks"
-        )
+        named = {4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}.get(count, str(count))
+        sentence = f"{named} marks do not determine the lens: ± {sigma} px at the corners (1 σ); film 9 or more marks"
         notes.append(Note("lens-undetermined", sentence, count=count, sigma_px=sigma))
     elif result.corner_sigma_px > _COARSE_PX:
         sigma = f"{result.corner_sigma_px:.2f}"
@@ -358,10 +340,6 @@ def _doubts(result: CameraResult, assignment: Assignment, limits: Limits) -> tup
     return tuple(notes)
 
 
-def _count(number: int) -> str:
-    return {4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}.get(number, str(number))
-
-
 def _describe_ambiguity(assignment: Assignment, limits: Limits) -> tuple[str, str]:
     """Return cause and remedy for a camera whose frame and nominal view leave two assignments of the marks possible."""
     x, y = assignment.shift_mm
@@ -371,16 +349,4 @@ def _describe_ambiguity(assignment: Assignment, limits: Limits) -> tuple[str, st
         "Uncover and clean the marks at the rim of the pattern, or state with --center-tolerance-mm how well "
         f"nominal_center_mm is known for the board as it lies (below {math.hypot(x, y) / 2:.1f} mm), or use a layout "
         "that does not repeat (vaoi calibration-board).",
-    )
-
-
-def _prior(head: CameraHead, limits: Limits) -> CameraPrior:
-    """Return the prior knowledge about a camera, before any mark of it is used."""
-    return CameraPrior(
-        ((head.width - 1) / 2, (head.height - 1) / 2),
-        math.hypot(head.width, head.height) / 2,
-        head.nominal_px_per_mm or 1.0,
-        limits.working_distance_mm,
-        limits.mark_accuracy_mm,
-        limits.flatness_mm,
     )

@@ -76,10 +76,7 @@ class Fit:
 def fit_camera(marks_mm: Floats, px: Floats, prior: CameraPrior) -> Fit | Failure:
     """Fit N_i and the radial distortion: one coefficient with its prior, and a second one if it is significant.
 
-    Args:
-        marks_mm: (k, 2) tester coordinates, k ≥ 4.
-        px: (k, 2) raw pixels.
-        prior: what is known of the camera; its centre is the principal point, its radius the R of the polynomial.
+    The centre of the prior is the principal point, its radius the R of the polynomial.
     """
     if len(marks_mm) < _MIN_MARKS:
         return Failure(f"{len(marks_mm)} marks do not determine the eight parameters of N; {_MIN_MARKS} are needed")
@@ -90,7 +87,10 @@ def fit_camera(marks_mm: Floats, px: Floats, prior: CameraPrior) -> Fit | Failur
         return fit
     # With more coefficients, a fit may fail although the simpler one succeeds.
     more = _adjust(marks_mm, px, prior, 2)
-    return fit if isinstance(more, Failure) or not _is_significant(fit, more) else more
+    if isinstance(more, Failure):
+        return fit
+    gain = float((fit.residuals_px**2).sum() - (more.residuals_px**2).sum())
+    return more if gain > _SIGNIFICANT * more.sigma_px**2 else fit
 
 
 def estimate_homography(target: Floats, source: Floats) -> Floats | None:
@@ -185,10 +185,7 @@ def _design(h: Floats, lens: Lens, p: Floats, px: Floats) -> Floats:
 
 
 def _prior_equations(prior: CameraPrior, h: Floats, lens: Lens) -> tuple[Floats, Floats]:
-    """Compute residuals (m,) and design (m, 8 + q) of the prior, in its standard deviations.
-
-    According to the prior, stretch, perspective and radial distortion are 0.
-    """
+    """Return residuals (m,) and design (m, 8 + q) of stretch, perspective and distortion of 0, in their sigmas."""
     order = len(lens.radial)
     sigma = prior.sigma_px(order)
     image = prior.grid_px
@@ -203,10 +200,7 @@ def _prior_equations(prior: CameraPrior, h: Floats, lens: Lens) -> tuple[Floats,
 def _field_covariance(
     px: Floats, prior: CameraPrior, h: Floats, lens: Lens, gain: Floats, covariance: Floats
 ) -> Floats:
-    """Compute the covariance (9, 9) of the error over the frame from that of the parameters (8 + q).
-
-    `gain` (8 + q, 2k) is the change of the parameters by a change of the residuals of marks.
-    """
+    """Return the covariance (9, 9) of the error over the frame; `gain` (8 + q, 2k) is parameters by residuals."""
     image = prior.grid_px
     over_frame = to_basis(_design(h, lens, apply(np.linalg.inv(h), image), image))
     out = over_frame @ covariance @ over_frame.T + prior.flatness_covariance_px2()
@@ -223,10 +217,7 @@ def _field_covariance(
 
 
 def _denormalize(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats, Floats]:
-    """Convert a fit in normalised coordinates to N = H·T, scaled so that N_33 = 1.
-
-    T is `normal_from_mm`. Also return the Jacobian of all parameters by those of the normalised fit.
-    """
+    """Return N = H·T with N_33 = 1, and the Jacobian of all parameters by those of the normalised fit."""
     full = h @ normal_from_mm
     n = full / full[2, 2]
     # d vec(H·T) / d vec(H), row-major.
@@ -235,12 +226,6 @@ def _denormalize(h: Floats, normal_from_mm: Floats, order: int) -> tuple[Floats,
     jacobian = np.eye(8 + order)
     jacobian[:8, :8] = by_h[:8]
     return n, jacobian
-
-
-def _is_significant(less: Fit, more: Fit) -> bool:
-    """Return whether one more lens coefficient reduces the sum of squares more than noise would."""
-    gain = float((less.residuals_px**2).sum() - (more.residuals_px**2).sum())
-    return gain > _SIGNIFICANT * more.sigma_px**2
 
 
 def _homography_jacobian(h: Floats, p: Floats) -> Floats:

@@ -68,12 +68,7 @@ class DetectedMarks:
 
 
 def detect_marks(grey: NDArray[np.uint8], kind: MarkAppearance) -> DetectedMarks:
-    """Search a whole frame for marks.
-
-    Args:
-        grey: (h, w).
-        kind: appearance of the marks.
-    """
+    """Search a whole frame (h, w) for marks."""
     low, high = (float(v) for v in np.percentile(grey[::4, ::4], [0.5, 99.5]))
     factor = 2 ** max(int(np.log2(kind.size_px / COARSE_PX)), 0) if kind.size_px > COARSE_PX else 1
     h, w = (side // factor * factor for side in grey.shape)

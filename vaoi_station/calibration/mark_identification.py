@@ -70,17 +70,9 @@ def find_hypotheses(
     size_px: float,
     ground: BlankGround | None = None,
 ) -> tuple[Hypothesis, ...]:
-    """Find the best hypotheses about which detected mark is which mark of the layout, best first.
+    """Find the best hypotheses about which detected mark (m, 2) is which mark of the layout (k, 2), best first.
 
-    A hypothesis with fewer than two matches is not returned.
-
-    Args:
-        detected_px: (m, 2) raw pixels of detected marks, best first.
-        marks_mm: (k, 2) all marks of the layout, tester coordinates.
-        head: frame size and nominal view of the camera.
-        camera: index of the camera.
-        size_px: size of a mark.
-        ground: where the frame shows blank ground; by default everywhere.
+    A hypothesis has at least two matches. `ground` states where the frame is blank; by default everywhere.
     """
     near = marks_in_view(head, camera, marks_mm, reach_mm(head) + size_px / (head.nominal_px_per_mm or 1.0))
     seen = detected_px[:_MAX_DETECTED]
@@ -88,12 +80,8 @@ def find_hypotheses(
         return ()
     matching = _Matching(seen, marks_mm[near], nominal_matrix(head, camera), head, size_px, ground)
     found = matching.select_best(matching.from_pairs())
-    return tuple(replace(h, pairs=_to_layout_indices(h.pairs, near)) for h in found)
-
-
-def _to_layout_indices(pairs: NDArray[np.int_], near: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Convert pairs with indices of nearby marks to pairs with indices of the whole layout."""
-    return np.column_stack([near[pairs[:, 0]], pairs[:, 1]])
+    # The indices of nearby marks become those of the whole layout.
+    return tuple(replace(h, pairs=np.column_stack([near[h.pairs[:, 0]], h.pairs[:, 1]])) for h in found)
 
 
 def _capped(count: NDArray[np.int_], each: float, cap: float, more: float) -> Floats:

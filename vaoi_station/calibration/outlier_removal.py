@@ -32,15 +32,7 @@ def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[i
     Marks are removed one by one. If there are several outliers, they can bend the fit so that a good mark has larger
     residuals than they have. Therefore, if two marks were removed or the residuals are still large, a second search
     starts from minimal subsets of the marks. Its outcome replaces that of the first search only if it excludes a mark
-    that the first search kept.
-
-    Args:
-        fit: the fit of all marks.
-        marks_mm: (k, 2) tester coordinates.
-        px: (k, 2) raw pixels.
-
-    Returns:
-        The fit of the remaining marks, and their indices.
+    that the first search kept. Return the fit of the remaining marks, and their indices.
     """
     kept = list(range(len(px)))
     least = max(_MIN_REMAINING, int(np.ceil((1 - _MAX_REMOVED_SHARE) * len(px))))
@@ -49,11 +41,6 @@ def remove_outliers(fit: Fit, marks_mm: Floats, px: Floats) -> tuple[Fit, list[i
         if better is None:
             break
         fit, kept = better
-    return _unmasked(fit, kept, marks_mm, px, least)
-
-
-def _unmasked(fit: Fit, kept: list[int], marks_mm: Floats, px: Floats, least: int) -> tuple[Fit, list[int]]:
-    """Return the outcome of a search from minimal subsets if outliers hid one another, else the given outcome."""
     # A single outlier cannot be masked.
     sound = len(kept) >= len(px) - 1 and float(np.hypot(*fit.residuals_px.T).max()) <= _MIN_ERROR_PX
     if sound or len(px) <= least:

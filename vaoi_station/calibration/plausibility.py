@@ -22,12 +22,9 @@ _MAX_PRINT_ERROR = 0.02
 
 
 def find_implausibility(matrix: Floats, head: CameraHead, working_distance_mm: float | None) -> str | None:
-    """Return a sentence that says why N_i (3, 3) is implausible, with value and limit; None if it is plausible.
+    """Return why N_i (3, 3) is implausible, with value and limit; None if it is plausible.
 
-    Args:
-        matrix: tester mm → undistorted px.
-        head: frame size and nominal resolution of the camera.
-        working_distance_mm: if None, the diagonal of the view is assumed.
+    Without a working distance, the diagonal of the view is assumed.
     """
     low, high = local_scales(matrix, head)
     if np.linalg.det(matrix) < 0:

@@ -2,30 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from vaoi_station.calibration.artwork import Board
 from vaoi_station.calibration.artwork.drawing_elements import (
     BAR_MM,
     LABEL_MM,
     arrow,
-    cross,
     label_baseline_mm,
     scale_bar,
 )
-
-
-@given(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), st.floats(0.5, 10), st.floats(0.05, 0.5))
-def test_a_cross_has_its_size_width_and_area(center: tuple[float, float], size: float, arm: float) -> None:
-    corners = cross(np.array(center), size, size * arm)
-    assert corners.shape == (12, 2)
-    assert np.ptp(corners, axis=0) == pytest.approx((size, size))
-    x, y = (corners - center).T
-    area = 0.5 * abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-    assert area == pytest.approx(size**2 * arm * (2 - arm))
-    edges = np.roll(corners, -1, axis=0) - corners
-    assert (np.abs(edges).min(axis=1) < 1e-9).all(), "all edges are parallel to an axis"
 
 
 @pytest.mark.parametrize(("width", "length"), [(100.0, BAR_MM), (60.0, BAR_MM), (59.0, 10.0), (25.0, 10.0)])

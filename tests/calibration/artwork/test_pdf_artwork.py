@@ -50,19 +50,9 @@ def test_marks_scale_bar_and_page_are_those_of_the_board(board: Board, numbers: 
     assert min(s[:, 1].min() for s in strokes) + board.low_mm[1] > 13.0, "below the lower edge of the views"
 
 
-def test_printers_are_asked_not_to_scale_and_the_title_is_escaped(board: Board) -> None:
-    document = render_pdf(board, TITLE)
-    assert b"/PrintScaling /None" in document
-    assert rb"three <cameras> \(33 mm\) & \\ more" in document
-
-
 def test_every_camera_has_its_number(board: Board) -> None:
     document = render_pdf(board, TITLE)
     assert all(b"(camera %d) Tj" % i in document for i in range(3))
-
-
-def test_light_marks_stand_on_dark_ground() -> None:
-    assert b"\n0 g " in render_pdf(design_board(ArrayDesign(1, 30.0, (34.8, 26.0), polarity="light")), "")
 
 
 def test_a_board_larger_than_a_page_is_refused() -> None:

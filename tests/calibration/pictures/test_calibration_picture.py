@@ -23,13 +23,3 @@ def test_the_picture_of_a_refusal_has_a_red_text(rig: Any) -> None:
     outcome = rig.calibrate(change=lambda i, f: f if i else np.full_like(f, 150))
     assert outcome.refused
     assert _has(draw_calibration(outcome), (30, 30, 200))
-
-
-def test_many_cameras_are_broken_into_rows(rig: Any) -> None:
-    from dataclasses import replace
-
-    outcome = rig.calibrate()
-    many = replace(outcome, cameras=outcome.cameras * 5)
-    picture = draw_calibration(many)
-    assert picture.shape[1] == 4 * 728 - 8
-    assert picture.shape[0] == 3 * (74 + 540) + 2 * 8

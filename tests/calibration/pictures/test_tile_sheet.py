@@ -23,11 +23,3 @@ def test_tiles_stand_in_reading_order_on_white() -> None:
     assert [sheet[5, x, 0] for x in (10, 38, 66)] == [0, 1, 2]
     assert [sheet[23, x, 0] for x in (10, 38, 66)] == [3, 4, 255]
     assert (sheet[:, 20 : 20 + GAP] == 255).all()
-
-
-def test_the_tallest_tile_sets_the_height_of_its_line() -> None:
-    sheet = arrange_tiles([tile(1, 30), tile(2, 10), tile(3, 20), tile(4, 5)])
-    assert sheet.shape[0] == 30 + GAP + 5
-    assert sheet[29, 10, 0] == 1
-    assert sheet[29, 38, 0] == 255
-    assert sheet[-1, 10, 0] == 4

@@ -31,9 +31,7 @@ def array_of(
 ) -> tuple[float | None, tuple[float, float] | None]:
     """Return the distance of neighbouring cameras and the field of view (mm) by nominal values; None: they are missing.
 
-    Args:
-        heads: the cameras, with nominal centres and resolutions.
-        px_per_mm: resolution that replaces the nominal ones.
+    A given resolution replaces the nominal ones.
     """
     centers = [c.nominal_center_mm for c in heads]
     pitch = None

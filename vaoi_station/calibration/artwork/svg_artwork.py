@@ -9,12 +9,7 @@ from vaoi_station.calibration.artwork.drawing_elements import arrow, cross, labe
 
 
 def render_svg(board: Board, title: str) -> str:
-    """Render the artwork as an SVG document.
-
-    Args:
-        board: the board; coordinates of the document are layout coordinates.
-        title: a line of text below the views.
-    """
+    """Render the artwork as an SVG document in layout coordinates, with a title below the views."""
     (x, y), (w, h), mark = board.low_mm, board.size_mm, board.layout.mark
     dark = mark.polarity == "dark"
     ground, ink = ("#ffffff", "#000000") if dark else ("#000000", "#ffffff")

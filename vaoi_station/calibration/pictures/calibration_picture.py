@@ -44,7 +44,6 @@ def _enlargement(cameras: Sequence[CameraResult]) -> int:
 
 
 def _tile(result: CameraResult, factor: int, limit_px: float) -> Picture:
-    """Draw the tile of one camera: caption, frame and marks."""
     grey = result.detected.grey
     scale = _WIDTH / grey.shape[1]
     size = (_WIDTH, max(round(grey.shape[0] * scale), 1))
@@ -121,7 +120,6 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def _tile_position(px: Floats, scale: float) -> tuple[int, int]:
-    """Convert frame pixels to pixels of the tile."""
     # Far-off positions are clipped to a range that OpenCV's drawing functions accept.
     x, y = np.clip((np.asarray(px) + 0.5) * scale - 0.5, -5000, 15000)
     return round(float(x)), round(float(y))

@@ -32,15 +32,11 @@ def draw_difference(difference: CalibrationDifference, heads: Sequence[CameraHea
     """Draw the difference of all cameras above a colour bar, as an image (h, w, 3) BGR. Figures are in frame pixels."""
     # One scale and one factor for all cameras, so that they can be compared by eye.
     top_px = round_up(max(*difference.max_px, 1e-3))
-    factor = round_down(min((MARGIN - 4) / (largest_px(difference) * WIDTH / head.width) for head in heads))
+    largest_px = max(*difference.max_px, 1e-9)
+    factor = round_down(min((MARGIN - 4) / (largest_px * WIDTH / head.width) for head in heads))
     sheet = arrange_tiles([_tile(difference, i, head, top_px, factor) for i, head in enumerate(heads)])
     foot = _foot(sheet.shape[1], top_px, factor, difference.one_board)
     return np.vstack([sheet, foot])
-
-
-def largest_px(difference: CalibrationDifference) -> float:
-    """Return the largest difference of all cameras. It is at least 1e-9, so that a division by it is possible."""
-    return max(*difference.max_px, 1e-9)
 
 
 def round_up(value: float) -> float:
@@ -56,7 +52,6 @@ def round_down(value: float) -> float:
 
 
 def _tile(difference: CalibrationDifference, camera: int, head: CameraHead, top_px: float, factor: float) -> Picture:
-    """Draw the tile of one camera: a caption, and the differences over its frame."""
     scale, d_px = WIDTH / head.width, difference.difference_px[camera]
     size = (WIDTH, max(round(head.height * scale), 1))
     lengths = np.sqrt((d_px**2).sum(-1)).astype(np.float32)
@@ -89,7 +84,6 @@ def _arrow(picture: Picture, foot: Floats, way: Floats) -> None:
 
 
 def _foot(width: int, top_px: float, factor: float, one_board: bool) -> Picture:
-    """Draw the colour bar with its scale, and the caption."""
     foot = np.full((_FOOT, width, 3), _PAPER, np.uint8)
     ramp = np.tile(np.linspace(0, 255, WIDTH // 2).astype(np.uint8), (12, 1))
     foot[10:22, MARGIN : MARGIN + WIDTH // 2] = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)

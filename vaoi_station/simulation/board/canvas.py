@@ -45,10 +45,7 @@ class Canvas:
     def blank(
         cls, origin_mm: tuple[float, float], size_mm: tuple[float, float], px_per_mm: float, grey: float
     ) -> Canvas:
-        """Create a canvas of one grey value, without metal.
-
-        The outer corner of pixel (0, 0) lies at `origin_mm`. The size is rounded up to whole pixels.
-        """
+        """Create a canvas of one grey value, without metal, with its size rounded up to whole pixels."""
         w, h = (math.ceil(s * px_per_mm) for s in size_mm)
         return cls(np.full((h, w), grey, np.float32), np.zeros((h, w), np.float32), origin_mm, px_per_mm)
 
@@ -124,10 +121,7 @@ class Canvas:
     def _box_coverage(
         self, place: tuple[float, float], size: tuple[float, float], turned_deg: float, reach: float | None = None
     ) -> tuple[tuple[slice, slice], Plane]:
-        """Return the window of pixels that a box can touch, and the share of each pixel that the box covers.
-
-        If `reach` (mm) is given, the window is a square with this side instead of the bounding box.
-        """
+        """Return the pixels that a box can touch, or a square of `reach` mm, and the share it covers of each."""
         w, h = size
         quarter = turned_deg % 90 == 0
         if quarter and turned_deg % 180 == 90:
@@ -160,10 +154,7 @@ class Canvas:
         return np.s_[y0 : max(y1, y0), x0 : max(x1, x0)], u.astype(np.float32), v.astype(np.float32)
 
     def _blend(self, window: tuple[slice, slice], coverage: Plane | Bytes, grey: float, metal: float) -> None:
-        """Blend a grey value and a share of metal into a window.
-
-        `coverage` holds the weight of the new values for each pixel: 0 to 1, or 0 to 255 if it is an 8-bit image.
-        """
+        """Blend a grey value and a share of metal into a window, by weights of 0 to 1, or 0 to 255 if 8-bit."""
         for band in bands(len(coverage)):
             share = coverage[band]
             if share.dtype == np.uint8:
@@ -174,10 +165,7 @@ class Canvas:
 
 
 def _supersample(offset: Plane) -> tuple[Plane, Plane]:
-    """Divide each of n pixels into smaller steps, given their offsets (n,).
-
-    Returns the fine offsets, and a matrix (n, k) of hat functions that sums fine samples to pixels.
-    """
+    """Return finer offsets of n pixels, and a matrix (n, k) of hat functions that sums fine samples to pixels."""
     if not offset.size:
         return offset, np.zeros((0, 0), np.float32)
     fine = np.arange((len(offset) + 1) * _FINE + 1, dtype=np.float32) / _FINE - 1

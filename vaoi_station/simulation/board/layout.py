@@ -53,10 +53,7 @@ class Part:
 
 
 def board_from_cad(section: BoardSection) -> Floats:
-    """Return the matrix (3, 3) from CAD coordinates to board coordinates.
-
-    It follows from the unit, the y axis and the side of the board that the scenario states.
-    """
+    """Return the matrix (3, 3) from CAD to board coordinates, by the unit, axes and side that the scenario states."""
     k, (x0, y0) = MM_PER_UNIT[section.unit], section.origin
     flip_x, flip_y = section.side == "bottom", section.y_axis == "up"
     return np.array(
@@ -89,15 +86,9 @@ def board_type(section: BoardSection, parts: tuple[Part, ...], identity: BoardId
 
     def bad_mark(position: str, m: BadMark) -> OtherMark:
         x, y = cad(m.x_mm, m.y_mm)
+        name, diameter = f"BBM{position}", m.diameter_mm / k
         return OtherMark(
-            name=f"BBM{position}",
-            x=x,
-            y=y,
-            diameter=m.diameter_mm / k,
-            kind="bad-board",
-            panel=position,
-            good=m.good,
-            bad=m.bad,
+            name=name, x=x, y=y, diameter=diameter, kind="bad-board", panel=position, good=m.good, bad=m.bad
         )
 
     fiducials = [fiducial(f"FID{n + 1}", m) for n, m in enumerate(section.marks)]
@@ -154,10 +145,10 @@ def _parts_of_panel(section: BoardSection, poses: dict[str, Floats]) -> tuple[Pa
     """Return the parts of all boards of a panel, named `position/ref`, with the boards at these poses."""
     panel = section.panel
     assert panel is not None
-    clear = () if panel.bad_mark is None else (panel.bad_mark,)
-    reserved = [FiducialMark(x_mm=m.x_mm, y_mm=m.y_mm, diameter_mm=m.diameter_mm) for m in clear]
-    one = {"width_mm": panel.width_mm, "length_mm": panel.length_mm, "panel": None, "codes": ()}
-    parts = _PartPlacer(section.model_copy(update=one | {"fiducials": (*panel.fiducials, *reserved)})).fill()
+    # Parts keep clear of the bad-board mark, as of a fiducial.
+    kept = (*panel.fiducials, *(() if panel.bad_mark is None else (panel.bad_mark,)))
+    one = {"width_mm": panel.width_mm, "length_mm": panel.length_mm, "panel": None, "codes": (), "fiducials": kept}
+    parts = _PartPlacer(section.model_copy(update=one)).fill()
 
     def moved(part: Part, position: str, pose: Floats) -> Part:
         x, y = apply(pose, np.array(part.place)).tolist()
@@ -168,7 +159,6 @@ def _parts_of_panel(section: BoardSection, poses: dict[str, Floats]) -> tuple[Pa
 
 
 def _given_parts(section: BoardSection, given: BoardType) -> tuple[Part, ...]:
-    """Return the parts of a board type, with packages that fit their boxes."""
     board, k = board_from_cad(section), MM_PER_UNIT[section.unit]
     spin = -1.0 if section.side == "bottom" else 1.0
 
@@ -255,12 +245,7 @@ class _PartPlacer:
         return False
 
     def _random_coordinate(self, half: float, size: float) -> float:
-        """Draw a random coordinate for the centre of a part, such that the part lies on the board.
-
-        Args:
-            half: half the extent of the part along this axis, mm.
-            size: extent of the board along this axis, mm.
-        """
+        """Draw a coordinate for the centre of a part such that the part lies on the board, which ends at `size`."""
         least = half + _EDGE_MM
         return float(self.random.uniform(least, max(size - least, least)))
 
@@ -273,7 +258,6 @@ class _PartPlacer:
         )
 
     def _clear_of_marks(self, place: tuple[float, float], half: tuple[float, float]) -> bool:
-        """Return whether a part of a grid at this position covers no mark and no hole."""
         x, y = place
         return not any(abs(x - u) < half[0] + w and abs(y - v) < half[1] + h for u, v, w, h in self.reserved)
 
@@ -287,10 +271,7 @@ class _PartPlacer:
 
 
 def mounting_holes(section: BoardSection) -> tuple[tuple[float, float], ...]:
-    """Return the centres of the mounting holes, mm: two on large boards, none on small ones and on given ones.
-
-    They lie where the default fiducials leave room.
-    """
+    """Return the centres of the mounting holes, mm, where the default fiducials leave room: two on large boards."""
     if min(section.width_mm, section.length_mm) < 45 or section.file is not None or section.panel is not None:
         return ()
     return (4.5, section.length_mm - 4.5), (section.width_mm / 2, 4.5)

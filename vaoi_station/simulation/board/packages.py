@@ -110,15 +110,7 @@ def socket(width: float, depth: float, height: float) -> Package:
 def _row_pair(
     count: int, pitch: float, body_w: float, reach: float, wide: float
 ) -> tuple[tuple[Box, ...], tuple[Box, ...]]:
-    """Return the pads and the leads of a package with leads on its left and right side.
-
-    Args:
-        count: number of leads per side.
-        pitch: distance of neighbouring leads, mm.
-        body_w: width of the body, mm.
-        reach: length of a lead beyond the body, mm.
-        wide: width of a lead, mm.
-    """
+    """Return pads and leads of a package with `count` leads on its left and right, which reach beyond the body."""
     at = [(i - (count - 1) / 2) * pitch for i in range(count)]
     pad_at, lead_at = body_w / 2 + reach * 0.65, body_w / 2 + reach * 0.45
     pads = tuple((side * pad_at, v, reach * 1.1, wide * 1.3) for side in (-1, 1) for v in at)
@@ -129,10 +121,7 @@ def _row_pair(
 def package_of(ref: str, body: tuple[float, float], height: float | None) -> Package:
     """Return a package for a part of which only designator and body are known: a chip, or a body with leads.
 
-    Args:
-        ref: designator, whose letters are those of its kind.
-        body: width and height of the body, mm.
-        height: height of the body, mm; None: a third of the shorter side, at most 3 mm.
+    Without a height, the body is a third of its shorter side high, at most 3 mm.
     """
     letters = ref.rpartition("/")[2].rstrip("0123456789")
     length, width = max(body), min(body)

@@ -91,7 +91,11 @@ class _Router:
             k = int(np.argmax(_DIRECTIONS / np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True) @ heading))
             # Three attempts limit the computing time. A pad may remain without a trace.
             for _ in range(3):
-                if self._try_trace(start, k, skip_mm=max(w, h) / 2 + 0.3, via=True):
+                lengths = self.random.uniform([0.6, 0.5, 0.5], [3, 4, 9])
+                count = int(self.random.integers(1, 4))
+                path = _path(start, k, lengths[:count], self.random.choice([-1, 1], 2))
+                if self._is_free(path, skip_mm=max(w, h) / 2 + 0.3):
+                    self._add_trace(path)
                     break
 
     def route_bundles(self, count: int) -> None:
@@ -103,7 +107,7 @@ class _Router:
             for n in range(int(self.random.integers(3, 9))):
                 path = _path(start + n * 0.45 * side, k, lengths, bends)
                 if self._is_free(path, 0.0):
-                    self._add_trace(path, via=True)
+                    self._add_trace(path)
 
     def place_stitching_vias(self, count: int) -> None:
         """Place `count` vias that connect copper areas at random positions. Vias at occupied positions are omitted."""
@@ -113,20 +117,8 @@ class _Router:
                 self.vias.append((float(place[0]), float(place[1])))
                 self._take_disc(self.vias[-1], 0.7)
 
-    def _try_trace(self, start: Floats, k: int, skip_mm: float, *, via: bool) -> bool:
-        """Route one random trace from a pad in direction k. Return False if its path is not free."""
-        lengths = self.random.uniform([0.6, 0.5, 0.5], [3, 4, 9])
-        path = _path(start, k, lengths[: int(self.random.integers(1, 4))], self.random.choice([-1, 1], 2))
-        if not self._is_free(path, skip_mm):
-            return False
-        self._add_trace(path, via=via)
-        return True
-
     def _is_free(self, path: Floats, skip_mm: float) -> bool:
-        """Return whether a path stays on the board and crosses no occupied cell.
-
-        Cells closer than `skip_mm` to the start of the path are ignored.
-        """
+        """Return whether a path is on the board and crosses no occupied cell further than `skip_mm` from its start."""
         steps = [np.linspace(a, b, max(int(np.hypot(*(b - a)) * _CELLS_PER_MM * 1.4), 2)) for a, b in pairwise(path)]
         points = np.vstack(steps)
         if (points < 0.8).any() or (points > self.size - 0.8).any():
@@ -136,14 +128,13 @@ class _Router:
         x, y = (points * _CELLS_PER_MM).astype(int).T
         return not self.taken[y, x].any()
 
-    def _add_trace(self, path: Floats, *, via: bool) -> None:
-        """Add a trace and its via, and mark the cells that they and their clearance occupy."""
+    def _add_trace(self, path: Floats) -> None:
+        """Add a trace with a via at its end, and mark the cells that they and their clearance occupy."""
         self.traces.append(path)
         width = max(round(2 * _CLEARANCE_MM * _CELLS_PER_MM), 2) + 1
         cv2.polylines(self.taken, [self._cells(path)], False, 1, width)
-        if via:
-            self.vias.append((float(path[-1][0]), float(path[-1][1])))
-            self._take_disc(self.vias[-1], 0.7)
+        self.vias.append((float(path[-1][0]), float(path[-1][1])))
+        self._take_disc(self.vias[-1], 0.7)
 
     def _take_disc(self, place: tuple[float, float], radius_mm: float) -> None:
         middle = self._cells(np.array(place)).tolist()
@@ -154,14 +145,7 @@ class _Router:
 
 
 def _path(start: Floats, k: int, lengths: Floats, bends: NDArray[np.int64]) -> Floats:
-    """Return a polyline (points, 2) of up to three segments, which bends by 45° and back.
-
-    Args:
-        start: first point, mm.
-        k: index of the first direction in `_DIRECTIONS`.
-        lengths: lengths of the segments, mm.
-        bends: +1 or −1, the sense of the first bend. The third segment has the direction of the first one again.
-    """
+    """Return a polyline (points, 2) of up to three segments that begins in direction k and bends by 45° and back."""
     turns = [k, k + int(bends[0]), k + int(bends[0]) + (int(bends[1]) if bends[0] != bends[1] else -int(bends[0]))]
     points = [start]
     for length, turn in zip(lengths, turns, strict=False):

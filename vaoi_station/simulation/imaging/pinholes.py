@@ -43,23 +43,13 @@ class Pinhole:
         return np.asarray(h / h[2, 2])
 
     def project(self, place_mm: Floats, z_mm: Floats | float) -> Floats:
-        """Project points to raw pixels (k, 2).
-
-        Args:
-            place_mm: tester coordinates (k, 2), mm.
-            z_mm: heights (k,) above the calibrated plane, or one height for all points.
-        """
+        """Project tester coordinates (k, 2) at heights (k,) above the calibrated plane, or at one, to raw pixels."""
         xyz1 = np.column_stack([place_mm, np.broadcast_to(z_mm, len(place_mm)), np.ones(len(place_mm))])
         q = xyz1 @ self.projection.T
         return self.lens.distort(q[:, :2] / q[:, 2:])
 
     def ground(self, raw_px: Floats, z_mm: Floats | float) -> Floats:
-        """Return the tester coordinates (k, 2), mm, of the points seen at raw pixels (k, 2), at given heights.
-
-        Args:
-            raw_px: raw pixels (k, 2).
-            z_mm: heights (k,) above the calibrated plane, or one height for all points.
-        """
+        """Return the tester coordinates (k, 2) seen at raw pixels (k, 2), at heights (k,) or at one height."""
         p, m = self.lens.undistort(raw_px), self.projection
         a, b = m[0] - p[:, :1] * m[2], m[1] - p[:, 1:] * m[2]
         ra, rb = -(a[:, 2] * z_mm + a[:, 3]), -(b[:, 2] * z_mm + b[:, 3])

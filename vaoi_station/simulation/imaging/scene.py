@@ -77,13 +77,7 @@ class LitTextures:
     """The textures of an artwork as they appear under one light. The light changes the brightness of metal."""
 
     def __init__(self, artwork: Artwork, light: LightSection, turned_rad: float = 0.0) -> None:
-        """Paint the textures.
-
-        Args:
-            artwork: the textures at gain 1.
-            light: the light.
-            turned_rad: rotation of the board against tester coordinates; it matters for a light with relief.
-        """
+        """Paint the textures of a board turned against tester coordinates, which matters for a light with relief."""
         self.surface = _scale_metal(artwork.surface, artwork.metal, light.metal)
         if light.relief:
             c, s = math.cos(turned_rad), math.sin(turned_rad)
@@ -123,17 +117,8 @@ class Scene:
     ) -> Plane:
         """Render the grey values (2h, 2w) that one camera sees, with two samples per pixel and axis.
 
-        Bodies that are further from the foot of the camera are drawn first, because nearer bodies hide them: parallax
-        displaces every body away from the foot.
-
-        Args:
-            camera: the camera.
-            pose: (3, 3) tester_from_board.
-            paint: the textures under the light.
-            light: the light.
-            placements: placement of each part by its name; None for an absent part.
-            belt_pose: (3, 3) from coordinates of the belt's texture to tester coordinates; needed with surroundings.
-            labels: labels of this board, without height.
+        `pose` is tester_from_board (3, 3); `belt_pose`, from the belt's texture to tester coordinates, is needed with
+        surroundings. The placement of an absent part is None. Labels are bodies without height.
         """
         image = self._surface(camera, pose, paint.surface, belt_pose)
         back: Floats = np.asarray(np.linalg.inv(pose), np.float64)
@@ -144,6 +129,7 @@ class Scene:
             for body in visible:
                 end = camera.project(body.outline_mm - body.reach_mm(light), body.z_mm)
                 _cast_shadow(image, end, body.low_px, light.shadow)
+        # Bodies further from the foot of the camera come first: parallax displaces every body away from the foot.
         for body in visible:
             _draw_sides(image, body, light)
             _draw_top(image, camera, back, body)
@@ -167,7 +153,6 @@ class Scene:
         return sorted(found, key=lambda b: -float(np.hypot(*(b.outline_mm.mean(0) - camera.foot_mm))))
 
     def _placed(self, body: Body, camera: Pinhole, pose: Floats, texture: Bytes, placement: Placement) -> VisibleBody:
-        """Return a body with its position in tester coordinates and in a frame."""
         outline = apply(pose, placement.to_board(body.outline_mm, body.center_mm))
         z = float(self.surface_z(np.array([body.center_mm]))[0])
         low, top = camera.project(outline, z), camera.project(outline, z + body.height_mm)
@@ -213,10 +198,7 @@ class Scene:
 
 
 def _crop_texture(texture: Bytes, px: Floats) -> tuple[Bytes, Floats]:
-    """Crop a texture that is too large for OpenCV's `remap` to the surroundings of pixels (k, 2).
-
-    Returns the crop, and the pixels in coordinates of the crop.
-    """
+    """Crop a texture too large for OpenCV's `remap` around pixels (k, 2), and return these in the crop, too."""
     size = np.array(texture.shape[::-1])
     low = np.clip(np.floor(px.min(0)).astype(int) - 2, 0, size - 1)
     high = np.clip(np.ceil(px.max(0)).astype(int) + 3, low + 1, size)
@@ -231,14 +213,7 @@ def _scale_metal(grey: Bytes, metal: Bytes, gain: float) -> Bytes:
 
 
 def _shade_domes(grey: Bytes, artwork: Artwork, towards: tuple[float, float], relief: float) -> Bytes:
-    """Shade metal as flat domes of solder: its slopes that face the lamp are brighter, those that face away darker.
-
-    Args:
-        grey: texture (h, w) of the surface.
-        artwork: gives the metal and the resolution of the texture.
-        towards: unit vector to the lamp in the texture's axes.
-        relief: relative change of the brightness on the steepest slope.
-    """
+    """Shade metal as flat domes of solder, by `relief` on the steepest slope towards the lamp or away from it."""
     metal = artwork.metal.astype(np.float32) / 255
     dome = cv2.GaussianBlur(metal, (0, 0), DOME_MM * artwork.px_per_mm)
     # At a straight edge, the blurred step has its steepest slope, 1 / (σ · √(2π)).
@@ -261,7 +236,6 @@ def _fill_polygon(image: Bytes, raw_px: Floats, grey: float) -> None:
 
 
 def _draw_sides(image: Bytes, visible: VisibleBody, light: LightSection) -> None:
-    """Draw the side walls of a body. Walls that face the lamp are brighter."""
     low, top = visible.low_px, visible.top_px
     # Seen from directly above, the top hides all walls.
     if np.abs(top - low).max() < _MIN_LEAN_PX:
@@ -292,14 +266,7 @@ def _draw_top(image: Bytes, camera: Pinhole, board_from_tester: Floats, visible:
 
 
 def _cast_shadow(image: Bytes, end: Floats, low: Floats, depth: float) -> None:
-    """Darken the shadow of a body: the convex hull of its foot and of the end of its shadow.
-
-    Args:
-        image: supersampled image, which is changed.
-        end: outline (k, 2) at the end of the shadow, raw pixels.
-        low: outline (k, 2) at the foot of the body, raw pixels.
-        depth: share of the light that the shadow removes.
-    """
+    """Darken the shadow of a body: the convex hull of the shadow's end and of the body's foot, raw pixels (k, 2)."""
     hull = cv2.convexHull(np.vstack([low, end]).astype(np.float32))[:, 0]
     points = _to_samples(hull)
     x0, y0 = np.maximum(np.floor(points.min(0)).astype(int) - 1, 0)

@@ -27,15 +27,10 @@ def expose(
     shade: Plane,
     noise: np.random.Generator | None,
 ) -> NDArray[Any]:
-    """Compute the frame (h, w) that the sensor delivers for a rendered scene, as uint8 or uint16.
+    """Return the frame (h, w), uint8 or uint16, that the sensor delivers for a scene of two samples per pixel and axis.
 
-    Args:
-        samples: (2h, 2w) grey values of the scene, two samples per pixel and axis.
-        array: the camera array of the scenario, with the properties of its sensors.
-        motion_px: (2,) motion of the image during the exposure. The exposure is centred on the pulse.
-        brightness: product of light, exposure relative to the reference exposure, and gain.
-        shade: (h, w) relative brightness over the frame (vignetting).
-        noise: random generator for shot noise and read noise, or None for a sensor without noise.
+    The motion (2,) of the image during the exposure is centred on the pulse. The brightness is the product of light,
+    relative exposure and gain; `shade` (h, w) is that over the frame. Without a generator there is no noise.
     """
     h, w = samples.shape[0] // OVERSAMPLING, samples.shape[1] // OVERSAMPLING
     kernel = motion_kernel(motion_px * OVERSAMPLING)
@@ -56,12 +51,9 @@ def expose(
 
 
 def motion_kernel(path: Floats) -> Plane:
-    """Compute the kernel of motion blur along a straight path that is centred on each sample.
+    """Return the kernel of motion blur along a straight path (2,), in samples, that is centred on each sample.
 
     It averages the bilinearly interpolated image along the path. Its entries sum to 1.
-
-    Args:
-        path: (2,) x and y of the motion during the exposure, in samples.
     """
     length = math.hypot(*path)
     # A motion of a thousandth of a sample is invisible, so the image is left unchanged.
@@ -79,10 +71,7 @@ def motion_kernel(path: Floats) -> Plane:
 
 
 def vignette(array: ArraySection, camera: int) -> Plane:
-    """Compute the relative brightness (h, w) of a camera's frame under even light.
-
-    It decreases with the square of the distance from a point near the centre of the frame.
-    """
+    """Return the relative brightness (h, w) of a frame under even light: a quadratic about a point near its centre."""
     g = np.random.default_rng([array.seed, 7004, camera])
     x0, y0 = g.normal(0, 0.15, 2)
     width_px, height_px = array.frame_px(camera)

@@ -34,23 +34,13 @@ class Surroundings:
     px_per_mm: float
     """Resolution of the textures, px per mm."""
 
-    @property
-    def visible(self) -> bool:
-        """Whether there is anything beside the board but an even belt."""
-        return self.texture.sigma_grey > 0 or self.carrier.rim_mm > 0
-
     def draw(
         self, image: Bytes, camera: Pinhole, lattice: Lattice, seen_mm: Floats, pose: Floats, belt_pose: Floats
     ) -> Bytes:
-        """Return the rendered surface (2h, 2w) of the board with its surroundings: belt texture and carrier.
+        """Return the surface (2h, 2w) of a board, rendered on a belt of even grey, with belt texture and carrier.
 
-        Args:
-            image: the surface of the board on a belt of even grey.
-            camera: the camera.
-            lattice: the k nodes of the whole frame.
-            seen_mm: (k, 2) board coordinates of the nodes on the board's surface.
-            pose: (3, 3) tester_from_board.
-            belt_pose: (3, 3) from coordinates of the belt's texture to tester coordinates.
+        `seen_mm` are the board coordinates (k, 2) of the lattice's nodes on the board's surface. `pose` and `belt_pose`
+        (3, 3) lead from the board and from the belt's texture to tester coordinates.
         """
         shape = (image.shape[0], image.shape[1])
         size = (self.board.width_mm, self.board.length_mm)

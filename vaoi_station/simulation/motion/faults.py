@@ -89,6 +89,5 @@ class PassageFaults:
         return tuple(hanging)
 
     def _of(self, faults: tuple[_Fault, ...], **place: int | str) -> list[_Fault]:
-        """Return the faults of this board at a place, such as a camera and a row."""
         here = (f for f in faults if f.board is None or f.board == self.board_number)
         return [f for f in here if all(getattr(f, key) == value for key, value in place.items())]
