@@ -114,19 +114,6 @@ def test_a_cover_a_smudge_and_a_track_are_no_shadow(
         assert mark.sigma_px == expected.sigma_px
 
 
-@pytest.mark.parametrize("angle", [0.0, 1.0, 3.0, 5.0])
-def test_the_line_and_the_depth_of_a_shadow_are_found(paint: Paint, angle: float) -> None:
-    picture = read_only(marked(paint, "circle", shadow(0.2, angle, 5.0)))
-    reach = compared_reach_px(SIZE, 2.0)
-    found = find_shadow_edge(picture, (X, Y), SIZE / 2, reach, 2.0)
-    assert found is not None
-    edge, _ = found
-    assert edge.depth == pytest.approx(0.2, abs=0.03)
-    # The opposite step on the opposite side of the centre is as good.
-    assert abs(np.cos(edge.angle - angle)) == pytest.approx(1, abs=0.01)
-    assert abs(edge.offset_px) == pytest.approx(5.0, abs=0.3)
-
-
 @pytest.mark.parametrize(
     ("angle", "offset_px", "least", "most"), [(0.0, 8.3, 1.6, 4.0), (0.0, 3.0, 1.0, 1.3), (0.8, 8.3, 1.0, 1.4)]
 )

@@ -9,9 +9,8 @@ import pytest
 
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Euclidean, System
-from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.board.board_plane import board_plane, component_at
+from vaoi_station.stitching.board.board_plane import board_plane
 from vaoi_station.stitching.geometry import ComponentIndex
 
 C = np.array([1.0, 0.02, -12.0, -8.0])
@@ -23,18 +22,6 @@ def board(parts: list[dict[str, Any]], **keys: Any) -> BoardType:
 
 def part(ref: str, x: float, y: float, w: float, h: float, **keys: Any) -> dict[str, Any]:
     return {"ref": ref, "center": [x, y], "width": w, "height": h} | keys
-
-
-@pytest.mark.parametrize("y_axis", ["up", "down"])
-@pytest.mark.parametrize("rotation", [0.0, 30.0, 90.0, -45.0])
-def test_points_belong_to_the_component_under_them(workshop: Any, y_axis: str, rotation: float) -> None:
-    kind = board([part("A", 8, 10, 6, 3, rotation=rotation), part("B", 22, 10, 4, 4)], y_axis=y_axis)
-    plane = board_plane(kind, workshop.camera())
-    corners = kind.footprint(kind.components[0])
-    middle = corners.mean(0)
-    inside, outside = middle + 0.95 * (corners - middle), middle + 1.35 * (corners - middle)
-    cad = np.concatenate([inside, outside, [[22, 10], [1, 1]]])
-    assert component_at(plane, C, apply_similarity(C, plane.flat(cad))).tolist() == [0] * 4 + [-1] * 4 + [1, -1]
 
 
 @pytest.mark.parametrize("lift", [None, 1.0])

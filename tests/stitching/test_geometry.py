@@ -115,23 +115,3 @@ def test_a_frame_of_little_contrast_is_taken_where_no_other_shows_the_point(work
     elsewhere = Scene(s.cameras, others, frames.__getitem__).index(MOTION.rows_from_tester).nearest(points)
     np.testing.assert_array_equal(number, np.where(elsewhere >= 0, elsewhere + 1, near))
     assert 0 < (number == faint).sum() < (near == faint).sum()
-
-
-def test_projected_points_match_the_camera_model(workshop: Any) -> None:
-    s = scene(workshop)
-    frames = s.index(MOTION.rows_from_tester)
-    pieces = np.random.default_rng(1).uniform((-8, -24), (40, 8), (60, 1, 2)) + np.random.default_rng(2).normal(
-        0, 0.5, (60, 3, 2)
-    )
-    number = frames.nearest(pieces.mean(1))
-    px = frames.project(number, pieces)
-    for k, n in enumerate(number):
-        if n < 0:
-            assert np.isnan(px[k]).all()
-        else:
-            i, j = s.present[n]
-            assert px[k] == pytest.approx(shown(s.cameras[i], pieces[k], j), abs=1e-9)
-    read = frames.read_samples(number, 2, lambda image, mine: np.stack([np.full(len(mine), image[0, 0]), mine], -1))
-    np.testing.assert_array_equal(read[number < 0], np.nan)
-    np.testing.assert_array_equal(read[number >= 0, 0], 10 * number[number >= 0] + 5)
-    np.testing.assert_array_equal(read[number >= 0, 1], np.flatnonzero(number >= 0))

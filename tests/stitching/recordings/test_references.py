@@ -89,9 +89,6 @@ def test_teaching_keeps_everything_but_the_truth(recording: Path, taught: Path) 
     for name in ("calibration.json", "board.json", "recording.json"):
         assert (taught / name).read_bytes() == (recording / name).read_bytes()
     assert read_stitch(taught / RESULT).cad_matrix is not None
-
-
-def test_an_existing_directory_is_not_overwritten(recording: Path, taught: Path) -> None:
     with pytest.raises(InputError, match="exists already"):
         teach(recording, recording / "calibration.json", recording / "board.json", taught)
 
