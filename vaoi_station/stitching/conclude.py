@@ -117,14 +117,14 @@ class Stitcher:
 
         `evidence` is that of all canonical tasks (`work.all_tasks`), in any order.
         """
-        times_s, sorted_evidence = [time.perf_counter()], sort_evidence(evidence)
+        clock_s, sorted_evidence = [time.perf_counter()], sort_evidence(evidence)
         copies = self._copies(sorted_evidence.links)
         known, problem = self._relinked(sorted_evidence)
         motion = self._motion(problem, known)
-        times_s.append(time.perf_counter())
+        clock_s.append(time.perf_counter())
         mapping = self._map_cad(problem, motion, known)
         findings = self._findings(known, copies, self._refined(problem, motion, mapping), mapping)
-        times_s.append(time.perf_counter())
+        clock_s.append(time.perf_counter())
         if self.prior.lights:
             # Before rows are left out: a dark row has no links, so nothing but the belt's nominal speed places it.
             dark = dark_lights(findings.scene, self.prior.lights, self.prior.channels, findings.checked.confirmed)
@@ -132,8 +132,8 @@ class Stitcher:
         findings = without_unknown_rows(findings)
         status, reasons = judge_result(findings)
         quality = quality_document(findings)
-        times_s.append(time.perf_counter())
-        stages = zip(("motion", "cad", "verdict"), pairwise(times_s), strict=True)
+        clock_s.append(time.perf_counter())
+        stages = zip(("motion", "cad", "verdict"), pairwise(clock_s), strict=True)
         quality["timings_ms"] = {name: round((end - start) * 1e3, 3) for name, (start, end) in stages}
         quality["software"] = f"vaoi_station {__version__}"
         if self.prior.reference is not None and self.prior.method.reference:
