@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.drift.check_run import check_recording
 from vaoi_station.drift.checks import RunCheck, combine_runs
-from vaoi_station.drift.recorded import check_recording
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.displacement import displace_camera
 from vaoi_station.stitching.recordings.opening import open_run

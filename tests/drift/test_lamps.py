@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.drift.checks import LampCheck
-from vaoi_station.drift.lamps import grid_on_board, is_comparable, measure_lamps, trimmed_mean
+from vaoi_station.drift.lamps import grid_on_board, measure_lamps, trimmed_mean
 from vaoi_station.model import BoardType, RecordingHead, Status, Stitch
 
 SIZE = 100
@@ -80,11 +80,6 @@ def test_lights_and_exposures_are_kept_apart() -> None:
     assert found[2].grey == 40.0
 
 
-def test_colour_is_averaged() -> None:
-    coloured = {key: np.stack([f, f, f // 2], axis=-1) for key, f in frames(90, 90, 90, 90).items()}
-    assert lamps(coloured)[0].grey == pytest.approx(75.0)
-
-
 def test_missing_and_empty_rows_have_no_influence() -> None:
     some = frames(80, 80, 80, 0)
     del some[0, 3]
@@ -110,27 +105,9 @@ def test_the_grid_lies_inside_a_polygon() -> None:
     assert points.sum(1).max() < 60
 
 
-def test_a_board_without_area_has_no_grid() -> None:
-    line = BoardType.model_validate(
-        {"name": "l", "fiducials": [{"name": n, "x": x, "y": 5, "diameter": 1} for n, x in (("a", 0), ("b", 9))]}
-    )
-    assert grid_on_board(line).shape == (0, 2)
-
-
-@pytest.mark.parametrize(("grey", "comparable"), [(1.0, False), (4.0, True), (120.0, True), (250.0, False)])
-def test_darkness_and_saturation_are_not_compared(grey: float, comparable: bool) -> None:
-    assert is_comparable(LampCheck(camera=0, light="", exposure=1.0, grey=grey, points=500)) is comparable
-
-
 @given(st.lists(st.floats(0, 255), min_size=1, max_size=60), st.floats(0.01, 4))
 def test_the_trimmed_mean_is_linear_within_the_range_and_ignores_the_order(values: list[float], factor: float) -> None:
     mean = trimmed_mean(np.array(values))
     assert min(values) - 1e-9 <= mean <= max(values) + 1e-9
     assert trimmed_mean(np.array(values) * factor) == pytest.approx(mean * factor, abs=1e-6)
     assert trimmed_mean(np.array(values)[::-1]) == pytest.approx(mean)
-
-
-def test_glints_do_not_change_the_trimmed_mean() -> None:
-    values = np.full(100, 50.0)
-    values[:9] = 255.0
-    assert trimmed_mean(values) == 50.0

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vaoi_station.drift.check_run import check_recording
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.drift.recorded import check_recording
 from vaoi_station.simulation import Twin
 from vaoi_station.simulation.recording_writer import write_passage
 from vaoi_station.stitching.recordings.opening import open_run

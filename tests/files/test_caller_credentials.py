@@ -19,10 +19,6 @@ def key_file(tmp_path: Path) -> Path:
     return path
 
 
-def test_without_anything_no_key_is_sent() -> None:
-    assert caller_credentials(environment={}).headers() == {}
-
-
 def test_a_key_comes_from_the_argument_the_file_or_the_environment(key_file: Path, tmp_path: Path) -> None:
     given = {"VAOI_KEY": "other", "VAOI_KEY_FILE": str(tmp_path / "absent"), "VAOI_CA": "ca.pem"}
     expected = {"Authorization": f"Bearer {KEY}"}

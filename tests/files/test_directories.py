@@ -83,13 +83,6 @@ def test_nothing_remains_after_an_exception(tmp_path: Path, error: type[BaseExce
     assert list(tmp_path.iterdir()) == []
 
 
-def test_existing_directory_is_refused_and_unchanged(tmp_path: Path) -> None:
-    (tmp_path / "kept").mkdir()
-    with pytest.raises(InputError, match="exists already"), new_directory(tmp_path / "kept"):
-        pass
-    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
-
-
 def test_existing_targets_of_any_kind_are_refused_as_input(tmp_path: Path) -> None:
     refuse_existing(tmp_path / "new", tmp_path / "newer")
     (tmp_path / "file").touch()
@@ -113,14 +106,6 @@ def test_the_name_of_a_directory_goes_before_its_content(tmp_path: Path, monkeyp
     assert seen == [[".kept.deleted", ".kept.deleted/file"]]
     assert list(tmp_path.iterdir()) == []
     remove_directory(tmp_path / "kept")  # absent
-
-
-def test_a_directory_goes_although_what_was_left_of_one_is_in_the_way(tmp_path: Path) -> None:
-    for name in ("kept", ".kept.deleted"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "file").write_text("whole")
-    remove_directory(tmp_path / "kept")
-    assert [path.name for path in tmp_path.iterdir()] == [".kept.deleted"]
 
 
 @pytest.fixture

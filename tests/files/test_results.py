@@ -37,14 +37,6 @@ def document() -> dict[str, Any]:
     }
 
 
-def test_result_round_trips_with_its_nulls(tmp_path: Path, write: Write, document: dict[str, Any]) -> None:
-    stitch = read_stitch(write(document))
-    assert stitch.image_from_tester(0, 1) is None
-    assert stitch.tester_from_cad is None
-    write_stitch(tmp_path / "again.json", stitch)
-    assert read_json(tmp_path / "again.json") == document
-
-
 def test_optional_keys_round_trip(tmp_path: Path, write: Write, document: dict[str, Any]) -> None:
     surface = {
         "lift_mm": 0.1,

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from vaoi_station.model import MM_PER_UNIT, BoardType, Fiducial
-from vaoi_station.model.board_type import fiducials_by_board, largest_distance
+from vaoi_station.model import BoardType, Fiducial
+from vaoi_station.model.board_type import fiducials_by_board
 
 
 def board(**change: Any) -> BoardType:
@@ -33,11 +33,6 @@ def fiducial(**change: Any) -> dict[str, Any]:
 )
 def test_handedness_follows_from_axis_and_side_alone(y_axis: str, side: str, mirrors: bool) -> None:
     assert board(y_axis=y_axis, side=side).mirrors is mirrors
-
-
-@pytest.mark.parametrize(("unit", "mm"), [("mm", 1.0), ("inch", 25.4), ("mil", 0.0254)])
-def test_units(unit: str, mm: float) -> None:
-    assert board(unit=unit).mm_per_unit == MM_PER_UNIT[unit] == pytest.approx(mm)
 
 
 def test_the_origin_of_the_cad_system_is_kept_and_changes_nothing_else() -> None:
@@ -81,13 +76,6 @@ def test_the_extent_is_that_of_the_outline_else_of_all_parts() -> None:
         board().extent()
 
 
-def test_components_are_addressed_by_panel_and_ref() -> None:
-    b = board(components=[component(), component(panel=2), component(panel="left")])
-    assert [c.address for c in b.components] == ["U1", "2/U1", "left/U1"]
-    assert b.component("2/U1") is b.components[1]
-    assert b.component("3/U1") is None
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -110,15 +98,6 @@ def test_components_are_addressed_by_panel_and_ref() -> None:
 def test_invalid_board_types_are_refused_with_the_value(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         board(**change)
-
-
-@given(unit=st.sampled_from(sorted(MM_PER_UNIT)), mm=st.floats(0.06, 49))
-def test_limits_of_sizes_are_in_mm_whatever_the_unit(unit: str, mm: float) -> None:
-    size = mm / MM_PER_UNIT[unit]
-    accepted = board(unit=unit, fiducials=[fiducial(diameter=size)])
-    assert accepted.fiducials[0].diameter == size
-    with pytest.raises(ValidationError, match=r"must be 0\.05 to 50 mm"):
-        board(unit=unit, fiducials=[fiducial(diameter=size * 1000)])
 
 
 HOLE = [[1, 1], [2, 1], [2, 2]]
@@ -185,11 +164,6 @@ def test_fiducials_belong_to_their_board_unless_they_place_components() -> None:
     local = mark("L", 1, 1, "A", kind="local", components=["A/U1"])
     marks = [mark("P", 0, 0), mark("A1", 1, 0, "A"), local, mark("B1", 5, 0, 2), mark("A2", 4, 4, "A")]
     assert fiducials_by_board(marks) == {"A": (1, 4), "2": (3,)}
-
-
-def test_the_largest_distance_is_that_of_two_fiducials() -> None:
-    assert largest_distance([mark("a", 0, 0), mark("b", 3, 4), mark("c", 1, 1)]) == 5.0
-    assert largest_distance([mark("a", 7, 7)]) == largest_distance([]) == 0.0
 
 
 @pytest.mark.parametrize("panel", ["", "A/B", "x" * 41, "a\n"])

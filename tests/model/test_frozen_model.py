@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from vaoi_station import model
-from vaoi_station.model import Finite, FrozenModel, Positive, Strict, Whole
+from vaoi_station.model import Finite, FrozenModel, Positive, Whole
 from vaoi_station.model.frozen_model import Matrix, Point
 from vaoi_station.runs.states.schemas import EventRecord
-
-MODELS = [c for c in vars(model).values() if isinstance(c, type) and issubclass(c, FrozenModel | Strict)]
 
 
 class Sample(FrozenModel):
@@ -23,16 +20,6 @@ class Sample(FrozenModel):
     count: Whole = 0
     point: Point = (0.0, 0.0)
     matrix: Matrix | None = None
-
-
-@pytest.mark.parametrize("kind", MODELS, ids=lambda c: c.__name__)
-def test_all_models_are_frozen(kind: type[BaseModel]) -> None:
-    assert kind.model_config.get("frozen") is True
-
-
-def test_fields_cannot_be_assigned() -> None:
-    with pytest.raises(ValidationError, match="frozen"):
-        Sample().count = 2  # type: ignore[misc]
 
 
 def test_user_keys_are_kept_and_unknown_keys_refused() -> None:
@@ -46,12 +33,6 @@ def test_user_keys_are_kept_and_unknown_keys_refused() -> None:
 def test_numbers_must_be_written_as_finite_numbers(field: str, bad: object) -> None:
     with pytest.raises(ValidationError, match=field):
         Sample.model_validate({field: bad})
-
-
-def test_positive_excludes_zero_and_whole_excludes_fractions() -> None:
-    for change in ({"length": 0}, {"length": -1e-300}, {"count": 1.5}):
-        with pytest.raises(ValidationError):
-            Sample.model_validate(change)
 
 
 @pytest.mark.parametrize(

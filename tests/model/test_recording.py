@@ -2,13 +2,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from vaoi_station.model import BoardType, FrameRecord, ProgramRow, ProgramStep, Pulse, RecordingHead, Verdict
+from vaoi_station.model import BoardType, ProgramRow, ProgramStep, RecordingHead
 from vaoi_station.model.recording import linear_gain, row_of, usual_light
 
 
@@ -22,17 +19,6 @@ def head(**change: Any) -> RecordingHead:
         "conveyor_mm_s": [0, -100],
     }
     return RecordingHead.model_validate(base | change)
-
-
-@given(rows=st.integers(1, 50), period=st.floats(0.01, 1))
-def test_nominal_row_times_are_multiples_of_the_period(rows: int, period: float) -> None:
-    times = head(rows=rows, trigger_period_s=period).row_times_s()
-    assert times.shape == (rows,)
-    np.testing.assert_allclose(times, [k * period for k in range(rows)])
-
-
-def test_measured_times_replace_the_nominal_ones() -> None:
-    assert head(trigger_times_s=[5.0, 5.2, 5.3]).row_times_s().tolist() == [5.0, 5.2, 5.3]
 
 
 def test_the_way_of_the_belt_replaces_the_times_in_the_prior_of_the_motion() -> None:
@@ -78,24 +64,6 @@ def test_gains_are_1_and_rows_have_no_light_unless_given() -> None:
 def test_inconsistent_heads_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         head(**change)
-
-
-@pytest.mark.parametrize("verdict", list(Verdict))
-def test_records_survive_json(verdict: Verdict) -> None:
-    record = FrameRecord(camera=1, row=2, verdict=verdict, cause="no packet received", slot=7, exposure_us=250.0)
-    assert FrameRecord.model_validate_json(record.model_dump_json()) == record
-
-
-def test_a_missing_frame_has_no_slot_and_no_times() -> None:
-    record = FrameRecord(camera=1, row=2, verdict=Verdict.MISSING)
-    assert (record.slot, record.frame_id, record.camera_time_s, record.pulse_error_us) == (None, None, None, None)
-
-
-def test_pulses_survive_json_and_refuse_unknown_keys() -> None:
-    pulse = Pulse(index=3, time_s=0.375, light="dark field")
-    assert Pulse.model_validate_json(pulse.model_dump_json()) == pulse
-    with pytest.raises(ValidationError, match="unknown key"):
-        Pulse.model_validate({"index": 3, "time_s": 0.375, "colour": "red"})
 
 
 def test_one_number_applies_to_all_cameras() -> None:

@@ -16,11 +16,6 @@ def test_paths_of_plain_names_are_accepted(path: str) -> None:
     assert is_root_path(path)
 
 
-def test_no_path_is_a_value() -> None:
-    assert CHECK.validate_python("") == ""
-    assert not is_root_path("")
-
-
 @pytest.mark.parametrize(
     "path",
     ["//evil.example", "/a//b", "/a/../b", "/.a", "/aoi/", "aoi", "/a b", "/ä", "/", "/a\n", "/a?b", "/a%2e", "/a'"],

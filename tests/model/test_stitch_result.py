@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from vaoi_station.geometry import System
 from vaoi_station.model import BoardType, Component, Status, Stitch, Surface
@@ -34,35 +33,6 @@ def test_matrices_come_as_transforms_between_their_systems() -> None:
     image_from_cad = image_from_tester @ tester_from_cad
     assert (image_from_cad.target, image_from_cad.source) == (System.IMAGE, System.CAD)
     np.testing.assert_allclose(image_from_cad((1, 1)), (1016, -1016))
-
-
-def test_a_frame_or_board_without_a_position_gives_none() -> None:
-    assert stitch().image_from_tester(0, 1) is None
-    assert stitch(cad_matrix=None).tester_from_cad is None
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"image_matrices": ((M, M), (M,))}, r"image_matrices has cameras of \[1, 2\] rows"),
-        ({"row_motion": (np.eye(3),)}, "row_motion has 1 entries, must have one per row: 2"),
-        ({"status": "fine"}, "status"),
-    ],
-)
-def test_inconsistent_results_are_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValidationError, match=message):
-        stitch(**change)
-
-
-def test_a_result_survives_json() -> None:
-    before = stitch(surface={"lift_mm": 0.1}, components={"U1": [(0, 0, 1.5, 2.5)]})
-    after = Stitch.model_validate_json(before.model_dump_json())
-    assert after.model_dump_json() == before.model_dump_json()
-    assert after.surface == before.surface
-
-
-def test_a_number_that_json_lacks_stays_visible() -> None:
-    assert "NaN" in stitch(quality={"rms_px": float("nan")}).model_dump_json()
 
 
 @given(lift=coefficients, tilt=st.tuples(coefficients, coefficients), at=st.tuples(st.floats(-1, 1), st.floats(-1, 1)))

@@ -10,8 +10,8 @@ import pytest
 from vaoi_station.errors import InputError
 from vaoi_station.files import open_recording, read_stitch
 from vaoi_station.files.results import stitch_document
-from vaoi_station.reporting import StitchedRun, bundle, restitch, write_bundle
-from vaoi_station.reporting.bundle import replay_command
+from vaoi_station.reporting import StitchedRun, report, restitch, write_bundle
+from vaoi_station.reporting.report import replay_command
 from vaoi_station.stitching.recordings.opening import open_run
 from vaoi_station.stitching.recordings.references import teach
 
@@ -37,7 +37,7 @@ def test_bundle_stitched_again_gives_the_same_result(stitched: StitchedRun, tmp_
 
 def test_links_are_arrays_of_one_length(stitched: StitchedRun, tmp_path: Path) -> None:
     write_bundle(tmp_path / "kept", stitched)
-    with np.load(tmp_path / "kept" / bundle.LINKS, allow_pickle=False) as arrays:
+    with np.load(tmp_path / "kept" / report.LINKS, allow_pickle=False) as arrays:
         links = {k: arrays[k] for k in arrays.files if not k.startswith("sighting_")}
         sightings = {k: arrays[k] for k in arrays.files if k.startswith("sighting_")}
     count = stitched.result.quality["links"]
@@ -74,14 +74,7 @@ def test_nothing_is_overwritten_or_left_incomplete(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(bundle, "write_report", full)
+    monkeypatch.setattr(report, "write_report", full)
     with pytest.raises(OSError, match="No space"):
         write_bundle(tmp_path / "new", stitched)
     assert [p.name for p in tmp_path.iterdir()] == ["there"]
-
-
-def test_the_rotation_that_was_given_is_part_of_the_bundle(run: Path, tmp_path: Path) -> None:
-    stitched = restitch(open_run(run, rotation_deg=180))
-    write_bundle(tmp_path / "kept", stitched)
-    assert open_recording(tmp_path / "kept").head.rotation_deg == 180
-    assert result_of(restitch(open_run(tmp_path / "kept"))) == result_of(stitched)

@@ -204,12 +204,6 @@ def test_names_in_a_backup_are_free(site: Site, tmp_path: Path) -> None:
     assert (config.data / "station.db").is_file()
 
 
-def test_a_backup_does_not_overwrite(site: Site, tmp_path: Path) -> None:
-    (tmp_path / "backup").write_text("mine")
-    with pytest.raises(InputError, match="exists already"):
-        back_up(site.config, tmp_path / "backup")
-
-
 WRITER = """
 import sqlite3, sys
 c = sqlite3.connect(sys.argv[1], isolation_level=None, timeout=30)

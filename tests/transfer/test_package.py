@@ -118,25 +118,12 @@ def test_an_extended_header_is_refused_before_it_is_read(tmp_path: Path, kind: b
         unpack_package(tmp_path / "p", "kind", tmp_path / "out")
 
 
-def test_a_long_name_comes_back(tmp_path: Path) -> None:
-    name = "/".join(["a" * 200] * 4)
-    write_package(tmp_path / "p", "kind", [(name, b"x")], {})
-    (tmp_path / "out").mkdir()
-    unpack_package(tmp_path / "p", "kind", tmp_path / "out")
-    assert (tmp_path / "out" / name).read_bytes() == b"x"
-
-
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
     for name in ("recording.json", "frames/c00_r000.tiff", "run.json"):
         (tmp_path / "r1" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "r1" / name).write_text(name)
     return tmp_path / "r1"
-
-
-def test_the_head_is_the_last_of_all_files(recording: Path) -> None:
-    found = [(name, content.read().decode()) for name, content in open_files(recording)]
-    assert found == [(name, name) for name in ("run.json", "frames/c00_r000.tiff", "recording.json")]
 
 
 @pytest.mark.parametrize("read", [0, 1, 2])

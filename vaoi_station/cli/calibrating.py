@@ -295,7 +295,7 @@ def _chosen(checks: Sequence[RunCheck], runs: int | None) -> Sequence[RunCheck]:
 
 
 def _recorded(cases: Sequence[Path]) -> tuple[Calibration, tuple[CameraHead, ...], list[RunCheck]]:
-    from vaoi_station.drift.recorded import check_recording
+    from vaoi_station.drift.check_run import check_recording
     from vaoi_station.stitching.recordings.opening import open_run
 
     opened = [open_run(case) for case in cases]

@@ -146,7 +146,7 @@ def report(
     """Stitch a recorded run and show the evidence in one HTML file."""
     from vaoi_station.files.directories import refuse_existing
     from vaoi_station.reporting import restitch, write_bundle, write_report
-    from vaoi_station.reporting.bundle import REPORT, replay_command
+    from vaoi_station.reporting.report import REPORT, replay_command
     from vaoi_station.stitching.recordings.opening import open_run
 
     # The target is checked first, because stitching the run takes seconds.
@@ -319,9 +319,9 @@ def check_board(
     """Lay a board type over a stitched run: shift, rotation, mirror, scale of its components, and the correction."""
     from vaoi_station.errors import StateError
     from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
+    from vaoi_station.files.directories import refuse_existing
     from vaoi_station.files.documents import write_json
     from vaoi_station.files.images import write_image
-    from vaoi_station.files.pyramids import refuse_existing
     from vaoi_station.library.recordings import StitchedRun, check_result
     from vaoi_station.model import BoardType
     from vaoi_station.stitching.recordings.origin import check_origin

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from vaoi_station.drift.estimate import DisplacementEstimate
 from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Strict
 from vaoi_station.stitching.adjustment.cameras import Attribution, attribute_motion
 
-_DIGITS = 7
-"""Significant digits of stored matrices: more than the estimate's accuracy needs, half as long as full precision."""
 _SEEN = 4
 """A camera with at least this number of links to neighbouring cameras counts as seen in a run."""
 
@@ -29,10 +25,9 @@ class CameraCheck(Strict):
     turn_px: float
     """Turn about the middle of the frame, expressed as the distance by which a corner of the frame moves."""
     sigma_px: tuple[float, float, float]
-    """Standard deviations of x, y and turn of the displacement, px."""
+    """Standard deviations of x, y and turn, px."""
     rms_px: float | None
-    """Rms residual of links to neighbouring cameras and of fiducials, with the calibrated cameras; None if none
-    exist."""
+    """Rms residual of links to neighbouring cameras and of fiducials, with the calibrated cameras; None without any."""
     left_px: float | None
     """Rms of the same residuals after the estimated displacements of all cameras are applied."""
     links: int
@@ -98,7 +93,7 @@ class RunCheck(Strict):
     """Lower triangle of the symmetric information matrix, row by row, px⁻²."""
     vector: tuple[float, ...]
     lamps: tuple[LampCheck, ...] = ()
-    """Brightness of the board per camera, light and exposure; empty in checks of older versions and of recordings."""
+    """Brightness of the board per camera, light and exposure; empty in checks of recordings."""
 
     def normal_equations(self) -> tuple[Floats, Floats]:
         """Return the information matrix (3n, 3n) and the vector (3n,) of n cameras."""
@@ -115,46 +110,6 @@ class KeptBaselines(Strict):
     """Digest of the calibration."""
     types: tuple[RunCheck, ...]
     """One entry for each board type, `only_baselines`; the type that was filmed last is the last one."""
-
-
-def make_run_check(
-    run: str, time: str, board_type: str, estimate: DisplacementEstimate, lamps: tuple[LampCheck, ...] = ()
-) -> RunCheck:
-    """Make the stored check of a run from the estimate of its cameras' displacements, and the brightness."""
-    found = attribute_motion(estimate.information, estimate.vector)
-    return RunCheck(
-        run=run,
-        time=time,
-        board_type=board_type,
-        cameras=tuple(_camera(estimate, found, i) for i in range(len(estimate.links))),
-        rivals=found.rivals,
-        information=_short(estimate.information[np.tril_indices(len(estimate.vector))]),
-        vector=_short(estimate.vector),
-        lamps=lamps,
-    )
-
-
-def _camera(estimate: DisplacementEstimate, found: Attribution, i: int) -> CameraCheck:
-    x, y, turn = (round(float(v), 5) for v in found.displacement_px[i])
-    sigma_x, sigma_y, sigma_turn = (round(float(v), 5) for v in found.sigma_px[i])
-    return CameraCheck(
-        x_px=x,
-        y_px=y,
-        turn_px=turn,
-        sigma_px=(sigma_x, sigma_y, sigma_turn),
-        rms_px=_rounded_or_none(estimate.rms_px[i]),
-        left_px=_rounded_or_none(estimate.left_px[i]),
-        links=int(estimate.links[i]),
-        fiducials=int(estimate.fiducials[i]),
-    )
-
-
-def _rounded_or_none(value: float) -> float | None:
-    return None if math.isnan(value) else round(float(value), 5)
-
-
-def _short(values: Floats) -> tuple[float, ...]:
-    return tuple(float(f"{v:.{_DIGITS}g}") for v in values)
 
 
 def combine_runs(checks: Sequence[RunCheck]) -> Attribution:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -70,18 +70,9 @@ def find_dim_lamps(checks: Sequence[RunCheck]) -> tuple[DimLamp, ...]:
     for light in sorted({light for _, light, _ in dim}):
         keys = [key for key in sorted(dim) if key[1] == light]
         shown = [s for key in keys for s in series[key][dim[key] :]]
-        first = min(s.run for s in shown)
-        found.append(
-            DimLamp(
-                light=light,
-                cameras=tuple(sorted({camera for camera, *_ in keys})),
-                share=float(np.median([s.share for s in shown])),
-                since_run=checks[first].run,
-                since_time=checks[first].time,
-                runs=len({s.run for s in shown}),
-                everywhere=everywhere,
-            )
-        )
+        cameras, runs = tuple(sorted({camera for camera, *_ in keys})), {s.run for s in shown}
+        first, share = checks[min(runs)], float(np.median([s.share for s in shown]))
+        found.append(DimLamp(light, cameras, share, first.run, first.time, len(runs), everywhere))
     return tuple(found)
 
 
@@ -91,20 +82,14 @@ class _Share:
     """Index of the run."""
     share: float
     """Brightness relative to the baseline."""
-    limit: float
-    """Limit of `share` from the scatter of the baseline."""
-    dim: bool = False
+    dim: bool
 
 
 def with_baselines(check: RunCheck, earlier: Sequence[RunCheck]) -> RunCheck:
-    """Return a check whose lamps have baselines, as far as the earlier runs give them.
+    """Return a check whose lamps have baselines, as far as earlier runs under the same calibration give them.
 
-    Args:
-        check: check of a run.
-        earlier: checks of earlier runs under the same calibration, oldest first.
+    `earlier` begins with the oldest.
     """
-    if not check.lamps:
-        return check
     kept: dict[tuple[int, str], list[LampCheck]] = defaultdict(list)
     for other in earlier:
         if other.board_type == check.board_type:
@@ -119,11 +104,8 @@ def with_baselines(check: RunCheck, earlier: Sequence[RunCheck]) -> RunCheck:
 def only_baselines(check: RunCheck, before: RunCheck | None) -> RunCheck:
     """Return a check with only those lamps that have baselines, and those of `before` that the check does not show.
 
-    It has nothing of the cameras, because it is kept for each board type.
-
-    Args:
-        check: check of a run.
-        before: what this function returned for the run before of the same board type; None for its first run.
+    It has nothing of the cameras, because it is kept for each board type. `before` is what this function returned for
+    the run before of the same board type; None for its first run.
     """
     lamps = [lamp for lamp in check.lamps if lamp.baseline is not None]
     shown = {(lamp.camera, lamp.light) for lamp in lamps}
@@ -146,45 +128,30 @@ def _baseline(lamp: LampCheck, earlier: Sequence[LampCheck]) -> LampBaseline | N
     middle = float(np.median(brightness))
     # The largest deviation may be that of one odd board, which says nothing about the others.
     scatter = float(np.sort(np.abs(np.log(brightness / middle)))[-2])
-    return LampBaseline(
-        brightness=middle,
-        scatter=scatter,
-        grey=float(np.median([e.grey for e in first])),
-        points=float(np.median([e.points for e in first])),
-    )
+    grey, points = (float(np.median(values)) for values in zip(*((e.grey, e.points) for e in first), strict=True))
+    return LampBaseline(brightness=middle, scatter=scatter, grey=grey, points=points)
 
 
 def _shares(checks: Sequence[RunCheck]) -> dict[Key, list[_Share]]:
     """Return for every camera, light and board type the comparisons with the baseline, in the order of the runs."""
     series: dict[Key, list[_Share]] = defaultdict(list)
     for k, check in enumerate(checks):
-        best: dict[Key, tuple[float, _Share]] = {}
+        best: dict[Key, tuple[LampBaseline, float]] = {}
         for lamp in check.lamps:
             key, baseline = (lamp.camera, lamp.light, check.board_type), lamp.baseline
             if baseline is None or lamp.points < _LEAST_SHOWN * baseline.points:
                 continue
             # Of several exposures, the one with the largest grey levels is the least disturbed by the dark level.
-            if key not in best or baseline.grey > best[key][0]:
-                best[key] = baseline.grey, _compare(k, lamp, baseline)
-        brightest = max((share.share for _, share in best.values()), default=0.0)
-        for key, (_, share) in best.items():
-            series[key].append(replace(share, dim=_is_dim(share, brightest)))
+            if key not in best or baseline.grey > best[key][0].grey:
+                best[key] = baseline, lamp.grey / lamp.exposure / baseline.brightness
+        # What all lights lose alike may be the board's: another lot of solder mask.
+        brightest = min(max((share for _, share in best.values()), default=0.0), 1.0)
+        for key, (baseline, share) in best.items():
+            # A baseline of boards that differ much must not hide an LED that is unplugged.
+            limit = max(math.exp(-_SCATTERS * baseline.scatter), DARK_SHARE)
+            dim = share < min(DIM_SHARE, limit) * brightest or share < min(DARK_BOARD_SHARE, limit)
+            series[key].append(_Share(k, share, dim))
     return series
-
-
-def _compare(run: int, lamp: LampCheck, baseline: LampBaseline) -> _Share:
-    # A baseline of boards that differ much must not hide an LED that is unplugged.
-    limit = max(math.exp(-_SCATTERS * baseline.scatter), DARK_SHARE)
-    return _Share(run, lamp.grey / lamp.exposure / baseline.brightness, limit)
-
-
-def _is_dim(lamp: _Share, brightest: float) -> bool:
-    """Return whether a light is dim in a camera. `brightest` is the largest share of all lights and cameras of the run.
-
-    What all of them lose alike may be the board's: another lot of solder mask.
-    """
-    unlike = lamp.share < min(DIM_SHARE, lamp.limit) * min(brightest, 1.0)
-    return unlike or lamp.share < min(DARK_BOARD_SHARE, lamp.limit)
 
 
 def _dim_since(runs: Sequence[_Share]) -> int | None:

@@ -41,34 +41,28 @@ _DARKEST, _BRIGHTEST = 4.0, 240.0
 def measure_lamps(stitch: Stitch, board: BoardType | None, head: RecordingHead, frame: Frame) -> tuple[LampCheck, ...]:
     """Measure how bright the board is in a run, for every camera, light and exposure.
 
-    Args:
-        stitch: result of the run. Without a CAD mapping nothing is measured.
-        board: board type of the run; None if it is not known.
-        head: light, exposure and gain of the frames.
-        frame: returns the frames.
+    Nothing is measured without a board type or a CAD mapping. `head` gives light, exposure and gain of the frames.
     """
     tester_from_cad = stitch.tester_from_cad
     if board is None or tester_from_cad is None:
         return ()
     points = tester_from_cad(grid_on_board(board))
+    rows: dict[tuple[int, str], list[int]] = defaultdict(list)
+    for camera, matrices in enumerate(stitch.image_matrices):
+        for row, matrix in enumerate(matrices):
+            if matrix is not None:
+                rows[camera, head.light(row) or ""].append(row)
     found: list[LampCheck] = []
-    for (camera, light), rows in _rows_by_light(stitch, head).items():
-        exposures = {row: head.exposure_us(camera, row) * head.gain(camera, row) for row in rows}
+    for (camera, light), lit in rows.items():
+        exposures = {row: head.exposure_us(camera, row) * head.gain(camera, row) for row in lit}
         for group in _groups(exposures):
-            samples = [s for row in _spread(group) if (s := _samples(stitch, points, camera, row, frame)) is not None]
-            grey = np.concatenate(samples) if samples else np.zeros(0)
+            spread = np.rint(np.linspace(0, len(group) - 1, min(len(group), _MOST_FRAMES))).astype(int)
+            samples = [_samples(stitch, points, camera, group[k], frame) for k in spread]
+            grey = np.concatenate(samples)
             if len(grey) >= _LEAST_POINTS:
-                exposure = float(np.median([exposures[row] for row in group]))
-                level = trimmed_mean(grey)
-                found.append(
-                    LampCheck(
-                        camera=camera,
-                        light=light,
-                        exposure=round(exposure, 4),
-                        grey=round(level, 3),
-                        points=len(grey),
-                    )
-                )
+                exposure = round(float(np.median([exposures[row] for row in group])), 4)
+                level = round(trimmed_mean(grey), 3)
+                found.append(LampCheck(camera=camera, light=light, exposure=exposure, grey=level, points=len(grey)))
     return tuple(found)
 
 
@@ -84,7 +78,7 @@ def grid_on_board(board: BoardType) -> Floats:
     """
     low, high = board.extent()
     step = math.sqrt(float(np.prod(high - low)) / _POINTS)
-    if step <= 0:
+    if step <= 0:  # the board has no area
         return np.zeros((0, 2))
     columns, rows = (math.ceil(v / step) + 1 for v in (high - low).tolist())
     inside = np.zeros((rows, columns), dtype=np.uint8)
@@ -105,16 +99,6 @@ def trimmed_mean(values: NDArray[Any]) -> float:
     return float(ordered[cut : len(ordered) - cut].mean())
 
 
-def _rows_by_light(stitch: Stitch, head: RecordingHead) -> dict[tuple[int, str], list[int]]:
-    """Return the stitched rows of every camera and light; the name of a light that is not known is an empty text."""
-    rows: dict[tuple[int, str], list[int]] = defaultdict(list)
-    for camera, matrices in enumerate(stitch.image_matrices):
-        for row, matrix in enumerate(matrices):
-            if matrix is not None:
-                rows[camera, head.light(row) or ""].append(row)
-    return rows
-
-
 def _groups(exposures: dict[int, float]) -> list[list[int]]:
     """Divide rows into groups of nearly equal product of exposure and gain, which `exposures` gives by row."""
     groups: list[list[int]] = []
@@ -126,16 +110,11 @@ def _groups(exposures: dict[int, float]) -> list[list[int]]:
     return [sorted(group) for group in groups]
 
 
-def _spread(rows: list[int]) -> list[int]:
-    at = np.linspace(0, len(rows) - 1, min(len(rows), _MOST_FRAMES))
-    return [rows[int(k)] for k in np.rint(at)]
-
-
-def _samples(stitch: Stitch, points: Floats, camera: int, row: int, frame: Frame) -> Floats | None:
+def _samples(stitch: Stitch, points: Floats, camera: int, row: int, frame: Frame) -> Floats:
     """Return the grey levels (k,), 0 … 255, of one frame at the points (…, 2) in tester coordinates that it shows."""
     image_from_tester, pixels = stitch.image_from_tester(camera, row), frame(camera, row)
     if image_from_tester is None or pixels is None:
-        return None
+        return np.zeros(0)
     # The distortion of the lens is left out: it moves the samples by the same few pixels in every run.
     x, y = np.rint(image_from_tester(points)).T
     height, width = pixels.shape[:2]

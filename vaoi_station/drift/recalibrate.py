@@ -66,22 +66,11 @@ class Proposal:
         return lines
 
 
-def recalibrate(
-    calibration: Calibration,
-    heads: Sequence[CameraHead],
-    checks: Sequence[RunCheck],
-    created: datetime | None = None,
-) -> Proposal:
+def recalibrate(calibration: Calibration, heads: Sequence[CameraHead], checks: Sequence[RunCheck]) -> Proposal:
     """Propose a calibration with corrected N_i of the cameras that have moved.
 
-    Args:
-        calibration: the calibration with which the runs were stitched.
-        heads: sizes of the cameras' frames.
-        checks: checks of the runs, oldest first.
-        created: date of the new calibration; by default now.
-
-    Raises:
-        InputError: there are too few runs or links, no run shows one of the cameras, or runs contradict one another.
+    `checks` are those of runs that were stitched with the calibration, oldest first. `InputError`: there are too few
+    runs or links, no run shows one of the cameras, or runs contradict one another.
     """
     cameras = calibration.cameras(tuple(heads))
     _refuse_too_little(checks, len(cameras))
@@ -99,16 +88,10 @@ def recalibrate(
         known = tuple(_with_displacement(c, found, i) if i in corrected else c for i, c in enumerate(known))
     for i in corrected:
         matrices[i] = displace_camera(cameras[i], found.displacement_px[i]).image_from_row.matrix
-    made = (created or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
+    made = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     update = {"camera_matrices": tuple(matrices), "covariances": covariances, "covariance": known, "created": made}
-    return Proposal(
-        calibration.model_copy(update=update),
-        found,
-        corrected,
-        _mean(checks, "rms_px"),
-        _mean(checks, "left_px"),
-        len(checks),
-    )
+    before_px, after_px = (_rms_of(checks, key) for key in ("rms_px", "left_px"))
+    return Proposal(calibration.model_copy(update=update), found, corrected, before_px, after_px, len(checks))
 
 
 def _has_moved(found: Attribution, i: int) -> bool:
@@ -211,7 +194,7 @@ def _with_displacement(covariance: Floats, found: Attribution, i: int) -> Floats
     return wider
 
 
-def _mean(checks: Sequence[RunCheck], key: str) -> tuple[float | None, ...]:
+def _rms_of(checks: Sequence[RunCheck], key: str) -> tuple[float | None, ...]:
     """Compute for each camera the root mean square, over the runs, of the value `key`; None if no run has it."""
     out = []
     for i in range(len(checks[0].cameras)):

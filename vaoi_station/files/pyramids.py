@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.files.directories import make_directories, sync_directory, sync_file
+from vaoi_station.files.directories import make_directories, refuse_existing, sync_directory, sync_file
 
 TILE_PX = 256
 """Side of a tile of the file."""
@@ -111,7 +111,7 @@ def write_pyramid(path: Path, layout: PyramidLayout, tile: MakeTile) -> None:
         os.link(draft, path)
         sync_directory(path.parent)
     except FileExistsError as error:
-        raise _exists(path) from error
+        raise InputError(f"{path}: exists already.", action="Choose another path.") from error
     except OSError as error:
         raise _no_room(path, layout, f"cannot be written ({error.strerror or error})") from error
     finally:
@@ -132,16 +132,6 @@ def _no_room(path: Path, layout: PyramidLayout, what: str) -> DeviceError:
         action="Free space, choose another disk, or give a lower resolution.",
         code="disk-full",
     )
-
-
-def refuse_existing(path: Path) -> None:
-    """Raise InputError if a file of this name exists."""
-    if path.exists() or path.is_symlink():
-        raise _exists(path)
-
-
-def _exists(path: Path) -> InputError:
-    return InputError(f"{path}: exists and is not overwritten.", action="Give another --out, or delete it.")
 
 
 def _write_level(writer: Any, layout: PyramidLayout, level: int, tiles: Iterator[NDArray[Any]]) -> None:

@@ -113,12 +113,6 @@ class Recording:
         else:
             write_json(directory / "recording.json", data | {"rotation_deg": self.head.rotation_deg})
 
-    def check_files(self) -> None:
-        """Raise InputError if a frame's file is absent although the head does not list the frame as missing."""
-        for camera in range(len(self.head.cameras)):
-            for row in range(self.head.rows):
-                self.frame_path(camera, row)
-
 
 def frame_file(directory: Path, camera: int, row: int) -> Path | None:
     """Return the file of one frame in the directory of a recording; None if there is no such file."""
@@ -132,7 +126,9 @@ def open_recording(directory: Path) -> Recording:
     data = read_json(path)
     check_format(data, path, "vaoi-recording", 1)
     recording = Recording(directory, parse(RecordingHead, data, path))
-    recording.check_files()
+    for camera in range(len(recording.head.cameras)):
+        for row in range(recording.head.rows):
+            recording.frame_path(camera, row)  # refuses a frame that is absent but not listed as missing
     return recording
 
 

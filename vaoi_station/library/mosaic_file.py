@@ -9,8 +9,9 @@ from typing import Any
 
 from vaoi_station.errors import DeviceError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
+from vaoi_station.files.directories import refuse_existing
 from vaoi_station.files.documents import write_json
-from vaoi_station.files.pyramids import PyramidLayout, refuse_existing
+from vaoi_station.files.pyramids import PyramidLayout
 from vaoi_station.files.results import read_heights
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.library.recordings import check_result

@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Matrix, Pixels, PointPx, Positive
+from vaoi_station.model.frozen_model import (
+    MOST_MM,
+    Finite,
+    FrozenModel,
+    Matrix,
+    Pixels,
+    PointPx,
+    Positive,
+    parse_square,
+)
 from vaoi_station.model.recording import CameraHead
 
 _FIELDS = 9
@@ -18,27 +27,9 @@ _ROUNDING = 1e-9
 """Accepted asymmetry, and accepted negative eigenvalues, of a covariance relative to its largest entry."""
 
 
-def _has_booleans(value: Any) -> bool:
-    if isinstance(value, list | tuple):
-        return any(_has_booleans(v) for v in value)
-    return isinstance(value, bool)
-
-
 def _parse_covariance(value: Any) -> NDArray[np.float64]:
     """Convert nested lists to a read-only, finite, symmetric, positive semidefinite (9, 9) matrix."""
-    shape = f"{_FIELDS}×{_FIELDS}"
-    try:
-        m = np.array(value)
-    except ValueError as error:
-        raise ValueError(f"has rows of different lengths, must be {shape}") from error
-    # NumPy would convert strings and booleans; only numbers written as numbers are accepted.
-    if m.dtype.kind not in "iuf" or _has_booleans(value):
-        raise ValueError(f"is not a matrix of numbers, must be {shape} numbers")
-    m = m.astype(np.float64)
-    if m.shape != (_FIELDS, _FIELDS):
-        raise ValueError(f"has shape {m.shape}, must be {shape}")
-    if not np.isfinite(m).all():
-        raise ValueError("has NaN or infinite entries, all must be finite")
+    m = parse_square(value, _FIELDS)
     slack = _ROUNDING * float(np.abs(m).max())
     if np.abs(m - m.T).max() > slack:
         raise ValueError("is not symmetric, but a covariance must be")
@@ -86,17 +77,19 @@ class Calibration(FrozenModel):
 
     def cameras(self, heads: tuple[CameraHead, ...]) -> tuple[Camera, ...]:
         """Return one calibrated camera per head. The heads give the frame sizes."""
-        return tuple(self._camera(i, head) for i, head in enumerate(heads))
-
-    def _camera(self, i: int, head: CameraHead) -> Camera:
         # A lens without coefficients is ideal; its centre and radius are then irrelevant.
-        d = self.distortion[i] if self.distortion else None
-        return Camera(
-            width_px=head.width,
-            height_px=head.height,
-            image_from_row=Projective(self.camera_matrices[i], System.IMAGE, System.ROW),
-            lens=Lens(d.center, d.radius, d.radial) if d else Lens((0.0, 0.0), 1.0),
-            working_distance_mm=self.working_distance_mm,
-            principal_point_px=self.principal_point[i] if self.principal_point else None,
-            covariance_px2=self.covariance[i] if self.covariance else None,
+        lenses = [Lens((0.0, 0.0), 1.0)] * len(heads)
+        if self.distortion:
+            lenses = [Lens(d.center, d.radius, d.radial) for d in self.distortion]
+        return tuple(
+            Camera(
+                width_px=head.width,
+                height_px=head.height,
+                image_from_row=Projective(self.camera_matrices[i], System.IMAGE, System.ROW),
+                lens=lenses[i],
+                working_distance_mm=self.working_distance_mm,
+                principal_point_px=self.principal_point[i] if self.principal_point else None,
+                covariance_px2=self.covariance[i] if self.covariance else None,
+            )
+            for i, head in enumerate(heads)
         )

@@ -36,23 +36,30 @@ class FrozenModel(BaseModel):
         return self
 
 
-def _parse_matrix(value: Any) -> NDArray[np.float64]:
-    """Convert nested lists to a read-only, finite, invertible (3, 3) matrix."""
+def parse_square(value: Any, size: int) -> NDArray[np.float64]:
+    """Convert nested lists to a finite (size, size) matrix; raise ValueError for anything else."""
+    shape = f"{size}×{size}"
     try:
         m = np.array(value)
     except ValueError as error:
-        raise ValueError("has rows of different lengths, must be 3×3") from error
+        raise ValueError(f"has rows of different lengths, must be {shape}") from error
     except OverflowError as error:  # an integer that no float can hold
         raise ValueError(f"has an entry beyond the limit of ±{MOST_ENTRY:g}") from error
     # NumPy would convert strings and booleans; only numbers written as numbers are accepted. Among numbers, it converts
     # a boolean to 1.0, so the entries are checked as well.
     if m.dtype.kind not in "iuf" or (not isinstance(value, np.ndarray) and _has_boolean(value)):
-        raise ValueError("is not a matrix of numbers, must be 3×3 numbers")
+        raise ValueError(f"is not a matrix of numbers, must be {shape} numbers")
     m = m.astype(np.float64)
-    if m.shape != (3, 3):
-        raise ValueError(f"has shape {m.shape}, must be 3×3")
+    if m.shape != (size, size):
+        raise ValueError(f"has shape {m.shape}, must be {shape}")
     if not np.isfinite(m).all():
         raise ValueError("has NaN or infinite entries, all must be finite")
+    return m
+
+
+def _parse_matrix(value: Any) -> NDArray[np.float64]:
+    """Convert nested lists to a read-only, finite, invertible (3, 3) matrix."""
+    m = parse_square(value, 3)
     largest = np.abs(m).max()
     if largest > MOST_ENTRY or 0 < largest < 1 / MOST_ENTRY:
         raise ValueError(
@@ -65,7 +72,6 @@ def _parse_matrix(value: Any) -> NDArray[np.float64]:
 
 
 def _has_boolean(value: Any) -> bool:
-    """Return whether nested lists contain a boolean."""
     if isinstance(value, list | tuple):
         return any(map(_has_boolean, value))
     return isinstance(value, bool | np.bool_)

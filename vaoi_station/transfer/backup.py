@@ -24,7 +24,6 @@ from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.store.database_file import MARK
 from vaoi_station.store.schema import VERSION
-from vaoi_station.store.schema import VERSION as TABLES
 from vaoi_station.transfer.package import Entry, open_files, unpack_package, write_package
 from vaoi_station.version import __version__
 
@@ -32,8 +31,6 @@ KIND = "vaoi-backup"
 CONFIG, CALIBRATION, BOARD_TYPES, SCENARIO, DATA = "station.toml", "calibration.json", "board-types", "scenario", "data"
 FLAT_FIELDS = "flat-fields"
 DATABASE, REFERENCES = "station.db", "references"
-_SECRET = (KEY_FILE,)
-"""Files of the data that only the service reads."""
 _ELSEWHERE = "Restore to a machine or a folder without a station, or move the old one away."
 
 
@@ -50,15 +47,10 @@ class BackupSummary:
 def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> BackupSummary:
     """Write configuration, calibration, flat fields, board types, references and history of a station to a file.
 
-    The station may run.
-
-    Args:
-        config_path: the station.toml.
-        out: the file to write, which must not exist.
-        recordings: whether to include the kept recordings of frames, and the pictures of boards.
+    The station may run. `recordings` includes the kept recordings of frames, and the pictures of boards.
 
     Raises:
-        InputError: the file exists.
+        InputError: the file `out` exists.
         GoneError: a reference was deleted while the backup was made, which has a database that names it.
     """
     refuse_existing(out)
@@ -68,7 +60,7 @@ def back_up(config_path: Path, out: Path, *, recordings: bool = False) -> Backup
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         database = Path(scratch) / DATABASE
         copy_database(config.data / DATABASE, database)
-        about = {"station": config.name, "made": utc(), "software": __version__, "tables": TABLES}
+        about = {"station": config.name, "made": utc(), "software": __version__, "tables": VERSION}
         deleted: list[str] = []
         entries = _entries(config_path, config, database, deleted if recordings else None)
         files = write_package(out, KIND, entries, about)
@@ -97,7 +89,11 @@ def restore(package: Path, config_path: Path) -> StationConfig:
         config = read_config(unpacked / CONFIG)
         # A file that exists already, such as a scenario of the package, is no problem.
         base = config_path.resolve().parent
-        moves = [m for m in _moves(unpacked, parts, config, base) if not _same_file(*m)]
+        moves = [
+            (source, target)
+            for source, target in _moves(unpacked, parts, config, base)
+            if not (source.is_file() and target.is_file() and filecmp.cmp(source, target, shallow=False))
+        ]
         _make_private(parts / DATA)
         for _, target in moves:
             _refuse_content(target, base)
@@ -197,11 +193,8 @@ def _moves(unpacked: Path, parts: Path, config: StationConfig, base: Path) -> li
     if config.flat_fields is not None:
         targets[FLAT_FIELDS] = config.flat_fields
     # They are set aside first, because the draft has the folders of the package, not those of the file.
-    moves = []
-    for name, target in targets.items():
-        if (unpacked / name).exists():
-            moves.append(((unpacked / name).rename(parts / name), final(target)))
-    return moves
+    present = {name: target for name, target in targets.items() if (unpacked / name).exists()}
+    return [((unpacked / name).rename(parts / name), final(target)) for name, target in present.items()]
 
 
 def _move(source: Path, target: Path) -> None:
@@ -225,20 +218,13 @@ def _make_private(data: Path) -> None:
     """Let only the owner and group of the data read them, and only the owner the secrets, as the service does."""
     for path in (data, *data.rglob("*")):
         path.chmod(path.stat().st_mode & 0o770)
-    for name in _SECRET:
-        if (data / name).is_file():
-            (data / name).chmod(0o600)
-
-
-def _same_file(source: Path, target: Path) -> bool:
-    return source.is_file() and target.is_file() and filecmp.cmp(source, target, shallow=False)
+    if (data / KEY_FILE).is_file():
+        (data / KEY_FILE).chmod(0o600)
 
 
 def _refuse_content(target: Path, base: Path) -> None:
     """Raise InputError for a target that exists, unless it is an empty folder; `base` is the folder of station.toml."""
-    if target.is_dir() and not any(target.iterdir()):
-        return
-    if not target.exists():
+    if not target.exists() or (target.is_dir() and not any(target.iterdir())):
         return
     if target.is_relative_to(base):
         raise InputError(f"{target}: exists already; nothing was restored.", action=_ELSEWHERE)

@@ -40,13 +40,7 @@ Entry = tuple[str, IO[bytes] | bytes]
 
 
 def write_package(path: Path, kind: str, entries: Iterable[Entry], about: dict[str, Any]) -> int:
-    """Write a package, completely or not at all; return the number of its entries.
-
-    Args:
-        path: the file, which must not exist.
-        kind: format of the package, such as "vaoi-backup".
-        entries: names and contents, in the order in which they are written.
-        about: further keys of the manifest.
+    """Write a package of the format `kind`, completely or not at all; return the number of its entries.
 
     Raises:
         InputError: the file exists, or its directory cannot be written to.
@@ -81,13 +75,9 @@ def write_package(path: Path, kind: str, entries: Iterable[Entry], about: dict[s
 
 
 def unpack_package(path: Path, kind: str, directory: Path, *, spare_bytes: int = 0) -> dict[str, Any]:
-    """Unpack a package into an existing directory, check every digest, and return the manifest.
+    """Unpack a package of the format `kind` into an existing directory, check every digest, and return the manifest.
 
-    Args:
-        path: the package.
-        kind: its format, such as "vaoi-backup".
-        directory: where its content is put.
-        spare_bytes: space of the disk that stays free. A small package may have a content of any size.
+    `spare_bytes` of the disk stay free: a small package may have a content of any size.
 
     Raises:
         DeviceError: the disk has no room for the content.

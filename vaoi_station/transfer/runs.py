@@ -11,15 +11,16 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
 from vaoi_station.config import KeepConfig, read_config
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError
-from vaoi_station.files.directories import new_directory, refuse_existing, remove_directory
+from vaoi_station.files.directories import new_directory, refuse_existing, remove_directory, size_below
 from vaoi_station.files.documents import parse, read_json, read_text
 from vaoi_station.files.recordings import open_recording
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
@@ -41,15 +42,8 @@ from vaoi_station.transfer.package import Entry, open_files, unpack_package, wri
 from vaoi_station.version import __version__
 
 KIND = "vaoi-run"
-TIMELINE_FILE, HEIGHTS_FILE, IDENTITY_FILE, HEAD_FILE, CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = (
-    "timeline.json",
-    "heights.json",
-    "identity.json",
-    "head.json",
-    "configuration.json",
-    "calibration.json",
-    "board.json",
-)
+TIMELINE_FILE, HEIGHTS_FILE, IDENTITY_FILE, HEAD_FILE = "timeline.json", "heights.json", "identity.json", "head.json"
+CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = "configuration.json", "calibration.json", "board.json"
 
 
 def export_run(config_path: Path, run: str, out: Path) -> bool:
@@ -105,6 +99,9 @@ def _detail(database: sqlite3.Connection, run: str) -> RunDetail:
     return decided(unpacked(row["detail"], row["packed_detail"]), row["summary"])
 
 
+_OF_DIGEST = "SELECT document, NULL FROM documents JOIN runs ON digest = {} WHERE id = ?"
+
+
 def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entry]:
     yield RUN_FILE, detail.model_dump_json(indent=1).encode()
     for name, query in (
@@ -113,11 +110,8 @@ def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entr
         (IDENTITY_FILE, "SELECT document, packed FROM identities WHERE run = ?"),
         (TIMELINE_FILE, "SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"),
         (HEAD_FILE, "SELECT head, NULL FROM runs WHERE id = ? AND head IS NOT NULL"),
-        (
-            CALIBRATION_FILE,
-            "SELECT document, NULL FROM documents JOIN runs ON digest = calibration_digest WHERE id = ?",
-        ),
-        (BOARD_FILE, "SELECT document, NULL FROM documents JOIN runs ON digest = board_type_digest WHERE id = ?"),
+        (CALIBRATION_FILE, _OF_DIGEST.format("calibration_digest")),
+        (BOARD_FILE, _OF_DIGEST.format("board_type_digest")),
     ):
         if (row := database.execute(query, (detail.id,)).fetchone()) is not None:
             yield name, unpacked(row[0], row[1]).encode()
@@ -126,10 +120,10 @@ def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entr
         yield CONFIGURATION_FILE, str(row[0]).encode()
 
 
-FRAMES = "frames"
-"""Folder of the frames in a recording."""
 _AHEAD_S = 60.0
 """Time by which a run may be newer than this machine's clock says. Ids of later boards must sort after it."""
+_AGAIN = "Export the run again."
+M = TypeVar("M", bound=BaseModel)
 
 
 @dataclass(frozen=True)
@@ -141,8 +135,8 @@ class ImportedRun:
 
 
 @dataclass(frozen=True)
-class _Package:
-    """The checked content of an exported run."""
+class _Content:
+    """The checked content of an exported run, as texts that are stored."""
 
     detail: RunDetail
     calibration: str
@@ -175,7 +169,7 @@ def import_into_history(package: Path, config_path: Path) -> ImportedRun:
     with tempfile.TemporaryDirectory(dir=config.data, prefix=".import.") as scratch:
         folder = Path(scratch)
         manifest = unpack_package(package, KIND, folder, spare_bytes=DISK_RESERVE)
-        content = _read(package, folder, manifest)
+        content = _Unpacked(package, folder).content(manifest)
         target = recordings / content.detail.id
         with_frames = content.frames_bytes > 0 and not target.exists()
         if with_frames:
@@ -195,128 +189,120 @@ def import_into_history(package: Path, config_path: Path) -> ImportedRun:
     return ImportedRun(content.detail, target.exists())
 
 
-def _read(package: Path, folder: Path, manifest: dict[str, Any]) -> _Package:
-    """Return the content of an unpacked run; InputError, which names the file, if a part is absent or wrong."""
-    detail = parse(RunDetail, read_json(folder / RUN_FILE), f"{package}: {RUN_FILE}")
-    if not is_run_id(detail.id):
-        raise InputError.field(f"{package}: {RUN_FILE}", "id", detail.id, "a run id, as 01m7ykwxtb-52y1hr")
-    if assigned_s(detail.id) > time.time() + _AHEAD_S:
-        raise InputError(
-            f"{package}: run {detail.id} is of {utc_of(detail.id)}, which is later than this machine's clock "
-            f"({utc()}).",
-            action="Set the clock of this machine (timedatectl); ids of later runs must sort after this one.",
+@dataclass(frozen=True)
+class _Unpacked:
+    """An unpacked run; an InputError, which names the package and its file, says what is absent or wrong."""
+
+    package: Path
+    folder: Path
+
+    def content(self, manifest: dict[str, Any]) -> _Content:
+        detail = self._document(RunDetail, RUN_FILE)
+        if not is_run_id(detail.id):
+            raise InputError.field(f"{self.package}: {RUN_FILE}", "id", detail.id, "a run id, as 01m7ykwxtb-52y1hr")
+        if (assigned := assigned_s(detail.id)) > time.time() + _AHEAD_S:
+            time_of_run = utc(datetime.fromtimestamp(assigned, UTC))
+            raise InputError(
+                f"{self.package}: run {detail.id} is of {time_of_run}, which is later than this machine's "
+                f"clock ({utc()}).",
+                action="Set the clock of this machine (timedatectl); ids of later runs must sort after this one.",
+            )
+        calibration, board_type = self._text(CALIBRATION_FILE), self._text(BOARD_FILE)
+        known, head = self._document(Calibration, CALIBRATION_FILE), self._document(RecordingHead, HEAD_FILE)
+        self._document(BoardType, BOARD_FILE)
+        self._refuse_other_digest(CALIBRATION_FILE, calibration, detail.calibration)
+        if detail.made_with is not None:
+            self._refuse_other_digest(BOARD_FILE, board_type, detail.made_with.board_type)
+        if len(head.cameras) != len(known.camera_matrices):
+            raise InputError(
+                f"{self.package}: its recording has {len(head.cameras)} cameras, but its {CALIBRATION_FILE} has "
+                f"{len(known.camera_matrices)}.",
+                action=_AGAIN,
+            )
+        size = 0
+        if (self.folder / RECORDING_FILE).is_file():
+            self._check_frames()
+            size = size_below(self.folder)
+        # Of a run that was exported while its codes were read, no one will read them here.
+        identity = (
+            self._document(IdentityDocument, IDENTITY_FILE).without_reading() if self._has(IDENTITY_FILE) else None
         )
-    origin = Origin(station=str(manifest.get("station", "")), exported=str(manifest.get("made", "")), imported=utc())
-    gone = in_state(detail, RunState.GONE)
-    marked = gone.model_copy(update={"origin": origin, "stored": True, "pinned": False, "recording": False})
-    # Of a run that was exported while its codes were read, no one will read them here.
-    identity = _identity(package, folder)
-    identity = None if identity is None else identity.without_reading()
-    marked = identified(marked, RunVerdict(marked.verdict, marked.reasons), identity)
-    _stored(marked, f"{package}: {RUN_FILE}")
-    calibration, board_type = _text(package, folder, CALIBRATION_FILE), _text(package, folder, BOARD_FILE)
-    known = parse(Calibration, json.loads(calibration), f"{package}: {CALIBRATION_FILE}")
-    parse(BoardType, json.loads(board_type), f"{package}: {BOARD_FILE}")
-    _refuse_other_digest(package, CALIBRATION_FILE, calibration, detail.calibration)
-    if detail.made_with is not None:
-        _refuse_other_digest(package, BOARD_FILE, board_type, detail.made_with.board_type)
-    recorded = (folder / RECORDING_FILE).is_file()
-    head = _head(package, folder, recorded)
-    if len(head.cameras) != len(known.camera_matrices):
-        raise InputError(
-            f"{package}: its recording has {len(head.cameras)} cameras, but its {CALIBRATION_FILE} has "
-            f"{len(known.camera_matrices)}.",
-            action="Export the run again.",
+        heights = self._document(HeightList, HEIGHTS_FILE) if self._has(HEIGHTS_FILE) else None
+        for model, name in ((Stitch, RESULT_FILE), (Timeline, TIMELINE_FILE)):
+            if self._has(name):
+                self._document(model, name)
+        result, timeline, configuration = (
+            self._text(name) if self._has(name) else None for name in (RESULT_FILE, TIMELINE_FILE, CONFIGURATION_FILE)
         )
-    if recorded:
-        _check_frames(package, folder)
-    result = _optional(package, folder, RESULT_FILE)
-    if result is not None:
-        parse(Stitch, json.loads(result), f"{package}: {RESULT_FILE}")
-    timeline = _optional(package, folder, TIMELINE_FILE)
-    if timeline is not None:
-        parse(Timeline, json.loads(timeline), f"{package}: {TIMELINE_FILE}")
-    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) if recorded else 0
-    configuration = _optional(package, folder, CONFIGURATION_FILE)
-    return _Package(
-        marked, calibration, board_type, _stored(head, f"{package}: {HEAD_FILE}"), result, timeline,
-        _heights(package, folder), identity, configuration, size,
-    )  # fmt: skip
-
-
-def _identity(package: Path, folder: Path) -> IdentityDocument | None:
-    """Return the identity of a run; packages of earlier versions have none."""
-    if (text := _optional(package, folder, IDENTITY_FILE)) is None:
-        return None
-    return parse(IdentityDocument, json.loads(text), f"{package}: {IDENTITY_FILE}", action="Export the run again.")
-
-
-def _heights(package: Path, folder: Path) -> str | None:
-    """Return the heights of a run; the station reads them for every image on the top of a body."""
-    if (text := _optional(package, folder, HEIGHTS_FILE)) is None:
-        return None
-    heights = parse(HeightList, json.loads(text), f"{package}: {HEIGHTS_FILE}", action="Export the run again.")
-    return _stored(heights, f"{package}: {HEIGHTS_FILE}", exclude_none=True)
-
-
-def _stored(document: BaseModel, place: str, *, exclude_none: bool = False) -> str:
-    """Return the text that is stored of a document; InputError if it could not be read again.
-
-    Texts such as "nan" are accepted as numbers, but JSON has none for them.
-    """
-    text = document.model_dump_json(exclude_none=exclude_none)
-    parse(type(document), json.loads(text), place, action="Export the run again.")
-    return text
-
-
-def _head(package: Path, folder: Path, recorded: bool) -> RecordingHead:
-    """Return the head of the run's recording; packages of earlier versions have it only with frames."""
-    name = HEAD_FILE if (folder / HEAD_FILE).is_file() else RECORDING_FILE
-    if name == RECORDING_FILE and not recorded:
-        raise InputError(
-            f"{package}: has no {HEAD_FILE}, because an earlier version has written it.",
-            action="Export the run again with this version, or unpack it with --out.",
-        )
-    return parse(RecordingHead, read_json(folder / name), f"{package}: {name}")
-
-
-def _check_frames(package: Path, folder: Path) -> None:
-    """Decode every frame here, and refuse one of another size than its camera's.
-
-    The station decodes frames in its own process when callers ask for them: a picture of any size would take
-    its memory.
-    """
-    recording, known = open_recording(folder), set[Path]()
-    for camera in range(len(recording.head.cameras)):
-        for row in range(recording.head.rows):
-            if (path := recording.frame_path(camera, row)) is not None:
-                known.add(path)
-                recording.frame(camera, row)
-    if others := sorted(set((folder / FRAMES).rglob("*")) - known):
-        raise InputError(
-            f"{package}: {others[0].relative_to(folder)} is no frame of its {RECORDING_FILE}.",
-            action="Export the run again.",
+        marked = self._marked(detail, manifest, identity)
+        self._stored(marked, RUN_FILE)
+        return _Content(
+            marked,
+            calibration,
+            board_type,
+            self._stored(head, HEAD_FILE),
+            result,
+            timeline,
+            None if heights is None else self._stored(heights, HEIGHTS_FILE, exclude_none=True),
+            identity,
+            configuration,
+            size,
         )
 
+    def _marked(self, detail: RunDetail, manifest: dict[str, Any], identity: IdentityDocument | None) -> RunDetail:
+        """Return the record as this station keeps it, with the verdict that the identity leaves."""
+        station, made = (str(manifest.get(key, "")) for key in ("station", "made"))
+        origin = Origin(station=station, exported=made, imported=utc())
+        changed = {"origin": origin, "stored": True, "pinned": False, "recording": False}
+        marked = in_state(detail, RunState.GONE).model_copy(update=changed)
+        return identified(marked, RunVerdict(marked.verdict, marked.reasons), identity)
 
-def _optional(package: Path, folder: Path, name: str) -> str | None:
-    return _text(package, folder, name) if (folder / name).is_file() else None
+    def _has(self, name: str) -> bool:
+        return (self.folder / name).is_file()
 
+    def _text(self, name: str) -> str:
+        if not self._has(name):
+            raise InputError(f"{self.package}: has no {name}.", action=_AGAIN)
+        # It is read as JSON first, for messages with the place of a fault. The text itself has the digest.
+        read_json(self.folder / name)
+        return read_text(self.folder / name)
 
-def _text(package: Path, folder: Path, name: str) -> str:
-    # It is read as JSON first, for messages with the place of a fault. The text itself has the digest.
-    if not (folder / name).is_file():
-        raise InputError(f"{package}: has no {name}.", action="Export the run again.")
-    read_json(folder / name)
-    return read_text(folder / name)
+    def _document(self, model: type[M], name: str) -> M:
+        return parse(model, json.loads(self._text(name)), f"{self.package}: {name}", action=_AGAIN)
 
+    def _stored(self, document: BaseModel, name: str, *, exclude_none: bool = False) -> str:
+        """Return the text that is stored of a document; InputError if it could not be read again.
 
-def _refuse_other_digest(package: Path, name: str, document: str, expected: str) -> None:
-    if digest_of(document) != expected:
-        raise InputError(
-            f"{package}: {name} has the digest {digest_of(document)}, but the run was made with {expected}.",
-            action="Export the run again.",
-        )
+        Texts such as "nan" are accepted as numbers, but JSON has none for them.
+        """
+        text = document.model_dump_json(exclude_none=exclude_none)
+        parse(type(document), json.loads(text), f"{self.package}: {name}", action=_AGAIN)
+        return text
+
+    def _check_frames(self) -> None:
+        """Decode every frame here, and refuse one of another size than its camera's.
+
+        The station decodes frames in its own process when callers ask for them: a picture of any size would take
+        its memory.
+        """
+        recording, known = open_recording(self.folder), set[Path]()
+        for camera in range(len(recording.head.cameras)):
+            for row in range(recording.head.rows):
+                if (path := recording.frame_path(camera, row)) is not None:
+                    known.add(path)
+                    recording.frame(camera, row)
+        if others := sorted(set((self.folder / "frames").rglob("*")) - known):
+            raise InputError(
+                f"{self.package}: {others[0].relative_to(self.folder)} is no frame of its {RECORDING_FILE}.",
+                action=_AGAIN,
+            )
+
+    def _refuse_other_digest(self, name: str, document: str, expected: str) -> None:
+        if digest_of(document) != expected:
+            raise InputError(
+                f"{self.package}: {name} has the digest {digest_of(document)}, but the run was made with {expected}.",
+                action=_AGAIN,
+            )
 
 
 def _refuse_other_user(database: Path) -> None:
@@ -361,7 +347,7 @@ def _writing(path: Path) -> Iterator[sqlite3.Connection]:
         ) from error
 
 
-def _insert(connection: sqlite3.Connection, content: _Package) -> None:
+def _insert(connection: sqlite3.Connection, content: _Content) -> None:
     """Write a run and the documents that it refers to, and pin it; InputError if the history has it already."""
     detail, now = content.detail, utc()
     known = connection.execute("SELECT detail FROM runs WHERE id = ?", (detail.id,)).fetchone()
@@ -413,8 +399,3 @@ def _insert(connection: sqlite3.Connection, content: _Package) -> None:
     if content.identity is not None:
         write_identity(connection, detail.id, identity_row(content.identity))
     connection.execute("INSERT INTO pins VALUES (?, ?)", (detail.id, now))
-
-
-def utc_of(run: str) -> str:
-    """Return the time at which a run id was assigned, in UTC."""
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(assigned_s(run)))
