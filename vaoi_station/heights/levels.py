@@ -3,7 +3,7 @@
 How much of the footprint the body covers is not in the CAD data: leads, pads and bare board may surround it. Therefore
 extents are compared: rectangles in the footprint, each with a prior probability. Tiles inside the extent see the body's
 height, tiles outside see the board, tiles across an edge see either or a mixture. The probability of a height is the
-sum over all extents (as `stitching.quality.body_heights` does it with links).
+sum over all extents (as `stitching.quality.heights.body_heights` does it with links).
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ def compare_heights(
         noise_area: number of pixels that share one independent value of noise.
         unlike: share of the texture's variance that two pictures of one place do not have in common.
     """
-    sums, freedom = found.sums, found.freedom[:, None]
+    # A sum of squares; pictures that are equal leave less than zero by rounding.
+    sums, freedom = np.maximum(found.sums, 0), found.freedom[:, None]
     alike = sums <= _ALIKE * sums.min(1, keepdims=True)
     noise = (sums * alike).sum(1) / alike.sum(1) / found.freedom
     # Tiles at edges have more than noise: on a body between leads, they are most of all tiles.
