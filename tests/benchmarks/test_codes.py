@@ -10,7 +10,6 @@ import pytest
 from vaoi_station.benchmarks.codes import (
     DottedCode,
     draw_dotted_code,
-    interval,
     measure_code_reading,
     measure_dotted_codes,
 )
@@ -32,11 +31,6 @@ def test_drawings_of_either_polarity_are_read_disturbed_or_not() -> None:
     assert sum(r.wrong for r in rates) == 0
     assert lines[1].startswith("light dots of 0.85 modules of  6.0 px: 2 of 2 read (34.2 to 100.0 %), 0 wrong")
     assert rates[0].share == (0.3424, 1.0)
-
-
-def test_interval_of_a_share_is_that_of_wilson() -> None:
-    assert interval(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
-    assert interval(5, 10) == pytest.approx((0.2366, 0.7634), abs=1e-4)
 
 
 def test_dots_cover_their_share_of_a_code_and_stay_within_its_corners() -> None:

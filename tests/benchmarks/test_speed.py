@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, replace
-from typing import Any, NoReturn
 
-import cv2
 import numpy as np
 import pytest
 
@@ -21,14 +18,6 @@ def figures(small_board: BenchmarkBoard) -> SpeedFigures:
     return measure_stitching(small_board, repetitions=1)
 
 
-@pytest.fixture
-def two_threads() -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(2)
-    yield
-    cv2.setNumThreads(before)
-
-
 def test_all_figures_are_present_and_finite(figures: SpeedFigures) -> None:
     document = asdict(figures)
     assert document.keys() >= PUBLISHED | {"paper_ms_per_frame", "images_per_s", "repetitions", "status", "opencv"}
@@ -39,18 +28,6 @@ def test_all_figures_are_present_and_finite(figures: SpeedFigures) -> None:
     assert (figures.cameras, figures.rows, figures.frame_px) == (2, 6, (640, 480))
     low, high = figures.stitch_spread_ms
     assert low <= figures.stitch_ms_per_frame <= high
-
-
-@pytest.mark.usefixtures("two_threads")
-def test_number_of_threads_is_restored_after_an_error(small_board: BenchmarkBoard) -> None:
-    class Unreadable(dict[tuple[int, int], Any]):
-        def get(self, *_: object) -> NoReturn:
-            assert cv2.getNumThreads() == 1
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        measure_stitching(replace(small_board, frames=Unreadable(small_board.frames)))
-    assert cv2.getNumThreads() == 2
 
 
 def test_board_without_cad_mapping_is_timed_without_component_images(small_board: BenchmarkBoard) -> None:

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.errors import DeviceError
-from vaoi_station.rig import device_process
 from vaoi_station.rig.camera_process import DARK, CameraProcess, TriggerCommand
 
 COMMANDS = st.builds(
@@ -124,14 +123,5 @@ def test_a_camera_that_does_not_start_is_refused_with_its_last_words(install: In
     install("sys.exit('no camera can be served at 127.0.0.2')")
     camera = CameraProcess("127.0.0.2", "A")
     with pytest.raises(DeviceError, match=r"at 127\.0\.0\.2 does not start\. no camera can be served"), camera:
-        pass
-    assert not running(camera)
-
-
-def test_a_camera_that_hangs_is_refused_after_the_timeout(install: Install, monkeypatch: pytest.MonkeyPatch) -> None:
-    install("sys.stderr.write('still looking for the network'); sys.stderr.flush(); sys.stdin.read()")
-    monkeypatch.setattr(device_process, "READY_TIMEOUT_S", 0.5)
-    camera = CameraProcess("127.0.0.2", "A")
-    with pytest.raises(DeviceError, match=r"does not start"), camera:
         pass
     assert not running(camera)

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from tests.needs import need_emulator
 from tests.rig.host import Host
@@ -144,23 +142,6 @@ def scripted(folder: Path, lines: str) -> Path:
     return folder
 
 
-def test_the_terminal_exists_while_the_chip_runs(built: Path, tmp_path: Path) -> None:
-    terminal = tmp_path / "trigger"
-    with Chip(built, terminal, lambda _: None) as chip:
-        assert terminal.is_symlink()
-        states = [chip.alive]
-        assert chip.pid
-    states.append(chip.alive)
-    assert states == [True, False]
-    assert not terminal.exists()
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.integers(0, 2**40))
-def test_cycle_and_time_are_inverse(bench: Bench, cycle: int) -> None:
-    assert bench.chip.cycle_at(bench.chip.host_ns(cycle)) == cycle
-
-
 def test_a_board_in_the_barrier_fires_triggers_with_their_cycles(bench: Bench, small: Scenario) -> None:
     with Host(bench.chip.terminal) as host:
         host.arm(small, (Step(0b0001, 500),))
@@ -187,14 +168,6 @@ def test_a_command_after_the_end_is_refused(bench: Bench) -> None:
     with pytest.raises(DeviceError, match="the emulated chip has ended"):
         bench.chip.send("pin PB0 1")
     assert not bench.chip.alive
-
-
-def test_an_emulator_that_ends_at_once_is_refused(tmp_path: Path) -> None:
-    with (
-        pytest.raises(DeviceError, match="the emulated chip does not start"),
-        Chip(scripted(tmp_path, "exit 1"), tmp_path / "trigger", lambda _: None),
-    ):
-        pass
 
 
 def test_edges_are_dated_by_the_last_clock_line(tmp_path: Path) -> None:
@@ -224,11 +197,6 @@ def test_a_shot_is_known_when_its_light_is_out() -> None:
 def test_a_flash_may_end_before_the_trigger() -> None:
     [pulse] = play((0, "PD4", 1), (10, "PB2", 1), (10, "PB1", 1), (60, "PB2", 0), (410, "PB1", 0))
     assert (pulse.channels, pulse.on_us, pulse.width_us) == ((0,), 50.0, 400.0)
-
-
-def test_a_trigger_without_light_is_a_dark_shot() -> None:
-    [pulse] = play((10, "PB1", 1), (110, "PB1", 0))
-    assert (pulse.channels, pulse.on_us) == ((), 0.0)
 
 
 def test_light_before_the_trigger_is_not_seen() -> None:

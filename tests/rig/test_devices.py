@@ -15,7 +15,6 @@ import pytest
 from tests.rig.known_boards import known_board
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.errors import DeviceError
-from vaoi_station.files import read_board_type, read_calibration
 from vaoi_station.rig import devices as assembly
 from vaoi_station.rig.devices import (
     TERMINAL,
@@ -27,7 +26,7 @@ from vaoi_station.rig.devices import (
 )
 from vaoi_station.rig.faults import parse_fault
 from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
-from vaoi_station.simulation import Scenario, Twin
+from vaoi_station.simulation import Scenario
 from vaoi_station.simulation.scenario import LightSection
 
 
@@ -162,28 +161,11 @@ def site_of(scenario: Scenario, board: RenderedBoard, folder: Path) -> StationCo
     return read_config(path)
 
 
-def test_the_files_beside_it_are_those_of_the_twin(small: Scenario, config: StationConfig, tmp_path: Path) -> None:
-    twin = Twin(small)
-    written = read_calibration(tmp_path / "calibration.json")
-    assert written.model_dump_json() == twin.calibration.model_dump_json()
-    assert read_board_type(tmp_path / "board-types" / "small.json") == twin.board_type
-    assert (config.calibration, config.board_types) == (tmp_path / "calibration.json", tmp_path / "board-types")
-    assert config.data == tmp_path / "data"
-    assert (config.name, config.workers) == ("rig-7", 3)
-
-
 def test_the_backends_are_the_real_ones(config: StationConfig, tmp_path: Path) -> None:
     assert [camera.backend for camera in config.cameras] == ["aravis", "aravis"]
     assert [camera.address for camera in config.cameras] == list(ADDRESSES)
     assert (config.controller.backend, config.controller.port) == ("serial", str(tmp_path / "trigger"))
     assert (config.simulation, config.replay) == (None, None)
-
-
-def test_sixteen_bits_become_a_wider_pixel_format(
-    small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path
-) -> None:
-    deep = small.model_copy(update={"array": small.array.model_copy(update={"bits": 16})})
-    assert {camera.pixel_format for camera in site_of(deep, boards[0], tmp_path).cameras} == {"Mono16"}
 
 
 def test_leds_are_on_for_the_longest_exposure(

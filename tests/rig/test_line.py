@@ -209,17 +209,6 @@ def pulse(channels: tuple[int, ...], on_us: float) -> Pulse:
     return Pulse(0, 0, channels, on_us)
 
 
-def test_every_light_has_a_channel() -> None:
-    lighting = lighting_of(scenario_of(("ring", "low", "ring")))
-    assert lighting.channels == {"ring": (0,), "low": (1,)}
-    assert lighting.light_of(pulse((1,), 250.1)) == "low"
-    assert lighting.brightness(pulse((1,), 250.1), 0) == 1.0
-    assert lighting.light_of(pulse((0, 1), 250.0)) is None
-    assert lighting.brightness(pulse((0, 1), 250.0), 0) == 0.0
-    with pytest.raises(InputError, match="at most 4 different ones"):
-        lighting_of(scenario_of(("a", "b", "c", "d", "e")))
-
-
 def test_a_camera_sees_the_light_within_its_own_exposure() -> None:
     lighting = lighting_of(scenario_of(("ring",), (250.0, 1000.0)))
     assert lighting.brightness(pulse((0,), 1000.0), 0) == 1.0
@@ -299,14 +288,6 @@ def feeder_of(
     return BoardFeeder(cast("VirtualLine", line), boards, interval_s, wait_ready, wait_permitted)
 
 
-def test_all_boards_pass_in_order(short_boards: list[RenderedBoard]) -> None:
-    line = ScriptedLine()
-    with feeder_of(line, short_boards) as feeder:
-        assert feeder.finished.wait(TIMEOUT_S)
-    assert line.started == [0, 1, 2]
-    assert [passage.board for passage in feeder.passages] == [0, 1, 2]
-
-
 def test_every_board_waits_until_the_station_is_ready(short_boards: list[RenderedBoard]) -> None:
     line = ScriptedLine()
     waits: list[tuple[float, int]] = []
@@ -340,13 +321,3 @@ def test_a_failure_is_raised_where_the_feeder_was_started(short_boards: list[Ren
     with pytest.raises(DeviceError, match="has ended"), feeder_of(line, short_boards) as feeder:
         assert feeder.finished.wait(TIMEOUT_S)
     assert line.started == [0]
-
-
-def test_a_failure_does_not_hide_an_earlier_one(short_boards: list[RenderedBoard]) -> None:
-    def fail_outside() -> None:
-        with feeder_of(ScriptedLine(fails_at=0), short_boards) as feeder:
-            assert feeder.finished.wait(TIMEOUT_S)
-            raise KeyError("the caller's own failure")
-
-    with pytest.raises(KeyError, match="the caller's own failure"):
-        fail_outside()

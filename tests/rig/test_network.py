@@ -20,7 +20,6 @@ from vaoi_station.rig.network import (
     LoopbackAddresses,
     addresses,
     enter_namespace,
-    entry_command,
     isolation_command,
 )
 
@@ -97,19 +96,6 @@ def test_a_machine_without_ip_is_refused(program: Program) -> None:
 def test_the_weakest_sufficient_isolation_is_chosen(program: Program, body: str, expected: list[str]) -> None:
     program("unshare", body)
     assert isolation_command() == expected
-
-
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        ("", []),
-        ("net", ["nsenter", "-t", str(os.getpid()), "--net"]),
-        ("user", ["nsenter", "-t", str(os.getpid()), "--net", "--user", "--preserve-credentials"]),
-    ],
-)
-def test_the_entry_command_names_this_process(monkeypatch: pytest.MonkeyPatch, kind: str, expected: list[str]) -> None:
-    monkeypatch.setenv(NAMESPACE_VARIABLE, kind)
-    assert entry_command() == expected
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from vaoi_station.rig.report import BoardScore
 from vaoi_station.rig.score import (
     MONO_8,
     RUN_MATCH_S,
-    BoardEvidence,
     RingCheck,
     check_bay,
     run_of,
@@ -143,12 +142,6 @@ def test_a_frame_that_the_rig_sent_late_is_the_rigs(known: RenderedBoard) -> Non
     assert (never.sent_late_ms, never.affected[0].done) == (None, "the rig never sent it")
 
 
-def test_pixels_of_another_row_are_reported(known: RenderedBoard) -> None:
-    board = scored(known, wrong={(0, 3): "it is the frame of camera 0, row 2"})
-    assert board.wrong == ("camera 0, row 3: it is the frame of camera 0, row 2",)
-    assert board.proven == board.ok - 1
-
-
 @pytest.mark.parametrize(
     ("stated", "words"),
     [
@@ -193,12 +186,6 @@ def test_an_unarmed_camera_is_excused_only_by_an_outage(known: RenderedBoard) ->
     assert innocent(scored(known, {(0, 2): "unarmed"}, lost)) == [(0, 2)]
     [frame] = scored(known, {(0, 2): "unarmed"}, lost, outages=(outage,)).affected
     assert frame.done == "the controller was reset, and the camera was not armed"
-
-
-def test_a_board_without_a_run(known: RenderedBoard) -> None:
-    board = score(BoardEvidence(passage_of(known), None, {}, None, [18.0, 18.0]), ())
-    assert (board.run, board.status, board.unfilmed) == (None, None, CAMERAS * ROWS)
-    assert (board.ok, board.proven, board.deviation.views) == (0, None, 0)
 
 
 def test_figures_of_the_stitch_are_taken_from_the_run(known: RenderedBoard) -> None:

@@ -217,7 +217,8 @@ def _run_boards(
         recoveries = _recoveries(injector, watch, record.began_ns)
     record.missed, record.board_ids = client.get("/station")["boards_missed"], ids.armed
     for run in record.runs:
-        record.matrices[run["id"]] = _matrices(client, run["id"])
+        # A run that failed early has no result.
+        record.matrices[run["id"]] = _found(client, f"/runs/{run['id']}/matrices") or {}
     return record, feeder.passages, recoveries
 
 
@@ -234,7 +235,9 @@ def _collect_runs(
         # The ring is checked before the next run is requested: a run that ends between the two must not be overlooked.
         if _check_ring(client, feeder, record):
             busy_s = time.monotonic()
-        run = client.get("/runs/next", after=after, timeout=POLL_S) or (_latest_run(client) if after is None else None)
+        run = client.get("/runs/next", after=after, timeout=POLL_S) or (
+            _found(client, "/runs/latest") if after is None else None
+        )
         if run is not None:
             after = run["id"]
             record.runs.append(run)
@@ -340,20 +343,11 @@ def _processes(service: Service, station: dict[str, Any]) -> dict[str, int]:
     return {"station": service.pid, **children}
 
 
-def _latest_run(client: Client) -> Any:
-    """Return the latest run, in case the first run ended before `_collect_runs` began; None if no run has ended."""
+def _found(client: Client, path: str) -> Any:
     try:
-        return client.get("/runs/latest")
+        return client.get(path)
     except NotFoundError:
         return None
-
-
-def _matrices(client: Client, run: str) -> dict[str, Any]:
-    """Return the JSON of a run's result; empty if the run failed before it had a result."""
-    try:
-        return dict(client.get(f"/runs/{run}/matrices"))
-    except NotFoundError:  # a run that failed early has no result
-        return {}
 
 
 def _to_monotonic_s(utc: str) -> float:

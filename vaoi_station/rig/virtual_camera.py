@@ -36,7 +36,7 @@ from vaoi_station.acquisition.cameras.aravis.library import aravis, shared_libra
 from vaoi_station.errors import DeviceError, InternalError, VaoiError
 from vaoi_station.rig.camera_process import DARK, TriggerCommand
 
-_ENTRY = r'(<EnumEntry Name="{}"[^>]*>.*?<Value>)(\d+)(</Value>)'
+_ENTRY = re.compile(r'(<EnumEntry Name="([^"]*)"[^>]*>.*?<Value>)(\d+)', re.DOTALL)
 _TEMPERATURE = """
 	<Float Name="DeviceTemperature" NameSpace="Standard">
 		<DisplayName>Device Temperature</DisplayName>
@@ -68,34 +68,16 @@ _EXPOSURE_MODE = f"""
 
 def with_line0_trigger(description: str, celsius: float = 41.5) -> str:
     """Return the fake's GenICam description with Line0 as trigger source, a temperature and ExposureMode."""
-    head, source, rest = _split(description)
-    line, software = (_number(source, name) for name in ("Line0", "Software"))
-    # Between the two replacements both entries have the same number, so each entry is found by its name.
-    source = _with_number(_with_number(source, "Line0", software), "Software", line)
-    end = rest.rindex("</RegisterDescription>")
-    return head + source + rest[:end] + _TEMPERATURE.format(celsius=celsius) + _EXPOSURE_MODE + rest[end:]
-
-
-def _split(description: str) -> tuple[str, str, str]:
-    """Split a description into three texts: before, inside, and after the enumeration of trigger sources."""
-    start = description.find('<Enumeration Name="TriggerSource"')
-    end = description.find("</Enumeration>", start)
-    if start < 0 or end < 0:
-        raise InternalError("Aravis' fake camera has no TriggerSource.")
-    return description[:start], description[start:end], description[end:]
-
-
-def _number(source: str, name: str) -> int:
-    """Return the number of a trigger source in the enumeration `source`, a part of the description."""
-    found = re.search(_ENTRY.format(name), source, re.DOTALL)
-    if found is None:
-        raise InternalError(f"Aravis' fake camera has no trigger source {name}.")
-    return int(found[2])
-
-
-def _with_number(source: str, name: str, number: int) -> str:
-    """Return the enumeration `source` with another number for the trigger source `name`."""
-    return re.sub(_ENTRY.format(name), rf"\g<1>{number}\g<3>", source, count=1, flags=re.DOTALL)
+    sources = re.search(r'<Enumeration Name="TriggerSource".*?</Enumeration>', description, re.DOTALL)
+    numbers = {entry[2]: entry[3] for entry in _ENTRY.finditer(sources[0])} if sources is not None else {}
+    if sources is None or not {"Line0", "Software"} <= numbers.keys():
+        raise InternalError("Aravis' fake camera has no trigger source Line0 or Software.")
+    exchanged = numbers | {"Line0": numbers["Software"], "Software": numbers["Line0"]}
+    inside = _ENTRY.sub(lambda entry: entry[1] + exchanged[entry[2]], sources[0])
+    added = _TEMPERATURE.format(celsius=celsius) + _EXPOSURE_MODE + "</RegisterDescription>"
+    return (description[: sources.start()] + inside + description[sources.end() :]).replace(
+        "</RegisterDescription>", added
+    )
 
 
 POLL_HZ = 50.0

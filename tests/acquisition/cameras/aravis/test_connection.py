@@ -134,9 +134,9 @@ def connection(camera: StandInCamera) -> Iterator[Connection]:
 
 
 def test_a_configured_and_started_camera_runs_until_it_is_closed(camera: StandInCamera, connection: Connection) -> None:
-    connection.configure(PortShare())
+    connection.configure()
     running = [camera.running]
-    connection.start(RESULTS.put, PortShare())
+    connection.start(RESULTS.put)
     running.append(camera.running)
     connection.close()
     assert [*running, camera.running] == [False, True, False], "settings are locked while it runs"
@@ -144,7 +144,7 @@ def test_a_configured_and_started_camera_runs_until_it_is_closed(camera: StandIn
 
 
 def test_a_camera_that_is_gone_is_released_without_access_to_it(camera: StandInCamera, connection: Connection) -> None:
-    connection.start(RESULTS.put, PortShare())
+    connection.start(RESULTS.put)
     connection.close(gone=True)
     for thread in threading.enumerate():
         if thread.name == "camera-c0-remains":
@@ -160,7 +160,7 @@ def test_a_camera_that_refuses_to_stop_is_configured_nevertheless(camera: StandI
 
     camera.stop_acquisition = refuse  # type: ignore[method-assign]
     connection = Connection(camera_config(), "USB-1")
-    connection.configure(PortShare())
+    connection.configure()
     connection.close()
     assert camera.device.features["ExposureTime"] == 250.0
 
@@ -168,7 +168,7 @@ def test_a_camera_that_refuses_to_stop_is_configured_nevertheless(camera: StandI
 def test_frames_of_another_size_than_the_slots_are_refused(camera: StandInCamera, connection: Connection) -> None:
     camera.payload = 48
     with pytest.raises(DeviceError, match=r"sends frames of 48 bytes, but 16×16 px Mono8 are 256") as refused:
-        connection.configure(PortShare())
+        connection.configure()
     assert refused.value.code == "frame-size"
 
 
@@ -190,9 +190,9 @@ def test_a_temperature_is_read_where_there_is_a_thermometer(camera: StandInCamer
 
 def test_an_old_aravis_is_warned_of_with_usb(connection: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_module, "version", lambda: (0, 8, 26))
-    assert connection.warning(PortShare()) == "Aravis 0.8.26 is unreliable with USB3."
+    assert connection.warning() == "Aravis 0.8.26 is unreliable with USB3."
     monkeypatch.setattr(connection_module, "version", lambda: (0, 8, 30))
-    assert connection.warning(PortShare()) == ""
+    assert connection.warning() == ""
 
 
 @pytest.fixture
@@ -207,32 +207,34 @@ def gige(camera: StandInCamera, monkeypatch: pytest.MonkeyPatch) -> Iterator[Con
 
 
 def test_packets_fit_the_port_and_leave_room_for_other_cameras(camera: StandInCamera, gige: Connection) -> None:
-    gige.configure(PortShare(cameras=3, link_mbit_s=1000.0))
+    gige.share = PortShare(cameras=3, link_mbit_s=1000.0)
+    gige.configure()
     assert gige.packet_bytes == camera.device.features["GevSCPSPacketSize"] == 1500
     assert camera.device.features["GevSCPD"] == network.packet_delay_ns(1500, 3, 1000.0)
 
 
 def test_a_receive_buffer_that_is_too_small_is_warned_of(camera: StandInCamera, gige: Connection) -> None:
-    gige.start(RESULTS.put, PortShare(socket_bytes=4_000_000))
+    gige.share = PortShare(socket_bytes=4_000_000)
+    gige.start(RESULTS.put)
     assert gige.granted_bytes == 1_000_000
     assert camera.stream.properties["frame-retention"] == connection_module.RETENTION_US
-    warning = gige.warning(PortShare(socket_bytes=4_000_000))
-    assert warning.startswith("The kernel holds 1.0 MB of its packets, 4.0 MB are wanted")
-    assert gige.warning(PortShare(socket_bytes=500_000)) == ""
+    assert gige.warning().startswith("The kernel holds 1.0 MB of its packets, 4.0 MB are wanted")
+    gige.share = PortShare(socket_bytes=500_000)
+    assert gige.warning() == ""
 
 
 def test_packets_that_were_sent_again_are_warned_of(camera: StandInCamera, gige: Connection) -> None:
-    gige.start(RESULTS.put, PortShare())
+    gige.start(RESULTS.put)
     camera.stream.counters |= {"n_received_packets": 1_000, "n_resent_packets": 12}
-    assert gige.warning(PortShare()) == "", "twelve may be of one disturbance"
+    assert gige.warning() == "", "twelve may be of one disturbance"
     camera.stream.counters |= {"n_received_packets": 10_000, "n_resent_packets": 120}
-    assert gige.warning(PortShare()).startswith("1.2% of its packets were lost on the way and sent again")
+    assert gige.warning().startswith("1.2% of its packets were lost on the way and sent again")
 
 
 def test_a_camera_that_sends_without_a_trigger_is_refused(
     camera: StandInCamera, connection: Connection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    connection.start(RESULTS.put, PortShare())
+    connection.start(RESULTS.put)
     check_silence([connection], latched_s=0.0, silence_s=0.0)
     counts = iter([5, 6])
     monkeypatch.setattr(connection, "counters", lambda: {"n_received_packets": next(counts)})

@@ -83,17 +83,6 @@ def test_the_mode_while_the_source_changes_is_that_of_the_recipe(vendor: str, wh
     assert ("TriggerSelector", "AcquisitionStart") in written[:source], "the other trigger is switched off"
 
 
-def test_an_extra_of_the_recipe_is_written_only_where_the_camera_has_it() -> None:
-    camera = StandInCamera("Lucid")
-    camera.device.features["TriggerOverlap"] = "Off"
-    settings.apply(camera, camera_config())
-    assert camera.device.features["TriggerOverlap"] == "PreviousFrame"
-    camera.device.features["TriggerOverlap"] = "Off"
-    camera.device.entries["TriggerOverlap"] = ("Off", "ReadOut")
-    settings.apply(camera, camera_config())
-    assert camera.device.features["TriggerOverlap"] == "Off"
-
-
 def test_named_features_are_written_in_their_order_and_by_their_type() -> None:
     camera = StandInCamera()
     camera.device.features |= {"LineDebouncer": 1.0, "Counter": 0, "Inverter": False}
@@ -140,17 +129,6 @@ def test_a_setting_that_a_later_one_changes_is_found() -> None:
     camera.device.set_string_feature_value = write  # type: ignore[method-assign]
     with pytest.raises(DeviceError, match="AcquisitionMode was set to 'Continuous', but reads 'SingleFrame'"):
         settings.apply(camera, camera_config())
-
-
-def test_exposure_and_gain_alone_are_written_and_compared() -> None:
-    camera = StandInCamera()
-    settings.apply(camera, camera_config())
-    before = len(camera.device.written)
-    settings.apply_exposure(camera, camera_config(exposure_us=80.0, gain_db=6.0))
-    assert camera.device.written[before:] == [("ExposureTime", 80.0), ("Gain", 6.0)]
-    camera.device.ignored.add("Gain")
-    with pytest.raises(DeviceError, match="camera c0: ignores a setting: Gain was set to"):
-        settings.apply_exposure(camera, camera_config(gain_db=20.0))
 
 
 def test_the_exposure_mode_is_that_of_the_way_and_is_left_alone_otherwise() -> None:
@@ -270,12 +248,6 @@ def test_a_camera_without_a_sequencer_or_its_signal_is_refused() -> None:
     camera = sequenced()
     del camera.device.features["Gain"]
     assert "it has no gain to set" in refusal(camera).message
-
-
-def test_it_begins_anew_when_it_is_switched_on_again() -> None:
-    camera = sequenced()
-    settings.rewind_sequencer(camera, CONFIG)
-    assert camera.device.written == [("SequencerMode", "Off"), ("SequencerMode", "On")]
 
 
 def test_it_is_switched_off_after_its_configuration_and_only_if_it_is_on() -> None:

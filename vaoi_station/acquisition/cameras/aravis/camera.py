@@ -55,10 +55,10 @@ _ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost"})
 class AravisCamera:
     """A `CameraDevice` that keeps its number and its slots while its `Connection` is lost and replaced by a new one."""
 
-    def __init__(self, number: int, connection: Connection, share: PortShare) -> None:
+    def __init__(self, number: int, connection: Connection) -> None:
         """Take over an open, configured connection and start the acquisition."""
         self.number, self.config, self._sequence = number, connection.config, connection.sequence
-        self._share = share
+        self._share = connection.share
         self._identity = connection.identity
         self._is_gige = connection.is_gige
         self._epoch_ns = round(connection.read_clock(0).device_s * 1e9)
@@ -84,7 +84,7 @@ class AravisCamera:
         """Last monotonic time, s, at which this process certainly controlled the camera."""
         self._closing = threading.Event()
         self._thread = SupervisedThread(self._supervise, f"camera-{self.config.name}", OPENING_LIMIT_S)
-        connection.start(self._on_slot, share)
+        connection.start(self._on_slot)
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
         """Start the supervisor. It puts arrivals of frames, and losses and returns of the camera, into `arrivals`."""
@@ -153,7 +153,7 @@ class AravisCamera:
         counters = connection.counters() if connection is not None else {}
         return CameraHealth(
             connected=connection is not None,
-            message=lost.message if lost else connection.warning(self._share) if connection is not None else "",
+            message=lost.message if lost else connection.warning() if connection is not None else "",
             action=lost.action if lost else "",
             temperature_c=self._temperature_c if connection is not None else None,
             delivered=self._delivered,
@@ -304,7 +304,7 @@ class AravisCamera:
     def _connect(self) -> tuple[Connection, ClockReading]:
         # All objects are built anew: with the old ones `start_acquisition` raises nothing after a reconnection, and no
         # frame arrives (measured, Aravis 0.8.26; camera_aravis2 #41 and Aravis #735 report failures there).
-        connection = Connection(self.config, self._locate(), self._sequence)
+        connection = Connection(self.config, self._locate(), self._sequence, self._share)
         try:
             if connection.identity.serial != self._identity.serial:
                 raise InputError.field(
@@ -314,9 +314,9 @@ class AravisCamera:
                     f"{self._identity.serial!r}",
                     "Restart the station, and calibrate anew, if the camera was exchanged.",
                 )
-            connection.configure(self._share)
+            connection.configure()
             reading = connection.read_clock(self._epoch_ns)
-            connection.start(self._on_slot, self._share)
+            connection.start(self._on_slot)
         except BaseException:  # also KeyboardInterrupt: release the camera, then raise it again
             connection.close()
             raise
@@ -347,12 +347,12 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
                 by = camera.exposure_by if camera.exposure_by == "sequencer" else "register"
                 connections.append(Connection(camera.model_copy(update={"exposure_by": by}), where))
             _check_distinct(connections)
-            shares = _port_shares(config, connections)
-            for connection, share in zip(connections, shares, strict=True):
-                connection.configure(share)
-            _check_budgets(config, connections, shares)
-            for number, (connection, share) in enumerate(zip(connections, shares, strict=True)):
-                cameras.append(AravisCamera(number, connection, share))
+            _share_ports(config, connections)
+            for connection in connections:
+                connection.configure()
+            _check_budgets(config, connections)
+            for number, connection in enumerate(connections):
+                cameras.append(AravisCamera(number, connection))
             # Checked last, with all cameras started: a camera that sends now would have its frames in wrong rows.
             check_silence(connections)
         except BaseException:  # also KeyboardInterrupt: release all cameras; it is raised on
@@ -382,22 +382,21 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
             )
 
 
-def _port_shares(config: StationConfig, connections: Sequence[Connection]) -> list[PortShare]:
+def _share_ports(config: StationConfig, connections: Sequence[Connection]) -> None:
     on_port = Counter(connection.identity.interface for connection in connections)
-    shares = []
     for connection in connections:
         camera, port = connection.config, connection.identity.interface
         link_mbit_s = camera.link_mbit_s or (network.link_mbit_s(port) if port else None)
-        shares.append(PortShare(on_port[port], link_mbit_s, socket_bytes(camera, config.line.shortest_period_s)))
-    return shares
+        buffer_bytes = socket_bytes(camera, config.line.shortest_period_s)
+        connection.share = PortShare(on_port[port], link_mbit_s, buffer_bytes)
 
 
-def _check_budgets(config: StationConfig, connections: Sequence[Connection], shares: Sequence[PortShare]) -> None:
-    ports: defaultdict[str, list[tuple[Connection, PortShare]]] = defaultdict(list)
-    for connection, share in zip(connections, shares, strict=True):
+def _check_budgets(config: StationConfig, connections: Sequence[Connection]) -> None:
+    ports: defaultdict[str, list[Connection]] = defaultdict(list)
+    for connection in connections:
         if connection.is_gige:
-            ports[connection.identity.interface].append((connection, share))
+            ports[connection.identity.interface].append(connection)
     for port, members in ports.items():
-        payloads = [connection.config.frame_bytes for connection, _ in members]
-        packet = min(connection.packet_bytes for connection, _ in members)
-        network.check_budget(port, payloads, packet, members[0][1].link_mbit_s, config.line.shortest_period_s)
+        payloads = [connection.config.frame_bytes for connection in members]
+        packet = min(connection.packet_bytes for connection in members)
+        network.check_budget(port, payloads, packet, members[0].share.link_mbit_s, config.line.shortest_period_s)

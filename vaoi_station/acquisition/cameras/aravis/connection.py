@@ -162,9 +162,9 @@ class PortShare:
 class Connection:
     """An open camera with its stream. Call `configure`, then `start`, and `close` at the end."""
 
-    def __init__(self, config: CameraConfig, where: str, sequence: Sets = ()) -> None:
+    def __init__(self, config: CameraConfig, where: str, sequence: Sets = (), share: PortShare = PortShare()) -> None:
         """Open the camera at an address."""
-        self.config, self.sequence = config, sequence
+        self.config, self.sequence, self.share = config, sequence, share
         self._exposure_known = True
         """Whether exposure and sequence of the camera are those of `config` and `sequence`, once it is configured."""
         self._camera: Any = open_device(config, where)
@@ -180,7 +180,7 @@ class Connection:
             self._clock_ns = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
-    def configure(self, share: PortShare) -> None:
+    def configure(self) -> None:
         """Write all settings and read them back. For a GigE camera, also set packet size and packet delay."""
         with self._device_access("does not take its settings"):
             # An earlier program may have left the acquisition running, and a running camera locks its settings. The
@@ -193,7 +193,7 @@ class Connection:
             if self.sequence:
                 settings.program_sequencer(self._camera, self.config, self.sequence)
             if self.is_gige:
-                self._configure_packets(share)
+                self._configure_packets()
             self.limits = settings.limits_of(self._camera)
             payload = self._camera.get_payload()
         self._chunk_bytes = payload - self.config.frame_bytes
@@ -241,7 +241,7 @@ class Connection:
             with self._device_access("does not begin its sequence anew"), self._acquisition_stopped():
                 settings.rewind_sequencer(self._camera, self.config)
 
-    def start(self, on_slot: Callable[[SlotResult], None], share: PortShare) -> None:
+    def start(self, on_slot: Callable[[SlotResult], None]) -> None:
         """Create the stream and start the acquisition. The stream calls `on_slot` when a frame has ended in a slot."""
         with self._device_access("cannot be started"):
             # No callback is given: it would run Python in Aravis' threads, which crashed (Aravis #453, #714, #941), and
@@ -252,7 +252,7 @@ class Connection:
                 # The size is set and checked here, not by Aravis' property `socket-buffer`: the kernel may grant less
                 # without an error (Aravis #894, #898), and the automatic mode with a small limit logs every frame
                 # (#994).
-                self.granted_bytes = network.widen_receive_buffer(stream.get_port(), share.socket_bytes)
+                self.granted_bytes = network.widen_receive_buffer(stream.get_port(), self.share.socket_bytes)
             kind = FrameFormat(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
             reader = ChunkReader(self._camera, self._chunk_bytes) if self._chunk_bytes else None
             self._stream = SlotStream(stream, kind, on_slot, f"camera-{self.config.name}", reader)
@@ -290,18 +290,18 @@ class Connection:
         """Return whether this process still controls the camera, according to Aravis' last heartbeat."""
         return not self.is_gige or bool(self._camera.get_device().is_controller())
 
-    def warning(self, share: PortShare) -> str:
+    def warning(self) -> str:
         """Return a warning if the set-up can lose frames under load, with its cause; an empty text if it cannot."""
         if not self.is_gige:
             found = version()
             return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
         if trouble := self._route_trouble:
             return f"Its packets may get lost: {trouble}."
-        if self.granted_bytes >= share.socket_bytes:
+        if self.granted_bytes >= self.share.socket_bytes:
             return _resend_warning(self.counters())
         return (
-            f"The kernel holds {self.granted_bytes / 1e6:.1f} MB of its packets, {share.socket_bytes / 1e6:.1f} MB are "
-            "wanted: raise net.core.rmem_max."
+            f"The kernel holds {self.granted_bytes / 1e6:.1f} MB of its packets, "
+            f"{self.share.socket_bytes / 1e6:.1f} MB are wanted: raise net.core.rmem_max."
         )
 
     def close(self, *, gone: bool = False) -> None:
@@ -335,7 +335,7 @@ class Connection:
         finally:
             self._camera.start_acquisition()
 
-    def _configure_packets(self, share: PortShare) -> None:
+    def _configure_packets(self) -> None:
         camera, name = self._camera, self.config.label
         # Packet sockets need CAP_NET_RAW, and stopping their thread takes 24 ms and drops packets (decisions/0009).
         camera.gv_set_stream_options(aravis().GvStreamOption.PACKET_SOCKET_DISABLED)
@@ -348,7 +348,7 @@ class Connection:
         settings.write(camera, name, [Setting("GevSCPSPacketSize", size)])
         self.packet_bytes = size
         # Without gaps between packets, cameras on one link take the bandwidth from each other (Aravis #71, #710).
-        delay = network.packet_delay_ns(size, share.cameras, share.link_mbit_s)
+        delay = network.packet_delay_ns(size, self.share.cameras, self.share.link_mbit_s)
         if delay or camera.is_feature_available("GevSCPD"):
             tick_ns = 1e9 / (camera.get_device().get_timestamp_tick_frequency() or 1e9)
             settings.write(camera, name, [Setting("GevSCPD (ns)", delay, tick_ns)])
