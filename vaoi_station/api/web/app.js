@@ -101,15 +101,11 @@ async function route() {
   if (turn !== routed) return; // overtaken by a later address
   view = made;
   unloaded = false;
-  for (const link of links) {
-    if (link.dataset.text === entry) link.setAttribute("aria-current", "page");
-    else link.removeAttribute("aria-current");
-  }
+  for (const link of links) link.ariaCurrent = link.dataset.text === entry ? "page" : null;
   document.body.className = document.body.classList.contains("waiting") ? "waiting" : "";
   document.body.classList.toggle("stale", station.stale);
   $("view").replaceChildren(view.root);
   $("view").className = view.name;
-  fillIn(view.root);
   view.open?.();
   view.onAge?.(station.stale);
   showSituation();
@@ -117,7 +113,7 @@ async function route() {
 }
 
 async function showNow(shown) {
-  await shown.show(station.now);
+  await shown.show?.(station.now);
   await shown.showBoards?.();
 }
 
@@ -135,12 +131,9 @@ function showSituation() {
 function showUnloaded() {
   if (unloaded) return;
   unloaded = true;
-  const again = make("button", { type: "button", textContent: texts.loadAgain });
-  again.addEventListener("click", () => location.reload());
-  const said = make("p", { textContent: texts.unloaded });
-  said.setAttribute("role", "alert");
+  const again = make("button", { type: "button", textContent: texts.loadAgain, onclick: () => location.reload() });
   $("view").className = "";
-  $("view").replaceChildren(said, again);
+  $("view").replaceChildren(make("p", { role: "alert", textContent: texts.unloaded }), again);
 }
 
 // One request at a time, and one more if an event came meanwhile.
@@ -163,7 +156,7 @@ async function renew(ask) {
       setText($("name"), station.now.name);
       document.body.classList.remove("waiting");
       showSituation();
-      const shown = rest.unattended(Promise.resolve(view?.show(station.now)));
+      const shown = rest.unattended(Promise.resolve(view?.show?.(station.now)));
       await rest.unattended(station.boards.refresh(station.now, station.time_ms()));
       showSituation();
       await shown;

@@ -1,11 +1,11 @@
 // One board: the whole board to zoom into, the pictures of its parts, the report, the times of its steps, and files to take.
 import { boardAsked, boardId } from "../ahead.js";
 import { Decisions } from "../parts/decisions.js";
-import { make, saidOf, setText } from "../parts/elements.js";
+import { make, saidOf, setText, View } from "../parts/elements.js";
 import { boardAdvice } from "../parts/orders.js";
 import * as rest from "../parts/rest.js";
 import { draw } from "../parts/signs.js";
-import { fillIn, texts } from "../texts/texts.js";
+import { texts } from "../texts/texts.js";
 import { Comparison, shownMosaics } from "./comparison.js";
 import { showExports } from "./exports.js";
 import { PageState } from "./page_state.js";
@@ -34,7 +34,7 @@ const PART = `
   <div id="tab-export" role="tabpanel" hidden></div>
 </section>`;
 
-export class BoardView {
+export class BoardView extends View {
   name = "board-view";
   #id;
   #state;
@@ -49,22 +49,16 @@ export class BoardView {
   #closed = new AbortController();
 
   constructor(_station, id, query) {
+    super(PART, make("div", { className: "board" }));
     this.#id = boardId(id);
     this.#state = new PageState(this.#id, query);
-    this.root = make("div", { className: "board" });
-    this.root.innerHTML = PART;
-    fillIn(this.root);
-    this.#decisions = new Decisions(this.#part("decisions"), () => rest.unattended(this.show()));
-    this.#zoom = new ZoomSide(this.#part("zoom"), this.#state, (address) => this.#choose(address));
-    this.#pictures = new Pictures(this.#part("part"), this.#state);
-    this.#comparison = new Comparison(this.#part("compare"), this.#state, (other) => this.#compare(other));
+    this.#decisions = new Decisions(this.part("decisions"), () => rest.unattended(this.show()));
+    this.#zoom = new ZoomSide(this.part("zoom"), this.#state, (address) => this.#choose(address));
+    this.#pictures = new Pictures(this.part("part"), this.#state);
+    this.#comparison = new Comparison(this.part("compare"), this.#state, (other) => this.#compare(other));
     this.#makeTabs();
     this.#placeTabs();
     NARROW.addEventListener("change", () => this.#placeTabs(), this.#closed);
-  }
-
-  #part(id) {
-    return this.root.querySelector(`#${id}`);
   }
 
   // Tabs as WAI-ARIA has them: one is reached by the tabulator, the others by the arrow keys.
@@ -73,16 +67,16 @@ export class BoardView {
       const tab = make("button", { type: "button", id: `to-${name}`, textContent: texts.board.tab[name] });
       tab.setAttribute("role", "tab");
       tab.setAttribute("aria-controls", `tab-${name}`);
-      this.#part(`tab-${name}`).setAttribute("aria-labelledby", tab.id);
-      this.#part(`tab-${name}`).tabIndex = 0; // it is scrolled by keyboard
+      this.part(`tab-${name}`).setAttribute("aria-labelledby", tab.id);
+      this.part(`tab-${name}`).tabIndex = 0; // it is scrolled by keyboard
       tab.addEventListener("click", () => {
         this.#open(name);
-        this.#part(`tab-${name}`).scrollIntoView(); // on narrow screens it is below the whole board
+        this.part(`tab-${name}`).scrollIntoView(); // on narrow screens it is below the whole board
       });
       return tab;
     });
-    this.#part("tabs").append(...tabs);
-    this.#part("tabs").addEventListener("keydown", (event) => {
+    this.part("tabs").append(...tabs);
+    this.part("tabs").addEventListener("keydown", (event) => {
       const by = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
       if (!by) return;
       event.preventDefault();
@@ -96,9 +90,9 @@ export class BoardView {
   // On narrow screens the tabs are above the whole board. They are also before it in the document, so that the tabulator goes from
   // top to bottom.
   #placeTabs() {
-    const [tabs, focused] = [this.#part("tabs"), document.activeElement];
-    if (NARROW.matches) this.#part("zoom").before(tabs);
-    else this.#part("side").prepend(tabs);
+    const [tabs, focused] = [this.part("tabs"), document.activeElement];
+    if (NARROW.matches) this.part("zoom").before(tabs);
+    else this.part("side").prepend(tabs);
     if (tabs.contains(focused)) focused.focus();
   }
 
@@ -106,11 +100,11 @@ export class BoardView {
     this.#state.set({ tab: name });
     for (const tab of TABS) {
       const here = tab === name;
-      this.#part(`tab-${tab}`).hidden = !here;
-      this.#part(`to-${tab}`).setAttribute("aria-selected", here);
-      this.#part(`to-${tab}`).tabIndex = here ? 0 : -1;
+      this.part(`tab-${tab}`).hidden = !here;
+      this.part(`to-${tab}`).setAttribute("aria-selected", here);
+      this.part(`to-${tab}`).tabIndex = here ? 0 : -1;
     }
-    if (name === "timing" && this.#run) rest.unattended(timing(this.#part("tab-timing"), this.#run));
+    if (name === "timing" && this.#run) rest.unattended(timing(this.part("tab-timing"), this.#run));
   }
 
   close() {
@@ -138,8 +132,8 @@ export class BoardView {
     } catch (error) {
       if (!(error instanceof rest.Refusal)) throw error;
       this.root.classList.add("unknown");
-      draw(this.#part("verdict-shape"), "unknown");
-      this.#part("board-title").replaceChildren(...(error.status === 404 ? [texts.notFound] : saidOf(error)));
+      draw(this.part("verdict-shape"), "unknown");
+      this.part("board-title").replaceChildren(...(error.status === 404 ? [texts.notFound] : saidOf(error)));
       return;
     }
     const seen = `${run.state} ${run.frames_available} ${run.recording} ${run.decision?.decided} ${JSON.stringify(run.identity)}`;
@@ -153,13 +147,13 @@ export class BoardView {
 
   #showHead(run) {
     const verdict = run.verdict ?? (run.finished ? "failed" : "none");
-    draw(this.#part("verdict-shape"), verdict);
-    this.#part("head").dataset.verdict = verdict;
+    draw(this.part("verdict-shape"), verdict);
+    this.part("head").dataset.verdict = verdict;
     this.#decisions.show(run);
-    setText(this.#part("board-title"), `${run.board_id ?? texts.noId}: ${texts.verdicts[verdict]}`);
+    setText(this.part("board-title"), `${run.board_id ?? texts.noId}: ${texts.verdicts[verdict]}`);
     const decided = run.decision && `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}`;
-    setText(this.#part("board-order"), decided ?? (verdict === "ok" || verdict === "none" ? "" : boardAdvice(run)));
-    showReport(this.#part("tab-report"), run, { parts: [], overlay: null });
+    setText(this.part("board-order"), decided ?? (verdict === "ok" || verdict === "none" ? "" : boardAdvice(run)));
+    showReport(this.part("tab-report"), run, { parts: [], overlay: null });
   }
 
   async #showBoard(run, list) {
@@ -172,10 +166,10 @@ export class BoardView {
     const [parts, overlay] = await Promise.all(listed);
     if (run !== this.#run) return; // its state has changed meanwhile
     this.#shown = { parts, mosaics, overlay, heights: null };
-    showReport(this.#part("tab-report"), run, this.#shown);
-    showExports(this.#part("tab-export"), run, this.#shown);
-    if (this.#state.get("tab") === "timing") rest.unattended(timing(this.#part("tab-timing"), run));
-    this.#part("part").hidden = this.#part("compare").hidden = parts.length === 0;
+    showReport(this.part("tab-report"), run, this.#shown);
+    showExports(this.part("tab-export"), run, this.#shown);
+    if (this.#state.get("tab") === "timing") rest.unattended(timing(this.part("tab-timing"), run));
+    this.part("part").hidden = this.part("compare").hidden = parts.length === 0;
     const asked = parts.some((part) => part.address === this.#state.get("component"));
     if (!asked) this.#state.set({ component: (largestSeen(parts) ?? parts[0])?.address ?? "" });
     await this.#zoom.show({ parts, mosaics, overlay, why: mosaics.length ? whatIsShown(mosaics[0]) : why(run, parts) });
@@ -192,7 +186,7 @@ export class BoardView {
     this.#shown.heights = heights;
     this.#zoom.heights(heights);
     this.#pictures.heights(heights);
-    showExports(this.#part("tab-export"), run, this.#shown);
+    showExports(this.part("tab-export"), run, this.#shown);
   }
 
   #choose(address, fly = true) {

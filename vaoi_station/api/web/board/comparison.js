@@ -1,5 +1,5 @@
 // The comparison of a board with another one: which, and how: a slider between both, or blinking.
-import { make, saidOf, setText } from "../parts/elements.js";
+import { make, options, saidOf, setText, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { texts } from "../texts/texts.js";
 
@@ -12,7 +12,7 @@ const PART = `
 <input id="divide" type="range" min="0" max="100" value="50" data-label="board.divide" hidden>
 <p id="compare-answer" role="status"></p>`;
 
-export class Comparison {
+export class Comparison extends View {
   #state;
   #onChange;
   #run = null;
@@ -24,29 +24,25 @@ export class Comparison {
 
   // onChange({ run, mosaics, visible, from }): the other run or null, its mosaics, and which part of it is shown.
   constructor(root, state, onChange) {
-    [this.root, this.#state, this.#onChange] = [root, state, onChange];
-    root.innerHTML = PART;
+    super(PART, root);
+    [this.#state, this.#onChange] = [state, onChange];
     const choices = { "": texts.board.nothing, previous: texts.board.previous, reference: texts.board.reference, run: texts.board.otherRun };
-    this.#part("with").append(...Object.entries(choices).map(([value, textContent]) => make("option", { value, textContent })));
-    this.#part("how").append(...["slider", "blink"].map((how) => this.#mode(how)));
+    this.part("with").append(...options(Object.entries(choices)));
+    this.part("how").append(...["slider", "blink"].map((how) => this.#mode(how)));
     const chosen = state.get("with");
-    this.#part("with").value = chosen in choices ? chosen : "run";
-    this.#part("with-run").value = chosen in choices ? "" : chosen;
-    this.#part("with").addEventListener("change", () => {
-      const value = this.#part("with").value;
-      this.#state.set({ with: value === "run" ? this.#part("with-run").value.trim() : value });
-      if (value === "run") this.#part("with-run").focus();
+    this.part("with").value = chosen in choices ? chosen : "run";
+    this.part("with-run").value = chosen in choices ? "" : chosen;
+    this.part("with").addEventListener("change", () => {
+      const value = this.part("with").value;
+      this.#state.set({ with: value === "run" ? this.part("with-run").value.trim() : value });
+      if (value === "run") this.part("with-run").focus();
       rest.unattended(this.#resolve());
     });
-    this.#part("with-run").addEventListener("change", () => {
-      this.#state.set({ with: this.#part("with-run").value.trim() });
+    this.part("with-run").addEventListener("change", () => {
+      this.#state.set({ with: this.part("with-run").value.trim() });
       rest.unattended(this.#resolve());
     });
-    this.#part("divide").addEventListener("input", () => this.#report());
-  }
-
-  #part(id) {
-    return this.root.querySelector(`#${id}`);
+    this.part("divide").addEventListener("input", () => this.#report());
   }
 
   #mode(how) {
@@ -68,7 +64,7 @@ export class Comparison {
   async #resolve() {
     const asked = ++this.#asked;
     const chosen = this.#state.get("with");
-    this.#part("with-run").hidden = this.#part("with").value !== "run";
+    this.part("with-run").hidden = this.part("with").value !== "run";
     let [other, mosaics, answer, refused] = [null, [], "", null];
     if (chosen) {
       try {
@@ -90,8 +86,8 @@ export class Comparison {
     }
     if (asked !== this.#asked) return; // overtaken by a later choice
     [this.#other, this.#mosaics] = [other, mosaics];
-    setText(this.#part("compare-answer"), answer);
-    if (refused) this.#part("compare-answer").replaceChildren(...saidOf(refused));
+    setText(this.part("compare-answer"), answer);
+    if (refused) this.part("compare-answer").replaceChildren(...saidOf(refused));
     this.#begin();
   }
 
@@ -106,9 +102,9 @@ export class Comparison {
     clearInterval(this.#timer);
     const how = this.#state.get("how");
     this.#visible = true;
-    this.#part("how").hidden = !this.#other;
-    this.#part("divide").hidden = !this.#other || how !== "slider";
-    for (const button of this.#part("how").children) button.setAttribute("aria-pressed", button.dataset.how === how);
+    this.part("how").hidden = !this.#other;
+    this.part("divide").hidden = !this.#other || how !== "slider";
+    for (const button of this.part("how").children) button.setAttribute("aria-pressed", button.dataset.how === how);
     if (this.#other && how === "blink") {
       this.#timer = setInterval(() => {
         this.#visible = !this.#visible;
@@ -119,7 +115,7 @@ export class Comparison {
   }
 
   #report() {
-    const from = this.#state.get("how") === "slider" ? Number(this.#part("divide").value) / 100 : 0;
+    const from = this.#state.get("how") === "slider" ? Number(this.part("divide").value) / 100 : 0;
     this.#onChange({ run: this.#other, mosaics: this.#mosaics, visible: this.#visible, from });
   }
 

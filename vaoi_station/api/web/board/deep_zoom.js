@@ -1,35 +1,25 @@
 // The whole board to zoom into, with its parts and what is drawn over them, beside another board if one is compared.
-import { make } from "../parts/elements.js";
-import { toPicture } from "../parts/board_picture.js";
+import { loadScript } from "../parts/elements.js";
+import { fullLevel, TILE_PX, tileAddress, toPicture } from "../parts/board_picture.js";
 import { svg, titled } from "../parts/svg.js";
 import { texts } from "../texts/texts.js";
 import { classOf } from "./colours.js";
 import { Drawings } from "./drawings.js";
 
 const LIBRARY = new URL("../vendor/openseadragon/openseadragon.min.js", import.meta.url).href;
-const TILE_PX = 256;
 const MARGIN = 2; // surroundings of a part that is flown to, in its own sizes
 
-let loading = null;
-function library() {
-  loading ??= new Promise((done, failed) => {
-    // Unless it finds an element of this name, the library adds a style for touch screens, which the page's policy refuses. An element
-    // outside of HTML's namespace is no style.
-    const instead = document.createElementNS("urn:vaoi", "style");
-    instead.setAttribute("data-openseadragon-mobile-css", "");
-    const script = make("script", { src: LIBRARY });
-    script.onload = () => {
-      // Tiles that fail are said on the page; those that the browser gives up when the page is left are no fault.
-      window.OpenSeadragon.console = { ...window.OpenSeadragon.console, error() {}, warn() {} };
-      done(window.OpenSeadragon);
-    };
-    script.onerror = () => {
-      loading = null; // it is tried again for the next board
-      failed(new TypeError(LIBRARY));
-    };
-    document.head.append(instead, script);
-  });
-  return loading;
+// Unless it finds an element of this name, the library adds a style for touch screens, which the page's policy refuses. An element outside
+// of HTML's namespace is no style.
+const noStyle = document.createElementNS("urn:vaoi", "style");
+noStyle.setAttribute("data-openseadragon-mobile-css", "");
+
+async function library() {
+  document.head.append(noStyle);
+  await loadScript(LIBRARY);
+  // Tiles that fail are said on the page; those that the browser gives up when the page is left are no fault.
+  window.OpenSeadragon.console = { ...window.OpenSeadragon.console, error() {}, warn() {} };
+  return window.OpenSeadragon;
 }
 
 // Load the library while the page waits for the parts of the board. A failure is reported when a mosaic is opened.
@@ -37,9 +27,9 @@ export const prepare = () => library().catch(() => {});
 
 // What the viewer opens for a mosaic: tiles, or the one small picture that is kept. The list of mosaics says what their .dzi does.
 const source = (mosaic) => (mosaic.dzi ? tiled(mosaic) : { type: "image", url: mosaic.url });
-const tiled = ({ dzi, width_px: width, height_px: height }) => ({
-  width, height, tileSize: TILE_PX, tileOverlap: 0, maxLevel: Math.ceil(Math.log2(Math.max(width, height))),
-  getTileUrl: (level, column, row) => `${dzi.replace(/\.dzi$/, "_files")}/${level}/${column}_${row}.jpg`,
+const tiled = (mosaic) => ({
+  width: mosaic.width_px, height: mosaic.height_px, tileSize: TILE_PX, tileOverlap: 0, maxLevel: fullLevel(mosaic),
+  getTileUrl: (level, column, row) => tileAddress(mosaic, level, column, row),
 });
 
 export class DeepZoom {

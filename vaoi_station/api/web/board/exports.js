@@ -1,6 +1,6 @@
 // What can be taken from a run: documents, tables and pictures, each with why it cannot be had if it cannot.
-import { quoted } from "../parts/csv.js";
 import { make } from "../parts/elements.js";
+import { saveTable } from "../parts/files.js";
 import { runAddress } from "../parts/rest.js";
 import { texts } from "../texts/texts.js";
 
@@ -20,7 +20,7 @@ export function showExports(root, run, { parts, mosaics, heights }) {
     ...(kept ? [["keptFile", kept.url, `${run.id}-board.jpg`, true]] : []),
   ];
   const table = make("button", { type: "button", textContent: texts.board.export.table, disabled: parts.length === 0 });
-  table.addEventListener("click", () => saveTable(run, parts, heights));
+  table.addEventListener("click", () => saveParts(run, parts, heights));
   root.replaceChildren(
     make("ul", { className: "exports" }, make("li", {}, table, make("p", { textContent: texts.board.exported.table })), ...offers.map(offer)),
     make("p", {}, texts.board.wholeRun, " ", make("code", { textContent: `vaoi export ${run.id} --out ${run.id}.vaoi` })),
@@ -34,14 +34,11 @@ function offer([name, href, download, possible, why]) {
 
 const COLUMNS = ["address", "x_mm", "y_mm", "rotation_deg", "views", "coverage", "unseen", "sigma_px", "sigma_mm", "height_mm", "height_sigma_mm", "comparison"];
 
-function saveTable(run, parts, heights) {
-  const lines = parts.map((part) => {
+function saveParts(run, parts, heights) {
+  const rows = parts.map((part) => {
     const measured = heights?.[part.address] ?? {};
     const values = { ...part, x_mm: part.center_mm[0], y_mm: part.center_mm[1], height_mm: measured.height_mm, height_sigma_mm: measured.sigma_mm, comparison: measured.comparison };
-    return COLUMNS.map((name) => quoted(values[name] ?? "")).join(",");
+    return COLUMNS.map((name) => values[name] ?? "");
   });
-  const file = new Blob(["\ufeff", [COLUMNS.map(quoted).join(","), ...lines].join("\r\n")], { type: "text/csv" });
-  const link = make("a", { href: URL.createObjectURL(file), download: `${run.id}-components.csv` });
-  link.click();
-  URL.revokeObjectURL(link.href);
+  saveTable(`${run.id}-components.csv`, [COLUMNS, ...rows]);
 }

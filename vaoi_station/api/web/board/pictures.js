@@ -1,5 +1,5 @@
 // The pictures of one part: which frames show it, under which light, and one of them large, beside that of another board.
-import { make, saidOf, setText } from "../parts/elements.js";
+import { lines, make, options, saidOf, setText, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { number, texts } from "../texts/texts.js";
 import { heightText } from "./colours.js";
@@ -22,7 +22,7 @@ const PART = `
 <p id="pictures-note" role="status"></p>
 <div id="pictures" role="group" data-label="component"></div>`;
 
-export class Pictures {
+export class Pictures extends View {
   #state;
   #run = null;
   #shown = null;
@@ -32,34 +32,30 @@ export class Pictures {
   #turn = 0;
 
   constructor(root, state) {
-    [this.root, this.#state] = [root, state];
-    root.innerHTML = PART;
+    super(PART, root);
+    this.#state = state;
     const chosen = (name) => () => {
-      state.set({ [name]: this.#at(name).value, ...(name === "light" ? { minus: "" } : {}), hdr: "", picture: "" });
+      state.set({ [name]: this.part(name).value, ...(name === "light" ? { minus: "" } : {}), hdr: "", picture: "" });
       rest.unattended(this.#load());
     };
-    for (const name of ["light", "minus"]) this.#at(name).addEventListener("change", chosen(name));
-    this.#at("hdr").addEventListener("click", () => {
+    for (const name of ["light", "minus"]) this.part(name).addEventListener("change", chosen(name));
+    this.part("hdr").addEventListener("click", () => {
       state.set({ hdr: state.get("hdr") ? "" : "1", picture: "" });
       rest.unattended(this.#load());
     });
-    this.#at("size").addEventListener("click", () => {
+    this.part("size").addEventListener("click", () => {
       state.set({ size: state.get("size") === "1:1" ? "fit" : "1:1" });
       this.#lay();
     });
-    for (const id of ["large", "other"]) this.#at(id).addEventListener("load", () => this.#lay());
-    this.#at("large").addEventListener("error", () => this.#say(texts.board.unloadable));
-  }
-
-  #at(id) {
-    return this.root.querySelector(`#${id}`);
+    for (const id of ["large", "other"]) this.part(id).addEventListener("load", () => this.#lay());
+    this.part("large").addEventListener("error", () => this.#say(texts.board.unloadable));
   }
 
   // Show a part of a run. `mirrored`: its pictures show the bottom side, on which angles run the other way.
   async show(run, part, heights, mirrored) {
     if (part.address !== this.#shown?.address && this.#shown) this.#state.set({ picture: "" });
     [this.#run, this.#shown, this.#mirrored] = [run, part, mirrored];
-    setText(this.#at("part-name"), part.address);
+    setText(this.part("part-name"), part.address);
     this.heights(heights);
     this.#offer(run);
     await this.#load();
@@ -69,35 +65,35 @@ export class Pictures {
   heights(heights) {
     const part = this.#shown;
     if (!part) return;
-    const lines = [
+    const figures = [
       [texts.board.sigma, part.sigma_px == null ? texts.board.noValue : `${number(part.sigma_px, 3)} px, ${number(part.sigma_mm * 1000, 1)} µm`],
       ...(part.coverage == null ? [] : [[texts.board.coverage, `${number(part.coverage * 100)} %${part.in_one_frame ? "" : `, ${texts.board.inSeveral}`}`]]),
       [texts.board.height, heights?.[part.address] ? heightText(heights[part.address]) : texts.board.noValue],
       [texts.board.footprint, `${number(part.width_mm, 1)} × ${number(part.height_mm, 1)} mm, ${number(part.rotation_deg)}°`],
     ];
-    this.#at("part-facts").replaceChildren(...lines.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]));
+    this.part("part-facts").replaceChildren(...lines(figures));
   }
 
   // The lights and exposures that the run has.
   #offer(run) {
     const usable = run.frames.filter((f) => f.verdict === "ok" && f.proven);
     const lights = [...new Set(usable.map((f) => f.light).filter(Boolean))];
-    const options = (none, values) => [make("option", { value: "", textContent: none }), ...values.map((value) => make("option", { value, textContent: value }))];
-    this.#at("light").replaceChildren(...options(texts.board.allLights, lights));
-    this.#at("light").value = lights.includes(this.#state.get("light")) ? this.#state.get("light") : "";
-    this.#at("minus").replaceChildren(...options(texts.board.nothing, lights.filter((light) => light !== this.#at("light").value)));
-    this.#at("minus").value = this.#state.get("minus");
-    this.#at("light-label").hidden = lights.length < 2;
-    this.#at("minus-label").hidden = lights.length < 2 || !this.#at("light").value;
-    this.#at("hdr").hidden = new Set(usable.map((f) => f.exposure_us).filter(Boolean)).size < 2;
-    this.#at("hdr").setAttribute("aria-pressed", this.#state.get("hdr") === "1");
+    const offer = (none, values) => options([["", none], ...values.map((value) => [value, value])]);
+    this.part("light").replaceChildren(...offer(texts.board.allLights, lights));
+    this.part("light").value = lights.includes(this.#state.get("light")) ? this.#state.get("light") : "";
+    this.part("minus").replaceChildren(...offer(texts.board.nothing, lights.filter((light) => light !== this.part("light").value)));
+    this.part("minus").value = this.#state.get("minus");
+    this.part("light-label").hidden = lights.length < 2;
+    this.part("minus-label").hidden = lights.length < 2 || !this.part("light").value;
+    this.part("hdr").hidden = new Set(usable.map((f) => f.exposure_us).filter(Boolean)).size < 2;
+    this.part("hdr").setAttribute("aria-pressed", this.#state.get("hdr") === "1");
   }
 
   // The query for the pictures of the part, of this run and of the one it is compared with.
   #query() {
     const query = { align: "part" }; // turned to the part's own orientation, so that pin 1 of every U1 is at the same corner
-    if (this.#at("light").value) query.light = this.#at("light").value;
-    if (this.#at("light").value && this.#at("minus").value) query.minus = this.#at("minus").value;
+    if (this.part("light").value) query.light = this.part("light").value;
+    if (this.part("light").value && this.part("minus").value) query.minus = this.part("minus").value;
     return query;
   }
 
@@ -106,12 +102,12 @@ export class Pictures {
     const [run, part] = [this.#run, this.#shown];
     this.#offer(run);
     const gone = !run.frames_available && !run.recording;
-    this.#at("picture-tools").hidden = gone;
+    this.part("picture-tools").hidden = gone;
     if (gone) {
       this.#views = [];
-      setText(this.#at("views"), "");
-      this.#at("stage").hidden = true;
-      this.#at("pictures").replaceChildren();
+      setText(this.part("views"), "");
+      this.part("stage").hidden = true;
+      this.part("pictures").replaceChildren();
       this.#say(texts.picturesGone);
       return;
     }
@@ -123,8 +119,8 @@ export class Pictures {
       await loaded(figures);
       if (turn !== this.#turn) return;
       this.#views = views;
-      setText(this.#at("views"), texts.views(views.length));
-      this.#at("pictures").replaceChildren(...figures);
+      setText(this.part("views"), texts.views(views.length));
+      this.part("pictures").replaceChildren(...figures);
       this.#say(figures.length ? "" : texts.noPictures);
       this.#choose(this.#chosen());
       await this.#loadOther();
@@ -132,14 +128,14 @@ export class Pictures {
       if (!(error instanceof rest.Refusal)) throw error;
       if (turn !== this.#turn) return;
       this.#views = [];
-      this.#at("stage").hidden = true;
-      this.#at("pictures").replaceChildren();
-      this.#at("pictures-note").replaceChildren(...saidOf(error));
+      this.part("stage").hidden = true;
+      this.part("pictures").replaceChildren();
+      this.part("pictures-note").replaceChildren(...saidOf(error));
     }
   }
 
   #say(text) {
-    setText(this.#at("pictures-note"), text);
+    setText(this.part("pictures-note"), text);
   }
 
   #chosen() {
@@ -161,7 +157,7 @@ export class Pictures {
     button.addEventListener("click", () => {
       this.#state.set({ picture: nameOf(view) });
       this.#choose(view);
-      this.#at("stage").scrollIntoView({ block: "nearest" });
+      this.part("stage").scrollIntoView({ block: "nearest" });
     });
     return figure;
   }
@@ -173,17 +169,17 @@ export class Pictures {
   }
 
   #choose(view) {
-    this.#at("stage").hidden = !view;
+    this.part("stage").hidden = !view;
     if (!view) return;
-    for (const figure of this.#at("pictures").children) {
+    for (const figure of this.part("pictures").children) {
       const here = figure.dataset.picture === nameOf(view);
       figure.classList.toggle("chosen", here);
       figure.firstChild.setAttribute("aria-pressed", here);
     }
-    this.#upright(this.#at("large"), view);
-    Object.assign(this.#at("large"), { src: addressOf(this.#run, view), alt: texts.alt(this.#shown.address, view) });
-    this.#at("file").href = addressOf(this.#run, view);
-    setText(this.#at("stage-facts"), factsOf(view));
+    this.#upright(this.part("large"), view);
+    Object.assign(this.part("large"), { src: addressOf(this.#run, view), alt: texts.alt(this.#shown.address, view) });
+    this.part("file").href = addressOf(this.#run, view);
+    setText(this.part("stage-facts"), factsOf(view));
     this.#lay();
     this.#showOther();
   }
@@ -217,38 +213,38 @@ export class Pictures {
     }
     if (turn !== this.#turn || run !== this.#other.run) return;
     this.#other.views = views;
-    setText(this.#at("other-facts"), answer);
-    if (refused) this.#at("other-facts").replaceChildren(...saidOf(refused));
+    setText(this.part("other-facts"), answer);
+    if (refused) this.part("other-facts").replaceChildren(...saidOf(refused));
     this.#showOther();
   }
 
   // The other board's picture that was taken most like the chosen one.
   #showOther() {
-    const [view, image] = [this.#chosen(), this.#at("other")];
+    const [view, image] = [this.#chosen(), this.part("other")];
     const found = view && alike(view, this.#other.views);
     image.hidden = !found;
     if (found) {
       this.#upright(image, found);
       const src = addressOf(this.#other.run, found);
       if (image.getAttribute("src") !== src) Object.assign(image, { src, alt: texts.alt(this.#shown.address, found) });
-      setText(this.#at("other-facts"), `${texts.board.beside} ${captionOf(found)}`);
+      setText(this.part("other-facts"), `${texts.board.beside} ${captionOf(found)}`);
     } else image.removeAttribute("src");
     this.#cut();
   }
 
   #cut() {
-    const image = this.#at("other");
+    const image = this.part("other");
     image.style.visibility = this.#other.visible ? "" : "hidden";
     image.style.clipPath = this.#other.from > 0 ? `inset(0 0 0 ${this.#other.from * 100}%)` : "";
   }
 
   // Lay the large picture out: as large as its place, or one pixel of the camera on one pixel of the screen.
   #lay() {
-    const [large, exact] = [this.#at("large"), this.#state.get("size") === "1:1"];
-    setText(this.#at("size"), exact ? texts.board.fit : texts.board.exact);
-    this.#at("stage-view").classList.toggle("exact", exact);
+    const [large, exact] = [this.part("large"), this.#state.get("size") === "1:1"];
+    setText(this.part("size"), exact ? texts.board.fit : texts.board.exact);
+    this.part("stage-view").classList.toggle("exact", exact);
     const [width, height] = exact ? [large.naturalWidth, large.naturalHeight].map((n) => `${n / devicePixelRatio}px`) : ["", ""];
-    Object.assign(this.#at("pair").style, { width, height });
+    Object.assign(this.part("pair").style, { width, height });
   }
 
   close() {

@@ -1,6 +1,6 @@
 // The report of a board in words and figures: why its verdict is what it is.
 import { identityOf } from "../parts/identity.js";
-import { make, said } from "../parts/elements.js";
+import { lines, make, said } from "../parts/elements.js";
 import { moment, number, texts } from "../texts/texts.js";
 
 const SEAM = "seam_px:"; // and the numbers of two cameras
@@ -22,8 +22,6 @@ function within(proof) {
   const residuals = proof.cameras.map((camera) => camera.max_residual_us).filter((us) => us != null);
   return residuals.length ? number(Math.max(...residuals), 1) : "";
 }
-
-const lines = (found) => found.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", {}, ...[value].flat())]);
 
 function facts(run) {
   const { ok, incomplete, missing, unproven } = run.counts;

@@ -9,7 +9,7 @@ const STEPS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10
 const LEAST_PX = 3; // exposures take a thousandth of a run: they are drawn at least this wide
 
 // What every row did, in seconds since the barrier.
-export function rowsOf(timeline) {
+function rowsOf(timeline) {
   const count = Math.max(-1, ...timeline.rows.map((r) => r.row), ...timeline.frames_settled_s.map(([, row]) => row)) + 1;
   return Array.from({ length: count }, (_, row) => {
     const pulse = timeline.rows.find((r) => r.row === row);

@@ -1,7 +1,7 @@
 // The left side of a board's page: the whole board, the search for parts, what is drawn over it, and the legend.
-import { make, setText } from "../parts/elements.js";
+import { make, options, setText, View } from "../parts/elements.js";
 import { unattended } from "../parts/rest.js";
-import { fillIn, number, texts } from "../texts/texts.js";
+import { number, texts } from "../texts/texts.js";
 import { classes, worstFirst } from "./colours.js";
 import { DeepZoom, prepare } from "./deep_zoom.js";
 import { DRAWINGS } from "./drawings.js";
@@ -25,7 +25,7 @@ const PART = `
 <p id="zoom-note"></p>
 <ul id="legend" aria-live="polite"></ul>`;
 
-export class ZoomSide {
+export class ZoomSide extends View {
   #state;
   #onPart;
   #deep = null;
@@ -36,33 +36,28 @@ export class ZoomSide {
 
   // state: PageState; onPart(address): a part was chosen.
   constructor(root, state, onPart) {
-    [this.root, this.#state, this.#onPart] = [root, state, onPart];
-    root.innerHTML = PART;
-    fillIn(root);
+    super(PART, root);
+    [this.#state, this.#onPart] = [state, onPart];
     prepare();
-    this.#part("colour").append(...COLOURS.map((value) => make("option", { value, textContent: texts.board.colours[value] })));
-    this.#part("colour").value = state.get("colour");
-    this.#part("colour").addEventListener("change", () => this.#recolour(this.#part("colour").value));
-    this.#part("drawings").append(...DRAWINGS.map((name) => this.#toggle(name)));
-    this.#part("finder").addEventListener("submit", (event) => {
+    this.part("colour").append(...options(COLOURS.map((value) => [value, texts.board.colours[value]])));
+    this.part("colour").value = state.get("colour");
+    this.part("colour").addEventListener("change", () => this.#recolour(this.part("colour").value));
+    this.part("drawings").append(...DRAWINGS.map((name) => this.#toggle(name)));
+    this.part("finder").addEventListener("submit", (event) => {
       event.preventDefault();
       this.#find();
     });
-    this.#part("component").addEventListener("change", () => this.#find());
-    this.#part("component").addEventListener("focus", () => this.#part("component").select());
-    this.#part("before").addEventListener("click", () => this.#step(-1));
-    this.#part("after").addEventListener("click", () => this.#step(1));
-    this.#part("closer").addEventListener("click", () => this.#deep?.zoomBy(1.6));
-    this.#part("farther").addEventListener("click", () => this.#deep?.zoomBy(1 / 1.6));
-    this.#part("whole").addEventListener("click", () => this.#deep?.home());
-    this.#part("mosaic").addEventListener("change", () => {
-      state.set({ mosaic: this.#part("mosaic").value });
+    this.part("component").addEventListener("change", () => this.#find());
+    this.part("component").addEventListener("focus", () => this.part("component").select());
+    this.part("before").addEventListener("click", () => this.#step(-1));
+    this.part("after").addEventListener("click", () => this.#step(1));
+    this.part("closer").addEventListener("click", () => this.#deep?.zoomBy(1.6));
+    this.part("farther").addEventListener("click", () => this.#deep?.zoomBy(1 / 1.6));
+    this.part("whole").addEventListener("click", () => this.#deep?.home());
+    this.part("mosaic").addEventListener("change", () => {
+      state.set({ mosaic: this.part("mosaic").value });
       unattended(this.#open());
     });
-  }
-
-  #part(id) {
-    return this.root.querySelector(`#${id}`);
   }
 
   #toggle(name) {
@@ -90,13 +85,13 @@ export class ZoomSide {
   // Show a run: its parts, mosaics (none: `why` says so), and overlay, or null.
   async show({ parts, mosaics, overlay, why }) {
     [this.#parts, this.#mosaics, this.#overlay] = [parts, mosaics, overlay];
-    this.#part("component-names").replaceChildren(...parts.map((part) => make("option", { value: part.address })));
-    this.#part("mosaic").replaceChildren(...mosaics.map((m) => make("option", { value: m.name, textContent: m.kept ? texts.board.kept : m.name })));
-    this.#part("mosaic").hidden = mosaics.length < 2;
-    this.#part("finder").hidden = parts.length === 0;
-    for (const button of this.#part("drawings").children) button.disabled = !overlay || mosaics.length === 0;
-    this.#part("colour").disabled = mosaics.length === 0;
-    setText(this.#part("zoom-note"), why);
+    this.part("component-names").replaceChildren(...parts.map((part) => make("option", { value: part.address })));
+    this.part("mosaic").replaceChildren(...options(mosaics.map((m) => [m.name, m.kept ? texts.board.kept : m.name])));
+    this.part("mosaic").hidden = mosaics.length < 2;
+    this.part("finder").hidden = parts.length === 0;
+    for (const button of this.part("drawings").children) button.disabled = !overlay || mosaics.length === 0;
+    this.part("colour").disabled = mosaics.length === 0;
+    setText(this.part("zoom-note"), why);
     this.root.classList.toggle("empty", mosaics.length === 0);
     if (mosaics.length) await this.#open();
     else {
@@ -107,9 +102,9 @@ export class ZoomSide {
 
   async #open() {
     const mosaic = this.#mosaics.find((m) => m.name === this.#state.get("mosaic")) ?? this.#mosaics[0];
-    this.#part("mosaic").value = mosaic.name;
+    this.part("mosaic").value = mosaic.name;
     this.#deep ??= new DeepZoom(
-      this.#part("zoom-view"), (address) => this.#onPart(address), () => setText(this.#part("zoom-note"), texts.board.tilesFailed),
+      this.part("zoom-view"), (address) => this.#onPart(address), () => setText(this.part("zoom-note"), texts.board.tilesFailed),
     );
     await this.#deep.open(mosaic, this.#parts);
     this.#recolour(this.#state.get("colour"));
@@ -123,7 +118,7 @@ export class ZoomSide {
 
   #recolour(colour) {
     this.#state.set({ colour });
-    this.#part("colour").value = colour;
+    this.part("colour").value = colour;
     this.#deep?.colour(colour, this.#heights);
     this.#legend();
   }
@@ -142,13 +137,13 @@ export class ZoomSide {
     if (entries.length) entries.unshift(make("li", { className: "title", textContent: texts.board.legend[this.#state.get("colour")] }));
     if (this.#parts.some((part) => part.unseen)) entries.push(entry("unseen", texts.facts.unseen));
     for (const name of DRAWINGS) if (shown.has(name) && this.#overlay) entries.push(entry(`line-${name}`, name === "residuals" && this.factor ? texts.board.enlarged(number(this.factor)) : texts.board[name]));
-    this.#part("legend").replaceChildren(...(this.#mosaics.length ? entries : []));
+    this.part("legend").replaceChildren(...(this.#mosaics.length ? entries : []));
   }
 
   #find() {
-    const wanted = this.#part("component").value.trim();
+    const wanted = this.part("component").value.trim();
     const found = this.#parts.find((part) => part.address.toLowerCase() === wanted.toLowerCase()) ?? this.#parts.find((part) => part.ref.toLowerCase() === wanted.toLowerCase());
-    setText(this.#part("finder-answer"), found || !wanted ? "" : texts.board.noPart(wanted));
+    setText(this.part("finder-answer"), found || !wanted ? "" : texts.board.noPart(wanted));
     if (found) this.#onPart(found.address);
   }
 
@@ -160,8 +155,8 @@ export class ZoomSide {
   }
 
   choose(address, fly) {
-    this.#part("component").value = address;
-    setText(this.#part("finder-answer"), "");
+    this.part("component").value = address;
+    setText(this.part("finder-answer"), "");
     this.#deep?.select(address, fly);
   }
 

@@ -1,6 +1,6 @@
 // The list of boards: filters that the station applies, reasons, decisions, and a file for spreadsheets.
-import { quoted } from "../parts/csv.js";
-import { make, saidOf, setText } from "../parts/elements.js";
+import { make, options, saidOf, setText, View } from "../parts/elements.js";
+import { saveTable } from "../parts/files.js";
 import { readId } from "../parts/identity.js";
 import * as rest from "../parts/rest.js";
 import { sign } from "../parts/signs.js";
@@ -68,47 +68,42 @@ function thumbnail(run) {
   return make("td", { className: "thumbnail" }, picture);
 }
 
-export class BoardsView {
+export class BoardsView extends View {
   name = "boards-view";
   #query;
   #next = null;
   #turn = 0; // counts the readings: a later one, or the end of the view, ends the one before
 
   constructor(_station, query) {
+    super(PART, make("div", { className: "boards" }));
     this.#query = new URLSearchParams(query);
-    this.root = make("div", { className: "boards" });
-    this.root.innerHTML = PART;
     const verdicts = { "": texts.any, ok: texts.verdicts.ok, degraded: texts.verdicts.degraded, failed: texts.verdicts.failed, none: texts.noVerdict };
-    this.#field("verdict").append(...Object.entries(verdicts).map(([value, text]) => option(value, text)));
+    this.#field("verdict").append(...options(Object.entries(verdicts)));
     this.#field("board_type").append(option("", texts.any));
     const reasons = Object.entries(texts.reasons).sort(([, a], [, b]) => a.localeCompare(b, language));
     this.#field("reason").append(option("", texts.any), ...reasons.map(([code, text]) => option(code, text, code)));
-    this.#span().append(...Object.entries(texts.spans).map(([value, text]) => option(value, text)));
-    this.#span().addEventListener("change", () => this.#fillSpan());
-    for (const name of ["since", "until"]) this.#field(name).addEventListener("input", () => (this.#span().value = "other"));
+    this.part("span").append(...options(Object.entries(texts.spans)));
+    this.part("span").addEventListener("change", () => this.#fillSpan());
+    for (const name of ["since", "until"]) this.#field(name).addEventListener("input", () => (this.part("span").value = "other"));
     const heads = Object.keys(COLUMNS).map((name) => make("th", { scope: "col", className: name, textContent: texts.columns[name], title: texts.trends.figures[name] ?? "" }));
     this.root.querySelector("thead").append(make("tr", {}, make("td"), ...heads));
-    this.root.querySelector("#filters").addEventListener("submit", (event) => {
+    this.part("filters").addEventListener("submit", (event) => {
       event.preventDefault();
       const hash = `#/boards?${this.#stated()}`;
       if (hash === location.hash) this.#again();
       else location.hash = hash;
     });
-    this.root.querySelector("#more").addEventListener("click", () => this.#load());
-    this.root.querySelector("#save").addEventListener("click", () => this.#save());
+    this.part("more").addEventListener("click", () => this.#load());
+    this.part("save").addEventListener("click", () => this.#save());
   }
 
   #field(name) {
     return this.root.querySelector(`[name="${name}"]`);
   }
 
-  #span() {
-    return this.root.querySelector("#span");
-  }
-
   // A span of days fills in its times, and its boards are shown at once. A day begins at midnight of this browser.
   #fillSpan() {
-    const span = this.#span().value;
+    const span = this.part("span").value;
     if (span === "other") {
       this.#field("since").focus();
       return;
@@ -116,7 +111,7 @@ export class BoardsView {
     const [since, until] = SPANS[span];
     this.#field("since").value = since === null ? "" : local(midnight(since));
     this.#field("until").value = until === null ? "" : local(midnight(until));
-    this.root.querySelector("#filters").requestSubmit();
+    this.part("filters").requestSubmit();
   }
 
   // The filters of the form; times become UTC.
@@ -140,7 +135,7 @@ export class BoardsView {
     }
     const [since, until] = [this.#field("since").value, this.#field("until").value];
     const stated = (days) => (days === null ? "" : local(midnight(days)));
-    this.#span().value = Object.keys(SPANS).find((name) => stated(SPANS[name][0]) === since && stated(SPANS[name][1]) === until) ?? "other";
+    this.part("span").value = Object.keys(SPANS).find((name) => stated(SPANS[name][0]) === since && stated(SPANS[name][1]) === until) ?? "other";
     // Only then the types are asked for: what a person chooses meanwhile stays.
     const types = await rest.boardTypes().catch(() => []);
     this.#field("board_type").append(...types.map((type) => type.name).filter((name) => name !== chosen).map((name) => option(name)));
@@ -161,7 +156,7 @@ export class BoardsView {
   }
 
   async #load() {
-    const more = this.root.querySelector("#more");
+    const more = this.part("more");
     const turn = ++this.#turn;
     more.disabled = true;
     try {
@@ -170,14 +165,14 @@ export class BoardsView {
         found = await this.#page(this.#next, PAGE_RUNS);
         if (turn !== this.#turn) return;
         this.#next = found.next ?? null;
-        if (!found.runs.length && this.#next) setText(this.root.querySelector("#list-answer"), texts.searching);
+        if (!found.runs.length && this.#next) setText(this.part("list-answer"), texts.searching);
       } while (!found.runs.length && this.#next); // one request looks through a bounded number of runs
       this.root.querySelector("tbody").append(...found.runs.map((run) => this.#row(run)));
-      setText(this.root.querySelector("#list-answer"), this.root.querySelector("tbody").children.length ? "" : texts.nothingFound);
+      setText(this.part("list-answer"), this.root.querySelector("tbody").children.length ? "" : texts.nothingFound);
     } catch (error) {
       if (turn !== this.#turn) return;
       this.#next = null;
-      this.root.querySelector("#list-answer").replaceChildren(...saidOf(error));
+      this.part("list-answer").replaceChildren(...saidOf(error));
     }
     more.disabled = false;
     more.hidden = !this.#next;
@@ -205,19 +200,13 @@ export class BoardsView {
         before = next;
       } while (before && boards.length < MOST_SAVED);
     } catch (error) {
-      this.root.querySelector("#list-answer").replaceChildren(...saidOf(error));
+      this.part("list-answer").replaceChildren(...saidOf(error));
       return;
     }
     const cut = before || boards.length > MOST_SAVED;
-    setText(this.root.querySelector("#list-answer"), cut ? texts.cut(number(MOST_SAVED)) : "");
-    const lines = [Object.keys(COLUMNS), ...boards.slice(0, MOST_SAVED)];
-    const file = new Blob(["\ufeff", lines.map((cells) => cells.map(quoted).join(",")).join("\r\n")], { type: "text/csv" });
-    const link = make("a", { href: URL.createObjectURL(file), download: "boards.csv" });
-    link.click();
-    URL.revokeObjectURL(link.href);
+    setText(this.part("list-answer"), cut ? texts.cut(number(MOST_SAVED)) : "");
+    saveTable("boards.csv", [Object.keys(COLUMNS), ...boards.slice(0, MOST_SAVED)]);
   }
-
-  async show() {}
 
   close() {
     this.#turn++;

@@ -1,6 +1,6 @@
 // A card for each camera: its newest frame, sharpness, histogram, state of the device, drift, and what the doctor finds.
-import { histogram, sharpnessMap, BLUR_LIMIT_PX, DARK_LIMIT, SATURATED_LIMIT } from "../parts/camera_card.js";
-import { make, said, saidOf, setText } from "../parts/elements.js";
+import { BLUR_LIMIT_PX, DARK_LIMIT, percent, px, SATURATED_LIMIT, showFrame } from "../parts/camera_card.js";
+import { lines, make, said, saidOf, setText, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { findingItem, remarkOf } from "./findings.js";
 import { moment, number, texts } from "../texts/texts.js";
@@ -21,9 +21,6 @@ const PART = `
   <ul id="doctor-findings"></ul>
 </section>`;
 
-const px = (value) => number(value, 2);
-const percent = (share, digits = 0) => `${number(100 * share, digits)} %`;
-
 class Card {
   #shown = "";
 
@@ -32,12 +29,12 @@ class Card {
     this.title = make("h2", { textContent: camera.name });
     this.state = make("span", { className: "camera-state" });
     this.picture = make("div", { className: "camera-picture" });
-    this.focus = make("p", { className: "camera-focus" });
+    this.blur = make("p", { className: "camera-focus" });
     this.levels = make("div", { className: "camera-levels" });
     this.facts = make("dl", {});
     this.remarks = make("ul", { className: "camera-remarks" });
     this.root = make("section", { className: "camera-card" }, make("div", { className: "camera-head" }, this.title, this.state),
-      this.picture, this.focus, this.levels, this.remarks, this.facts);
+      this.picture, this.blur, this.levels, this.remarks, this.facts);
   }
 
   // `frame`: the newest frame with its figures, or null; `findings`: what the doctor says about this camera.
@@ -52,25 +49,15 @@ class Card {
   }
 
   async #showFrame(frame) {
-    const words = texts.cameras;
     const shown = `${frame.run}/${frame.row}`;
     if (shown === this.#shown) return;
-    const image = make("img", { src: rest.cameraPicture(frame), alt: words.alt(frame.row) });
-    await image.decode().catch(() => {}); // its memory may be given to a later board: the next frame is shown soon
-    if (!image.naturalWidth) return;
-    this.#shown = shown;
-    this.picture.style.aspectRatio = `${frame.width} / ${frame.height}`;
-    this.picture.replaceChildren(image, ...sharpnessMap(frame.tiles, px));
-    const blur = frame.blur_px == null ? words.noEdges : make("b", { textContent: px(frame.blur_px) });
-    this.focus.replaceChildren(...(frame.blur_px == null ? [blur] : [blur, ` ${words.blur}`]));
-    const label = words.histogram(percent(frame.low), percent(frame.high), percent(frame.saturated, 2));
-    this.levels.replaceChildren(histogram(frame.histogram, frame.saturated, label), make("p", { textContent: label }));
+    if (await showFrame(this, frame, rest.cameraPicture(frame), texts.cameras.alt(frame.row))) this.#shown = shown;
   }
 
   #showFacts(camera, drift, frame) {
     const words = texts.cameras.facts;
     const counters = Object.entries(camera.counters).filter(([name, value]) => LOST.test(name) && value);
-    const lines = [
+    const facts = [
       ...(camera.temperature_c == null ? [] : [[words.temperature, `${number(camera.temperature_c, 1)} °C`]]),
       [words.delivered, number(camera.delivered)],
       [words.incomplete, number(camera.incomplete)],
@@ -81,26 +68,26 @@ class Card {
       ...(frame?.gain == null ? [] : [[words.gain, `× ${number(frame.gain, 2)}`]]),
       ...(frame?.light ? [[words.light, frame.light]] : []),
     ];
-    this.facts.replaceChildren(...lines.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]));
+    this.facts.replaceChildren(...lines(facts));
   }
 
   #showRemarks(camera, drift, frame, findings) {
     const words = texts.cameras;
     const tiles = frame?.tiles.filter((tile) => tile.blur_px != null && tile.blur_px > BLUR_LIMIT_PX).length ?? 0;
-    const lines = [
+    const remarks = [
       ...(camera.message ? [{ english: camera.message }] : []),
       ...(frame && frame.saturated > SATURATED_LIMIT ? [words.tooBright(percent(frame.saturated, 1))] : []),
       ...(frame && frame.high < DARK_LIMIT ? [words.tooDark(percent(frame.high))] : []),
       ...(tiles ? [words.soft(tiles)] : []),
     ];
-    const wanted = JSON.stringify([lines, findings]);
+    const wanted = JSON.stringify([remarks, findings]);
     if (this.remarks.dataset.shown === wanted) return;
     this.remarks.dataset.shown = wanted;
-    this.remarks.replaceChildren(...lines.map((line) => make("li", {}, ...(line.english ? said(line.english) : [line]))), ...findings.map((finding) => make("li", {}, ...remarkOf(finding))));
+    this.remarks.replaceChildren(...remarks.map((line) => make("li", {}, ...(line.english ? said(line.english) : [line]))), ...findings.map((finding) => make("li", {}, ...remarkOf(finding))));
   }
 }
 
-export class CamerasView {
+export class CamerasView extends View {
   name = "cameras-view";
   #station;
   #cards = [];
@@ -110,10 +97,9 @@ export class CamerasView {
   #trial = null;
 
   constructor(station) {
+    super(PART, make("div", { className: "cameras" }));
     this.#station = station;
-    this.root = make("div", { className: "cameras" });
-    this.root.innerHTML = PART;
-    this.root.querySelector("#examine").addEventListener("click", () => rest.unattended(this.#examine()));
+    this.part("examine").addEventListener("click", () => rest.unattended(this.#examine()));
   }
 
   open() {
@@ -142,13 +128,13 @@ export class CamerasView {
     if (this.#closed) return;
     if (this.#cards.length !== cameras.length) {
       this.#cards = cameras.map((camera) => new Card(camera));
-      this.root.querySelector("#camera-cards").replaceChildren(...this.#cards.map((card) => card.root));
+      this.part("camera-cards").replaceChildren(...this.#cards.map((card) => card.root));
       this.#trial = new Trial(cameras);
-      this.root.querySelector("#trial-place").replaceChildren(this.#trial.root);
+      this.part("trial-place").replaceChildren(this.#trial.root);
       this.#trial.show(this.#station.now.state);
     }
     const ready = cameras.filter((camera) => camera.connected).length;
-    setText(this.root.querySelector("#camera-answer"), texts.cameras.ready(ready, cameras.length));
+    setText(this.part("camera-answer"), texts.cameras.ready(ready, cameras.length));
     // One after the other: the station measures each frame, and boards come first.
     for (const [n, card] of this.#cards.entries()) {
       const frame = await rest.cameraFrame(n).catch((error) => {
@@ -171,7 +157,7 @@ export class CamerasView {
 
   async #examine() {
     const words = texts.cameras;
-    const [button, answer] = [this.root.querySelector("#examine"), this.root.querySelector("#doctor-answer")];
+    const [button, answer] = [this.part("examine"), this.part("doctor-answer")];
     button.disabled = true;
     setText(answer, words.examining);
     try {
@@ -179,7 +165,7 @@ export class CamerasView {
       this.#findings = found.findings;
       const wrong = found.findings.filter((finding) => finding.level === "warning" || finding.level === "fault");
       setText(answer, `${words.found(wrong.length, found.findings.length)} (${moment(found.created)})`);
-      this.root.querySelector("#doctor-findings").replaceChildren(...wrong.map((finding) => findingItem(finding)));
+      this.part("doctor-findings").replaceChildren(...wrong.map((finding) => findingItem(finding)));
     } catch (error) {
       answer.replaceChildren(...saidOf(error));
     }

@@ -5,7 +5,7 @@ import { texts } from "../texts/texts.js";
 // A code of another version of the station has no words of its own; those of a refusal or a reason may fit.
 function wordsOf({ code, figures, names, subject }) {
   const { findings, refusals } = texts.translated;
-  const known = findings[code] ?? [refusals[code] ?? texts.reasons[code] ?? ""];
+  const known = findings[code] ?? [refusals[code] ?? texts.refusals[code] ?? texts.reasons[code] ?? ""];
   const [message, action = ""] = known.map((text) => (typeof text === "function" ? text({ ...names, ...figures, subject }) : text));
   return { message, action };
 }

@@ -1,5 +1,5 @@
 // Arm and disarm, with the board type and the board's id (typed, or scanned: a scanner ends with Enter).
-import { make, setText, showRefusal } from "../parts/elements.js";
+import { make, setText, showRefusal, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { kept, keep } from "../parts/settings.js";
 import { texts } from "../texts/texts.js";
@@ -14,8 +14,11 @@ const PART = `
 <button type="submit" id="arm"></button>
 <div id="answer" role="alert"></div>`;
 
-export class Arming {
-  #form;
+export class Arming extends View {
+  #type = this.part("board-type");
+  #id = this.part("board-id");
+  #answer = this.part("answer");
+  #button = this.part("arm");
   #setAside;
   #onDone;
   #armed = null; // the board type that is armed
@@ -26,8 +29,8 @@ export class Arming {
   #said = 0;
 
   constructor(form, setAside, onDone) {
-    [this.#form, this.#setAside, this.#onDone] = [form, setAside, onDone];
-    form.innerHTML = PART;
+    super(PART, form);
+    [this.#setAside, this.#onDone] = [setAside, onDone];
     form.addEventListener("submit", (event) => {
       event.preventDefault();
       if (!this.#offersDisarm() && !this.#pressed) this.#arm();
@@ -39,22 +42,6 @@ export class Arming {
     this.#type.addEventListener("change", () => keep("board-type", this.#type.value));
     for (const begin of ["pointerdown", "keydown"]) this.#button.addEventListener(begin, (event) => this.#begin(event));
     for (const end of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) this.#button.addEventListener(end, () => this.#stop());
-  }
-
-  get #type() {
-    return this.#form.querySelector("#board-type");
-  }
-
-  get #id() {
-    return this.#form.querySelector("#board-id");
-  }
-
-  get #answer() {
-    return this.#form.querySelector("#answer");
-  }
-
-  get #button() {
-    return this.#form.querySelector("#arm");
   }
 
   #offersDisarm() {

@@ -1,5 +1,5 @@
 // The operator's view: one word, one order, the last board, the last twenty, and one button.
-import { make, setText, showLines } from "../parts/elements.js";
+import { make, setText, showLines, View } from "../parts/elements.js";
 import { draw } from "../parts/signs.js";
 import { clock, texts } from "../texts/texts.js";
 import { Arming } from "./arming.js";
@@ -33,7 +33,7 @@ const PAGE = `
 // The lost cameras without which boards are filmed, because a person has accepted it.
 const without = (now) => (now.line_ready ? now.cameras.filter((c) => !c.connected).map((c) => texts.camera(c.name)) : []);
 
-export class LineView {
+export class LineView extends View {
   name = "line-view";
   #station;
   #refresh;
@@ -41,19 +41,14 @@ export class LineView {
   #shownAt = 0;
 
   constructor(station, refresh) {
+    super(PAGE, make("div", { className: "line" }));
     [this.#station, this.#refresh] = [station, refresh];
-    this.root = make("div", { className: "line" });
-    this.root.innerHTML = PAGE;
     this.boards = station.boards;
-    this.last = new LastBoard(this.#part("last"), () => this.#decided());
-    this.strip = new Strip(this.#part("history"));
-    this.arming = new Arming(this.#part("controls"), this.#part("set-aside"), refresh);
-    this.#part("why").addEventListener("click", () => this.#openDetails(this.#part("details").hidden));
-    this.#part("close-details").addEventListener("click", () => this.#openDetails(false));
-  }
-
-  #part(id) {
-    return this.root.querySelector(`#${id}`);
+    this.last = new LastBoard(this.part("last"), () => this.#decided());
+    this.strip = new Strip(this.part("history"));
+    this.arming = new Arming(this.part("controls"), this.part("set-aside"), refresh);
+    this.part("why").addEventListener("click", () => this.#openDetails(this.part("details").hidden));
+    this.part("close-details").addEventListener("click", () => this.#openDetails(false));
   }
 
   open() {
@@ -97,31 +92,31 @@ export class LineView {
 
   onSituation(shown) {
     const { now, stale } = this.#station;
-    draw(this.#part("state-shape"), shown.shown);
-    this.#part("state-shape").dataset.state = shown.state;
-    setText(this.#part("state-word"), shown.word);
-    setText(this.#part("order"), shown.order);
+    draw(this.part("state-shape"), shown.shown);
+    this.part("state-shape").dataset.state = shown.state;
+    setText(this.part("state-word"), shown.word);
+    setText(this.part("order"), shown.order);
     const armed = !stale && now?.armed_with ? texts.armedWith(now.armed_with, without(now)) : "";
-    setText(this.#part("armed-with"), armed);
+    setText(this.part("armed-with"), armed);
   }
 
   #showDetails(now) {
     const held = now.line_held.filter((reason) => now.state === "armed" || reason.code === "belt-stopped");
     const say = (reason) => `${reason.message} ${reason.action}`.trim();
     const lines = new Set([...held, ...now.reasons].map(say)); // a lost camera is among both
-    showLines(this.#part("reasons"), [...lines, ...this.#nextTries(now)]);
-    showLines(this.#part("warnings"), now.warnings.map(say));
+    showLines(this.part("reasons"), [...lines, ...this.#nextTries(now)]);
+    showLines(this.part("warnings"), now.warnings.map(say));
     this.arming.showSetAside(now.set_aside ?? []);
-    const any = this.#part("reasons").children.length + this.#part("warnings").children.length > 0 || !this.#part("set-aside").hidden;
-    this.#part("why").hidden = !any;
-    this.#part("why").classList.toggle("warned", now.warnings.length > 0 || without(now).length > 0);
+    const any = this.part("reasons").children.length + this.part("warnings").children.length > 0 || !this.part("set-aside").hidden;
+    this.part("why").hidden = !any;
+    this.part("why").classList.toggle("warned", now.warnings.length > 0 || without(now).length > 0);
     if (!any) this.#openDetails(false);
   }
 
   #openDetails(open) {
-    this.#part("details").hidden = !open;
-    this.#part("why").setAttribute("aria-expanded", open);
-    if (open) this.#part("close-details").focus();
+    this.part("details").hidden = !open;
+    this.part("why").setAttribute("aria-expanded", open);
+    if (open) this.part("close-details").focus();
   }
 
   // Pending retries. No event may come before a retry, so the page requests the state again after it.

@@ -1,10 +1,9 @@
 // The last boards and the counts of the day: read once, then kept up to date by events.
 import * as rest from "../parts/rest.js";
 
-export const SHOWN = 20;
+const SHOWN = 20;
 const READ_AGAIN_MS = 5 * 60 * 1000; // another day may have begun, events may have been lost
 const OPEN_MS = 30 * 60 * 1000; // so long a board without pictures is shown; see parts/orders.js
-const NEW = 3; // runs that are asked for when one has finished
 const MOST_PAGES = 5; // pages of runs that are looked through for those of this line, among imported ones
 
 // Imported runs are of another line: they need no decision here.
@@ -38,8 +37,7 @@ export class RecentBoards {
   async refresh(now, now_ms) {
     const last = now.last_run ?? null;
     if (performance.now() - this.#readAt > READ_AGAIN_MS) await this.#readAll(now_ms);
-    else if (last !== this.#lastRun) await this.#readNew(last, now_ms);
-    if (this.#changed) await this.#readChanged();
+    else if (this.#changed || last !== this.#lastRun) await this.#readLast();
     this.#lastRun = last;
   }
 
@@ -57,24 +55,12 @@ export class RecentBoards {
     }
   }
 
-  async #readNew(last, now_ms) {
-    const known = new Set(this.runs.map((run) => run.id));
-    const newest = (await rest.runs({ limit: NEW })).runs;
-    const found = newest.filter((run) => run.finished && !known.has(run.id));
-    if (found.length === NEW || !newest.some((run) => run.id === last && run.finished)) {
-      await this.#readAll(now_ms); // more boards came than were asked for
-      return;
-    }
-    // Not counted here: a run that ended between the replies of an earlier reading may be in the counts already.
-    if (found.some(isOwn)) this.counts = await rest.counts();
-    this.#add(found);
-  }
-
-  async #readChanged() {
+  // The last boards: one has finished, or its verdict may have changed.
+  async #readLast() {
     this.#changed = false;
-    const verdicts = new Map(this.runs.map((run) => [run.id, run.verdict]));
-    this.#add(await ownRuns({}));
-    if (this.runs.some((run) => verdicts.has(run.id) && verdicts.get(run.id) !== run.verdict)) this.counts = await rest.counts();
+    this.#add((await rest.runs({ limit: SHOWN })).runs);
+    // Not counted here: a run that ended between the replies of an earlier reading may be in the counts already.
+    this.counts = await rest.counts();
   }
 
   #add(runs) {

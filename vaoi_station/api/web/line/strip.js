@@ -34,10 +34,9 @@ export class Strip {
     const what = run ? `${run.board_id ?? texts.noId}: ${texts.verdicts[run.verdict ?? "failed"]}` : texts.missedBoard;
     const name = `${clock(time)} ${what}`;
     const item = make("li", { className: run ? run.verdict ?? "failed" : "missed" });
-    const inside = run ? make("a", { href: `#/board/${encodeURIComponent(run.id)}`, title: name }) : make("span", { title: name });
-    inside.setAttribute("aria-label", name);
-    if (!run) inside.setAttribute("role", "img");
-    inside.append(sign(run ? run.verdict ?? "failed" : "missed"));
+    const named = { title: name, ariaLabel: name };
+    const inside = run ? make("a", { href: `#/board/${encodeURIComponent(run.id)}`, ...named }) : make("span", { role: "img", ...named });
+    inside.append(sign(item.className));
     item.append(inside);
     return item;
   }

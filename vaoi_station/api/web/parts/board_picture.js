@@ -3,7 +3,13 @@ import * as rest from "./rest.js";
 import { make } from "./elements.js";
 import { svg, titled } from "./svg.js";
 
-const TILE = 256;
+// Tiles of a mosaic: its levels halve, from the level of full resolution down.
+export const TILE_PX = 256;
+export const fullLevel = ({ width_px, height_px }) => Math.ceil(Math.log2(Math.max(width_px, height_px)));
+export const tileAddress = ({ dzi }, level, column, row) => `${dzi.replace(/\.dzi$/, "_files")}/${level}/${column}_${row}.jpg`;
+// After a reinstallation run ids may repeat; the start time keeps the browser from using a cached picture.
+export const tileOfRun = (run, mosaic, level, column, row) => `${tileAddress(mosaic, level, column, row)}?_=${encodeURIComponent(run.started)}`;
+
 export function toPicture(matrix, [x, y]) {
   const [u, v, w] = matrix.map((row) => row[0] * x + row[1] * y + row[2]);
   return [u / w, v / w];
@@ -14,22 +20,18 @@ export async function boardPicture(run, { steps = 1, alt = "" } = {}) {
   if (run.verdict === "failed" || run.verdict == null || (!run.frames_available && !run.recording)) return null;
   const [mosaic] = await rest.mosaics(run.id);
   if (!mosaic) return null;
-  const largest = Math.ceil(Math.log2(Math.max(mosaic.width_px, mosaic.height_px)));
   const reduction = Math.max(mosaic.levels - 1 - steps, 0);
   const [width, height] = [mosaic.width_px, mosaic.height_px].map((side) => Math.ceil(side / 2 ** reduction));
-  const box = make("div", { className: "board-picture" });
-  box.setAttribute("role", "img");
-  box.setAttribute("aria-label", alt);
+  const box = make("div", { className: "board-picture", role: "img", ariaLabel: alt });
   box.style.aspectRatio = `${width} / ${height}`;
   box.style.setProperty("--ratio", width / height); // the style sheet fits it into its place
-  const tiles = mosaic.dzi.replace(/\.dzi$/, "_files");
   const waits = [];
-  for (let row = 0; row * TILE < height; row++) {
-    for (let column = 0; column * TILE < width; column++) {
-      const tile = make("img", { alt: "", src: `${tiles}/${largest - reduction}/${column}_${row}.jpg?_=${encodeURIComponent(run.started)}` });
+  for (let row = 0; row * TILE_PX < height; row++) {
+    for (let column = 0; column * TILE_PX < width; column++) {
+      const tile = make("img", { alt: "", src: tileOfRun(run, mosaic, fullLevel(mosaic) - reduction, column, row) });
       Object.assign(tile.style, {
-        left: `${(column * TILE * 100) / width}%`, top: `${(row * TILE * 100) / height}%`,
-        width: `${(Math.min(TILE, width - column * TILE) * 100) / width}%`,
+        left: `${(column * TILE_PX * 100) / width}%`, top: `${(row * TILE_PX * 100) / height}%`,
+        width: `${(Math.min(TILE_PX, width - column * TILE_PX) * 100) / width}%`,
       });
       waits.push(tile.decode().catch(() => tile.remove()));
       box.append(tile);

@@ -58,8 +58,7 @@ export class Decisions {
       id: "decision-reason", required: true, maxLength: 400, value: choice === "film-again" && first ? first.cause || first.code : "",
     });
     const cancel = make("button", { type: "button", textContent: texts.cancel });
-    const answer = make("div", { id: "decision-answer" });
-    answer.setAttribute("role", "alert");
+    const answer = make("div", { id: "decision-answer", role: "alert" });
     const form = make("form", { id: "decision" },
       make("label", { htmlFor: name.id, textContent: texts.yourName }), name,
       make("label", { htmlFor: reason.id, textContent: texts.reason }), reason,

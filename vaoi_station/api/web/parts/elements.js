@@ -1,5 +1,5 @@
 // Small helpers to make and change elements.
-import { language, texts } from "../texts/texts.js";
+import { fillIn, language, texts } from "../texts/texts.js";
 import { Refusal } from "./rest.js";
 
 export const $ = (id) => document.getElementById(id);
@@ -9,6 +9,47 @@ export function make(name, fields = {}, ...children) {
   element.append(...children);
   return element;
 }
+
+// A button that shows a sign, with its name in words.
+export const signButton = (textContent, ariaLabel, onclick, fields = {}) =>
+  make("button", { type: "button", textContent, ariaLabel, onclick, ...fields });
+
+const scripts = new Map();
+
+// Load a library once; after a failure it is tried again by the next who needs it.
+export function loadScript(src) {
+  const load = (done, failed) => {
+    const onerror = () => {
+      scripts.delete(src);
+      failed(new TypeError(src));
+    };
+    document.head.append(make("script", { src, onload: done, onerror }));
+  };
+  if (!scripts.has(src)) scripts.set(src, new Promise(load));
+  return scripts.get(src);
+}
+
+// Whether a field has what cannot be used.
+export const markWrong = (field, wrong) => (field.ariaInvalid = wrong ? "true" : null);
+
+// What has its elements from a piece of HTML, and finds them by their ids.
+export class View {
+  constructor(html, root = make("div")) {
+    this.root = root;
+    root.innerHTML = html;
+    fillIn(root);
+  }
+
+  part(id) {
+    return this.root.querySelector(`#${id}`);
+  }
+}
+
+// The choices of a select, from pairs of value and text.
+export const options = (pairs) => pairs.map(([value, textContent]) => make("option", { value, textContent }));
+
+// The lines of a dl, from pairs of name and value.
+export const lines = (pairs) => pairs.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", {}, ...[value].flat())]);
 
 // Screen readers announce a live region whenever its text is set, so it is set only when it changes.
 export function setText(element, text) {
@@ -35,7 +76,7 @@ export function said(sentence, translation = "") {
 export function saidOf(error) {
   if (!(error instanceof Refusal)) return [texts.noAnswer];
   const { refusals, refused } = texts.translated;
-  return said(error.message, error.translation ?? refusals[error.code] ?? refused);
+  return said(error.message, error.translation ?? refusals[error.code] ?? texts.refusals[error.code] ?? refused);
 }
 
 // Why a press had no effect, in the operator's words. The station's own sentence is for programs and engineers: it is behind "Why?".

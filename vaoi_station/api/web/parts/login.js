@@ -32,8 +32,7 @@ export async function loggedIn(live) {
   const form = make("form", { id: "login" }, make("h2", { textContent: texts.logInTitle }),
     make("label", { htmlFor: "key", textContent: texts.key }), key, make("button", { textContent: texts.logIn }), answer,
     make("p", { textContent: texts.logInHelp }));
-  const place = make("div", {}, form);
-  place.setAttribute("role", "main"); // the other one is hidden
+  const place = make("div", { role: "main" }, form); // the other one is hidden
   const main = document.querySelector("main");
   live.pause();
   main.hidden = true;

@@ -1,10 +1,11 @@
 // Calibration: print the board, film it, let the station measure its marks, judge, accept or try again.
 import { make, said } from "../parts/elements.js";
+import { saveFile } from "../parts/files.js";
 import * as rest from "../parts/rest.js";
 import { keep, kept, stateShown } from "../parts/settings.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { LiveMarks, showCount, svgOfMarks } from "./calibration/live_marks.js";
-import { answerLine, attempt, button, choice, facts, input, labelled, section, table, tick, Wrong } from "./fields.js";
+import { attempt, button, facts, input, labelled, runChoice, section, SetupPage, table, tick, Wrong } from "./fields.js";
 import * as requests from "./requests.js";
 
 const POLL_MS = 500;
@@ -23,17 +24,8 @@ function readEntered() {
   }
 }
 
-export async function open(root, _, query) {
-  const page = new Calibration(root, query);
-  await page.show();
-  return page;
-}
-
-class Calibration {
-  #root;
-  #query; // the run and the row that were chosen before the page was loaded anew
+export class Page extends SetupPage {
   #entered = readEntered(); // what was entered in this browser: the board is printed on one day and filmed on another
-  #answer = answerLine();
   #board = {}; // fields of the artwork
   #limits = {};
   #layout = null; // the layout.json that was chosen instead of the artwork of this page
@@ -47,10 +39,6 @@ class Calibration {
   #searched = 0; // counts the searches for marks: a later one ends the one before
   #closed = false;
 
-  constructor(root, query) {
-    [this.#root, this.#query] = [root, query];
-  }
-
   close() {
     this.#closed = true;
     this.#live?.stop();
@@ -62,10 +50,10 @@ class Calibration {
     const { cameras } = await rest.station();
     this.#live = new LiveMarks(cameras.map((camera) => camera.name), () => this.#searchedFor());
     const limits = make("details", {}, make("summary", { textContent: t.limits }), make("div", { className: "fields" }, ...this.#limitFields()));
-    this.#root.replaceChildren(make("h2", { textContent: t.pages.calibration }), this.#answer, this.#judged,
+    this.root.replaceChildren(make("h2", { textContent: t.pages.calibration }), this.answer, this.#judged,
       make("div", { className: "two even" }, section(t.printBoard, make("p", { className: "help", textContent: t.printHelp }), this.#artwork(), this.#drawn),
         make("div", { className: "column" }, section(t.filmBoard, this.#live.root, make("p", { className: "help", textContent: t.filmHelp }), this.#choice()),
-          section(t.calibrate, this.#layoutField(), limits, make("div", { className: "buttons" }, button(t.beginTrial, () => this.#begin(), this.#answer, { className: "primary", id: "calibrate" }))))));
+          section(t.calibrate, this.#layoutField(), limits, make("div", { className: "buttons" }, button(t.beginTrial, () => this.#begin(), this.answer, { className: "primary", id: "calibrate" }))))));
     this.#row.addEventListener("change", () => this.#showFrames());
     this.#draw();
     this.#showFrames();
@@ -118,23 +106,19 @@ class Calibration {
       const links = FILES.map((kind) => make("a", { className: "button", href: requests.artwork(`calibration-board.${kind}`, options), download: `calibration-board.${kind}`, textContent: t.artworkFiles[kind] }));
       this.#drawn.replaceChildren(picture, make("div", { className: "buttons" }, ...links,
         make("a", { className: "button", href: requests.artwork("calibration-board-outline.gbr", options), download: "calibration-board-outline.gbr", textContent: t.artworkFiles.outline }), this.#layoutLink(options)));
-    }, this.#answer).then((fine) => fine || this.#drawn.replaceChildren());
+    }, this.answer).then((fine) => fine || this.#drawn.replaceChildren());
   }
 
   #layoutLink(options) {
     return button("layout.json", async () => {
-      const file = new Blob([JSON.stringify(await requests.layout(options), null, 1)], { type: "application/json" });
-      const link = make("a", { href: URL.createObjectURL(file), download: "layout.json" });
-      link.click();
-      URL.revokeObjectURL(link.href);
-    }, this.#answer);
+      saveFile("layout.json", [JSON.stringify(await requests.layout(options), null, 1)], "application/json");
+    }, this.answer);
   }
 
   #choice() {
     const t = texts.setup;
     if (!this.#runs.length) return make("p", { id: "film-choice", textContent: t.noFrames });
-    const before = this.#runs.find((run) => run.id === this.#query.get("run"));
-    this.#run = choice("run", Object.fromEntries(this.#runs.map((run) => [run.id, t.runOf(run.board_id ?? run.id, moment(run.started))])), (before ?? this.#runs[0]).id);
+    this.#run = runChoice(this.#runs, this.query.get("run"));
     this.#run.addEventListener("change", () => this.#showFrames(true));
     return make("div", { id: "film-choice" }, labelled(t.run, this.#run), labelled(t.row, this.#row), make("p", { id: "row-shown" }), make("div", { className: "frames" }));
   }
@@ -146,14 +130,14 @@ class Calibration {
     if (other) Object.assign(this.#row, { max: run.rows - 1, value: this.#rowBefore(run) ?? Math.floor(run.rows / 2) });
     if (this.#shown) stateShown("#/setup/calibration", new URLSearchParams({ run: run.id, row: this.#row.value }));
     this.#shown = run.id;
-    this.#root.querySelector("#row-shown").textContent = texts.setup.rowOf(this.#row.value, run.rows);
+    this.root.querySelector("#row-shown").textContent = texts.setup.rowOf(this.#row.value, run.rows);
     const figures = Array.from({ length: run.cameras }, (_, camera) => {
       const picture = make("img", { src: requests.frame(run.id, camera, this.#row.value), alt: texts.setup.frameOf(camera, this.#row.value) });
       const name = make("figcaption", {}, make("span", { textContent: texts.setup.frameOf(camera, this.#row.value) }), make("strong"));
       picture.onerror = () => (name.firstChild.textContent += texts.unloadable);
       return make("figure", {}, make("div", { className: "marked" }, picture), name);
     });
-    this.#root.querySelector(".frames").replaceChildren(...figures);
+    this.root.querySelector(".frames").replaceChildren(...figures);
     rest.unattended(this.#findMarks(run, figures));
   }
 
@@ -188,8 +172,8 @@ class Calibration {
     const known = this.#runs[0]?.id;
     await this.#readRuns();
     if (this.#closed || this.#runs[0]?.id === known) return;
-    this.#query.delete("run");
-    this.#root.querySelector("#film-choice").replaceWith(this.#choice());
+    this.query.delete("run");
+    this.root.querySelector("#film-choice").replaceWith(this.#choice());
     this.#showFrames(true);
   }
 
@@ -199,8 +183,8 @@ class Calibration {
   }
 
   #rowBefore(run) {
-    const row = this.#query.get("row");
-    return run.id === this.#query.get("run") && Number(row) < run.rows ? row : null;
+    const row = this.query.get("row");
+    return run.id === this.query.get("run") && Number(row) < run.rows ? row : null;
   }
 
   #layoutField() {
@@ -210,7 +194,7 @@ class Calibration {
     const without = button(t.withoutLayout, () => {
       this.#layout = null;
       [file.value, named.textContent, without.hidden] = ["", "", true];
-    }, this.#answer, { hidden: true });
+    }, this.answer, { hidden: true });
     file.addEventListener("change", () => attempt(file, async () => {
       if (!file.files.length) return "";
       const { name } = file.files[0];
@@ -221,7 +205,7 @@ class Calibration {
       }
       [named.textContent, without.hidden] = [name, false];
       return "";
-    }, this.#answer));
+    }, this.answer));
     const field = labelled(t.layoutFile, file, { help: t.layoutHelp });
     field.append(make("div", { className: "buttons" }, make("label", { htmlFor: file.id, className: "button", textContent: t.chooseFile }), without), named);
     return field;
@@ -276,8 +260,7 @@ class Calibration {
     if (trial.state === "none") return [];
     const title = `${t.trialStates[trial.state]}: ${t.trialOf(trial.run, trial.row, moment(trial.begun))}`;
     if (UNDER_WAY.includes(trial.state)) {
-      const bar = make("progress", { max: trial.frames + 1, value: trial.frames_read });
-      bar.setAttribute("aria-label", title);
+      const bar = make("progress", { max: trial.frames + 1, value: trial.frames_read, ariaLabel: title });
       return [section(title, bar, make("p", { textContent: t.trialProgress(trial.frames_read, trial.frames) }))];
     }
     const refused = trial.message ? make("p", { className: "answer refused" }, ...said(`${trial.message} ${trial.action ?? ""}`.trim(), t.trialRefused)) : "";
@@ -295,12 +278,12 @@ class Calibration {
       await requests.discardTrial();
       await this.#follow();
       return "";
-    }, this.#answer, { id: "discard-trial" });
+    }, this.answer, { id: "discard-trial" });
     const orders = trial.state === "judged" ? make("div", { className: "buttons" }, button(t.accept, async () => {
       await requests.acceptTrial();
       await this.#follow();
       return "";
-    }, this.#answer, { className: "primary", id: "accept" }), make("a", { className: "button", href: requests.trialCalibration, download: "calibration.json", textContent: t.download }), discard) : make("div", { className: "buttons" }, discard);
+    }, this.answer, { className: "primary", id: "accept" }), make("a", { className: "button", href: requests.trialCalibration, download: "calibration.json", textContent: t.download }), discard) : make("div", { className: "buttons" }, discard);
     const written = trial.state === "accepted" ? make("p", { className: "answer done", textContent: t.acceptedAs(trial.accepted_as, trial.backup) }) : "";
     return [section(title, refused, written, figures, make("ul", { className: "warnings" }, ...trial.notes.map(({ code, message, values }) => make("li", {}, ...said(message, texts.translated.notes[code]?.(values))))), against, orders, make("div", { className: "pictures" }, ...pictures))];
   }

@@ -1,20 +1,20 @@
 // Pieces of forms that the pages under "Set up" share.
-import { make, saidOf, setText } from "../parts/elements.js";
+import { lines, make, options, saidOf, setText } from "../parts/elements.js";
 import { Refusal } from "../parts/rest.js";
-import { texts } from "../texts/texts.js";
+import { moment, texts } from "../texts/texts.js";
 
 let count = 0;
 
 // What a person has entered cannot be used: shown as a refusal, without asking the station.
 export class Wrong extends Error {}
 
-// A field under its label; `unit` stands behind the label, `help` below the field.
+// A field under its label; `unit` stands behind the label, `help`, a text or elements, below the field.
 export function labelled(text, field, { unit = "", help = "" } = {}) {
   field.id ||= `field-${++count}`;
   const label = make("label", { htmlFor: field.id, textContent: unit ? `${text}, ${unit}` : text });
   const box = make("div", { className: "field" }, label, field);
   if (help) {
-    const said = make("p", { className: "help", id: `${field.id}-help`, textContent: help });
+    const said = make("p", { className: "help", id: `${field.id}-help` }, ...[help].flat());
     field.setAttribute("aria-describedby", said.id);
     box.append(said);
   }
@@ -24,16 +24,28 @@ export function labelled(text, field, { unit = "", help = "" } = {}) {
 // The value is also the one that a changed field is compared with.
 export const input = (name, value = "", fields = {}) => make("input", { name, defaultValue: value, autocomplete: "off", spellcheck: false, ...fields });
 
-export function choice(name, options, value = "") {
-  const list = Array.isArray(options) ? options.map((o) => [o, o]) : Object.entries(options);
-  const select = make("select", { name }, ...list.map(([key, textContent]) => make("option", { value: key, textContent })));
+export function choice(name, choices, value = "") {
+  const list = Array.isArray(choices) ? choices.map((one) => [one, one]) : Object.entries(choices);
+  const select = make("select", { name }, ...options(list));
   select.value = value;
   return select;
+}
+
+// A choice among runs; the first, unless `id` is one of them.
+export function runChoice(runs, id) {
+  const named = runs.map((run) => [run.id, texts.setup.runOf(run.board_id ?? run.id, moment(run.started))]);
+  return choice("run", Object.fromEntries(named), runs.some((run) => run.id === id) ? id : (runs[0]?.id ?? ""));
 }
 
 export function tick(name, text, checked = false) {
   const box = make("input", { type: "checkbox", name, checked });
   return make("label", { className: "tick" }, box, make("span", { textContent: text }));
+}
+
+// Copies what a field has; it is selected, so that it can be copied by hand too.
+export async function copyOf(field) {
+  field.select();
+  await navigator.clipboard?.writeText(field.value).catch(() => {});
 }
 
 // A button that is disabled while its work goes on; what the station refuses is shown in `answer`.
@@ -81,15 +93,19 @@ export function say(answer, text, kind = "") {
 }
 
 // The place where a page says what came of the last order.
-export function answerLine() {
-  const line = make("p", { className: "answer" });
-  line.setAttribute("role", "status");
-  return line;
+export const answerLine = () => make("p", { className: "answer", role: "status" });
+
+// A page under "Set up", of what its address names; `query`: what a reload must find again. `show` draws it.
+export class SetupPage {
+  answer = answerLine();
+
+  constructor(root, name, query) {
+    Object.assign(this, { root, name, query });
+  }
 }
 
 export function facts(pairs) {
-  const shown = pairs.filter(([, value]) => value !== "" && value != null);
-  return make("dl", { className: "facts" }, ...shown.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", {}, value)]));
+  return make("dl", { className: "facts" }, ...lines(pairs.filter(([, value]) => value !== "" && value != null)));
 }
 
 export function section(title, ...content) {
@@ -102,7 +118,5 @@ export function section(title, ...content) {
 export function table(heads, rows) {
   const head = make("tr", {}, ...heads.map((textContent) => make("th", { scope: "col", textContent })));
   const body = rows.map((cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell ?? ""))));
-  const box = make("div", { className: "table", tabIndex: 0 }, make("table", {}, make("thead", {}, head), make("tbody", {}, ...body)));
-  box.setAttribute("role", "group");
-  return box;
+  return make("div", { className: "table", tabIndex: 0, role: "group" }, make("table", {}, make("thead", {}, head), make("tbody", {}, ...body)));
 }

@@ -1,26 +1,18 @@
 // Keys of callers from other machines: make, list, replace, revoke. A secret is shown once.
 import { make } from "../parts/elements.js";
 import { moment, texts } from "../texts/texts.js";
-import { answerLine, attempt, button, input, labelled, section, table, tick, Wrong } from "./fields.js";
+import { attempt, button, copyOf, input, labelled, section, SetupPage, table, tick, Wrong } from "./fields.js";
 import * as requests from "./requests.js";
 
 const SCOPES = ["read", "operate", "teach", "admin"];
 
-export async function open(root) {
-  const page = new Keys(root);
-  await page.show();
-  return page;
-}
-
-class Keys {
-  #root;
-  #answer = answerLine();
+export class Page extends SetupPage {
   #secret = make("div");
   #list = make("div");
 
-  constructor(root) {
+  constructor(...page) {
+    super(...page);
     const t = texts.setup;
-    this.#root = root;
     const name = input("name", "", { required: true, maxLength: 64, pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]*" });
     const scopes = SCOPES.map((scope) => tick(scope, `${scope}: ${t.scopeMeans[scope]}`, scope === "read"));
     const enter = make("button", { textContent: t.makeKey, className: "primary" });
@@ -33,20 +25,19 @@ class Keys {
         await this.#show(await requests.createKey(name.value, wanted));
         name.value = "";
         return "";
-      }, this.#answer);
+      }, this.answer);
     });
-    root.replaceChildren(make("h2", { textContent: t.pages.keys }), this.#answer, this.#secret, make("div", { className: "two" }, this.#list, section(t.newKey, form)));
+    this.root.replaceChildren(make("h2", { textContent: t.pages.keys }), this.answer, this.#secret, make("div", { className: "two" }, this.#list, section(t.newKey, form)));
   }
 
   async #show(made) {
     const t = texts.setup;
     const field = input("secret", made.secret, { readOnly: true, id: "secret" });
     const copy = button(t.copy, async () => {
-      field.select();
-      await navigator.clipboard?.writeText(made.secret).catch(() => {}); // the text is selected: it can be copied by hand
+      await copyOf(field);
       return t.selected;
-    }, this.#answer);
-    const done = button(t.hideSecret, async () => this.#secret.replaceChildren() ?? "", this.#answer, { className: "plain" });
+    }, this.answer);
+    const done = button(t.hideSecret, async () => this.#secret.replaceChildren() ?? "", this.answer, { className: "plain" });
     this.#secret.replaceChildren(section(t.secretOf(made.name), make("p", { className: "help", textContent: t.secretHelp }), field, make("div", { className: "buttons" }, copy, done)));
     field.select();
     await this.show();
@@ -65,7 +56,7 @@ class Keys {
     const replace = button(t.rotate, async () => {
       await this.#show(await requests.rotateKey(key.name));
       return "";
-    }, this.#answer);
+    }, this.answer);
     const revoke = button(t.revoke, async () => {
       if (!revoke.classList.contains("sure")) {
         revoke.classList.add("sure");
@@ -75,7 +66,7 @@ class Keys {
       await requests.revokeKey(key.name);
       await this.show();
       return t.revoked(key.name);
-    }, this.#answer, { className: "plain" });
+    }, this.answer, { className: "plain" });
     return make("div", { className: "buttons" }, replace, revoke);
   }
 }

@@ -1,7 +1,7 @@
 // The marks of a board type: fiducials that place it, marks of a panel, and bad-board marks. The data name them, or a person names a part.
 import { make } from "../parts/elements.js";
 import { entered, number, texts } from "../texts/texts.js";
-import { button, choice, input, labelled, tick, Wrong } from "./fields.js";
+import { answerLine, button, choice, input, labelled, tick, Wrong } from "./fields.js";
 import { address, mmPerUnit } from "./geometry.js";
 
 const SHAPES = ["circle", "square", "diamond", "cross"];
@@ -65,8 +65,7 @@ function namedPart(type, add) {
   const show = () => ofBoard.forEach((field) => (field.hidden = kind.value === "fiducial"));
   kind.addEventListener("change", show);
   show();
-  const said = make("p", { className: "answer" });
-  said.setAttribute("role", "status");
+  const said = answerLine();
   const press = button(t.addMark, async () => {
     const part = parts.find((p) => address(p) === ref.value.trim());
     const size = Number(diameter.value.replace(",", "."));

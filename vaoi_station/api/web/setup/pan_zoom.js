@@ -1,5 +1,5 @@
 // An SVG that is moved and zoomed by wheel, drag, buttons and keys: + − 0, and arrows unless the page uses them.
-import { make } from "../parts/elements.js";
+import { signButton } from "../parts/elements.js";
 import { texts } from "../texts/texts.js";
 
 const MOST = 400; // times
@@ -43,15 +43,9 @@ export class PanZoom {
   }
 
   get tools() {
-    const tool = (text, label, work) => {
-      const made = make("button", { type: "button", textContent: text });
-      made.setAttribute("aria-label", label);
-      made.addEventListener("click", work);
-      return made;
-    };
     return [
-      tool("+", texts.setup.zoomIn, () => this.zoom(STEP)), tool("−", texts.setup.zoomOut, () => this.zoom(1 / STEP)),
-      tool("□", texts.setup.zoomAll, () => this.home()),
+      signButton("+", texts.setup.zoomIn, () => this.zoom(STEP)), signButton("−", texts.setup.zoomOut, () => this.zoom(1 / STEP)),
+      signButton("□", texts.setup.zoomAll, () => this.home()),
     ];
   }
 

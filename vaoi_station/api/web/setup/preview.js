@@ -2,7 +2,7 @@
 import { make, said } from "../parts/elements.js";
 import { number, texts } from "../texts/texts.js";
 import { boardDrawing } from "./drawing.js";
-import { answerLine, attempt, button, choice, facts, input, labelled, section, Wrong } from "./fields.js";
+import { attempt, button, choice, facts, input, labelled, section, SetupPage, Wrong } from "./fields.js";
 import { markChoice } from "./marks.js";
 import * as requests from "./requests.js";
 import { typeAddress } from "./types.js";
@@ -12,25 +12,14 @@ const COLUMNS = ["ref", "x", "y", "rotation", "side", "package", "value", "fitte
 const LENGTH = "-?\\d*\\.?\\d+";
 const PANEL = { repeat: /^[1-9]\d*x[1-9]\d*$/, pitch: new RegExp(`^${LENGTH}x${LENGTH}$`), rotate: /^-?\d+(\.\d+)?(,-?\d+(\.\d+)?)*$/, border: new RegExp(`^${LENGTH}x${LENGTH}$`) };
 
-export async function open(root, id) {
-  const page = new Preview(root, await requests.preview(id));
-  await page.show();
-  return page;
-}
-
-class Preview {
-  #root;
-  #preview;
-  #answer = answerLine();
+export class Page extends SetupPage {
+  #preview = null; // as the station has it
   #chosen = null; // marks chosen by hand; null: as the import has found them
   #changes = Promise.resolve(); // the last change that was asked for: a change begins when the one before it has ended
 
-  constructor(root, preview) {
-    [this.#root, this.#preview] = [root, preview];
-  }
-
   // `changed` are the options that were changed since the page was drawn.
   async show(changed = {}) {
+    this.#preview ??= await requests.preview(this.name);
     const { filename, found, refusal, id } = this.#preview;
     const type = found ? await requests.previewed(id) : null;
     this.#chosen = null;
@@ -39,10 +28,10 @@ class Preview {
     const side = make("div", { className: "column" }, this.#options(found), this.#joined());
     if (found) side.append(this.#foundOf(found), this.#marks(type), this.#confirm(type));
     else side.append(this.#discard());
-    parts.push(this.#answer, make("div", { className: "two" }, type ? boardDrawing(type) : make("div"), side));
-    const entered = new Entered(this.#root, changed);
-    this.#root.replaceChildren(...parts);
-    entered.restore(this.#root);
+    parts.push(this.answer, make("div", { className: "two" }, type ? boardDrawing(type) : make("div"), side));
+    const entered = new Entered(this.root, changed);
+    this.root.replaceChildren(...parts);
+    entered.restore(this.root);
   }
 
   #foundOf(found) {
@@ -102,7 +91,7 @@ class Preview {
       const wrong = repeat && panel.find((field) => panelValue(field) && !PANEL[field.name].test(panelValue(field)));
       if (wrong) throw new Wrong(t.panelWrong(t.panelFields[wrong.name], wrong.value, t.panelExamples[wrong.name]));
       return this.#again(Object.fromEntries(panel.map((field) => [field.name, repeat && panelValue(field)])));
-    }, this.#answer));
+    }, this.answer));
     form.addEventListener("submit", (event) => event.preventDefault());
     return section(t.options, form);
   }
@@ -115,7 +104,7 @@ class Preview {
     };
     const now = (this.#changes = this.#changes.then(change, change));
     // What is stored is what is shown: until it is drawn anew, that is the board type before the change.
-    const store = () => this.#root.querySelector("#confirm");
+    const store = () => this.root.querySelector("#confirm");
     if (store()) store().disabled = true;
     return now.finally(() => {
       if (store()) store().disabled = this.#changes !== now;
@@ -128,8 +117,8 @@ class Preview {
     file.addEventListener("change", () => attempt(file, async () => {
       const other = await requests.upload(file.files[0], { side: options.side });
       await this.#again({ join: other.id });
-    }, this.#answer));
-    const drop = options.join ? button(t.unjoin, () => this.#again({ join: null }), this.#answer) : "";
+    }, this.answer));
+    const drop = options.join ? button(t.unjoin, () => this.#again({ join: null }), this.answer) : "";
     return section(t.join, make("p", { className: "help", textContent: options.join ? t.joined : t.joinHelp }),
       make("div", { className: "buttons" }, file, make("label", { htmlFor: file.id, className: "button", textContent: t.chooseFile }), drop));
   }
@@ -137,7 +126,7 @@ class Preview {
   #marks(type) {
     return section(texts.setup.marksTitle, markChoice(type, (chosen) => {
       this.#chosen = chosen;
-      this.#root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, ...chosen }));
+      this.root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, ...chosen }));
     }));
   }
 
@@ -145,7 +134,7 @@ class Preview {
     return button(texts.setup.discard, async () => {
       await requests.discard(this.#preview.id);
       location.hash = "#/setup/types";
-    }, this.#answer, { className: "plain" });
+    }, this.answer, { className: "plain" });
   }
 
   // A board type of the same name is replaced by a second press: it may be one that boards are filmed with.
@@ -166,7 +155,7 @@ class Preview {
         if (error.status !== 404) throw error;
       });
       location.hash = typeAddress(type.name);
-    }, this.#answer, { className: "primary", id: "confirm" });
+    }, this.answer, { className: "primary", id: "confirm" });
     return make("div", { className: "buttons" }, store, this.#discard());
   }
 }

@@ -1,12 +1,15 @@
 // "Set up": the wizards of the engineer, one beside the other. Each is loaded when it is opened.
 import { make, saidOf } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
-import { fillIn, texts } from "../texts/texts.js";
+import { texts } from "../texts/texts.js";
 import { rightsFor } from "./rights.js";
 
-// Name in the address, the file that has the page, the scope that it needs.
+// By the beginning of the address: the file that has the page, and the scope that it needs.
 const PAGES = {
   types: ["./types.js", "teach"],
+  "types/new": ["./preview.js", "teach"],
+  "types/of": ["./type.js", "teach"],
+  "types/lay": ["./overlay.js", "teach"],
   programs: ["./lights/programs.js", "teach"],
   calibration: ["./calibration.js", "admin"],
   optics: ["./optics/optics.js", "read"],
@@ -24,31 +27,30 @@ export class SetupView {
     const [steps, query] = (path || "types").split("?");
     [this.#path, this.#query] = [steps.split("/").map(decodeURIComponent), new URLSearchParams(query)];
     this.root = make("div", { className: "setup" });
-    const list = Object.keys(PAGES).map((name) => {
-      const link = make("a", { href: `#/setup/${name}`, textContent: texts.setup.pages[name] });
+    const list = Object.entries(texts.setup.pages).map(([name, textContent]) => {
+      const link = make("a", { href: `#/setup/${name}`, textContent });
       if (name === this.#path[0]) link.setAttribute("aria-current", "page");
       return make("li", {}, link);
     });
-    const nav = make("nav", { className: "wizards" }, make("ul", {}, ...list));
-    nav.setAttribute("aria-label", texts.setup.title);
+    const nav = make("nav", { className: "wizards", ariaLabel: texts.setup.title }, make("ul", {}, ...list));
     this.body = make("div", { className: "wizard" }, make("p", { className: "help", textContent: texts.loading }));
     this.root.append(nav, this.body);
   }
 
   async open() {
-    const [file, scope] = PAGES[this.#path[0]] ?? PAGES.types;
+    const [first, second, third] = this.#path;
+    const step = third && `${first}/${second}`;
+    const [file, scope] = PAGES[step] ?? PAGES[first] ?? PAGES.types;
     try {
       if (!(await rightsFor(scope, this.body))) return;
-      const { open } = await import(file);
+      const { Page } = await import(file);
       if (!this.root.isConnected) return;
-      this.#page = await open(this.body, this.#path.slice(1), this.#query);
-      fillIn(this.body);
+      const page = new Page(this.body, step in PAGES ? third : second, this.#query);
+      await page.show();
+      this.#page = page;
     } catch (error) {
       if (!(error instanceof rest.Refusal) && !(error instanceof TypeError)) throw error;
-      const answer = make("p", { className: "answer refused" });
-      answer.setAttribute("role", "alert");
-      this.body.replaceChildren(answer);
-      answer.replaceChildren(...saidOf(error));
+      this.body.replaceChildren(make("p", { className: "answer refused", role: "alert" }, ...saidOf(error)));
     }
   }
 
@@ -59,6 +61,4 @@ export class SetupView {
   onEvent(record) {
     this.#page?.onEvent?.(record);
   }
-
-  async show() {}
 }

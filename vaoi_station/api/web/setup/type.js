@@ -3,7 +3,7 @@ import { make, said } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { boardDrawing } from "./drawing.js";
-import { answerLine, button, choice, facts, input, labelled, section } from "./fields.js";
+import { button, facts, input, labelled, runChoice, section, SetupPage } from "./fields.js";
 import { mmPerUnit } from "./geometry.js";
 import { markChoice } from "./marks.js";
 import * as requests from "./requests.js";
@@ -11,35 +11,22 @@ import { typeAddress } from "./types.js";
 
 const MOST_RUNS = 20;
 
-export async function open(root, name) {
-  const page = new Type(root, name);
-  await page.show();
-  return page;
-}
-
-class Type {
-  #root;
-  #name;
-  #answer = answerLine();
-
-  constructor(root, name) {
-    [this.#root, this.#name] = [root, name];
-  }
+export class Page extends SetupPage {
 
   async show(said = "") {
     const t = texts.setup;
     const [{ content: type, tag }, versions, { runs }, reference] = await Promise.all([
-      requests.boardType(this.#name), requests.versions(this.#name), rest.runs({ board_type: this.#name, limit: MOST_RUNS }),
-      requests.reference(this.#name).catch((error) => {
+      requests.boardType(this.name), requests.versions(this.name), rest.runs({ board_type: this.name, limit: MOST_RUNS }),
+      requests.reference(this.name).catch((error) => {
         if (error.code === "no-reference") return null;
         throw error;
       }),
     ]);
     const side = make("div", { className: "column" }, this.#about(type), this.#state(type, tag), this.#lay(runs), this.#reference(reference, runs),
       this.#marks(type, tag), this.#versions(versions), this.#end());
-    this.#root.replaceChildren(make("a", { href: "#/setup/types", className: "up", textContent: t.toTypes }), make("h2", { textContent: type.name }), this.#answer,
+    this.root.replaceChildren(make("a", { href: "#/setup/types", className: "up", textContent: t.toTypes }), make("h2", { textContent: type.name }), this.answer,
       make("div", { className: "two" }, boardDrawing(type), side));
-    if (said) this.#answer.textContent = said;
+    if (said) this.answer.textContent = said;
   }
 
   // A button whose work changes the board type, after which the page is shown anew.
@@ -48,7 +35,7 @@ class Type {
       await work();
       await this.show();
       return said;
-    }, this.#answer, fields);
+    }, this.answer, fields);
   }
 
   #about(type) {
@@ -82,19 +69,19 @@ class Type {
     const t = texts.setup;
     const seen = runs.filter((run) => run.verdict && run.verdict !== "failed" && run.frames_available);
     return section(t.layTitle, make("p", { className: "help", textContent: seen.length ? t.layHelp : t.noRuns }),
-      seen.length ? make("a", { href: typeAddress(this.#name, "lay"), className: "button", id: "lay", textContent: t.lay }) : "");
+      seen.length ? make("a", { href: typeAddress(this.name, "lay"), className: "button", id: "lay", textContent: t.lay }) : "");
   }
 
   #reference(reference, runs) {
     const t = texts.setup;
     const good = runs.filter((run) => run.verdict === "ok" && run.frames_available);
-    const run = choice("run", Object.fromEntries(good.map((r) => [r.id, t.runOf(r.board_id ?? r.id, moment(r.started))])), good[0]?.id ?? "");
+    const run = runChoice(good);
     const fault = reference?.fault ? [" ", ...said(`${reference.fault.message} ${reference.fault.action}`, texts.translated.refusals["reference-unusable"])] : [];
     const now = reference ? [t.referenceIs(reference.run, moment(reference.taught), reference.frames), ...fault] : [t.noReference];
     return section(t.referenceTitle, make("p", {}, ...now), good.length ? labelled(t.run, run) : make("p", { className: "help", textContent: t.noGoodRun }),
       make("div", { className: "buttons" },
-        good.length ? this.#order(t.teach, () => requests.teach(this.#name, run.value), t.taught) : "",
-        reference ? this.#order(t.forget, () => requests.forget(this.#name), t.forgotten, { className: "plain" }) : ""));
+        good.length ? this.#order(t.teach, () => requests.teach(this.name, run.value), t.taught) : "",
+        reference ? this.#order(t.forget, () => requests.forget(this.name), t.forgotten, { className: "plain" }) : ""));
   }
 
   #marks(type, tag) {
@@ -105,24 +92,24 @@ class Type {
     return section(t.marksTitle, markChoice(type, (marks) => {
       chosen = marks;
       store.disabled = false;
-      this.#root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, ...marks }));
+      this.root.querySelector(".drawing").replaceWith(boardDrawing({ ...type, ...marks }));
     }), make("div", { className: "buttons" }, store));
   }
 
   #versions(versions) {
     const t = texts.setup;
     if (!versions.length) return section(t.versionsTitle, make("p", { className: "help", textContent: t.noVersions }));
-    const back = this.#order(t.stepBack, () => requests.restore(this.#name, versions[0].id), t.restored, { id: "step-back" });
+    const back = this.#order(t.stepBack, () => requests.restore(this.name, versions[0].id), t.restored, { id: "step-back" });
     const earlier = versions.slice(1).map((version) => make("li", {}, make("span", { textContent: t.versionOf(moment(version.stored), moment(version.ended)) }),
-      this.#order(t.restore, () => requests.restore(this.#name, version.id), t.restored)));
+      this.#order(t.restore, () => requests.restore(this.name, version.id), t.restored)));
     return section(t.versionsTitle, make("p", { textContent: t.versionOf(moment(versions[0].stored), moment(versions[0].ended)) }), back,
       earlier.length ? make("details", {}, make("summary", { textContent: t.earlier(earlier.length) }), make("ul", { className: "links" }, ...earlier)) : "");
   }
 
   #end() {
     return button(texts.setup.remove, async () => {
-      await requests.deleteType(this.#name);
+      await requests.deleteType(this.name);
       location.hash = "#/setup/types";
-    }, this.#answer, { className: "plain" });
+    }, this.answer, { className: "plain" });
   }
 }

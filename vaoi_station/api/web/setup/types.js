@@ -1,28 +1,17 @@
 // Board types: those of the station, files that were uploaded and not confirmed yet, and the place where a file is dropped.
 import { make } from "../parts/elements.js";
 import { texts } from "../texts/texts.js";
-import { answerLine, attempt, button, choice, labelled, section, table } from "./fields.js";
+import { attempt, button, choice, labelled, section, SetupPage, table } from "./fields.js";
 import * as requests from "./requests.js";
-
-const STEPS = { new: "./preview.js", of: "./type.js", lay: "./overlay.js" };
-
-export async function open(root, [step, name], query) {
-  if (step in STEPS && name) return (await import(STEPS[step])).open(root, name, query);
-  const page = new Types(root);
-  await page.show();
-  return page;
-}
 
 export const typeAddress = (name, step = "of") => `#/setup/types/${step}/${encodeURIComponent(name)}`;
 
-class Types {
-  #root;
-  #answer = answerLine();
+export class Page extends SetupPage {
   #side = choice("side", texts.setup.sides, "top");
   #list = make("div");
 
-  constructor(root) {
-    this.#root = root;
+  constructor(...page) {
+    super(...page);
     const file = make("input", { type: "file", id: "board-file", className: "file" });
     file.addEventListener("change", () => this.#upload(file.files[0]));
     const pick = make("label", { htmlFor: file.id, className: "drop", id: "drop" }, make("strong", { textContent: texts.setup.drop }), make("span", { textContent: texts.setup.dropFormats }));
@@ -36,18 +25,18 @@ class Types {
       pick.classList.remove("over");
       this.#upload(event.dataTransfer.files[0]);
     });
-    this.#root.replaceChildren(
+    this.root.replaceChildren(
       make("h2", { textContent: texts.setup.pages.types }),
-      section(texts.setup.newType, make("div", { className: "row" }, make("div", { className: "drop-field" }, file, pick), labelled(texts.setup.sideUp, this.#side)), this.#answer),
+      section(texts.setup.newType, make("div", { className: "row" }, make("div", { className: "drop-field" }, file, pick), labelled(texts.setup.sideUp, this.#side)), this.answer),
       this.#list);
   }
 
   async #upload(file) {
     if (!file) return;
-    await attempt(this.#root.querySelector("#board-file"), async () => {
+    await attempt(this.root.querySelector("#board-file"), async () => {
       const preview = await requests.upload(file, { side: this.#side.value });
       location.hash = `#/setup/types/new/${preview.id}`;
-    }, this.#answer);
+    }, this.answer);
   }
 
   async show() {
@@ -65,7 +54,7 @@ class Types {
       make("li", {}, make("span", { textContent: name }), button(texts.setup.restore, async () => {
         await requests.restore(name, "latest");
         await this.show();
-      }, this.#answer))))) : "";
+      }, this.answer))))) : "";
     this.#list.replaceChildren(section(texts.setup.known, known), pending, back);
   }
 }

@@ -224,9 +224,6 @@ const trends = {
   boards: (n) => (n === 1 ? "1 board" : `${n} boards`),
   perBoard: "each point is a board",
   perBin: (text) => `each point: ${text}, mean with least and largest`,
-  minutes: (n) => (n === 1 ? "1 minute" : `${n} minutes`),
-  hours: (n) => (n === 1 ? "1 hour" : `${n} hours`),
-  days: (n) => (n === 1 ? "1 day" : `${n} days`),
   none: "No boards in this span.",
   incomplete: "Not all figures or changes of this span are shown. Choose a shorter span or one board type.",
   help: "Arrow keys move along the boards, Enter opens the board.",
@@ -871,7 +868,7 @@ export const texts = {
   // one board
   component: "Component",
   facts: {
-    board: "Board", identity: "Identity", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger",
+    identity: "Identity", run: "Run", type: "Type", job: "Job", since: "Finished", frames: "Frames", trigger: "Trigger",
     unseen: "Parts not seen", skipped: "Skipped boards (crossed out)", software: "Software",
   },
   frames: (ok, incomplete, missing, unproven, rows, cameras) => {
@@ -889,9 +886,8 @@ export const texts = {
     const cameras = proof.cameras.filter((c) => !c.proven).map((c) => c.camera);
     return cameras.length ? `not confirmed for camera ${cameras.join(", ")}` : "no frame to confirm";
   },
-  unseenOption: (c) => `${c.address} (${Math.floor((c.coverage ?? 0) * 100)} % seen)`,
   unseen: (list) => {
-    const named = list.slice(0, 40).map((c) => texts.unseenOption(c)).join(", ");
+    const named = list.slice(0, 40).map((c) => `${c.address} (${Math.floor((c.coverage ?? 0) * 100)} % seen)`).join(", ");
     return list.length > 40 ? `${named}, and ${list.length - 40} more` : named;
   },
   views: (n) => (n === 1 ? "1 picture" : `${n} pictures`),

@@ -22,6 +22,12 @@ export const entered = (value) => value.toLocaleString(locale, { maximumSignific
 export const clock = (time) => new Date(time).toLocaleTimeString(locale, { hour: "2-digit", minute: "2-digit", second: "2-digit" });
 export const moment = (time) => new Date(time).toLocaleString(locale, { dateStyle: "medium", timeStyle: "medium" });
 
+// A span of time in its largest whole unit.
+export function duration(seconds) {
+  const [unit, length_s] = [["day", 86400], ["hour", 3600], ["minute", 60]].find(([, length]) => seconds >= length) ?? ["second", 1];
+  return (seconds / length_s).toLocaleString(locale, { style: "unit", unit, unitDisplay: "long" });
+}
+
 // The label of a time on an axis whose labels lie `step_s` apart.
 export function tick(time, step_s) {
   const form = step_s >= 86400 ? { day: "2-digit", month: "2-digit" } : { hour: "2-digit", minute: "2-digit", hourCycle: "h23" };

@@ -1,27 +1,14 @@
 // One figure over time: a line per part, its limits, and where something changed. A point opens its board.
-import { make, setText } from "../parts/elements.js";
+import { loadScript, make, setText } from "../parts/elements.js";
 import { moment, number, texts, tick } from "../texts/texts.js";
 
 const LIBRARY = new URL("../vendor/uplot/uPlot", import.meta.url).href;
+document.head.append(make("link", { rel: "stylesheet", href: `${LIBRARY}.min.css` }));
 const HEIGHT = 170;
 const COLOURS = 6; // --series-1 … of the style sheet
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]]; // lines differ without colour too, from the seventh on
 const BANDS = 3; // with more parts, the bands of least and largest values would hide the lines
 const NEAR_PX = 30;
-
-let loading = null;
-export function library() {
-  loading ??= new Promise((done, failed) => {
-    const script = make("script", { src: `${LIBRARY}.iife.min.js` });
-    script.onload = () => done(window.uPlot);
-    script.onerror = () => {
-      loading = null;
-      failed(new TypeError(LIBRARY));
-    };
-    document.head.append(make("link", { rel: "stylesheet", href: `${LIBRARY}.min.css` }), script);
-  });
-  return loading;
-}
 
 const digits = (figure, value) => number(value, figure.endsWith("_px") ? 3 : figure === "slip_percent" ? 2 : figure === "ready_ms" ? 0 : 1);
 const beyond = (series, value) => value != null && ((series.upper != null && value > series.upper) || (series.lower != null && value < series.lower));
@@ -41,9 +28,7 @@ export class Chart {
     this.title = make("h3", { textContent: `${texts.trends.figures[figure]}` }, make("small", { textContent: ` ${texts.trends.units[figure]}` }));
     this.parts = make("ul", { className: "chart-parts" });
     this.warning = make("p", { className: "chart-warning" });
-    this.area = make("div", { className: "chart-area", tabIndex: 0 });
-    this.area.setAttribute("role", "slider");
-    this.area.setAttribute("aria-label", texts.trends.figures[figure]);
+    this.area = make("div", { className: "chart-area", tabIndex: 0, role: "slider", ariaLabel: texts.trends.figures[figure] });
     this.readout = make("p", { className: "chart-readout" });
     this.root.append(make("div", { className: "chart-head" }, this.title, this.warning), this.parts, this.area, this.readout);
     this.area.addEventListener("keydown", (event) => this.#key(event));
@@ -54,7 +39,8 @@ export class Chart {
   async show(trends, series) {
     [this.#trends, this.#series] = [trends, series];
     this.#at = null;
-    const uPlot = await library();
+    await loadScript(`${LIBRARY}.iife.min.js`);
+    const { uPlot } = window;
     if (!this.root.isConnected) return;
     this.#style = getComputedStyle(this.root);
     const times = trends.times.map((time) => Date.parse(time) / 1000);

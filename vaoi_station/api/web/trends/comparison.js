@@ -1,5 +1,5 @@
 // Why are they worse than yesterday: which figures changed between two spans by more than their spread.
-import { make, setText } from "../parts/elements.js";
+import { make, options, setText, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { moment, number, texts } from "../texts/texts.js";
 
@@ -16,16 +16,15 @@ const PART = `
 <p id="compare-answer" role="status"></p>
 <ol id="changes"></ol>`;
 
-export class Comparison {
+export class Comparison extends View {
   #marks = [];
   #type = "";
   #wanted; // the choice of the person, or of the address: its mark may not have come yet
   #asked = 0;
 
   constructor(choice) {
-    this.root = make("section", { id: "compare" });
-    this.root.innerHTML = PART;
-    this.choice = this.root.querySelector("select");
+    super(PART, make("section", { id: "compare" }));
+    this.choice = this.part("compare-choice");
     this.choice.addEventListener("change", () => {
       this.#wanted = this.choice.value;
       rest.unattended(this.#show());
@@ -42,9 +41,8 @@ export class Comparison {
   }
 
   #offer() {
-    const options = Object.entries(texts.trends.choices).map(([value, textContent]) => make("option", { value, textContent }));
-    const marks = this.#marks.map((mark) => make("option", { value: mark.time, textContent: texts.trends.sinceMark(texts.trends.kinds[mark.kind], moment(mark.time)) }));
-    this.choice.replaceChildren(...options, ...marks);
+    const marks = this.#marks.map((mark) => [mark.time, texts.trends.sinceMark(texts.trends.kinds[mark.kind], moment(mark.time))]);
+    this.choice.replaceChildren(...options([...Object.entries(texts.trends.choices), ...marks]));
     this.choice.value = this.#wanted;
     if (!this.choice.value) this.choice.value = "day";
   }
@@ -70,8 +68,8 @@ export class Comparison {
     const words = texts.trends;
     const sizes = words.versus(words.boards(found.before_boards), found.boards);
     const said = !found.changes.length ? words.few : changed.length ? words.changed(changed.length) : words.unchanged;
-    setText(this.root.querySelector("#compare-answer"), `${said} (${sizes})`);
-    this.root.querySelector("#changes").replaceChildren(...changed.slice(0, MOST_SHOWN).map((change) => this.#row(change)));
+    setText(this.part("compare-answer"), `${said} (${sizes})`);
+    this.part("changes").replaceChildren(...changed.slice(0, MOST_SHOWN).map((change) => this.#row(change)));
   }
 
   #row(change) {

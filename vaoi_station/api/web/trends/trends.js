@@ -1,8 +1,8 @@
 // How the figures of boards develop: a chart per figure, what changed meanwhile, and the comparison of two spans.
-import { make, saidOf, setText } from "../parts/elements.js";
+import { make, options, saidOf, setText, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { stateShown } from "../parts/settings.js";
-import { moment, texts } from "../texts/texts.js";
+import { duration, moment, texts } from "../texts/texts.js";
 import { Chart } from "./chart.js";
 import { Comparison } from "./comparison.js";
 
@@ -19,12 +19,6 @@ const PART = `
 <div id="charts"></div>
 <p id="trend-help" data-text="trends.help"></p>`;
 
-function width(bin_s) {
-  const words = texts.trends;
-  if (bin_s < 3600) return words.minutes(bin_s / 60);
-  return bin_s < 86400 ? words.hours(bin_s / 3600) : words.days(bin_s / 86400);
-}
-
 // Bring the values of a series to their times; between them are gaps.
 function spread(series, count) {
   for (const name of ["values", "least", "largest", "runs"]) {
@@ -35,7 +29,7 @@ function spread(series, count) {
   }
 }
 
-export class TrendsView {
+export class TrendsView extends View {
   name = "trends-view";
   #charts = new Map();
   #query;
@@ -43,14 +37,12 @@ export class TrendsView {
   #due = 0;
 
   constructor(_station, query) {
+    super(PART, make("div", { className: "trends" }));
     this.#query = new URLSearchParams(query);
-    this.root = make("div", { className: "trends" });
-    this.root.innerHTML = PART;
     this.comparison = new Comparison(this.#query.get("compare") ?? "day");
     this.marks = make("section", { id: "marks" });
-    this.root.querySelector("#trend-top").append(this.comparison.root, this.marks);
-    const spans = Object.entries(texts.trends.spans).map(([value, textContent]) => make("option", { value, textContent }));
-    this.#field("span").append(...spans);
+    this.part("trend-top").append(this.comparison.root, this.marks);
+    this.#field("span").append(...options(Object.entries(texts.trends.spans)));
     this.#field("span").value = this.#query.get("span") in SPANS_H ? this.#query.get("span") : "day";
     this.#field("board_type").append(make("option", { value: "", textContent: texts.any }));
     this.root.querySelector("form").addEventListener("change", () => {
@@ -74,7 +66,7 @@ export class TrendsView {
     const types = await rest.boardTypes().catch(() => []);
     const chosen = this.#query.get("board_type") ?? "";
     const names = new Set([...types.map((type) => type.name), ...(chosen ? [chosen] : [])]);
-    this.#field("board_type").append(...[...names].map((name) => make("option", { value: name, textContent: name })));
+    this.#field("board_type").append(...options([...names].map((name) => [name, name])));
     this.#field("board_type").value = chosen;
     await rest.unattended(this.#load());
   }
@@ -93,8 +85,6 @@ export class TrendsView {
     }, AGAIN_MS);
   }
 
-  async show() {}
-
   async #load() {
     const asked = ++this.#asked;
     const until = new Date(Date.now() + 1000);
@@ -105,7 +95,7 @@ export class TrendsView {
     try {
       found = await rest.trends(query);
     } catch (error) {
-      this.root.querySelector("#trend-answer").replaceChildren(...saidOf(error));
+      this.part("trend-answer").replaceChildren(...saidOf(error));
       return;
     }
     if (asked !== this.#asked) return; // overtaken by a later choice
@@ -113,7 +103,7 @@ export class TrendsView {
     this.#say(found);
     // Without boards nothing is known of what changed, and there are no charts to move in.
     this.marks.hidden = !found.boards && !found.marks.length;
-    this.root.querySelector("#trend-help").hidden = !found.boards;
+    this.part("trend-help").hidden = !found.boards;
     this.#showMarks(found.marks);
     await Promise.all([this.#showCharts(found), this.comparison.show(found.marks, type)]);
     this.root.dataset.shown = asked;
@@ -121,9 +111,9 @@ export class TrendsView {
 
   #say(found) {
     const words = texts.trends;
-    const each = found.bin_s == null ? words.perBoard : words.perBin(width(found.bin_s));
+    const each = found.bin_s == null ? words.perBoard : words.perBin(duration(found.bin_s));
     const text = found.boards ? `${words.boards(found.boards)}, ${each}.` : words.none;
-    setText(this.root.querySelector("#trend-answer"), found.complete ? text : `${text} ${words.incomplete}`);
+    setText(this.part("trend-answer"), found.complete ? text : `${text} ${words.incomplete}`);
   }
 
   #showMarks(marks) {
@@ -138,21 +128,12 @@ export class TrendsView {
 
   async #showCharts(found) {
     const names = [...new Set(found.series.map((series) => series.figure))];
-    for (const [name, chart] of this.#charts) {
-      if (names.includes(name)) continue;
-      chart.close();
-      chart.root.remove();
-      this.#charts.delete(name);
-    }
-    for (const name of names) {
-      if (!this.#charts.has(name)) this.#charts.set(name, new Chart(name));
-    }
-    const charts = names.map((name) => this.#charts.get(name));
+    for (const [name, chart] of this.#charts) if (!names.includes(name)) chart.close();
+    this.#charts = new Map(names.map((name) => [name, this.#charts.get(name) ?? new Chart(name)]));
+    const [charts, place] = [[...this.#charts.values()], this.part("charts")];
+    const roots = charts.map((chart) => chart.root);
     // Charts that are there already stay in their place, with the focus of the keyboard.
-    charts.forEach((chart, n) => {
-      const there = this.root.querySelector("#charts").children[n];
-      if (there !== chart.root) this.root.querySelector("#charts").insertBefore(chart.root, there ?? null);
-    });
+    if (roots.length !== place.children.length || roots.some((root, n) => root !== place.children[n])) place.replaceChildren(...roots);
     await Promise.all(names.map((name, n) => charts[n].show(found, found.series.filter((series) => series.figure === name))));
   }
 }

@@ -2,25 +2,17 @@
 import { make, said, saidOf, setText } from "../../parts/elements.js";
 import * as rest from "../../parts/rest.js";
 import { entered, number, texts } from "../../texts/texts.js";
-import { answerLine, attempt, button, choice, labelled, section, table, Wrong } from "../fields.js";
+import { button, choice, labelled, section, SetupPage, table, Wrong } from "../fields.js";
 import * as requests from "../requests.js";
 import { StepTable } from "./steps.js";
 import { timeline } from "./timeline.js";
 
 const REST_MS = 300; // after the last key, before the station checks
 
-export const programAddress = (name) => `#/setup/programs/${encodeURIComponent(name)}`;
+const programAddress = (name) => `#/setup/programs/${encodeURIComponent(name)}`;
 
-export async function open(root, [name], query) {
-  const page = new Programs(root);
-  await page.begin(name, query);
-  return page;
-}
-
-class Programs {
-  #root;
-  #answer = answerLine();
-  #finding = make("div", { className: "finding" });
+export class Page extends SetupPage {
+  #finding = make("div", { className: "finding", role: "status" });
   #origin = make("p");
   #none = make("div", { id: "no-program" });
   #editor = make("div");
@@ -33,32 +25,27 @@ class Programs {
   #turn = 0;
   #closed = false;
 
-  constructor(root) {
-    this.#root = root;
-    this.#finding.setAttribute("role", "status");
-  }
-
-  async begin(name, query) {
-    const t = texts.lights;
+  async show() {
+    const [t, { name }] = [texts.lights, this];
     const names = (await requests.typeList()).board_types.filter((type) => !type.fault).map((type) => type.name);
     const title = make("h2", { textContent: t.title });
     if (!names.length) {
-      this.#root.replaceChildren(title, make("p", { textContent: t.noTypes }));
+      this.root.replaceChildren(title, make("p", { textContent: t.noTypes }));
       return;
     }
-    const chosen = choice("type", names, name && names.includes(name) ? name : names[0]);
+    const chosen = choice("type", names, names.includes(name) ? name : names[0]);
     chosen.addEventListener("change", () => {
       location.hash = programAddress(chosen.value);
     });
     await this.#load(name ?? names[0]);
-    const store = button(t.store, () => this.#store(), this.#answer, { className: "primary", id: "store-program" });
-    const discard = button(t.discard, async () => this.#shown(this.#type.program), this.#answer);
-    const without = button(t.without, () => this.#remove(), this.#answer, { className: "plain", id: "remove-program" });
+    const store = button(t.store, () => this.#store(), this.answer, { className: "primary", id: "store-program" });
+    const discard = button(t.discard, async () => this.#shown(this.#type.program), this.answer);
+    const without = button(t.without, () => this.#remove(), this.answer, { className: "plain", id: "remove-program" });
     this.#editor.append(this.#steps.root, this.#finding, make("div", { className: "buttons" }, store, discard, without));
-    const program = section(t.program, this.#origin, this.#none, this.#editor, this.#answer);
-    this.#root.replaceChildren(title, make("p", { className: "help", textContent: t.help }), labelled(t.boardType, chosen), program, section(t.timeline, this.#drawing), section(t.limits, this.#limits));
+    const program = section(t.program, this.#origin, this.#none, this.#editor, this.answer);
+    this.root.replaceChildren(title, make("p", { className: "help", textContent: t.help }), labelled(t.boardType, chosen), program, section(t.timeline, this.#drawing), section(t.limits, this.#limits));
     await this.#shown(this.#type.program);
-    this.#takeTrial(query);
+    this.#takeTrial();
   }
 
   close() {
@@ -94,8 +81,8 @@ class Programs {
   }
 
   // The settings of the page "Cameras", which led here, become one more row.
-  #takeTrial(query) {
-    const given = Object.fromEntries(["light", "on_us", "exposure_us", "gain_db", "camera"].filter((key) => query?.get(key)).map((key) => [key, query.get(key)]));
+  #takeTrial() {
+    const given = Object.fromEntries(this.query);
     if (!given.light) return;
     const step = { light: given.light };
     if (given.on_us) step.on_us = Number(given.on_us);
@@ -106,7 +93,7 @@ class Programs {
     }
     const before = this.#type.program ?? [];
     this.#steps.show([...before, step]);
-    setText(this.#answer, texts.lights.fromTrial);
+    setText(this.answer, texts.lights.fromTrial);
     this.#changed();
   }
 

@@ -1,5 +1,5 @@
 // The rows of a light program as a table that can be edited. An empty field takes the value of the station.
-import { make } from "../../parts/elements.js";
+import { make, markWrong, signButton } from "../../parts/elements.js";
 import { entered, number, texts } from "../../texts/texts.js";
 import { choice, input, tick, Wrong } from "../fields.js";
 
@@ -31,13 +31,11 @@ export class StepTable {
     });
     this.body = make("tbody");
     const head = make("tr", {}, ...t.columns.map((textContent) => make("th", { scope: "col", textContent })));
-    const box = make("div", { className: "table", tabIndex: 0 }, make("table", { id: "steps" }, make("thead", {}, head), this.body));
-    box.setAttribute("role", "group");
-    box.setAttribute("aria-label", t.program);
-    const add = make("button", { type: "button", textContent: t.add, id: "add-step" });
-    add.addEventListener("click", () => this.#insert(this.steps.length, this.steps.at(-1) ?? { light: this.check?.lights[0]?.name ?? "" }));
-    this.add = add;
-    this.root = make("div", {}, cameras.length > 1 ? this.each : "", box, make("div", { className: "buttons" }, add));
+    const steps = make("table", { id: "steps" }, make("thead", {}, head), this.body);
+    const box = make("div", { className: "table", tabIndex: 0, role: "group", ariaLabel: t.program }, steps);
+    const append = () => this.#insert(this.steps.length, this.steps.at(-1) ?? { light: this.check?.lights[0]?.name ?? "" });
+    this.add = make("button", { type: "button", textContent: t.add, id: "add-step", onclick: append });
+    this.root = make("div", {}, cameras.length > 1 ? this.each : "", box, make("div", { className: "buttons" }, this.add));
   }
 
   get #single() {
@@ -115,12 +113,7 @@ export class StepTable {
 
   #row(step, n) {
     const t = texts.lights;
-    const button = (sign, label, work, disabled = false) => {
-      const made = make("button", { type: "button", textContent: sign, title: label, disabled });
-      made.setAttribute("aria-label", label);
-      made.addEventListener("click", work);
-      return made;
-    };
+    const button = (sign, label, work, disabled = false) => signButton(sign, label, work, { title: label, disabled });
     const orders = make("div", { className: "step-orders" }, button("↑", t.up(n), () => this.#move(n, n - 1), n === 0),
       button("↓", t.down(n), () => this.#move(n, n + 1), n === this.steps.length - 1),
       button("+", t.copy(n), () => this.#insert(n + 1, this.steps[n])), button("✕", t.remove(n), () => this.#move(n, null)));
@@ -146,15 +139,13 @@ export class StepTable {
   #cameraFields(key, n, values) {
     if (this.#single) return this.#number(key, n, values?.[0]);
     return make("div", { className: "each-camera" }, ...this.cameras.flatMap((camera, k) => {
-      const name = make("span", { textContent: camera.name });
-      name.setAttribute("aria-hidden", "true");
-      return [name, this.#number(key, n, values?.[k], k)];
+      return [make("span", { textContent: camera.name, ariaHidden: "true" }), this.#number(key, n, values?.[k], k)];
     }));
   }
 
   #labelled(field, key, label) {
     field.dataset.key = key;
-    field.setAttribute("aria-label", label);
+    field.ariaLabel = label;
     field.addEventListener(field.tagName === "SELECT" ? "change" : "input", () => this.onChange());
     return field;
   }
@@ -168,8 +159,7 @@ export class StepTable {
       for (const field of row.querySelectorAll("[data-key]")) {
         const { key, camera } = field.dataset;
         const wrong = check.faults.some((fault) => fault.step === n && fault.field === key && (camera === undefined || fault.camera === undefined || fault.camera === Number(camera)));
-        if (wrong) field.setAttribute("aria-invalid", "true");
-        else field.removeAttribute("aria-invalid");
+        markWrong(field, wrong);
         const listed = { exposure_us: values?.exposures_us, gain_db: values?.gains_db }[key];
         const shown = key === "on_us" ? values?.on_us : listed?.[Number(camera ?? 0)];
         if (key !== "light") field.placeholder = shown === undefined ? "" : number(shown, shown % 1 ? 1 : 0);

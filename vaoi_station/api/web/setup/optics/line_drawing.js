@@ -10,7 +10,7 @@ const MOST_CAMERAS = 400;
 const ROWS_WITHOUT_LENGTH = 3;
 
 // Fields and rows of a plan, in mm: the board begins at 0, 0; x lies across the motion.
-export function layoutOf(plan) {
+function layoutOf(plan) {
   const { requirements: asked, array, motion, data } = plan;
   const [width, field, height] = [asked.width_mm, array.field_width_mm, array.field_height_mm];
   const rows = data.rows ?? ROWS_WITHOUT_LENGTH + Math.ceil(height / motion.row_step_mm);

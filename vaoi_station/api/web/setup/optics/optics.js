@@ -1,8 +1,8 @@
 // Optics: the plan of a line as a form, drawn to scale, with every constraint and what would mend those that are violated.
-import { make } from "../../parts/elements.js";
+import { make, markWrong } from "../../parts/elements.js";
 import { stateShown } from "../../parts/settings.js";
 import { entered, language, texts } from "../../texts/texts.js";
-import { answerLine, attempt, facts, input, labelled, say, section, table, Wrong } from "../fields.js";
+import { attempt, facts, input, labelled, say, section, SetupPage, table, Wrong } from "../fields.js";
 import * as requests from "../requests.js";
 import { lineDrawing } from "./line_drawing.js";
 
@@ -31,15 +31,7 @@ const shown = (value, unit = "") => {
 
 const plain = (textContent, onclick) => make("button", { type: "button", textContent, onclick });
 
-export async function open(root, path, query) {
-  const page = new Optics(root);
-  await page.show(query);
-  return page;
-}
-
-class Optics {
-  #root;
-  #answer = answerLine();
+export class Page extends SetupPage {
   #drawn = make("div");
   #found = make("div", { className: "column" });
   #mended = make("div", { className: "column" });
@@ -47,12 +39,8 @@ class Optics {
   #fields = {};
   #turn = 0; // an answer to an earlier request is not shown
 
-  constructor(root) {
-    this.#root = root;
-  }
-
-  async show(query) {
-    const t = texts.optics;
+  async show() {
+    const [t, { query }] = [texts.optics, this];
     for (const name of ALL) {
       this.#fields[name] = input(name, "", { inputMode: "decimal", required: REQUIRED.includes(name), id: `optics-${name}` });
       this.#fields[name].addEventListener("change", () => {
@@ -65,7 +53,7 @@ class Optics {
     form.addEventListener("submit", (event) => event.preventDefault());
     const starts = ["station", "paper"].map((of) => plain(of === "station" ? t.ofStation : t.ofPaper, () => this.#begin(of)));
     this.#page.append(make("div", { className: "column plan" }, this.#drawn, this.#found), make("div", { className: "column" }, form, this.#mended));
-    this.#root.replaceChildren(make("h2", { textContent: texts.setup.pages.optics }), make("p", { className: "help", textContent: t.help }), make("div", { className: "buttons" }, ...starts), this.#answer,
+    this.root.replaceChildren(make("h2", { textContent: texts.setup.pages.optics }), make("p", { className: "help", textContent: t.help }), make("div", { className: "buttons" }, ...starts), this.answer,
       this.#page);
     const given = ALL.filter((name) => query.has(name));
     if (!given.length) return this.#begin("station");
@@ -101,7 +89,7 @@ class Optics {
         this.#fields[name].value = name in values ? entered(values[name]) : "";
         this.#source(name, sources[name]);
       }
-    }, this.#answer);
+    }, this.answer);
     if (fine && turn === this.#turn) await this.#plan();
   }
 
@@ -124,10 +112,7 @@ class Optics {
   }
 
   #mark(names) {
-    for (const name of ALL) {
-      if (names.includes(name)) this.#fields[name].setAttribute("aria-invalid", "true");
-      else this.#fields[name].removeAttribute("aria-invalid");
-    }
+    for (const name of ALL) markWrong(this.#fields[name], names.includes(name));
   }
 
   async #plan() {
@@ -149,9 +134,9 @@ class Optics {
       this.#page.classList.toggle("unplanned", !plan);
       if (plan) this.#showPlan(plan);
       else for (const place of [this.#drawn, this.#found, this.#mended]) place.replaceChildren();
-    }, this.#answer);
+    }, this.answer);
     if (turn === this.#turn) for (const name of REQUIRED) this.#fields[name].parentElement.classList.toggle("wanted", fine && missing.includes(name));
-    if (fine && missing.length) say(this.#answer, texts.optics.fillIn(missing.map((name) => texts.optics.names[name])), "missing");
+    if (fine && missing.length) say(this.answer, texts.optics.fillIn(missing.map((name) => texts.optics.names[name])), "missing");
   }
 
   #showPlan(plan) {
@@ -170,8 +155,7 @@ class Optics {
       const compared = c.limit == null ? shown(c.value, c.unit) : `${shown(c.value)} ${c.relation} ${shown(c.limit, c.unit)}`;
       return [name, compared, shown(c.margin), make("span", { className: `constraint ${c.ok == null ? "open" : c.ok ? "met" : "violated"}`, textContent: state })];
     });
-    const all = make("p", { className: "verdict", textContent: violated ? t.someViolated(violated) : t.allMet });
-    all.setAttribute("role", "status");
+    const all = make("p", { className: "verdict", role: "status", textContent: violated ? t.someViolated(violated) : t.allMet });
     return make("div", { className: "constraints" }, all, table(t.columns, rows));
   }
 

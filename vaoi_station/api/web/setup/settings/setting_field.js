@@ -1,5 +1,5 @@
 // One key of station.toml as a field: how its value is shown, and how what is entered is read.
-import { make } from "../../parts/elements.js";
+import { make, markWrong } from "../../parts/elements.js";
 import { texts } from "../../texts/texts.js";
 import { choice, input, labelled, Wrong } from "../fields.js";
 
@@ -17,9 +17,9 @@ export function settingField(key, setting, value, onChange) {
   if (control.value !== shown(value) && control.matches("select")) control.append(make("option", { value: shown(value), textContent: shown(value), selected: true }));
   const name = key.split(".").at(-1);
   const form = setting.kind === "list" ? t.asList : setting.kind === "map" ? t.asMap : "";
-  const meaning = t.meanings?.[setting.key] ?? setting.description;
+  const meaning = make("span", { lang: "en", textContent: setting.description });
   control.id = `setting-${key.replaceAll(/[^A-Za-z0-9_.-]/g, "_")}`;
-  const field = labelled(name, control, { unit: setting.unit ?? "", help: [meaning, t.limits(setting), form].filter(Boolean).join(" – ") });
+  const field = labelled(name, control, { unit: setting.unit ?? "", help: [meaning, ...[t.limits(setting), form].filter(Boolean).map((text) => ` – ${text}`)] });
   const fault = make("p", { className: "fault", lang: "en", id: `${control.id}-fault`, hidden: true });
   control.setAttribute("aria-describedby", `${control.id}-help ${fault.id}`);
   field.append(fault);
@@ -27,8 +27,7 @@ export function settingField(key, setting, value, onChange) {
   return { field, control, say: (messages) => {
     fault.textContent = messages.join(" ");
     fault.hidden = !messages.length;
-    if (messages.length) control.setAttribute("aria-invalid", "true");
-    else control.removeAttribute("aria-invalid");
+    markWrong(control, messages.length);
   } };
 }
 

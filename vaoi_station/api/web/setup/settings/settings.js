@@ -1,7 +1,8 @@
 // Settings: station.toml as a form. Every change is checked by the station, which shows the lines that change; then the file is saved or taken.
 import { make, said } from "../../parts/elements.js";
+import { saveFile } from "../../parts/files.js";
 import { texts } from "../../texts/texts.js";
-import { answerLine, attempt, button, input, labelled, section, Wrong } from "../fields.js";
+import { attempt, button, copyOf, input, labelled, section, SetupPage, Wrong } from "../fields.js";
 import * as requests from "../requests.js";
 import { settingField } from "./setting_field.js";
 
@@ -10,15 +11,7 @@ const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 const byNumber = (a, b) => a.match(/\d+$/)[0] - b.match(/\d+$/)[0]; // keys of elements
 const at = (values, key) => key.split(".").reduce((inside, part) => inside?.[part], values);
 
-export async function open(root) {
-  const page = new SettingsPage(root);
-  await page.load();
-  return page;
-}
-
-class SettingsPage {
-  #root;
-  #answer = answerLine();
+export class Page extends SetupPage {
   #state;
   #tag;
   #changes = new Map(); // by key: the new value, null to remove it
@@ -29,12 +22,8 @@ class SettingsPage {
   #proposal = null;
   #turn = 0;
 
-  constructor(root) {
-    this.#root = root;
-  }
-
   // Read the file. Changes that were not saved stay.
-  async load() {
+  async show() {
     const t = texts.settings;
     const { content, tag } = await this.#read();
     [this.#state, this.#tag] = [content, tag];
@@ -43,8 +32,8 @@ class SettingsPage {
       ...(writable ? [] : [[t.readOnly, make("code", { textContent: install })]]), ...(pending.length ? [[t.pending(pending, restart)]] : []),
       ...(hidden.length ? [[t.hidden(hidden)]] : []), ...(faults.length ? [[t.faulty, " ", ...said(faults.map((f) => `${f.key}: ${f.message}`).join("; "))]] : []),
     ];
-    this.#root.replaceChildren(make("h2", { textContent: texts.setup.pages.settings }), make("p", { className: "help", textContent: t.help(path) }),
-      make("ul", { className: "warnings" }, ...notes.map((note) => make("li", {}, ...note))), this.#answer, make("div", { className: "two even settings" }, this.#form(), this.#side));
+    this.root.replaceChildren(make("h2", { textContent: texts.setup.pages.settings }), make("p", { className: "help", textContent: t.help(path) }),
+      make("ul", { className: "warnings" }, ...notes.map((note) => make("li", {}, ...note))), this.answer, make("div", { className: "two even settings" }, this.#form(), this.#side));
     await this.#check();
   }
 
@@ -99,7 +88,7 @@ class SettingsPage {
         if (!NAME.test(name.value) || all().includes(name.value)) throw new Wrong(t.badName(name.value));
         add(name.value);
         name.value = "";
-      }, this.#answer));
+      }, this.answer));
     }
     group.append(adding);
     return group;
@@ -138,7 +127,7 @@ class SettingsPage {
       const value = read();
       if (same(value ?? null, at(this.#state.values, key) ?? null)) this.#changes.delete(key);
       else this.#changes.set(key, value);
-    }, this.#answer).then((fine) => fine && this.#check());
+    }, this.answer).then((fine) => fine && this.#check());
   }
 
   #remove(prefix, box) {
@@ -160,7 +149,7 @@ class SettingsPage {
     await attempt(null, async () => {
       const proposal = this.#changes.size ? await requests.checkSettings(this.#listed()) : null;
       if (turn === this.#turn) this.#proposal = proposal;
-    }, this.#answer);
+    }, this.answer);
     if (turn !== this.#turn) return;
     this.#showFaults();
     this.#showSide();
@@ -213,47 +202,39 @@ class SettingsPage {
       return;
     }
     const lines = proposal.diff.split("\n").slice(2).map((line) => make("span", { className: line[0] === "+" ? "added" : line[0] === "-" ? "taken" : line[0] === "@" ? "place" : "", textContent: `${line}\n` }));
-    const diff = make("pre", { className: "diff", tabIndex: 0 }, ...lines);
-    diff.setAttribute("role", "group");
-    diff.setAttribute("aria-label", t.changes);
+    const diff = make("pre", { className: "diff", tabIndex: 0, role: "group", ariaLabel: t.changes }, ...lines);
     const faults = this.#faults().map((fault) => make("li", {}, make("button", { type: "button", className: "plain", onclick: () => this.#goTo(fault.place) }, `${fault.key || t.between}: `, ...said(fault.message))));
     const notes = proposal.notes.map((note) => make("li", {}, `${note.key}: `, ...said(note.message)));
     const sound = !proposal.faults.length;
     const orders = make("div", { className: "buttons" });
-    if (sound && this.#state.writable) orders.append(button(t.save, () => this.#save(), this.#answer, { className: "primary", id: "save-settings" }));
-    orders.append(make("button", { type: "button", className: "plain", textContent: t.discard, onclick: () => this.#discard() }), button(t.readAgain, () => this.load(), this.#answer, { className: "plain" }));
+    if (sound && this.#state.writable) orders.append(button(t.save, () => this.#save(), this.answer, { className: "primary", id: "save-settings" }));
+    orders.append(make("button", { type: "button", className: "plain", textContent: t.discard, onclick: () => this.#discard() }), button(t.readAgain, () => this.show(), this.answer, { className: "plain" }));
     this.#side.replaceChildren(section(t.changes, make("ul", { className: "faults" }, ...faults), make("ul", { className: "warnings" }, ...notes), diff, sound && !this.#state.writable ? this.#toTake(proposal) : "", orders, make("p", { className: "help", textContent: t.restartHelp })));
   }
 
   // Where the service may not write, the administrator does.
   #toTake(proposal) {
     const t = texts.settings;
-    const file = new Blob([proposal.text], { type: "application/toml" });
-    const take = make("button", { type: "button", className: "primary", textContent: t.download, onclick: () => {
-      const link = make("a", { href: URL.createObjectURL(file), download: "station.toml" });
-      link.click();
-      URL.revokeObjectURL(link.href);
-    } });
-    const command = input("command", `${this.#state.install} && ${this.#state.restart}`, { readOnly: true });
-    command.setAttribute("aria-label", t.then);
+    const save = () => saveFile("station.toml", [proposal.text], "application/toml");
+    const take = make("button", { type: "button", className: "primary", textContent: t.download, onclick: save });
+    const command = input("command", `${this.#state.install} && ${this.#state.restart}`, { readOnly: true, ariaLabel: t.then });
     const copy = button(t.copyCommand, async () => {
-      command.select();
-      await navigator.clipboard?.writeText(command.value).catch(() => {}); // the text is selected: it can be copied by hand
+      await copyOf(command);
       return t.copied;
-    }, this.#answer);
+    }, this.answer);
     return make("div", {}, make("p", { textContent: t.readOnly }), proposal.hidden ? make("ul", { className: "warnings" }, make("li", { textContent: t.hiddenInFile(proposal.hidden) })) : "", command, make("div", { className: "buttons" }, take, copy));
   }
 
   async #save() {
     const saved = await requests.saveSettings(this.#listed(), this.#tag);
     this.#forget();
-    await this.load();
+    await this.show();
     return texts.settings.saved(saved.backup, saved.restart);
   }
 
   #discard() {
     this.#forget();
-    attempt(null, () => this.load(), this.#answer);
+    attempt(null, () => this.show(), this.answer);
   }
 
   #forget() {
