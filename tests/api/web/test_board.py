@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
 from tests.api.web.test_boards import fail, wait_for_pictures
+from tests.api.web.test_views import SIZES, wide_elements
 from vaoi_station.model import Status
 
 pytestmark = pytest.mark.browser
-
-SIZES = [(800, 480), (1024, 768), (1280, 800), (1920, 1080)]
-WIDER = """() => [...document.querySelectorAll("#view *")].filter((e) => {
-    const style = getComputedStyle(e);
-    return e.checkVisibility() && !e.closest("svg") && !e.closest("#zoom-view") && style.display !== "inline"
-        && !["INPUT", "SELECT", "OPTION", "IMG"].includes(e.tagName) && e.id !== "list"
-        && e.scrollWidth > e.clientWidth + 1;
-}).map((e) => e.id || e.className || e.tagName)"""
-"""The elements whose contents are wider than they are; a list of boards may be scrolled."""
-
 
 CHOOSE_TWICE = """async () => {
     const { DeepZoom } = await import("/web/board/deep_zoom.js");
@@ -223,11 +212,7 @@ def test_a_board_whose_frames_are_gone_has_its_kept_picture(page: Page, served: 
 
 @pytest.mark.parametrize(
     ("width", "height", "order"),
-    [
-        (800, 480, ["tabs", "zoom", "tab-part"]),
-        (1024, 768, ["tabs", "zoom", "tab-part"]),
-        (1280, 800, ["zoom", "tabs", "tab-part"]),
-    ],
+    [(1024, 768, ["tabs", "zoom", "tab-part"]), (1280, 800, ["zoom", "tabs", "tab-part"])],
 )
 def test_the_tabulator_goes_as_the_eye_does(page: Page, served: Any, width: int, height: int, order: list[str]) -> None:
     page.set_viewport_size({"width": width, "height": height})
@@ -254,68 +239,6 @@ def parts_by_tabulator(page: Page) -> list[str]:
     return parts
 
 
-def test_every_control_is_reached_by_keyboard(page: Page, served: Any) -> None:
-    station = served.station
-    station.lights = ("left", "right")
-    station.film(board_id="SN-1")
-    run = station.film(board_id="SN-2")
-    page.goto(f"{served.url}/#/board/{run}?light=left&with=previous")
-    expect(page.locator("#other")).to_be_visible()
-    reached: set[str] = set()
-    for _ in range(60):
-        page.keyboard.press("Tab")
-        reached.add(
-            page.evaluate("(({id, className, textContent}) => id || className || textContent)(document.activeElement)")
-        )
-        if page.evaluate("document.activeElement.closest('figure') !== null"):
-            break
-    controls = {"before", "component", "after", "colour", "mosaic", "closer", "farther", "whole", "to-part", "with"}
-    assert reached >= controls | {
-        "divide",
-        "light",
-        "minus",
-        "hdr",
-        "stage-view",
-        "size",
-        "file",
-        "openseadragon-canvas",
-    }
-    assert reached >= {"Frames", "Links", "Fiducials", "Residuals", "Slider", "Blink"}
-    page.keyboard.press("Tab")
-    page.keyboard.press("Enter")
-    expect(page.locator("figure").nth(1)).to_have_class(re.compile("chosen"))
-    page.locator(".openseadragon-canvas").focus()
-    before = page.locator(".parts > g").get_attribute("transform")
-    page.keyboard.press("+")
-    expect(page.locator(".parts > g")).not_to_have_attribute("transform", before or "")
-
-
-def test_the_pictures_of_the_guide(page: Page, served: Any) -> None:
-    """VAOI_STATION=http://… (of `vaoi demo`) VAOI_SCREENSHOTS=docs/pictures writes them."""
-    url = os.environ.get("VAOI_STATION", served.url)
-    if url == served.url:
-        served.station.film(board_id="SN-1")
-    run = page.request.get(f"{url}/api/v1/runs?verdict=ok&limit=1").json()["runs"][0]["id"]
-    page.request.put(f"{url}/api/v1/runs/{run}/hold?holder=guide")
-    page.goto(f"{url}/#/board/{run}?component=U1&colour=height&show=frames,fiducials,residuals")
-    expect(page.locator(".outlines .filled").first).to_be_attached()
-    expect(page.locator("#part-facts")).not_to_contain_text("not known")
-    expect(page.locator("#large")).not_to_have_js_property("naturalWidth", 0)
-    expect(page.locator(".outlines .agrees, .outlines .none").first).to_be_attached()
-    page.wait_for_function("e => document.querySelector('#zoom-view').dataset.mosaic")
-    keep(page, "page-board")
-    page.locator("#to-timing").click()
-    expect(page.locator("svg .t-result")).to_be_attached()
-    keep(page.locator("#side"), "page-timing")
-    page.request.delete(f"{url}/api/v1/runs/{run}/hold?holder=guide")
-
-
-def keep(shown: Any, name: str) -> None:
-    """Write a picture for the guide, if a directory for it is named."""
-    if where := os.environ.get("VAOI_SCREENSHOTS"):
-        shown.screenshot(path=Path(where) / f"{name}.png")
-
-
 @pytest.mark.parametrize(("language", "scheme"), [("en", "light"), ("de", "dark")])
 def test_nothing_is_clipped(browser: Browser, served: Any, language: str, scheme: Any) -> None:
     station = served.station
@@ -324,11 +247,6 @@ def test_nothing_is_clipped(browser: Browser, served: Any, language: str, scheme
     run = fail(station, "SN-48-of-a-long-series", Status.DEGRADED)
     context = browser.new_context(locale=language, color_scheme=scheme)
     page = context.new_page()
-    page.goto(f"{served.url}/#/boards")
-    expect(page.locator("#list tbody tr")).to_have_count(2)
-    for width, height in SIZES:
-        page.set_viewport_size({"width": width, "height": height})
-        assert page.evaluate(WIDER) == [], (width, "list")
     page.goto(f"{served.url}/#/board/{run}?colour=sigma&show=frames,links,fiducials,residuals&light=left&with=previous")
     expect(page.locator("#other")).to_be_visible()
     for width, height in SIZES:
@@ -336,7 +254,7 @@ def test_nothing_is_clipped(browser: Browser, served: Any, language: str, scheme
         for name in ("part", "report", "timing", "export"):
             page.locator(f"#to-{name}").click()
             expect(page.locator(f"#tab-{name} > *").first).to_be_visible()
-            assert page.evaluate(WIDER) == [], (width, name)
+            assert wide_elements(page) == [], (width, name)
             expect(page.locator(f"#to-{name}")).to_be_in_viewport(ratio=1)
             expect(page.locator(f"#tab-{name} > *").first).to_be_in_viewport()
         page.locator("main").evaluate("e => e.scrollTo(0, 0)")

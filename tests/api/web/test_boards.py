@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.api.web.contrast import contrast
 from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import Origin, Unseen
@@ -329,18 +328,12 @@ def test_a_search_goes_on_until_a_board_is_found_and_a_cut_file_says_so(
     assert len((tmp_path / "boards.csv").read_text(encoding="utf-8-sig").splitlines()) == 5_001
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_texts_have_enough_contrast_and_targets_are_large(page: Page, served: Any, scheme: Any) -> None:
+def test_what_is_pressed_is_large(page: Page, served: Any) -> None:
     fail(served.station, "SN-1", Status.DEGRADED)
     served.station.fault("x", "Message.", "Action.")
-    page.emulate_media(color_scheme=scheme)
     for path, wait in (("/", "#why"), ("/#/boards", "#list tr a"), ("/#/board/r000001", "figure")):
         page.goto(served.url + path)
         page.locator(wait).first.wait_for()
-        texts = "h1, h2, nav a, #state-word, #order, label, select, button, #verdict-word, dt, dd, td, th, figcaption"
-        for element in page.locator(texts).all():
-            if element.is_visible() and element.inner_text():
-                assert contrast(element) >= 4.5, (path, element)
         for target in page.locator("header a, header button, main button, main select").all():
             box = target.bounding_box()
             assert box is None or min(box["width"], box["height"]) >= 44, target

@@ -85,31 +85,24 @@ def test_a_wrong_key_is_refused_and_the_right_one_leads_to_the_page(page: Page, 
     expect(page.locator("#state-word")).to_have_text("Ready")
 
 
-def test_a_key_that_is_revoked_while_the_page_is_open_ends_its_login(page: Page, closed: Closed) -> None:
-    log_in(page, closed.served.url, closed.keys.create("operator", ["operate"]).secret)
-    expect(page.locator("#state-word")).to_have_text("Not armed")
-    closed.keys.revoke("operator")
-    expect(page.locator("#login")).to_be_visible()
-    expect(page.locator("main")).to_be_hidden()
-
-
-def test_a_logout_ends_the_login_also_for_its_cookie(page: Page, closed: Closed) -> None:
+def test_a_login_ends_by_logout_also_for_its_cookie_and_when_its_key_is_revoked(page: Page, closed: Closed) -> None:
     log_in(page, closed.served.url, closed.keys.create("reader", ["read"]).secret)
     expect(page.locator("#state-word")).to_have_text("Not armed")
     (cookie,) = page.context.cookies()
     assert cookie["httpOnly"]
     assert cookie["sameSite"] == "Strict"
+    page.select_option("#board-type", "demo-board")
+    page.locator("#arm").click()
+    expect(page.locator("#answer")).to_have_text(re.compile("needs the scope operate"))
     page.get_by_role("link", name="Log out").click()
     expect(page.locator("#login")).to_be_visible()
     assert page.context.cookies() == []
     assert closed.access.sessions.key_of(cookie["value"], closed.keys.entries()) is None
-
-
-def test_a_key_without_the_scope_is_refused_with_the_reason(page: Page, closed: Closed) -> None:
-    log_in(page, closed.served.url, closed.keys.create("reader", ["read"]).secret)
-    page.select_option("#board-type", "demo-board")
-    page.locator("#arm").click()
-    expect(page.locator("#answer")).to_have_text(re.compile("needs the scope operate"))
+    log_in(page, closed.served.url, closed.keys.create("operator", ["operate"]).secret)
+    expect(page.locator("#state-word")).to_have_text("Not armed")
+    closed.keys.revoke("operator")
+    expect(page.locator("#login")).to_be_visible()
+    expect(page.locator("main")).to_be_hidden()
 
 
 def test_the_page_by_tls_has_a_secure_cookie(browser: Browser, tmp_path: Path) -> None:

@@ -102,31 +102,21 @@ def test_the_view_of_a_board_does_not_wait_for_the_login(page: Page, served: Any
 
 @pytest.mark.browser
 def test_the_picture_of_a_board_waits_for_neither_state_nor_list(page: Page, served: Any) -> None:
-    """The run and its mosaics are asked for together, and tiles as soon as both are there."""
+    """The run and its mosaics are asked for together, before the view has come, and tiles as soon as all are there."""
     run = served.station.film()
-    asked, state = Requests(page), Held(page, "**/api/v1/station")
+    asked, state, modules = Requests(page), Held(page, "**/api/v1/station"), Held(page, "**/web/board/*.js")
     runs, lists = (Held(page, f"**/api/v1/runs/*{rest}") for rest in ("?figures=true", "/mosaics"))
     page.goto(f"{served.url}/#/board/{run}")
     asked.wait_for(f"runs/{run}", "/mosaics")
+    modules.release()
     runs.release()
     lists.release()
     asked.wait_for(".jpg")
     state.release()
     expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
-    assert sum(path.endswith("/mosaics") for path in asked.paths) == 1
-    assert not any(path.endswith(".dzi") for path in asked.paths), "the list says the same"
-
-
-@pytest.mark.browser
-def test_the_run_of_a_board_is_asked_for_before_its_view_has_come(page: Page, served: Any) -> None:
-    run = served.station.film()
-    asked, modules = Requests(page), Held(page, "**/web/board/*.js")
-    page.goto(f"{served.url}/#/board/{run}")
-    asked.wait_for(f"runs/{run}", "/mosaics")
-    modules.release()
-    expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
     assert asked.paths.count("api/v1/session") == 1
     assert sum(path.endswith("/mosaics") for path in asked.paths) == 1
+    assert not any(path.endswith(".dzi") for path in asked.paths), "the list says the same"
     other = served.station.film()
     page.goto(f"{served.url}/#/board/{other}")
     asked.wait_for(f"runs/{other}/mosaics")

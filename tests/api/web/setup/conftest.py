@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,15 +13,12 @@ from tests.api.conftest import Served
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
 from tests.api.routes.test_previews import import_here
-from tests.api.web.test_views import examine, unreached
+from tests.api.web.test_views import SIZES, examine, unreached
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.api.routes import board_data
 from vaoi_station.files.access_keys import KeyFile
 
-SIZES = ((800, 480), (1024, 768), (1280, 800), (1920, 1080))
-WHERE = os.environ.get("VAOI_SCREENSHOTS")
-"""Directory into which pictures of the pages are written, if it is named."""
 CLIPPED = """() => [...document.querySelectorAll(".setup, .setup *")].filter((e) => {
     const style = getComputedStyle(e);
     return e.checkVisibility() && !e.closest("svg, td, th") && style.display !== "inline"
@@ -89,8 +85,6 @@ def fits(page: Page) -> Fits:
             step()
             for width, height in SIZES:
                 page.set_viewport_size({"width": width, "height": height})
-                if WHERE:
-                    page.screenshot(path=Path(WHERE) / f"{name}-{language}-{width}.png")
                 assert page.evaluate(CLIPPED) == [], (name, language, width)
             assert examine(page) == [], (name, language)
             assert language == "de" or unreached(page) == [], name

@@ -11,7 +11,6 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.api.held.programs import healthy, station_config
-from tests.api.web.test_views import examine
 from vaoi_station.runs.lighting.programs import LightPrograms
 
 FOUND_NOTHING = re.compile("The station can film with this program|Nothing was found against")
@@ -27,7 +26,6 @@ def test_a_program_is_edited_checked_and_stored(page: Page, engineer: Any, fits:
     expect(page.locator("#no-program tbody tr")).to_have_text(["0even2002500", "1left1202500"])
     expect(page.locator(".answer.done")).to_be_hidden()
     expect(page.get_by_role("button", name="Store the program")).to_be_hidden()
-    assert examine(page) == []
     page.get_by_role("button", name="Begin a program").press("Enter")
     expect(page.get_by_label("Light, row 0")).to_be_focused()
     expect(page.locator("#steps tbody tr")).to_have_count(2)
@@ -44,7 +42,6 @@ def test_a_program_is_edited_checked_and_stored(page: Page, engineer: Any, fits:
     expect(page.get_by_label("On-time, µs, row 1")).to_have_attribute("aria-invalid", "true")
     expect(page.locator(".program-timeline .wrong")).to_have_count(1)
     expect(page.locator(".program-timeline .limit")).not_to_have_count(0)
-    assert examine(page) == []
     if PICTURES:
         page.set_viewport_size({"width": 1280, "height": 1500})
         page.screenshot(path=Path(PICTURES) / "lights" / "program.png")
