@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 from vaoi_station.config import StationConfig
 from vaoi_station.settings.keys import keys
 
+ROOT = Path(__file__).resolve().parents[2]
+GERMAN = ROOT / "vaoi_station" / "api" / "web" / "texts" / "de.js"
 BY_KEY = {key.key: key for key in keys()}
 
 
 def test_every_key_is_documented_in_the_model() -> None:
     assert [key.key for key in keys() if not key.description] == []
     assert {key.key.split(".")[0].removesuffix("[]") for key in keys()} == set(StationConfig.model_fields)
+
+
+def test_the_german_page_has_a_text_for_every_key() -> None:
+    (meanings,) = re.findall(r"^  meanings: {\n(.*?)^  }", GERMAN.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    said = re.findall(r'^    "([^"]+)": "', meanings, re.MULTILINE)
+    assert sorted(said) == sorted(BY_KEY)
 
 
 def test_kind_limits_units_and_defaults_are_those_of_the_model() -> None:

@@ -90,11 +90,11 @@ def test_every_group_of_reasons_shows_the_order_of_the_guide(page: Page, served:
 
 @pytest.mark.browser
 def test_both_languages_have_the_same_texts(page: Page, served: Any) -> None:
-    """What is translated by its code has its English words from the station."""
+    """The meanings of settings, and what is translated by its code, have their English words from the station."""
     page.goto(served.url)
     english, german = page.evaluate("""async () => {
         const keys = (object, path) => Object.entries(object).flatMap(([key, value]) =>
-            key === "translated" ? [] :
+            ["meanings", "translated"].includes(key) ? [] :
                 typeof value === "object" ? keys(value, `${path}${key}.`) : [`${path}${key}: ${typeof value}`]);
         const modules = await Promise.all([import("/web/texts/en.js"), import("/web/texts/de.js")]);
         return modules.map((module) => keys(module.texts, "").sort());

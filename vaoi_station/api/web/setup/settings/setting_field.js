@@ -1,6 +1,6 @@
 // One key of station.toml as a field: how its value is shown, and how what is entered is read.
 import { make, markWrong } from "../../parts/elements.js";
-import { texts } from "../../texts/texts.js";
+import { language, texts } from "../../texts/texts.js";
 import { choice, input, labelled, Wrong } from "../fields.js";
 
 const shown = (value) => (value == null ? "" : typeof value === "object" ? JSON.stringify(value) : String(value));
@@ -17,7 +17,8 @@ export function settingField(key, setting, value, onChange) {
   if (control.value !== shown(value) && control.matches("select")) control.append(make("option", { value: shown(value), textContent: shown(value), selected: true }));
   const name = key.split(".").at(-1);
   const form = setting.kind === "list" ? t.asList : setting.kind === "map" ? t.asMap : "";
-  const meaning = make("span", { lang: "en", textContent: setting.description });
+  const meant = t.meanings?.[setting.key];
+  const meaning = make("span", { lang: meant ? language : "en", textContent: meant ?? setting.description });
   control.id = `setting-${key.replaceAll(/[^A-Za-z0-9_.-]/g, "_")}`;
   const field = labelled(name, control, { unit: setting.unit ?? "", help: [meaning, ...[t.limits(setting), form].filter(Boolean).map((text) => ` – ${text}`)] });
   const fault = make("p", { className: "fault", lang: "en", id: `${control.id}-fault`, hidden: true });
