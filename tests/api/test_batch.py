@@ -173,3 +173,14 @@ def test_a_part_whose_reader_has_gone_keeps_its_thread() -> None:
         assert begun == [0, 2]
 
     asyncio.run(check())
+
+
+def test_a_fault_of_the_station_ends_the_batch_too(shared_client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> Any:
+        raise RuntimeError("a secret path /etc/passwd")
+
+    monkeypatch.setattr("vaoi_station.runs.batches.batches.BatchAccess.cut", fail)
+    content = shared_client.get(f"{RUNS}/r000001/images?container=zip").content
+    end = documents(unpacked(content, "zip"))["end.json"]
+    assert end["error"]["code"] == "internal"
+    assert b"passwd" not in content

@@ -8,13 +8,18 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
+from fastapi.routing import APIRoute
 
+from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.limits import (
     QueuedSeats,
     Seats,
     caller_address,
 )
-from vaoi_station.api.routes.services import COMMAND_THREADS, SEARCHES_OF_CALLER
+from vaoi_station.api.parameters import PREFIX
+from vaoi_station.api.routes import board_types, cameras, mosaics, pictures
+from vaoi_station.api.routes.cameras import CameraTrials
+from vaoi_station.api.routes.services import COMMAND_THREADS, SEARCHES_OF_CALLER, Services
 from vaoi_station.errors import BusyError
 
 
@@ -115,3 +120,21 @@ def test_commands_and_matrices_do_not_wait_for_searches(
 )
 def test_one_host_is_one_caller(host: str, counted: str) -> None:
     assert caller_address(host) == counted
+
+
+def test_every_picture_of_a_camera_or_run_takes_a_seat(station: Any) -> None:
+    """Its thread and its memory are limited until it is read; a route without a seat would have neither limit."""
+    services = Services(station, EventHub(station))
+    routers = [module.router(services) for module in (board_types, pictures, mosaics)]
+    routers.append(cameras.router(services, CameraTrials(services.coordinator)))
+    routes = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
+    of_pictures, unlimited = set(), set()
+    for route in routes:
+        media = {media for reply in route.responses.values() for media in reply.get("content", {})}
+        # A pulse with settings on trial has a limit of its own: one at a time.
+        if ("/cameras/" in route.path and "GET" in (route.methods or ())) or any(m.startswith("image/") for m in media):
+            of_pictures.add(route.path)
+            if not any(of.call == services.picture_seats.hold for of in route.dependant.dependencies):
+                unlimited.add(route.path)
+    assert {f"{PREFIX}/cameras/{{camera}}/frame", f"{PREFIX}/runs/{{run}}/mosaics/kept.jpg"} < of_pictures
+    assert unlimited == set()

@@ -138,3 +138,7 @@ def test_large_bodies_of_one_caller_are_limited_and_its_commands_are_not(served:
         assert (answer.status_code, answer.json()["code"]) == (503, "busy")
         assert "bytes of requests in memory" in answer.json()["detail"]
         assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
+
+
+def test_head_of_the_event_stream_is_refused(untouched_client: Any) -> None:
+    assert untouched_client.head("/api/v1/events").status_code == 405

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -236,3 +237,9 @@ def test_refusals_are_the_same_with_asyncio(served: Served) -> None:
 
     with pytest.raises(vaoi.NotFoundError, match="unheard"):
         asyncio.run(arm())
+
+
+@pytest.mark.parametrize("region", [None, "1234", (1, 2, 3), (1, 2, 3, 4, 5), (0, 0, float("nan"), 1)])
+def test_a_region_that_is_no_box_is_refused_before_the_request(run: vaoi.StationRun, region: Any) -> None:
+    with pytest.raises(vaoi.InputError, match="four numbers"):
+        run.region(region)

@@ -81,9 +81,8 @@ def _accepted(header: str) -> dict[str, float]:
 def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[str, str]]:
     """Encode a picture (height, width) or (height, width, 3). Return its bytes and its X-Image-* headers."""
     headers = describe(image)
-    rgb = np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])  # OpenCV has blue, green, red
     if image_format is ImageFormat.RAW:
-        return rgb.tobytes(), headers
+        return _rgb(image).tobytes(), headers
     del headers["X-Image-Stride"]
     if image_format is ImageFormat.JPEG:
         return encode_jpeg(image), headers | {"X-Image-Dtype": "uint8"}
@@ -92,8 +91,12 @@ def encode_image(image: Image, image_format: ImageFormat) -> tuple[bytes, dict[s
     if image_format is ImageFormat.TIFF:
         return encode_tiff(image), headers
     buffer = io.BytesIO()
-    np.save(buffer, rgb, allow_pickle=False)
+    np.save(buffer, _rgb(image), allow_pickle=False)
     return buffer.getvalue(), headers
+
+
+def _rgb(image: Image) -> Image:
+    return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])  # OpenCV has blue, green, red
 
 
 def describe(image: Image) -> dict[str, str]:

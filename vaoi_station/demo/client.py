@@ -102,7 +102,10 @@ class Client:
         sent = {"Idempotency-Key": f'"{uuid.uuid4().hex}"', **(headers or {})}
         content = b""
         if document is not None:
-            content, sent["Content-Type"] = json.dumps(document).encode(), "application/json"
+            try:
+                content, sent["Content-Type"] = json.dumps(document).encode(), "application/json"
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{self.url(path)}: a value cannot be sent: {error}.") from error
         url = with_query(self.url(path), query)
         return _parse(self._exchange(method, url, content=content, headers=sent), self.url(path))
 

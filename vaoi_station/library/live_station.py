@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -63,6 +64,7 @@ from vaoi_station.runs.states.schemas import (
 
 _PAGE = 500
 """Largest number of runs in one reply of a station."""
+_CORNERS = ("x0", "y0", "x1", "y1")
 Box = tuple[float, float, float, float]
 """A part of a board: x0, y0, x1, y1, CAD coordinates in the unit of the board type."""
 _PREVIEWS = "/board-data/previews"
@@ -241,7 +243,7 @@ class StationRun:
 
     def region(self, region: Box, **options: Unpack[ImageOptions]) -> ComponentPictures:
         """Return the pictures of a part of the board, best first; options as for `component`."""
-        found = list(self._streamed(ImageRequest.of(options), region=_box(region)))
+        found = list(self._streamed(ImageRequest.of(options), region=_box("region", region)))
         if len(found) != 1:
             path = self._client.url(self._path("images"))
             raise unusable_reply(path, f"{len(found)} regions where one was asked for")
@@ -280,7 +282,7 @@ class StationRun:
         """
         query = {
             "component": component,
-            "region": None if region is None else _box(region),
+            "region": None if region is None else _box("merged", region),
             "light": light,
             "px_per_mm": px_per_mm,
             "min_coverage": min_coverage,
@@ -304,8 +306,8 @@ class StationRun:
     ) -> None:
         """Write one of `mosaics`, or a region of it, as a tiled, pyramidal TIFF; the file is complete or unchanged."""
         target = require_path("save_mosaic", "path", path)
-        values = () if region is None else _box(region).split(",")
-        corners = dict(zip(("x0", "y0", "x1", "y1"), values, strict=False))
+        values = () if region is None else _box("save_mosaic", region).split(",")
+        corners = dict(zip(_CORNERS, values, strict=bool(values)))
         address = self._path(f"mosaics/{quote(require_text('save_mosaic', 'name', name), safe='')}.tif")
         # Calls at the same time write to several drafts, so that they do not mix them.
         part = target.with_name(f".{target.name}.{token_hex(4)}.part")
@@ -513,7 +515,8 @@ class Station:
             passing: while a board passes, which keeps the order before: "wait" until it has left (the default), take
                 effect "after" it and return at once, or "refuse".
         """
-        order = {"board_type": board_type, "board_id": board_id, "job_id": job_id, "runs": runs, "passing": passing}
+        count = None if runs is None else require_whole("arm", "runs", runs, 1, 1_000_000)
+        order = {"board_type": board_type, "board_id": board_id, "job_id": job_id, "runs": count, "passing": passing}
         given = {name: value for name, value in order.items() if value is not None}
         given |= {"allow_lost_cameras": True} if allow_lost_cameras else {}
         return self._given("/station/arm", self._client.post("/station/arm", **given))
@@ -665,5 +668,11 @@ def _conditions(tag: str | None, *, new: bool = False) -> dict[str, str]:
     return match | ({"If-None-Match": "*"} if new else {})
 
 
-def _box(region: Box) -> str:
-    return ",".join(repr(float(value)) for value in region)
+def _box(function: str, region: Any) -> str:
+    try:
+        values = () if isinstance(region, str | bytes) else tuple(map(float, region))
+    except (TypeError, ValueError, OverflowError):
+        values = ()
+    if len(values) != len(_CORNERS) or not all(map(math.isfinite, values)):
+        raise InputError.field(function, "region", region, "four numbers: x0, y0, x1, y1")
+    return ",".join(map(repr, values))

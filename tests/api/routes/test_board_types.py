@@ -212,3 +212,30 @@ def test_a_correction_is_stored_as_a_draft_of_the_version_that_was_read(client: 
     assert stored.status_code == 200, stored.text
     assert (stored.json()["state"], stored.json()["revision"]) == ("draft", "B")
     assert client.get("/api/v1/board-types/demo-board").json()["revision"] == "B"
+
+
+def test_a_method_is_changed_only_if_it_is_the_one_that_was_read(client: Any) -> None:
+    read = client.get(f"{TYPE}/method").headers["etag"]
+    first = client.put(f"{TYPE}/method", json={"method": "features"}, headers={"If-Match": read})
+    assert first.headers["etag"] == client.get(f"{TYPE}/method").headers["etag"] != read
+    for answer in (
+        client.put(f"{TYPE}/method", json={"method": "fiducials"}, headers={"If-Match": read}),
+        client.delete(f"{TYPE}/method", headers={"If-Match": read}),
+    ):
+        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
+    assert client.get(f"{TYPE}/method").json()["method"] == "features"
+
+
+def test_of_two_who_teach_the_second_learns_that_there_is_another_reference(client: Any, station: Any) -> None:
+    runs = [station.film() for _ in range(3)]
+    first = client.put(f"{TYPE}/reference", json={"run": runs[0]}).headers["etag"]
+    assert client.get(f"{TYPE}/reference").headers["etag"] == first
+    second = client.put(f"{TYPE}/reference", json={"run": runs[1]}, headers={"If-Match": first}).headers["etag"]
+    for answer in (
+        client.put(f"{TYPE}/reference", json={"run": runs[2]}, headers={"If-Match": first}),
+        client.delete(f"{TYPE}/reference", headers={"If-Match": first}),
+    ):
+        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
+    assert client.get(f"{TYPE}/reference").json()["run"] == runs[1]
+    assert client.delete(f"{TYPE}/reference", headers={"If-Match": second}).status_code == 204
+    assert client.put(f"{TYPE}/reference", json={"run": runs[2]}, headers={"If-Match": second}).status_code == 412

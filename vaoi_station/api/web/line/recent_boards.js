@@ -37,7 +37,7 @@ export class RecentBoards {
   async refresh(now, now_ms) {
     const last = now.last_run ?? null;
     if (performance.now() - this.#readAt > READ_AGAIN_MS) await this.#readAll(now_ms);
-    else if (this.#changed || last !== this.#lastRun) await this.#readLast();
+    else if (this.#changed || last !== this.#lastRun) await this.#readLast(last, now_ms);
     this.#lastRun = last;
   }
 
@@ -56,9 +56,13 @@ export class RecentBoards {
   }
 
   // The last boards: one has finished, or its verdict may have changed.
-  async #readLast() {
+  async #readLast(last, now_ms) {
     this.#changed = false;
     this.#add((await rest.runs({ limit: SHOWN })).runs);
+    if (last && !this.runs.some((run) => run.id === last)) {
+      await this.#readAll(now_ms); // imported runs may stand before it
+      return;
+    }
     // Not counted here: a run that ended between the replies of an earlier reading may be in the counts already.
     this.counts = await rest.counts();
   }

@@ -133,7 +133,8 @@ export class TrendsView extends View {
     const [charts, place] = [[...this.#charts.values()], this.part("charts")];
     const roots = charts.map((chart) => chart.root);
     // Charts that are there already stay in their place, with the focus of the keyboard.
-    if (roots.length !== place.children.length || roots.some((root, n) => root !== place.children[n])) place.replaceChildren(...roots);
+    for (const there of [...place.children]) if (!roots.includes(there)) there.remove();
+    roots.forEach((root, n) => root !== place.children[n] && place.insertBefore(root, place.children[n] ?? null));
     await Promise.all(names.map((name, n) => charts[n].show(found, found.series.filter((series) => series.figure === name))));
   }
 }
