@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Generic, TypeVar
 
 from vaoi_station.supervised_thread import SupervisedThread
@@ -20,16 +21,25 @@ _LOOK_S = 0.5
 class SupervisedQueue(Generic[T]):
     """Passes items to a function, one after the other, in a thread of its own. Methods may be called from any thread.
 
-    The function may take any time: the thread counts as waiting meanwhile. It must not raise.
+    The function may take any time: the thread counts as waiting meanwhile, unless the queue is `limited`. It must not
+    raise.
     """
 
     def __init__(
-        self, serve: Callable[[T], object], name: str, most: int, begin: Callable[[], object] | None = None
+        self,
+        serve: Callable[[T], object],
+        name: str,
+        most: int,
+        begin: Callable[[], object] | None = None,
+        *,
+        limited: bool = False,
     ) -> None:
         """Prepare the queue: beyond `most` waiting items, a further one takes the place of the oldest.
 
-        `begin` is called once in the thread, before the first item.
+        `begin` is called once in the thread, before the first item. If `limited`, an item that takes as long as no
+        supervised thread may is a fault of the thread, and `stop` waits for the item under way.
         """
+        self._limited = limited
         self._serve, self._most, self._begin = serve, most, begin
         self._waiting: deque[T] = deque()
         self._wake, self._stop = threading.Condition(), threading.Event()
@@ -57,13 +67,13 @@ class SupervisedQueue(Generic[T]):
         return left_out
 
     def stop(self) -> None:
-        """End the thread; the item under way is not awaited for longer than five seconds."""
+        """End the thread; unless the queue is limited, the item under way is awaited for five seconds at most."""
         self.thread.expect_end()
         with self._wake:
             self._stop.set()
             self._wake.notify_all()
         if self.thread.is_alive():
-            self.thread.join(_END_S)
+            self.thread.join(None if self._limited else _END_S)
 
     def _run(self) -> None:
         if self._begin is not None:
@@ -76,5 +86,5 @@ class SupervisedQueue(Generic[T]):
                 if self._stop.is_set() or not self._waiting:
                     continue
                 item = self._waiting.popleft()
-            with self.thread.waiting():
+            with nullcontext() if self._limited else self.thread.waiting():
                 self._serve(item)

@@ -19,7 +19,7 @@ from vaoi_station.runs.archive.recordings import DISK_RESERVE
 from vaoi_station.runs.mosaics.kept_mosaics import DIRECTORY as MOSAICS
 from vaoi_station.station import DATABASE
 from vaoi_station.store.database_file import acknowledged_files
-from vaoi_station.store.schema import VERSION
+from vaoi_station.store.schema import OLDEST, VERSION
 
 SCANT_BYTES, LITTLE_BYTES = 200e6, 2e9
 """Limits of the free space in bytes: below the first, it is a fault; below the second, a warning."""
@@ -98,6 +98,13 @@ def _judge_database(path: Path) -> Iterator[Finding]:
             "database-newer",
             f"{path}: has version {version} of the tables; this software knows versions up to {VERSION}.",
             "Start the newer vaoi_station that wrote it.",
+            path=str(path),
+        )
+    elif 0 < version < OLDEST:
+        yield fault(
+            "database-foreign",
+            f"{path}: has version {version} of the tables; this software knows versions from {OLDEST} on.",
+            "Restore a backup of this version, or move the file away.",
             path=str(path),
         )
     elif tables and "runs" not in tables:

@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
@@ -201,7 +200,7 @@ class _Unpacked:
         if not is_run_id(detail.id):
             raise InputError.field(f"{self.package}: {RUN_FILE}", "id", detail.id, "a run id, as 01m7ykwxtb-52y1hr")
         if (assigned := assigned_s(detail.id)) > time.time() + _AHEAD_S:
-            time_of_run = utc(datetime.fromtimestamp(assigned, UTC))
+            time_of_run = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(assigned))
             raise InputError(
                 f"{self.package}: run {detail.id} is of {time_of_run}, which is later than this machine's "
                 f"clock ({utc()}).",

@@ -37,6 +37,15 @@ def test_parts_of_a_multipart_answer_state_their_length_and_further_headers() ->
     assert b"\r\nX-Image-Width: 7\r\n" in head
 
 
+def test_a_zip_file_states_times_modes_and_no_compression() -> None:
+    writer = ContainerWriter("zip", TIME_S)
+    content = writer.add(packed("zip", *FILES)) + writer.end()
+    infos = zipfile.ZipFile(io.BytesIO(content)).infolist()
+    assert {i.date_time for i in infos} == {(2023, 11, 14, 22, 13, 20)}
+    assert {i.compress_type for i in infos} == {zipfile.ZIP_STORED}
+    assert {i.external_attr >> 16 for i in infos} == {0o644}, "Info-ZIP gives members without a mode the mode 000"
+
+
 def test_a_zip_file_of_more_than_65535_members_is_read() -> None:
     writer = ContainerWriter("zip", TIME_S)
     content = b"".join(

@@ -263,7 +263,8 @@ class Recordings:
         if finished.head is None:
             return
         head = head_of(finished.detail, finished.head)
-        slots = {key: slot for key, slot in finished.slots.items() if key not in set(head.missing)}
+        absent = set(head.missing)
+        slots = {key: slot for key, slot in finished.slots.items() if key not in absent}
         copy = self._frames.copier(self._frames.bay_of(run))
         # One frame of every camera states its size on disk: its pixel format is nowhere else.
         of_cameras = {camera: slot for (camera, _), slot in slots.items()}

@@ -49,6 +49,7 @@ class Entry(NamedTuple):
         info = ZipInfo(self.name, time.gmtime(max(modified_s, _EARLIEST_S))[:6])
         info.CRC, info.file_size, info.compress_size = self.crc, self.size, self.size
         info.header_offset = start + self.offset
+        info.external_attr = 0o644 << 16  # without a mode, unzip makes files that cannot be read
         return info
 
 

@@ -193,7 +193,8 @@ class Handover:
             self._end_adder()
             if isinstance(error, DeviceError):
                 return Failed(error, of_run=False)
-            message = f"The process that adds runs does not run ({type(error).__name__}: {error})."
+            cause = f"{type(error).__name__}: {error}".rstrip(": ")  # EOFError has no text
+            message = f"The process that adds runs does not run ({cause})."
             return Failed(DeviceError(message, action="See the log; it is started again."), of_run=False)
 
     def _reply(self, pipe: Connection[Any, Any]) -> Turn | Added | Failed:

@@ -47,7 +47,7 @@ Lease = Callable[[str, str], AbstractContextManager[Bay]]
 Render = Callable[[PictureJob, str], Any]
 """Has a worker perform a job with this name in messages, and returns the reply's value."""
 MOST_WORK = 400_000_000
-"""Largest number of pixels times frames of one merged picture; it takes a worker about four seconds."""
+"""Largest number of pixels times frames of one merged picture; it takes a worker about 16 seconds."""
 MOST_KEPT = 16
 """Number of runs whose levels are kept; they are one number per row."""
 _UNKNOWN = FieldMaps(None, 0.0, NoiseModel())

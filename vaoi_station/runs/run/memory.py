@@ -293,7 +293,9 @@ class BayGrants:
     def __init__(self, blacken: Callable[[int], object], link: Commands) -> None:
         """Prepare the thread; `blacken` sets all pixels of a bay to zero."""
         self._blacken, self._link = blacken, link
-        self._queue: SupervisedQueue[tuple[int, messages.Command]] = SupervisedQueue(self._pass_on, "bays", _MOST)
+        self._queue: SupervisedQueue[tuple[int, messages.Command]] = SupervisedQueue(
+            self._pass_on, "bays", _MOST, limited=True
+        )
         self.thread, self.start, self.stop = self._queue.thread, self._queue.start, self._queue.stop
         self._lock, self._process = threading.Lock(), 0
         """The lock, and the number of the acquisition process for which new commands are meant."""

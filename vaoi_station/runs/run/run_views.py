@@ -178,9 +178,9 @@ def _belt(progress: Progress) -> BeltSpeed | None:
 
 
 def _timings(progress: Progress) -> Timings | None:
-    if progress.recorded is None:
+    if progress.recorded is None or progress.stitched is None:
         return None
-    last_s, done = progress.recorded.last_frame_host_s, progress.stitched or Stitched(None)
+    last_s, done = progress.recorded.last_frame_host_s, progress.stitched
     return Timings(
         filming_s=last_s - progress.barrier_s,
         ready_after_last_frame_ms=None if done.ready_s is None else (done.ready_s - last_s) * 1e3,

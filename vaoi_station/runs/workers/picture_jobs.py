@@ -165,6 +165,7 @@ class MergeJob(RenderJob):
     `slot` and `view` are those of the best frame.
     """
 
+    longest_s: ClassVar[float | None] = 120.0
     frames: tuple[MergedFrame, ...] = ()
     bodies: tuple[MergedBody, ...] = ()
     """Bodies in the picture of a region."""
@@ -212,6 +213,7 @@ class RowLevelsJob(PictureJob):
     """Estimate the brightness of the rows of a run; the reply's value is (m,) factors."""
 
     what: ClassVar[str] = "the brightness of the rows"
+    longest_s: ClassVar[float | None] = 120.0
     frames: tuple[LevelFrame, ...]
     board_type: BoardType
     stitch: Stitch
