@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 from vaoi_station.benchmarks.process_usage import private_memory_bytes
 from vaoi_station.benchmarks.station_pace import PrerenderedRun, prerender
 from vaoi_station.benchmarks.tables import table
+from vaoi_station.errors import InternalError
 from vaoi_station.runs.host.processes import set_up_process
 from vaoi_station.simulation import Scenario
 
@@ -49,7 +51,10 @@ def measure_scaling(
     # Each board needs a new process: the allocator keeps freed memory, so a large peak would hide a later smaller one.
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as processes:
         boards = (prerender(long_board(scenario, count), folder / f"{count}", report) for count in rows)
-        return [processes.submit(_stitch, board).result() for board in boards]
+        try:
+            return [processes.submit(_stitch, board).result() for board in boards]
+        except BrokenProcessPool as end:
+            raise InternalError("a process that stitched a board has ended, perhaps because memory was full.") from end
 
 
 def long_board(scenario: Scenario, rows: int) -> Scenario:

@@ -287,7 +287,7 @@ def _add_block(
     if maps.flat is not None:
         flat = maps.flat[area]
         lost |= flat <= _LEAST_FLAT
-        value /= flat
+        value /= np.maximum(flat, np.float32(_LEAST_FLAT))
         # Over a block the flat field counts as constant for the noise: it changes by a few per cent.
         x, y = apply(matrix, np.array([width // 2, height // 2], np.float64)).tolist()
         at = min(max(int(y), 0), maps.flat.shape[0] - 1), min(max(int(x), 0), maps.flat.shape[1] - 1)

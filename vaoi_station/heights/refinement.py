@@ -69,7 +69,7 @@ def normal_equations(
         all2, all4 = (gain**2).sum(1), (gain**4).sum(1)
         cross = all2**2 - all4
         # One picture that is far brighter than the others leaves no product of two different ones.
-        fit = (count >= 2) & (cross >= 1e-3 * all2**2)
+        fit = (count >= 2) & (all2 > 0) & (cross >= 1e-3 * all2**2)
         all2, cross = np.where(fit, all2, 1), np.where(fit, cross, 1)
         gain = gain * fit[:, None]
         weight, share = gain**2, gain / all2[:, None]

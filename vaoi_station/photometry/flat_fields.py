@@ -154,6 +154,11 @@ class FlatFields:
         """Return the maps of one camera and light; raise `InputError` if there are flat fields, but none of these."""
         if self.document is None:
             return FieldMaps(None, self.dark, self.noise)
+        if camera >= len(self.document.cameras):
+            raise InputError(
+                f"{self.source}: have {len(self.document.cameras)} cameras, but camera {camera} is asked for (from 0).",
+                action=_MAKE,
+            )
         flat = self.flats.get((camera, light))
         if flat is None:
             raise self._other_light(light)

@@ -46,6 +46,8 @@ _STAYS = np.eye(3)
 """Displacement of a component that follows C."""
 _FITTING = 0.999
 """Share of the largest resolution that is used, because the sides of a picture are rounded to whole pixels."""
+_SEARCHED = 1_000_000
+"""Number of pairs of a frame and a component that are searched at once, which bounds the memory."""
 _GRID = 9
 """Points per side of the grid on which the coverage of a component is computed if the frame shows only a part of it."""
 _NEAR = 1.1
@@ -452,16 +454,22 @@ class ViewCalculator:
     def _pairs(self, components: Sequence[Component], crops: Crops, height_mm: Floats, least: float) -> _Pairs:
         """Find the frames that show at least the share `least` of components, and what they show of them."""
         own = [self._own.get(c.address, _STAYS) for c in components] if self._own else [_STAYS]
-        moves = np.broadcast_to(np.array(own, dtype=np.float64), (len(components), 3, 3))
+        moves = np.broadcast_to(np.array(own, dtype=np.float64).reshape(-1, 3, 3), (len(components), 3, 3))
         centers = np.column_stack([crops.center, np.ones(len(components))])
-        # (f, n, 3). Most frames show only few components.
-        at = (moves @ centers[:, :, None])[..., 0] @ self._image_from_cad.swapaxes(1, 2)
-        at -= height_mm[:, None] * self._lean[:, None]
         # A frame shows at most half of a footprint whose centre it does not show: both are symmetric or convex.
         reach = np.hypot(*crops.half.T) if least < 0.5 else np.zeros(len(components))
-        margin = (self._bend[:, None] + 1 + self._scale[:, None] * reach)[..., None]
-        place, last = at[..., :2] / at[..., 2:], self._index.size_px - 1
-        f, k = np.nonzero(((place >= -margin) & (place <= last[:, None] + margin)).all(-1))
+        moved, last = (moves @ centers[:, :, None])[..., 0], self._index.size_px - 1
+        step = max(1, _SEARCHED // max(len(components), 1))
+        found: list[tuple[NDArray[np.int_], NDArray[np.int_]]] = []
+        for b in range(0, len(last), step):
+            some = slice(b, b + step)
+            # (frames, components, 3). Most frames show only few components.
+            at = moved @ self._image_from_cad[some].swapaxes(1, 2) - height_mm[:, None] * self._lean[some, None]
+            margin = (self._bend[some, None] + 1 + self._scale[some, None] * reach)[..., None]
+            place = at[..., :2] / at[..., 2:]
+            near = np.nonzero(((place >= -margin) & (place <= last[some, None] + margin)).all(-1))
+            found.append((near[0] + b, near[1]))
+        f, k = (np.concatenate([pair[n] for pair in found]) if found else np.zeros(0, np.int_) for n in range(2))
         image_from_cad = self._image_from_cad[f]
         image_from_cad[:, :, 2] -= height_mm[k, None] * self._lean[f]
         image_from_cad = image_from_cad @ moves[k]

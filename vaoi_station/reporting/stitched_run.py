@@ -115,9 +115,9 @@ class StitchedRun:
         # The recorder's list is an `x_` key, whose type is not checked.
         entries = (self.head.model_extra or {}).get("x_verdicts")
         for entry in entries if isinstance(entries, list) else ():
-            for key in out if isinstance(entry, dict) else ():
-                if (entry.get("camera"), entry.get("row")) == key:
-                    out[key] = str(entry.get("verdict", "missing")), str(entry.get("cause") or out[key][1])
+            key = (entry.get("camera"), entry.get("row")) if isinstance(entry, dict) else None
+            if key is not None and all(isinstance(n, int) for n in key) and key in out:
+                out[key] = str(entry.get("verdict", "missing")), str(entry.get("cause") or out[key][1])
         return out
 
 

@@ -152,7 +152,8 @@ def judge_run(
         dated = [f for f in run.complete_frames[camera] if f.row not in jumped[-1]]
         certain = [f for f in _near_run(run, extra) if _jump_of(f, camera, outages) is None]
         observed = [*dated, *_without_displaced(run, certain, dated, jumped[-1])]
-        frames.append([replace(f, epoch=outages.count_ended(camera, f.host_s)) for f in observed])
+        # Most runs have no outage, and then no frame is copied.
+        frames.append([replace(f, epoch=e) if (e := outages.count_ended(camera, f.host_s)) else f for f in observed])
         opening = _opening_gap(run, previous, camera, extra, outages, taken[camera])
         gaps.append([*opening, *_gaps(run, frames[-1], taken[camera])])
         missing += _missing(run, camera, gaps[-1], outages, sum(f.row is None for f in observed))
