@@ -120,7 +120,7 @@ def check_frames(
         fits = Fits.of_links(links, adjusted.weight > USED)
         sure |= fits.enough(_SURE, 0.0)
         frames, decided = frames | fits.enough(), decided | fits.decided
-        if beside is not None:
+        if beside is not None and possible - frames - decided:
             frames |= confirmed_beside(beside, adjusted.motion) & (possible - decided)
     elif method.marks:
         # Marks are far apart: nothing could confirm a frame between two of them.

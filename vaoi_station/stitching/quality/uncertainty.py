@@ -166,12 +166,10 @@ def _by_displacements(j: Floats, scene: Scene, adjusted: AdjustmentResult, camer
     by_camera = j[:, :, :3] @ effects.row_changes(motion.angle, motion.pivot)[camera, row]
     out = np.empty((len(j), 2, 2))
     for i in np.unique(camera).tolist():
-        mine, own = camera == i, slice(3 * i, 3 * i + 3)
-        for r in np.unique(row[mine]).tolist():
-            at = np.flatnonzero(mine & (row == r))
-            mixed = j[at] @ estimate.cross[r, :, own] @ by_camera[at].swapaxes(1, 2)
-            out[at] = mixed + mixed.swapaxes(1, 2)
-            out[at] += by_camera[at] @ estimate.covariance[own, own] @ by_camera[at].swapaxes(1, 2)
+        at, own = np.flatnonzero(camera == i), slice(3 * i, 3 * i + 3)
+        of_camera = by_camera[at].swapaxes(1, 2)
+        mixed = j[at] @ estimate.cross[:, :, own][row[at]] @ of_camera
+        out[at] = mixed + mixed.swapaxes(1, 2) + by_camera[at] @ estimate.covariance[own, own] @ of_camera
     return out
 
 

@@ -126,7 +126,7 @@ def find_unseen(
 
     # The tests follow in the order of their cost. More rows are tried only where lost frames are not the cause.
     explain("frames-unconfirmed", few.coverage(few.frames.present))
-    explain("frames-lost", few._replace(parts=few.parts.take(left)).complete())
+    explain("frames-lost", Coverage(complete.share[left], complete.views[left], complete.in_one_frame[left]))
     ways: tuple[tuple[UnseenCause, int], ...] = (("filming-ended", 1), ("filming-began", -1))
     for cause, way in ways:
         if len(left):
