@@ -16,9 +16,9 @@ from vaoi_station.demo import boards
 from vaoi_station.demo.boards import PICTURES, REPORT, SHEET, describe_run, fetch_component_images, prepare_output
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
+from vaoi_station.files.contact_sheet import contact_sheet
 from vaoi_station.files.images import encode_png, read_image
 from vaoi_station.model import Status
-from vaoi_station.rendering.contact_sheet import contact_sheet
 from vaoi_station.simulation import scenario_path
 
 VIEWS = [{"k": k, "camera": 1, "row": 3 + k, "url": f"/api/v1/image/{k}"} for k in range(2)]

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vaoi_station.files.contact_sheet import MOST_CELLS, Tile, contact_sheet
 from vaoi_station.model import Status
-from vaoi_station.rendering.contact_sheet import MOST_CELLS, Tile, contact_sheet
 
 Size = tuple[int, int]
 

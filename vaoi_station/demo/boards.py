@@ -18,10 +18,10 @@ from vaoi_station.demo.service import Service, refuse_taken_port
 from vaoi_station.demo.station_files import write_station_files
 from vaoi_station.demo.waiting import poll, wait_for_run, wait_until_idle
 from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.files.contact_sheet import Tile, contact_sheet
 from vaoi_station.files.documents import write_json
 from vaoi_station.files.images import write_image
 from vaoi_station.model import Status
-from vaoi_station.rendering.contact_sheet import Tile, contact_sheet
 
 REPORT, SHEET, PICTURES, MATRICES = "report.json", "contact-sheet.png", "components", "matrices.json"
 PARALLEL_REQUESTS = 4

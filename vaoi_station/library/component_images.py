@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
+from vaoi_station.files.contact_sheet import Tile, contact_sheet
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Status, Stitch
-from vaoi_station.rendering.contact_sheet import Tile, contact_sheet
 from vaoi_station.rendering.request import Plane
 
 

@@ -50,7 +50,7 @@ def test_results_and_records_survive_a_restart_and_frames_do_not(
     assert finished.board_type.components[0].ref == "U1"
     assert (
         finished.cameras[1].image_from_row.matrix.tolist()
-        == rig.coordinator._core.runs.filming[0].order.setup.cameras[1].image_from_row.matrix.tolist()
+        == rig.coordinator._core.filming[0].order.setup.cameras[1].image_from_row.matrix.tolist()
     )
     lost = archive.get(half.run)
     assert (lost.detail.state, lost.detail.verdict, lost.stitch) == ("gone", "failed", None)

@@ -32,8 +32,8 @@ left = {f"{made.py_func.__module__}.{made.py_func.__name__}" for made in compile
 print(*sorted(left))
 """
 INSIDE = {
-    "vaoi_station.stitching.geometry._relation",
-    "vaoi_station.stitching.geometry._share_of_union",
+    "vaoi_station.frame_index._relation",
+    "vaoi_station.frame_index._share_of_union",
 }
 """Functions that only compiled functions call: when these are loaded, the code of the others is part of theirs."""
 
