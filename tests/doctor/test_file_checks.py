@@ -157,6 +157,14 @@ def test_files_that_are_absent_or_do_not_fit_each_other_are_a_fault(context: Che
         assert finding.code == "certificate-unusable"
 
 
+def test_a_key_that_the_service_cannot_read_is_a_fault(context: CheckContext, tmp_path: Path) -> None:
+    made = make_certificate(tmp_path)
+    made.private_key.chmod(0)
+    with without_privileges():
+        finding = only(station_certificate(with_certificate(context, made)))
+    assert_problem(finding, Level.FAULT, "Permission denied")
+
+
 def with_push(context: CheckContext, **fields: object) -> CheckContext:
     push = PushConfig.model_validate(fields)
     return with_config(context, context.config.model_copy(update={"push": push}))

@@ -109,8 +109,9 @@ def test_an_odd_first_board_does_not_hide_an_unplugged_led(run: Made, odd: tuple
     assert (found.light, found.cameras, found.runs) == ("left", (1,), 1)
 
 
-def test_one_odd_first_board_leaves_the_limit_as_it_is(run: Made) -> None:
-    (found,) = found_in(series(run, 20.0, 60.0, 60.0, 60.0, 60.0, *[51.0] * DIM_RUNS))
+@pytest.mark.parametrize("first", [60.0, 20.0])
+def test_a_light_that_lost_15_percent_is_reported_also_after_an_odd_first_board(run: Made, first: float) -> None:
+    (found,) = found_in(series(run, first, 60.6, 59.5, 60.2, 60.0, *[51.0] * DIM_RUNS))
     assert (found.light, found.cameras) == ("left", (1,))
 
 

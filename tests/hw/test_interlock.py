@@ -191,6 +191,13 @@ def test_a_test_sets_the_output_only_while_idle(logic: ctypes.CDLL) -> None:
     assert Nak.unpack(reply.payload) == Nak(Type.READY, Reason.STATE, 0, 1)
 
 
+def test_no_statement_lasts_longer_than_a_second(logic: ctypes.CDLL) -> None:
+    armed_logic(logic)
+    (reply,) = talk(logic, [ready(1, LONGEST_MS + 1)])
+    assert Nak.unpack(reply.payload) == Nak(Type.READY, Reason.RANGE, 0, LONGEST_MS)
+    assert not logic.chip_ready() & 0xFF
+
+
 # --- the firmware's binary on the emulated chip
 
 
@@ -236,6 +243,21 @@ def test_a_board_lowers_it_within_microseconds_and_it_rises_for_the_next_permit(
     line.link.permit = Permit(2, line.now_s + 60.0)
     line.run(3)
     assert is_high(chip)
+
+
+def test_a_permit_runs_out_at_its_time_and_the_host_withdraws_one(chip: Chip) -> None:
+    """The link renews a permit, but never beyond the time until which the station gave it."""
+    line = permitted(chip, lasting_s=0.6)
+    given = chip.cycle - round(0.005 * HZ)
+    line.run(700)
+    assert abs(fall(chip) - given - 0.6 * HZ) < 0.01 * HZ
+    line.link.permit = Permit(2, line.now_s + 60.0)
+    line.run(5)
+    assert is_high(chip)
+    line.link.permit = None
+    withdrawn = chip.cycle
+    line.run(5)
+    assert 0 <= fall(chip) - withdrawn < 0.005 * HZ
 
 
 def test_a_host_that_is_gone_lowers_it_within_a_second(chip: Chip) -> None:

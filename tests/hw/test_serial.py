@@ -27,7 +27,11 @@ from vaoi_station.acquisition.controller.interface import (
     PulseFired,
     RunEnded,
 )
+from vaoi_station.acquisition.controller.serial import SerialController
+from vaoi_station.acquisition.process.backends import open_devices
+from vaoi_station.config import ControllerConfig, StationConfig
 from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.line_config import Line
 from vaoi_station.model import ProgramRow
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -298,3 +302,21 @@ def test_exposures_by_the_width_of_the_trigger_on_the_firmware(host: Host) -> No
     rows = tuple(ProgramRow("low", (us,), (0.0,), 60.0, us) for us in (250.0, 75.5))
     host.controller.arm(replace(PLAN, program=rows, lights=("low", "low"), by_trigger=(0,)))
     assert [(p.on_us, p.trigger_us) for p in host.run()] == [(60.0, 250.0), (60.0, 75.5)] * 3
+
+
+def test_cameras_that_are_absent_leave_the_port_free(paced: PacedChip) -> None:
+    """Whether or not Aravis is installed."""
+    line = Line(
+        conveyor_mm_s=(0.0, 100.0), barrier_mm=0.0, start_delay_s=0.1, trigger_period_s=0.1, tail_s=0.1,
+        longest_board_mm=100.0,
+    )  # fmt: skip
+    left = {"name": "left", "backend": "aravis", "address": "127.0.0.99", "width": 64, "height": 64}
+    controller = {"backend": "serial", "port": str(paced.link)}
+    files = {"calibration": "calibration.json", "board_types": "types", "data": "data"}
+    config = StationConfig.model_validate(
+        {**files, "line": line, "cameras": [{**left, "exposure_us": 100.0}], "controller": controller}
+    )
+    with pytest.raises(DeviceError) as refused:
+        open_devices(config)
+    assert refused.value.action
+    SerialController(ControllerConfig.model_validate(controller)).close()

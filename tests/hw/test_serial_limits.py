@@ -33,6 +33,31 @@ def test_plans_that_the_firmware_cannot_carry_out(host: Host, change: dict[str, 
     assert len(host.run()) == 6
 
 
+@pytest.mark.parametrize(
+    ("light", "complaint"),
+    [
+        (LightConfig(channels=(0, 2), on_us=600.0), r"on_us is 600\.0, but must be 50 … 500 \(the lo.* channel 2"),
+        (LightConfig(channels=(0,), on_us=1001.0), r"must be 50 … 1000 \(the longest pulse of channel 0"),
+        (LightConfig(channels=(0,), on_us=20.0), r"on_us is 20\.0, but must be 50 … 1000 \(the shortest"),
+        (LightConfig(channels=(4,), on_us=100.0), r"top\.channels is 4, but must be below 4, the number"),
+    ],
+)  # fmt: skip
+def test_lights_beyond_the_limits_of_the_firmware(paced: PacedChip, light: LightConfig, complaint: str) -> None:
+    controller = SerialController(ControllerConfig(backend="serial", port=str(paced.link), lights={"top": light}))
+    try:
+        with pytest.raises(InputError, match=complaint):
+            controller.arm(PLAN)
+        with pytest.raises(InputError, match=complaint):
+            controller.fire_one()
+    finally:
+        controller.close()
+
+
+def test_light_for_more_than_its_share_of_the_time(host: Host) -> None:
+    with pytest.raises(InputError, match=r"on_us is 300\.0, but must be 50 … 250 \(1/16 of the period of 0\.004 s"):
+        host.controller.arm(replace(PLAN, period_s=0.004, lights=("top",)))
+
+
 def test_leds_that_are_hot_are_no_fault_of_the_device(paced: PacedChip) -> None:
     """1 ms of light needs 16 ms to cool down; pulses can be asked for faster than that."""
     config = ControllerConfig(

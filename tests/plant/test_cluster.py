@@ -7,10 +7,12 @@ import signal
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import dask
 import pytest
@@ -19,6 +21,7 @@ from distributed import Future, LocalCluster
 from tests.plant.conftest import add_runs, task_of
 from vaoi_station import RecordedRun
 from vaoi_station.errors import DeviceError, InputError, StateError
+from vaoi_station.plant import cluster as module
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.cluster import (
     AHEAD,
@@ -54,6 +57,38 @@ def test_the_wait_for_a_scheduler_is_bounded() -> None:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(StateError, match=r"no scheduler answers within 0\.5 s"), connection(address, 0.5):
             pass
+
+
+def test_a_worker_that_is_started_again_under_its_address_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Process a has old software; b is updated, but ends with its run; c gets that run once it was asked."""
+    process: dict[str, Any] = {"local_directory": "a", "nthreads": 1}
+    asked, kept, reported = list[str](), list[bytes](), list[str]()
+
+    def submit(function: Callable[..., Any], *_: object, **__: object) -> Mock:
+        future, now = Mock(), process["local_directory"]
+        if function is run and now == "b":
+            process["local_directory"] = "c"
+            return future
+        if function is not run:
+            asked.append(now)
+            process["local_directory"] = "b" if now == "a" else now
+        future.result.return_value = b"done" if function is run else "it is old" if now == "a" else ""
+        future.add_done_callback = lambda call: call(future)
+        return future
+
+    def run(_: Any) -> bytes:
+        raise AssertionError("it is not called here")
+
+    client = SimpleNamespace(
+        status="running", submit=submit, scheduler=Mock(), sync=lambda *_, **__: {"workers": {"tcp://w:1": process}}
+    )
+    monkeypatch.setattr(module, "connection", lambda *_: nullcontext(client))
+    monkeypatch.setattr(module, "_LOOK_S", 0.01)
+    task: Any = SimpleNamespace(archive="archive", key="r1")
+    dispatch: Dispatch[Any] = Dispatch("new", run, lambda _, outcome: kept.append(outcome), refuse, reported.append)
+    dispatch.work("tcp://s:1", [task], [], 60)
+    assert (asked, kept) == (["a", "b", "c"], [b"done"])
+    assert reported == ["worker tcp://w:1 is not used: it is old"]
 
 
 def test_waiting_processes_of_the_local_cluster_wake_up_rarely(cluster: ClusterOptions) -> None:

@@ -148,3 +148,16 @@ def test_the_record_is_complete(recorded: Recorded, tmp_path: Path) -> None:
         # The index of the write-ahead log is memory that processes share; it is never synced.
         if path.is_file() and not path.name.endswith("-shm"):
             assert again.read_bytes() == path.read_bytes(), path
+
+
+def test_what_was_not_synced_is_lost_sooner_or_later(tmp_path: Path) -> None:
+    record = b"make 7 /r/a\nwrite 7 0 3\nabcsync 7\nmake 8 /r/b\nrename /r/b\t/r/a\n"
+    left = set()
+    for seed in range(40):
+        disk = Disk("/r", "1", random.Random(seed))
+        for entry in read_record(record + b"sync 1\n" if seed % 2 else record):
+            disk.add(entry)
+        (tmp_path / str(seed)).mkdir()
+        disk.cut(tmp_path / str(seed))
+        left.add(tuple(sorted((p.name, p.read_bytes()) for p in (tmp_path / str(seed)).iterdir())))
+    assert left == {(), (("a", b"abc"),), (("a", b"abc"), ("b", b"")), (("a", b""),)}

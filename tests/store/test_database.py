@@ -43,6 +43,24 @@ def test_a_failed_write_is_rolled_back_and_the_next_succeeds(database: Database)
     assert database.write(lambda c: add_event(c, 1)).result(10) == 1
 
 
+def test_an_error_of_the_callers_code_is_rolled_back_and_passed_on(database: Database) -> None:
+    def wrong(connection: sqlite3.Connection) -> None:
+        add_event(connection, 1)
+        raise ValueError("not an SQLite error")
+
+    with pytest.raises(ValueError, match="not an SQLite error"):
+        database.write(wrong).result(10)
+    assert database.read("SELECT number FROM events") == []
+
+
+@pytest.mark.parametrize(("durable", "level"), [(True, 2), (False, 1)])
+def test_a_durable_write_waits_for_the_disk(database: Database, durable: bool, level: int) -> None:
+    """Level 2 is FULL: the log is on the disk when the transaction ends."""
+    database.write(lambda c: add_event(c, 1), durable=not durable).result(10)
+    done = database.write(lambda c: c.execute("PRAGMA synchronous").fetchone()[0], durable=durable)
+    assert done.result(10) == level
+
+
 def test_readers_do_not_wait_for_the_writer(database: Database) -> None:
     inside, go_on = threading.Event(), threading.Event()
 

@@ -14,6 +14,7 @@ from vaoi_station.store.database_file import (
     earlier_notices,
     is_empty,
     open_database,
+    rescue,
     set_aside,
     stand_in,
 )
@@ -47,6 +48,16 @@ def test_a_database_that_was_cut_is_set_aside(path: Path, size: int) -> None:
     assert opened(path) == "database-damaged"
     [kept] = path.parent.glob("station.db.damaged-*")
     assert kept.stat().st_size == size
+
+
+def test_a_large_file_is_written_back_with_a_heartbeat(path: Path) -> None:
+    connection, _ = open_database(path)
+    connection.executemany("INSERT INTO events VALUES (?, '{}')", ((n,) for n in range(20_000)))
+    beats = list[int]()
+    path.unlink()
+    rescue(connection, path, lambda: beats.append(1))
+    connection.close()
+    assert len(beats) > 5
 
 
 def test_sets_of_damaged_files_of_one_second_do_not_overwrite_one_another(path: Path) -> None:

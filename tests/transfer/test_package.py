@@ -126,6 +126,11 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path / "r1"
 
 
+def test_the_head_is_the_last_of_all_files(recording: Path) -> None:
+    found = [(name, content.read().decode()) for name, content in open_files(recording)]
+    assert found == [(name, name) for name in ("run.json", "frames/c00_r000.tiff", "recording.json")]
+
+
 @pytest.mark.parametrize("read", [0, 1, 2])
 def test_a_deleted_directory_is_named(recording: Path, read: int) -> None:
     files = open_files(recording)

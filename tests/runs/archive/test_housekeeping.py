@@ -135,6 +135,16 @@ def test_on_a_full_disk_the_oldest_runs_make_some_room_in_the_file(
     assert retention.sweep(NOW_S) == 0, "whatever fills the disk, the history is not given up for it"
 
 
+def test_a_clock_that_jumps_ahead_deletes_little_at_a_time(
+    store: Store, add: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = add(*range(30, 0, -1))
+    monkeypatch.setattr(module, "BATCH", 2)
+    monkeypatch.setattr(module, "MOST_BATCHES", 3)
+    assert Retention(keep(), store.retention).sweep(NOW_S + 1000 * DAY_S) == 6
+    assert whole(store, runs).count(False) == 6
+
+
 def test_a_forgotten_run_is_gone_not_unknown(make_rig: Callable[..., Any], store: Store) -> None:
     rig = make_rig()
     rig.ready()

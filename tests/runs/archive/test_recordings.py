@@ -239,6 +239,29 @@ def test_the_oldest_recording_that_is_not_pinned_makes_room(rig: Any, tmp_path: 
     assert {path.name for path in (tmp_path / "kept").iterdir()} == {"00-second", runs[0]}
 
 
+@pytest.mark.parametrize("cause", ["quota", "disk", "fault"])
+def test_a_recording_without_room_is_refused_and_counted(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: str
+) -> None:
+    run = a_board(rig)
+    if cause == "disk":
+        monkeypatch.setattr(module, "DISK_RESERVE", shutil.disk_usage(tmp_path).total)
+    if cause == "fault":
+        (tmp_path / "kept").write_text("no directory")
+    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, **{"recordings_gb": 1e-9} if cause == "quota" else {})
+    keeper.start()
+    keeper.request(run.id)
+    assert "not kept" in wait_event(rig, run.id, "trouble", "recording-refused")
+    keeper.stop()
+    assert keeper.counts.refused == 1
+
+
+def test_nothing_is_kept_with_a_quota_of_zero(rig: Any, tmp_path: Path) -> None:
+    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=0.0)
+    keeper.request(a_board(rig).id)
+    assert not keeper._waiting
+
+
 def test_recordings_make_room_on_a_disk_that_is_nearly_full(
     rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

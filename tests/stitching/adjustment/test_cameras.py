@@ -106,6 +106,20 @@ def test_a_camera_that_was_not_pushed_has_the_error_of_the_estimate(shown_px: fl
     )
 
 
+def test_a_camera_beside_a_blank_overlap_may_have_been_pushed_further() -> None:
+    """Hostile drawing 106038: nothing across the row of cameras shows where camera 0 is, and σ was 0.03 px.
+
+    Along the row of cameras any push looks like a lift of the board, blank overlap or not: that decides nothing.
+    """
+    shown = np.diag(np.array([0.1, 0.02, 0.02] * 2) ** -2.0)
+    blank = shown.copy()
+    blank[1, 1] = 0.3**-2
+    seen, blind = (np.diag(spread(i, np.zeros(6), UNMOVED_PX)) for i in (shown, blank))
+    assert blind[1] > 0.04**2
+    assert seen[1] < 1e-5
+    assert blind[3:] == pytest.approx(seen[3:])
+
+
 def spread(information: Floats, seen: Floats, unmoved_px: float) -> Floats:
     """Return the spread of two cameras that are estimated where they were calibrated, and seen at `seen` (6,)."""
     estimate = np.zeros((2, 3))

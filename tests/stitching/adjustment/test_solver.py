@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
+from vaoi_station.stitching.adjustment import solver as adjustment
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import (
     SIGMA_MM,
@@ -338,3 +339,16 @@ def test_what_moves_with_the_lamp_does_not_move_the_rows(bench: Any, monkeypatch
     assert blind_px > 3 * off_px
     error, sigma = truth.errors(lit).reshape(-1, 3), np.sqrt([np.diag(c)[:3] for c in lit.covariance[1:]])
     assert (np.abs(error) < 4 * sigma).all()
+
+
+def test_noise_of_a_pair_of_cameras_does_not_average_out(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The height of the board follows from the links between cameras: their noise widens its σ, many as they are."""
+    run = bench(4)
+    problem = run.with_fiducials(run.problem(), surface=True)
+    o = problem.links
+    noise = o.noise_mm2 * np.where(o.p == o.q, 100.0, 1.0)[:, None, None]
+    noisy, sigma = replace(problem, links=replace(o, noise_mm2=noise)), []
+    for share in (0.0, 0.5):
+        monkeypatch.setattr(adjustment, "_NOISE_SHARE", share)
+        sigma.append(float(np.sqrt(adjust(noisy, started(noisy), C).covariance[1, 7, 7])))
+    assert sigma[1] > 1.2 * sigma[0]

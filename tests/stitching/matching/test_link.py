@@ -93,6 +93,20 @@ def test_the_deviation_from_the_nominal_motion_is_found(
     assert found.score > 0.5
 
 
+@pytest.mark.parametrize("slip", [(-14, 9), (15, -15)])
+def test_the_repetition_within_the_prior_is_taken(workshop: Any, slip: tuple[int, int]) -> None:
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
+
+    def pins(dx: float, dy: float) -> PreparedFrame:
+        grey = 120 + 50 * np.cos(2 * np.pi * (x - dx) / 48) + 50 * np.cos(2 * np.pi * (y - dy) / 48)
+        return PreparedFrame(workshop.digitised(grey))
+
+    nominal = np.array([0.0, 144.0])
+    found = find_shift(pins(0, 0), pins(slip[0], 144 + slip[1]), box((0, 144)), nominal, np.array([20.0, 20.0]))
+    assert isinstance(found, CoarseShift)
+    assert np.abs(found.px - slip).max() <= 2.0
+
+
 @pytest.mark.parametrize(("template", "window"), [((5, 9), (11, 30)), ((24, 87), (40, 95)), ((7, 6), (7, 6))])
 def test_correlations_are_those_of_opencv(template: tuple[int, int], window: tuple[int, int]) -> None:
     g = np.random.default_rng(3)
