@@ -79,9 +79,8 @@ def test_a_worker_that_is_started_again_under_its_address_is_asked_again(monkeyp
     def run(_: Any) -> bytes:
         raise AssertionError("it is not called here")
 
-    client = SimpleNamespace(
-        status="running", submit=submit, scheduler=Mock(), sync=lambda *_, **__: {"workers": {"tcp://w:1": process}}
-    )
+    looks = iter([{"workers": {"tcp://w:1": process}}] * 500)  # bounded: a run that is lost must not be waited for
+    client = SimpleNamespace(status="running", submit=submit, scheduler=Mock(), sync=lambda *_, **__: next(looks))
     monkeypatch.setattr(module, "connection", lambda *_: nullcontext(client))
     monkeypatch.setattr(module, "_LOOK_S", 0.01)
     task: Any = SimpleNamespace(archive="archive", key="r1")
