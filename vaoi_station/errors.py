@@ -58,7 +58,7 @@ class NotFoundError(VaoiError):
 
 
 class GoneError(VaoiError):
-    """The requested frames existed; their memory now belongs to a later board."""
+    """What was requested existed and is no longer kept: frames, a recording, or a result."""
 
     code = "gone"
     status = 410

@@ -81,7 +81,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "wrong-state": (409, "Not possible in the present state", "Wait until the station's state allows it."),
     "gone": (
         410,
-        "Frames no longer in memory",
+        "No longer kept",
         "Fetch images sooner, hold or pin the run, or increase [ring] runs in station.toml.",
     ),
     "changed": (412, "Changed meanwhile", "Read it again, then make the change to what is there now."),

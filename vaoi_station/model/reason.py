@@ -11,7 +11,10 @@ from vaoi_station.model.frozen_model import Strict
 
 
 class ReasonCode(StrEnum):
-    """Code of a reason of a result, the same in every version. `docs/formats.md` has meaning and action of each."""
+    """Code of a reason of a result, the same in every version. `docs/formats.md` has meaning and action of each.
+
+    What else a new one needs: `docs/CONTRIBUTING.md`, "A reason of a verdict, with its code".
+    """
 
     NO_FRAMES = "no-frames"
     CAMERA_ABSENT = "camera-absent"

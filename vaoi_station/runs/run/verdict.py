@@ -1,8 +1,8 @@
 """Decide the verdict of a run: from its result, faults of the line, doubts about its frames and the board's identity.
 
-`decide_verdict` decides it; that of a stitched result is `judge_result`, in the worker. It is called when the run ends,
-and again when the codes of its board were read or another machine has reported an id. The verdict is stored both times;
-everything else reads it.
+`decide_verdict` decides it when the run ends, and again when the codes of its board were read or another machine has
+reported an id. It is stored both times. The status of a stitched result is decided by `judge_result`, in the worker;
+`with_faults` lowers the stored one, and `plant/restitch.py` that of a run which is stitched again.
 """
 
 from __future__ import annotations
@@ -102,6 +102,7 @@ def _reasons(progress: Progress) -> Iterator[Reason]:
         for text, code in zip(stitch.reasons, codes, strict=True):
             if text not in known:
                 yield Reason(code=f"stitch-{stitch.status}", message=text, cause=code)
+    # Lost frames lower no verdict here: where they matter, the result has a reason of its own.
     bad = [f for _, f in sorted(progress.frames.items()) if f.verdict is not Verdict.OK]
     for verdict, cause in sorted({(f.verdict, f.cause) for f in bad}):
         where = ", ".join(f"({f.camera}, {f.row})" for f in bad if (f.verdict, f.cause) == (verdict, cause))

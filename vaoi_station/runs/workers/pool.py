@@ -3,8 +3,8 @@
 What happens when a worker dies: the pool notices it by the pidfd of its process (`_supervise`) and reaps it (`_reap`).
 The job under way goes back to the front of its queue, for another worker; after `MAX_ATTEMPTS` deaths it is answered
 with an error (`worker-lost`). The second job goes back as well. A new process is requested of the fork server after a
-pause (`_run`). Evidence that the worker has found lies in its log, which outlives it. If it owned a run, another worker
-concludes the run.
+pause (`_run`). Evidence that the worker has found lies in its log, which outlives it. If it owned a run, its successor
+concludes the run, or another worker if that is not ready; without a result the run fails (`RunStitcher`).
 
 A worker has one job at a time, and a second one if both are links, so that it need not wait for the pool. A job that
 takes much longer than usual is repeated by an idle worker (`OVERDUE_S`); the first worker is killed once it is certain
@@ -339,7 +339,7 @@ class WorkerPool:
         self._report_end(f"Worker {worker.index} {how}{repeated}; it is restarted.")
         if given_up is not None:
             fault = f"{given_up.job} was given up after {given_up.deaths} attempt(s); its worker {how}."
-            action = "Ask once more. If it fails again, report it with a support bundle (vaoi bundle)."
+            action = "Film the board or ask for the picture again. If it recurs, send a support bundle (vaoi bundle)."
             given_up.done(Reply.refused(WorkerLostError(fault, action=action)))
 
     def _end(self, worker: Worker) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
 from vaoi_station.acquisition.cameras.aravis import settings
-from vaoi_station.acquisition.cameras.aravis.settings import MAKES, Setting, Value, make_of
+from vaoi_station.acquisition.cameras.aravis.settings import MAKES, Make, Setting, Value, make_of
 from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader
 from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.errors import DeviceError
@@ -31,6 +31,12 @@ from vaoi_station.errors import DeviceError
 def test_a_make_is_found_whatever_follows_its_name(vendor: str, make: str, line: str) -> None:
     assert make_of(vendor) is MAKES[make]
     assert make_of(vendor).line == line
+
+
+def test_of_two_beginnings_of_a_name_the_longer_one_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(MAKES, "teledyne dalsa", Make("Line4"))
+    assert make_of("Teledyne DALSA Inc.").line == "Line4"
+    assert make_of("Teledyne FLIR").line == "Line0"
 
 
 pytestmark = pytest.mark.usefixtures("_stand_in")

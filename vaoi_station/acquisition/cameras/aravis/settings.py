@@ -37,7 +37,7 @@ _INSTEAD = "Let the on-time of the LEDs (on_us) make the difference between rows
 
 @dataclass(frozen=True)
 class Make:
-    """What the cameras of one make need to be triggered by a wire."""
+    """What the cameras of one make need that others do not."""
 
     line: str = "Line0"
     off_while_changing: bool = False
@@ -58,7 +58,7 @@ MAKES = {
     "lucid": Make("Line2", extra=(("TriggerOverlap", "PreviousFrame"),)),
     "aravis": Make(),
 }
-"""The quirks of each make, given by the beginning of its vendor's name in lower case."""
+"""The quirks of each make, given by the beginning of its vendor's name in lower case; the longest one counts."""
 GENERIC = Make(off_while_changing=True)
 """An unknown make. Cameras of all makes accept that the mode is off while the source changes."""
 
@@ -66,7 +66,8 @@ GENERIC = Make(off_while_changing=True)
 def make_of(vendor: str) -> Make:
     """Return the quirks of a vendor's cameras; the generic ones if the vendor is not known."""
     name = vendor.casefold()
-    return next((make for start, make in MAKES.items() if name.startswith(start)), GENERIC)
+    start = max((start for start in MAKES if name.startswith(start)), key=len, default="")
+    return MAKES.get(start, GENERIC)
 
 
 @dataclass(frozen=True)

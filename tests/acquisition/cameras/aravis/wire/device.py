@@ -9,15 +9,22 @@ controlling application, as after missed heartbeats.
 
 from __future__ import annotations
 
+import ctypes
 import re
 import sys
+import threading
+import time
 from functools import reduce
 
+from vaoi_station.acquisition.cameras.aravis.library import shared_library
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.rig import virtual_camera as camera
 from vaoi_station.rig.virtual_camera import with_line0_trigger
 
 PRIVILEGE_REGISTER = 0x0A00
+CLOCK_ADDRESS = 0x8000
+CLOCK_AHEAD_NS = 4_000_000_000_000
+"""Of a latched clock before the host's monotonic one."""
 
 
 def formats(text: str) -> str:
@@ -48,7 +55,20 @@ def free_running(text: str) -> str:
     return head + swapped + rest
 
 
-CHANGES = {change.__name__: change for change in (formats, stubborn, free_running)}
+def latch(text: str) -> str:
+    """Add a clock that can be latched; its value is at most a millisecond old."""
+    return text.replace(
+        "</RegisterDescription>",
+        '<Command Name="TimestampLatch"><pValue>LatchRegister</pValue><CommandValue>1</CommandValue></Command>'
+        f'<IntReg Name="LatchRegister"><Address>{CLOCK_ADDRESS + 8}</Address><Length>4</Length>'
+        "<AccessMode>RW</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
+        f'<IntReg Name="TimestampLatchValue"><Address>{CLOCK_ADDRESS}</Address><Length>8</Length>'
+        "<AccessMode>RO</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
+        "</RegisterDescription>",
+    )
+
+
+CHANGES = {change.__name__: change for change in (formats, stubborn, free_running, latch)}
 
 
 class Device(camera.VirtualCamera):
@@ -64,6 +84,19 @@ class Device(camera.VirtualCamera):
         else:
             super().execute(line)
 
+    def tick(self, over: threading.Event) -> None:
+        """Let the clock run until the end of the program."""
+        library = shared_library()
+        library.arv_fake_camera_write_memory.argtypes = [
+            ctypes.c_void_p,
+            ctypes.c_uint32,
+            ctypes.c_uint32,
+            ctypes.c_char_p,
+        ]
+        while not over.wait(0.0005):
+            now = (time.monotonic_ns() + CLOCK_AHEAD_NS).to_bytes(8, "big")
+            library.arv_fake_camera_write_memory(hash(self._fake), CLOCK_ADDRESS, 8, now)
+
 
 def main(address: str, serial: str, *changes: str) -> None:
     def changed(text: str) -> str:
@@ -71,8 +104,14 @@ def main(address: str, serial: str, *changes: str) -> None:
 
     vars(camera)["with_line0_trigger"] = changed
     device = Device(address, serial, sys.stdout)
-    for line in sys.stdin:
-        device.execute(line)
+    over = threading.Event()
+    if "latch" in changes:
+        threading.Thread(target=device.tick, args=(over,)).start()
+    try:
+        for line in sys.stdin:
+            device.execute(line)
+    finally:
+        over.set()
 
 
 if __name__ == "__main__":
