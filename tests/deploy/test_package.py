@@ -34,7 +34,7 @@ def module(name: str) -> ModuleType:
 
 
 def test_what_the_scripts_import_exists() -> None:
-    """An import that fails in a script of dpkg only makes the first start slower, so that nobody notices it."""
+    """An import that fails in a script of dpkg shows only as a slower first start."""
     found = re.findall(r"from (vaoi_station[\w.]*) import (\w+)", (PACKAGE / "postinst").read_text(encoding="utf-8"))
     assert found
     assert all(hasattr(importlib.import_module(path), name) for path, name in found)

@@ -394,13 +394,15 @@ def _faster(line: Line, rate: float) -> Line:
     )
 
 
-def _wait(condition: Callable[[], bool], limit_s: float) -> bool:
-    """Check a condition ten times a second; return False after the time limit."""
-    deadline_s = time.monotonic() + limit_s
+def _wait(coordinator: StationCoordinator, condition: Callable[[], bool], limit_s: float) -> bool:
+    """Check a condition after every event; return False after the time limit."""
+    deadline_s, seen = time.monotonic() + limit_s, 0
     while not condition():
         if time.monotonic() > deadline_s:
             return False
-        time.sleep(0.1)
+        # Workers become ready without an event, so the condition is also checked twice a second.
+        records = coordinator.events(seen, 0.5)
+        seen = records[-1].number if records else seen
     return True
 
 
@@ -409,13 +411,13 @@ def _wait_until_ready(coordinator: StationCoordinator) -> None:
         snapshot = coordinator.snapshot()
         return snapshot.state == "idle" and not any(p.doing == "starting" for p in snapshot.processes)
 
-    if not _wait(ready, READY_S):
+    if not _wait(coordinator, ready, READY_S):
         raise StateError(f"The station was not ready within {READY_S:.0f} s: {coordinator.snapshot().reasons}.")
 
 
 def _follow(coordinator: StationCoordinator, boards: int) -> list[RunDetail]:
     """Return the details of the runs in the order in which they end; fewer than `boards` if a run takes too long."""
-    _wait(lambda: coordinator.latest() is not None, RUN_LIMIT_S)
+    _wait(coordinator, lambda: coordinator.latest() is not None, RUN_LIMIT_S)
     runs, run = list[RunDetail](), coordinator.latest()
     while run is not None and len(runs) < boards:
         runs.append(run)

@@ -7,7 +7,7 @@ const AGAIN_MS = 1500; // after a refusal that may pass
 const LONGEST_MS = 10 * 60_000; // a page that was left open must not flash for ever
 const PASSING = ["trial-running", "busy", "ring-full", "no-trial-frame"]; // refusals after which the next pulse may succeed
 
-// Whoever extends it has `answer`, an element for words; `words`, texts `byTime` and, in place of the station's, `byArming`; and the methods
+// A class that extends it has `answer`, an element for words; `words`, texts `byTime` and, in place of the station's, `byArming`; and the methods
 // `began`, `look(isLatest)`, which fires a pulse and shows what is seen, and `ended`.
 export class Pulses {
   camera = 0;
