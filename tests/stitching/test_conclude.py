@@ -51,7 +51,7 @@ def test_a_row_that_nothing_places_has_no_matrices(filmed: Any) -> None:
 
 def test_a_result_states_its_software_and_the_times_of_its_stages(filmed: Any) -> None:
     quality = filmed.stitch.quality
-    assert list(quality["timings_ms"]) == ["motion", "cad", "verdict"]
+    assert list(quality["timings_ms"]) == ["motion", "cad", "verdict", "explanation"]
     assert all(ms >= 0 for ms in quality["timings_ms"].values())
     assert quality["software"].startswith("vaoi_station ")
     assert "reference" not in quality, "none was used"

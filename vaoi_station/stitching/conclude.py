@@ -33,7 +33,7 @@ from vaoi_station.stitching.matching.link import are_copies
 from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
 from vaoi_station.stitching.quality.confirmation import dark_lights
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.quality_document import quality_document
+from vaoi_station.stitching.quality.quality_document import explanation, quality_document
 from vaoi_station.stitching.quality.verdict import judge_result
 from vaoi_station.version import __version__
 
@@ -113,7 +113,7 @@ class Stitcher:
     """Projects links to the ground. Links that were added to it before are not projected again."""
 
     def stitch(self, evidence: Sequence[Evidence]) -> tuple[Stitch, Findings]:
-        """Return the result, and the findings from which it and its verdict were derived.
+        """Return the result before it is `explained`, and the findings from which it and its verdict were derived.
 
         `evidence` is that of all canonical tasks (`work.all_tasks`), in any order.
         """
@@ -219,6 +219,15 @@ class Stitcher:
             prior.taught(self.scene.cameras),
             copies=copies,
         )
+
+
+def explained(result: Stitch, findings: Findings) -> Stitch:
+    """Return a result with the entries of its `quality` that only explain its verdict."""
+    began_s = time.perf_counter()
+    more = explanation(findings)
+    spent = {"explanation": round((time.perf_counter() - began_s) * 1e3, 3)}
+    quality = {**result.quality, **more, "timings_ms": {**result.quality["timings_ms"], **spent}}
+    return result.model_copy(update={"quality": quality})
 
 
 def without_unknown_rows(findings: Findings) -> Findings:

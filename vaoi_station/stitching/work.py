@@ -24,7 +24,7 @@ from vaoi_station.stitching.adjustment.problem import LinkStore
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.fiducials import detect_marks
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.conclude import PriorKnowledge, Stitcher
+from vaoi_station.stitching.conclude import PriorKnowledge, Stitcher, explained
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, MethodName, Task
 from vaoi_station.stitching.matching.frame_pair import FramePair, overlap_share
@@ -186,7 +186,18 @@ class TaskRunner:
         evidence: Iterable[Evidence],
         doubts: tuple[str, ...] = (),
     ) -> tuple[Stitch, Findings]:
-        """Return the result of the run, and the findings from which it was derived.
+        """Return the result of the run, and the findings from which it was derived."""
+        answer, findings = self.answer(times_s, present, evidence, doubts)
+        return explained(answer, findings), findings
+
+    def answer(
+        self,
+        times_s: Floats,
+        present: Collection[FrameKey],
+        evidence: Iterable[Evidence],
+        doubts: tuple[str, ...] = (),
+    ) -> tuple[Stitch, Findings]:
+        """Return the result of the run without what only explains its verdict (`conclude.explained`), and the findings.
 
         `doubts` are those about the frames that arose when they were recorded (`RecordingHead.doubts`).
         """

@@ -1,4 +1,8 @@
-"""The quality document of a result: the numbers behind the verdict, as docs/formats.md describes them."""
+"""The quality document of a result: the numbers behind the verdict, as docs/formats.md describes them.
+
+`quality_document` returns those that are known with the verdict. Those that only explain it are computed afterwards, by
+`explanation`: together they take longer than the verdict.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ AMBIGUOUS = "ambiguous"
 
 
 def quality_document(f: Findings) -> dict[str, Any]:
-    """Collect the numbers behind the verdict of a run, as the `quality` entry of its result."""
+    """Collect the numbers behind the verdict of a run, as the `quality` entry of its result before it is explained."""
     unseen = {
         u.address: {
             "coverage": _rounded(u.coverage),
@@ -39,9 +43,21 @@ def quality_document(f: Findings) -> dict[str, Any]:
         **_board(f),
         **_uncertainties(f),
         "unseen": unseen,
+        "belt": _belt(f),
+    }
+
+
+def explanation(f: Findings) -> dict[str, Any]:
+    """Collect the entries of `quality` that only explain the verdict; none of them changes it."""
+    named = f.plane is not None and bool(f.plane.board_type.components)
+    return {
+        "link_pairs": _link_pairs(f),
+        "unlinked": [
+            {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
+        ],
+        "component_covariance_px2": f.sigma.to_json() if named else {},
         "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
         "height_sigma_mm": {address: _rounded(h.sigma_mm) for address, h in f.heights.items()},
-        "belt": _belt(f),
     }
 
 
@@ -59,10 +75,6 @@ def _links(f: Findings) -> dict[str, Any]:
         "links": {
             kind: {"found": int(mine.sum()), "used": int((mine & good).sum())} for kind, (mine, good) in counted.items()
         },
-        "unlinked": [
-            {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
-        ],
-        "link_pairs": _link_pairs(f),
         "unplaced_rows": list(f.unplaced),
         "rows_apart": rows_apart(f),
         "residual_px": {
@@ -197,7 +209,6 @@ def _uncertainties(f: Findings) -> dict[str, Any]:
             [pair if f.places(i, j) else None for j, pair in enumerate(camera)]
             for i, camera in enumerate(np.round(matrix_sigmas(f.scene.cameras, a.motion.pivot, rows), 4).tolist())
         ],
-        "component_covariance_px2": sigma.to_json() if named else {},
         "surface_sigma_mm": surface_sigma,
     }
 
