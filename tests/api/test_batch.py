@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -106,10 +105,6 @@ def batch(count: int) -> Any:
 
 def reply(content: bytes) -> CutPart:
     return CutPart(Packed(content), 1, 0, None)
-
-
-async def read(answer: AsyncIterator[bytes]) -> list[bytes]:
-    return [piece async for piece in answer]
 
 
 def test_parts_come_in_the_order_of_their_readiness() -> None:

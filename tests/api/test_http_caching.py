@@ -15,11 +15,6 @@ from vaoi_station.api.http_caching import (
 )
 
 
-def request(if_none_match: str | None = None) -> Request:
-    headers = [] if if_none_match is None else [(b"if-none-match", if_none_match.encode())]
-    return Request({"type": "http", "method": "GET", "headers": headers})
-
-
 def change(**conditions: str) -> Request:
     headers = [(name.replace("_", "-").encode(), value.encode()) for name, value in conditions.items()]
     return Request({"type": "http", "method": "PUT", "headers": headers})

@@ -52,13 +52,6 @@ def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, A
             yield path, method, operation
 
 
-def parts(node: Any) -> Iterator[dict[str, Any]]:
-    if isinstance(node, dict):
-        yield node
-    for inner in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
-        yield from parts(inner)
-
-
 def test_the_interface_changes_only_on_purpose(document: dict[str, Any]) -> None:
     """After an intended change: run with VAOI_WRITE_GOLDEN=1, and review the difference."""
     document["info"].pop("version")

@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-import pytest
-
 from vaoi_station.benchmarks.codes import (
-    DottedCode,
-    draw_dotted_code,
     measure_code_reading,
     measure_dotted_codes,
 )
@@ -31,14 +24,3 @@ def test_drawings_of_either_polarity_are_read_disturbed_or_not() -> None:
     assert sum(r.wrong for r in rates) == 0
     assert lines[1].startswith("light dots of 0.85 modules of  6.0 px: 2 of 2 read (34.2 to 100.0 %), 0 wrong")
     assert rates[0].share == (0.3424, 1.0)
-
-
-def test_dots_cover_their_share_of_a_code_and_stay_within_its_corners() -> None:
-    code = DottedCode(dot=1.0, noise=0.0, blur_px=0.3, grey=(0.0, 200.0), module_px=8.0)
-    shown, corners = draw_dotted_code(code)
-    small, _ = draw_dotted_code(replace(code, dot=0.7))
-    dark, dark_of_small = (200.0 * p.size - p.sum() for p in (shown, small))
-    assert dark_of_small / dark == pytest.approx(0.49, abs=0.02)
-    y, x = np.nonzero(shown < 100)
-    assert (x.min(), x.max()) == pytest.approx((corners[0, 0] + 0.5, corners[1, 0] - 0.5), abs=1.5)
-    assert (y.min(), y.max()) == pytest.approx((corners[0, 1] + 0.5, corners[2, 1] - 0.5), abs=1.5)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from vaoi_station.benchmarks.growth import ScalingFigures, long_board, measure_scaling
-from vaoi_station.simulation import Scenario, Twin
+from vaoi_station.benchmarks.growth import ScalingFigures, measure_scaling
+from vaoi_station.simulation import Scenario
 
 
 @pytest.fixture(scope="module")
@@ -16,13 +16,6 @@ def steps() -> list[str]:
 @pytest.fixture(scope="module")
 def figures(scenario: Scenario, steps: list[str], tmp_path_factory: pytest.TempPathFactory) -> list[ScalingFigures]:
     return measure_scaling(scenario, tmp_path_factory.mktemp("scaling"), (4, 7), steps.append)
-
-
-@pytest.mark.parametrize("rows", [4, 33, 333])
-def test_long_boards_take_the_requested_number_of_rows(scenario: Scenario, rows: int) -> None:
-    longer = long_board(scenario, rows)
-    assert Twin(longer).passage(0).rows == rows
-    assert longer.array.cameras == 3
 
 
 def test_boards_are_stitched_and_grow_with_their_rows(figures: list[ScalingFigures], steps: list[str]) -> None:

@@ -4,32 +4,12 @@ from __future__ import annotations
 
 import mmap
 import os
-import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
-import pytest
 
-from vaoi_station.benchmarks.process_usage import cpu_s, private_memory_bytes
+from vaoi_station.benchmarks.process_usage import private_memory_bytes
 
-TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 MIB = 2**20
-
-
-@pytest.fixture
-def odd_name() -> Iterator[None]:
-    """Give this process a name with a space and parentheses."""
-    comm = Path(f"/proc/{os.getpid()}/comm")
-    before = comm.read_text()
-    comm.write_text("a) R (b c")
-    yield
-    comm.write_text(before)
-
-
-@pytest.mark.usefixtures("odd_name")
-def test_cpu_time_is_that_of_the_interpreter_whatever_its_name() -> None:
-    assert cpu_s(os.getpid()) == pytest.approx(time.process_time(), abs=3 * TICK_S)
 
 
 def test_private_memory_counts_arrays_but_no_shared_mapping() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.doctor.conftest import assert_problem, only, without_privileges
+from tests.doctor.conftest import assert_problem, only
 from tests.hw.emulated.paced import PacedChip
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.protocol import (
@@ -132,16 +132,6 @@ def test_an_encoder_is_judged_by_what_it_counts() -> None:
     assert "75.0 mm/s by encoder.counts_per_mm, but conveyor_mm_s is 100 mm/s" in judged(1500).message
 
 
-def test_no_port(tmp_path: Path) -> None:
-    assert_problem(only(controller(context_of(tmp_path / "gone"))), Level.FAULT, "there is no", "gone")
-
-
-def test_a_port_that_is_no_device(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    assert_problem(only(controller(context_of(tmp_path / "file"))), Level.FAULT, "is no serial port")
-    assert_problem(only(controller(context_of(Path("/dev/null")))), Level.FAULT, "/dev/null is no serial port")
-
-
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, Path]]:
     """A pseudo terminal: our end, and the name of the other one."""
@@ -150,14 +140,6 @@ def terminal() -> Iterator[tuple[int, Path]]:
     yield ours, Path(os.ttyname(theirs))
     os.close(ours)
     os.close(theirs)
-
-
-def test_a_port_of_somebody_else(terminal: tuple[int, Path]) -> None:
-    terminal[1].chmod(0)
-    with without_privileges():
-        finding = only(controller(context_of(terminal[1])))
-    assert_problem(finding, Level.FAULT, "may not be read and written by this user")
-    assert finding.action.startswith("usermod -aG")
 
 
 def test_a_bridge_that_keeps_bytes_back(tmp_path: Path) -> None:

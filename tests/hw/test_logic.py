@@ -45,7 +45,6 @@ from vaoi_station.acquisition.controller.protocol import (
     config_crc,
     configuration,
     encode,
-    set_width,
 )
 from vaoi_station.acquisition.controller.trigger_rule import TriggerRule
 
@@ -270,37 +269,6 @@ def test_a_width_of_the_trigger_beyond_the_limits_is_refused(
     assert Nak.unpack(reply.payload) == Nak(Type.COMMIT, Reason.RANGE, 33, limit)
     *_, reply = talk(logic, configuration(timing, LIGHT * 2, [timing.trigger_width, limit]))
     assert reply.type == Type.COMMIT | 0x80
-
-
-def test_timing_takes_the_widths_of_the_steps_back(logic: ctypes.CDLL) -> None:
-    """A host that does not know WIDTH finds no width that another one has left behind."""
-    timing = replace(RULE, steps=2)
-    logic.bridge_start(0)
-    talk(logic, configuration(timing, LIGHT * 2, [us(200), us(300)]))
-    *_, reply = talk(logic, configuration(timing, LIGHT * 2))
-    assert int.from_bytes(reply.payload, "little") == config_crc(timing, LIGHT * 2)
-    *_, reply = talk(logic, [set_width(16, us(100))])
-    assert Nak.unpack(reply.payload) == Nak(Type.WIDTH, Reason.RANGE, 16, 15)
-
-
-def test_a_configuration_with_another_checksum_is_not_taken_over(logic: ctypes.CDLL) -> None:
-    logic.bridge_start(0)
-    right = config_crc(RULE, LIGHT)
-    *requests, _ = configuration(RULE, LIGHT)
-    wrong = Request(Type.COMMIT, (right ^ 1).to_bytes(4, "little"))
-    *_, reply, refused = talk(logic, [*requests, wrong, arm(1, right)])
-    assert Nak.unpack(reply.payload) == Nak(Type.COMMIT, Reason.CHECKSUM, 0, right)
-    assert Nak.unpack(refused.payload).reason == Reason.UNCONFIGURED
-
-
-def test_unknown_requests_and_wrong_sizes_are_named(logic: ctypes.CDLL) -> None:
-    logic.bridge_start(0)
-    data = encode(Message(0x3F, 1)) + encode(Message(Type.CLOCK, 2, b"123"))
-    replies = ctypes.create_string_buffer(200)
-    size = logic.bridge_talk(data, len(data), replies, 0)
-    unknown, length = FrameReader().feed(replies.raw[:size])
-    assert Nak.unpack(unknown.payload) == Nak(0x3F, Reason.UNKNOWN, 0, 0)
-    assert Nak.unpack(length.payload) == Nak(Type.CLOCK, Reason.LENGTH, 0, 4)
 
 
 def test_the_boot_counter_survives_a_write_that_failed(logic: ctypes.CDLL) -> None:

@@ -41,10 +41,6 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads}, target
 
 
-def test_none_of_the_examples_escapes() -> None:
-    assert len(EXAMPLES) == sum(page.read_text(encoding="utf-8").count("```console") for page in PAGES) > 0
-
-
 @pytest.mark.parametrize(("page", "command", "shown"), EXAMPLES, ids=lambda value: str(value)[:40])
 def test_the_output_shown_is_what_the_command_prints(page: str, command: str, shown: str, tmp_path: Path) -> None:
     script = f'vaoi() {{ "{sys.executable}" -m vaoi_station "$@"; }}\n{command}\n'
@@ -78,15 +74,6 @@ def test_the_guides_commands_exist_with_their_options(words: list[str]) -> None:
     command = group.commands[words[0]]
     known = {name for parameter in command.params for name in parameter.opts}
     assert {word for word in words[1:] if word.startswith("--")} <= known
-
-
-def test_the_guides_targets_are_those_of_the_makefile() -> None:
-    makefile = (ROOT / "hw" / "firmware" / "Makefile").read_text(encoding="utf-8")
-    calls = of("make")
-    assert len(calls) == 2
-    for directory, *targets in ([words[1], *words[2:]] for words in calls):
-        assert (ROOT / directory / "Makefile").is_file()
-        assert all("=" in t or re.search(rf"^{t}:", makefile, re.MULTILINE) for t in targets), targets
 
 
 def test_the_guides_figures_are_those_of_the_circuit() -> None:

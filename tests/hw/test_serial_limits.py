@@ -53,11 +53,6 @@ def test_lights_beyond_the_limits_of_the_firmware(paced: PacedChip, light: Light
         controller.close()
 
 
-def test_light_for_more_than_its_share_of_the_time(host: Host) -> None:
-    with pytest.raises(InputError, match=r"on_us is 300\.0, but must be 50 … 250 \(1/16 of the period of 0\.004 s"):
-        host.controller.arm(replace(PLAN, period_s=0.004, lights=("top",)))
-
-
 def test_leds_that_are_hot_are_no_fault_of_the_device(paced: PacedChip) -> None:
     """1 ms of light needs 16 ms to cool down; pulses can be asked for faster than that."""
     config = ControllerConfig(

@@ -10,14 +10,12 @@ import pytest
 from tests.hw.emulated.vectors import VECTORS
 from vaoi_station.acquisition.controller import protocol
 from vaoi_station.acquisition.controller.protocol import (
-    VERSION,
     FrameReader,
     Message,
     Step,
     Timing,
     config_crc,
     configuration,
-    crc16,
     encode,
 )
 
@@ -36,10 +34,6 @@ def c_receive(logic: ctypes.CDLL, data: bytes) -> int:
     """How many messages the firmware takes from these bytes."""
     receiver = ctypes.create_string_buffer(RECEIVER_BYTES)
     return sum(logic.receive(receiver, ctypes.c_uint8(byte)) & 0xFF for byte in data)
-
-
-def test_the_version_is_that_of_the_vectors() -> None:
-    assert list(VERSION) == VECTORS["protocol"]
 
 
 @FRAMES
@@ -83,13 +77,6 @@ def test_c_refuses(logic: ctypes.CDLL, vector: dict[str, Any]) -> None:
     assert logic.bridge_talk(good, len(good), replies, 0) > 0
 
 
-@pytest.mark.parametrize("vector", VECTORS["crc16"])
-def test_crc16(logic: ctypes.CDLL, vector: dict[str, Any]) -> None:
-    text = vector["text"].encode()
-    assert crc16(text) == vector["crc"]
-    assert logic.crc16(text, len(text)) & 0xFFFF == vector["crc"]
-
-
 @CONFIGURATIONS
 def test_checksum_of_a_configuration(logic: ctypes.CDLL, vector: dict[str, Any]) -> None:
     """Python counts it, and the firmware echoes it when it takes the configuration over."""
@@ -103,10 +90,3 @@ def test_checksum_of_a_configuration(logic: ctypes.CDLL, vector: dict[str, Any])
     size = logic.bridge_talk(requests, len(requests), replies, 0)
     *_, last = FrameReader().feed(replies.raw[:size])
     assert last == Message(0x87, len(sent) - 1, vector["crc32"].to_bytes(4, "little"))
-
-
-@pytest.mark.parametrize("vector", VECTORS["crc32"])
-def test_crc32(logic: ctypes.CDLL, vector: dict[str, Any]) -> None:
-    logic.crc32_of.restype = ctypes.c_uint32
-    text = vector["text"].encode()
-    assert logic.crc32_of(0, text, len(text)) == vector["crc"]

@@ -29,7 +29,6 @@ def test_pictures_of_all_components_are_those_of_single_requests(served: Served)
 VIEW = {"width_px": 2, "height_px": 1, "channels": 3, "dtype": "uint16"}
 VIEWS = Member("components/U1/views.json", "", json.dumps({"address": "U1", "views": [VIEW, VIEW]}).encode())
 IMAGES = [Member(f"components/U1/{k}.raw", "", bytes([k]) * 12) for k in range(2)]
-REFUSED = {"address": "R1", "views": [], "refused": {"code": "x", "message": "too large", "action": ""}}
 DONE = Member("end.json", "", b'{"complete": true}')
 
 

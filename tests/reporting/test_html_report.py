@@ -84,19 +84,6 @@ def read(stitched: StitchedRun) -> tuple[Reader, dict[str, Any]]:
     return seen, data
 
 
-def changed(run: Path, to: Path, **head: Any) -> Path:
-    """Copy the run with another head, without the frames that it lists as missing."""
-    shutil.copytree(run, to, ignore=shutil.ignore_patterns("truth.json"))
-    recording = open_recording(to)
-    new = recording.head.model_validate(recording.head.model_dump(mode="json", exclude_none=True) | head)
-    for camera, row in new.missing:
-        path = recording.frame_path(camera, row)
-        assert path is not None
-        path.unlink()
-    (to / "recording.json").write_text(new.model_dump_json(exclude_none=True))
-    return to
-
-
 def test_run_without_faults_is_shown_completely(stitched: StitchedRun) -> None:
     seen, data = read(stitched)
     assert stitched.result.status is Status.OK
@@ -114,20 +101,6 @@ def test_run_without_faults_is_shown_completely(stitched: StitchedRun) -> None:
     assert "exaggerated" in text
     assert "run <1> & co" in text, "names that look like markup remain text"
     assert seen.count["script"] == 1
-
-
-def test_missing_frames_are_shown_with_their_cause(run: Path, tmp_path: Path) -> None:
-    entries = [{"camera": 0, "row": 1, "verdict": "incomplete", "cause": "12 packets </script> lost"}, "nonsense", {}]
-    directory = changed(run, tmp_path / "lost", missing=[[0, 1], [1, 2]], x_verdicts=entries)
-    stitched = restitch(open_run(directory))
-    seen, data = read(stitched)
-    assert stitched.causes == {
-        (0, 1): ("incomplete", "12 packets </script> lost"),
-        (1, 2): ("missing", "the frame was not delivered"),
-    }
-    assert seen.count["image"] == stitched.cameras * stitched.head.rows - 2
-    assert "12 packets </script> lost" in "".join(seen.words)
-    assert data["recording"]["x_verdicts"] == entries
 
 
 def test_without_a_board_type_frames_and_links_are_shown(run: Path, tmp_path: Path) -> None:
@@ -155,15 +128,6 @@ def test_run_without_a_board_has_a_report(run: Path, tmp_path: Path, rows: int) 
     assert stitched.result.status is Status.FAILED
     assert "There are no links." in seen.words
     assert data["links"]["a"] == []
-
-
-def test_run_without_frames_has_a_report(run: Path, tmp_path: Path) -> None:
-    head = open_recording(run).head
-    everything = [[i, j] for i in range(len(head.cameras)) for j in range(head.rows)]
-    stitched = restitch(open_run(changed(run, tmp_path / "nothing", missing=everything)))
-    seen, _ = read(stitched)
-    assert seen.count["image"] == 0
-    assert "No frame could be placed." in seen.words
 
 
 def test_other_methods_have_reports(run: Path) -> None:

@@ -9,28 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from vaoi_station.errors import DeviceError
 from vaoi_station.rig.camera_process import DARK, CameraProcess, TriggerCommand
-
-COMMANDS = st.builds(
-    TriggerCommand,
-    st.integers(DARK, 10**6),
-    st.integers(0, 2**63),
-    st.floats(0, 8),
-    st.floats(0, 1),
-    st.none() | st.floats(0, 8),
-)
-
-
-@given(COMMANDS)
-def test_a_command_equals_its_parsed_line(command: TriggerCommand) -> None:
-    line = command.to_line()
-    assert TriggerCommand.from_line(line) == command
-    assert TriggerCommand.from_line(line + "\n") == command
-
 
 TIMEOUT_S = 20.0
 Install = Callable[[str], None]
@@ -82,24 +63,6 @@ def test_triggers_are_reported_with_picture_and_frame_id(install: Install) -> No
         assert reports.get(timeout=TIMEOUT_S) == ("sent", 5, 65400)
         assert reports.get(timeout=TIMEOUT_S) == ("ignored", DARK, 0)
     assert not running(camera)
-
-
-def test_one_picture_of_another_file_returns_to_the_selected_one(install: Install, log: Path) -> None:
-    install(CAMERA)
-    with CameraProcess("127.0.0.2", "A") as camera:
-        camera.trigger(TriggerCommand(1), Path("/frames/late.raw"))
-        camera.select_frames(Path("/frames/board.raw"))
-        camera.trigger(TriggerCommand(2), Path("/frames/late.raw"))
-        camera.trigger(TriggerCommand(3))
-    assert [line.split()[:2] for line in log.read_text().splitlines()] == [
-        ["film", "/frames/late.raw"],
-        ["fire", "1"],
-        ["film", "/frames/board.raw"],
-        ["film", "/frames/late.raw"],
-        ["fire", "2"],
-        ["film", "/frames/board.raw"],
-        ["fire", "3"],
-    ]
 
 
 def test_a_killed_camera_takes_no_trigger_and_has_its_frames_again_after_a_restart(install: Install, log: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -17,7 +16,6 @@ from vaoi_station.config import StationConfig, read_config
 from vaoi_station.errors import DeviceError
 from vaoi_station.rig import devices as assembly
 from vaoi_station.rig.devices import (
-    TERMINAL,
     DeviceRecovery,
     Devices,
     FaultInjector,
@@ -27,7 +25,6 @@ from vaoi_station.rig.devices import (
 from vaoi_station.rig.faults import parse_fault
 from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
 from vaoi_station.simulation import Scenario
-from vaoi_station.simulation.scenario import LightSection
 
 
 class Scripted:
@@ -83,22 +80,6 @@ class Scripted:
         self.log.append(name)
         if fails and fails in name:
             raise DeviceError(f"{name} fails.")
-
-
-def test_devices_end_in_the_reverse_order_of_their_start(
-    small: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scripted = Scripted(monkeypatch)
-    with Devices(small, tmp_path) as devices:
-        assert devices.addresses == ("127.0.0.2", "127.0.0.3")
-        assert devices.terminal == tmp_path / TERMINAL
-        assert len(devices.cameras) == 2
-        started = [step for step in scripted.log if step.startswith("start")]
-        scripted.log.clear()
-    assert started == ["start Addresses", "start camera 127.0.0.2", "start camera 127.0.0.3", "start Chip"]
-    assert scripted.log == [
-        "stop Chip", "stop Renderer", "stop camera 127.0.0.3", "stop camera 127.0.0.2", "stop Addresses",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("fails", ["start Addresses", "wait camera 127.0.0.3", "start Chip"])
@@ -161,29 +142,6 @@ def site_of(scenario: Scenario, board: RenderedBoard, folder: Path) -> StationCo
     return read_config(path)
 
 
-def test_the_backends_are_the_real_ones(config: StationConfig, tmp_path: Path) -> None:
-    assert [camera.backend for camera in config.cameras] == ["aravis", "aravis"]
-    assert [camera.address for camera in config.cameras] == list(ADDRESSES)
-    assert (config.controller.backend, config.controller.port) == ("serial", str(tmp_path / "trigger"))
-    assert (config.simulation, config.replay) == (None, None)
-
-
-def test_leds_are_on_for_the_longest_exposure(
-    small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path
-) -> None:
-    scenario = small.model_copy(
-        update={
-            "array": small.array.model_copy(update={"exposures_us": (100.0, 400.0)}),
-            "line": small.line.model_copy(update={"lights": ("ring", "low")}),
-            "lights": {"ring": LightSection(), "low": LightSection()},
-        }
-    )
-    controller = site_of(scenario, boards[0], tmp_path).controller
-    assert {name: light.channels for name, light in controller.lights.items()} == {"ring": (0,), "low": (1,)}
-    assert {light.on_us for light in controller.lights.values()} == {400.0}
-    assert controller.order == ("ring", "low")
-
-
 def test_the_station_films_with_the_program_of_the_scenario(
     small: Scenario, boards: tuple[RenderedBoard, ...], tmp_path: Path
 ) -> None:
@@ -197,22 +155,6 @@ def process() -> Iterator[subprocess.Popen[bytes]]:
     with subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE) as process:
         yield process
         process.kill()
-
-
-def test_a_stopped_process_resumes_at_the_end_of_the_context(process: subprocess.Popen[bytes]) -> None:
-    """The rig is taken down in the middle of a stop of a minute."""
-    with FaultInjector([parse_fault("stall:who=acquisition,board=0,row=1,for_s=60")]) as injector:
-        injector.attach(cast("Devices", None), lambda: {"acquisition": process.pid})
-        injector.on_row(0, 0)
-        assert injector.outages == []
-        injector.on_row(0, 1)
-        assert os.waitpid(process.pid, os.WUNTRACED)[0] == process.pid
-    _, status = os.waitpid(process.pid, os.WCONTINUED)
-    assert os.WIFCONTINUED(status)
-    [outage], [back] = injector.outages, injector.recoveries
-    assert outage.reason == "the acquisition process was stopped"
-    injector.close_outage(back, 12345)
-    assert injector.outages[0].until_ns == 12345
 
 
 def test_a_stopped_station_excuses_no_lost_frame(process: subprocess.Popen[bytes]) -> None:
@@ -232,9 +174,3 @@ def test_a_fault_that_never_happened_is_reported() -> None:
     with FaultInjector([parse_fault("reset:board=2,row=99"), parse_fault("loss")]) as injector:
         injector.finish()
     assert injector.failed == ["reset did not happen: board 2 had no row 99"]
-
-
-def test_a_missing_process_is_reported() -> None:
-    with FaultInjector([parse_fault("stall:who=worker 7,board=0,row=0")]) as injector:
-        injector.on_row(0, 0)
-    assert injector.failed == ["the station has no process 'worker 7' to stop"]

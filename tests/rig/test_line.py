@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +14,7 @@ import pytest
 from tests.rig.host import Host
 from tests.rig.known_boards import known_board, passage_of
 from vaoi_station.acquisition.controller.protocol import Step
-from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.errors import DeviceError
 from vaoi_station.rig import line as feeder_module
 from vaoi_station.rig.camera_process import CameraProcess
 from vaoi_station.rig.chip import HZ, Chip, Edge, Pulse
@@ -27,18 +25,12 @@ from vaoi_station.rig.line import (
     BoardPassage,
     FrameFaults,
     VirtualLine,
-    check_supported,
     lighting_of,
-    with_cameras,
 )
 from vaoi_station.rig.rendering import FrameRequest, RenderedBoard
 from vaoi_station.simulation import Scenario
 from vaoi_station.simulation.scenario import (
-    ArraySection,
-    FaultSection,
     LightSection,
-    LineSection,
-    LostFrame,
 )
 
 RING_LIGHT = Step(0b0001, 500)
@@ -102,15 +94,6 @@ def test_every_pulse_comes_when_its_frames_were_rendered_for(
     assert line.stage.unexpected_pulses == []
 
 
-def test_light_is_what_the_leds_did(line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]) -> None:
-    """Half as long, on another channel, and not at all."""
-    line.host.arm(small, (Step(0b0001, 250), Step(0b0010, 500), Step(0, 0), RING_LIGHT))
-    passage = pass_by(line, boards[0])
-    assert [fired.brightness[0] for fired in passage.fired[:4]] == [pytest.approx(0.5, abs=0.002), 0.0, 0.0, 1.0]
-    assert [bool(fired.note) for fired in passage.fired[:4]] == [False, True, False, False]
-    assert "LED channels (1,) were lit, not those of 'ring'" in passage.fired[1].note
-
-
 def test_pulses_at_other_times_are_rendered_on_demand(
     line: Line, small: Scenario, boards: tuple[RenderedBoard, ...]
 ) -> None:
@@ -148,24 +131,6 @@ def test_after_a_reset_the_barrier_still_follows_the_board(
     assert again.start_cycle - passage.start_cycle > boards[0].duration_s * HZ
 
 
-def test_a_chip_that_has_ended_ends_the_boards(line: Line, boards: tuple[RenderedBoard, ...]) -> None:
-    """The thread that waits for the boards gets the error, and does not wait for ever."""
-    os.kill(line.chip.pid or 0, signal.SIGKILL)
-    os.waitid(os.P_PID, line.chip.pid or 0, os.WEXITED | os.WNOWAIT)
-    with (
-        pytest.raises(DeviceError, match="the emulated chip has ended"),
-        BoardFeeder(line.stage, boards, 0.1) as feeder,
-    ):
-        assert feeder.finished.wait(30)
-    assert feeder.passages == []
-
-
-def test_stamps_come_late_from_a_board_on() -> None:
-    faults = FrameFaults(late_stamps=((1, 0, 0.02), (2, 0, 0.001), (0, 1, 0.1)))
-    assert [faults.stamp_delay_ns(board, 0) for board in range(3)] == [0, 20_000_000, 21_000_000]
-    assert faults.stamp_delay_ns(0, 1) == 100_000_000
-
-
 def test_the_conveyor_is_permitted_by_the_output_of_the_chip(small: Scenario) -> None:
     stage = VirtualLine([], lighting_of(small))
     assert not stage.wait_permitted(0.0)
@@ -179,60 +144,8 @@ def test_the_conveyor_is_permitted_by_the_output_of_the_chip(small: Scenario) ->
     assert not stage.wait_permitted(0.0), "a reset lowers all outputs"
 
 
-def test_a_larger_array_sees_a_wider_board() -> None:
-    scenario = Scenario()
-    larger = with_cameras(scenario, 5)
-    assert larger.array.cameras == 5
-    assert larger.board.width_mm == pytest.approx(scenario.board.width_mm + 2 * scenario.array.pitch_mm, abs=1e-3)
-    assert larger.board.name == "demo-5"
-    assert with_cameras(scenario, None) is scenario
-    assert with_cameras(scenario, 3) is scenario
-    with pytest.raises(InputError, match="--cameras is 1, but must be enough to see a board of 8 mm"):
-        with_cameras(scenario.model_copy(update={"board": scenario.board.model_copy(update={"width_mm": 70.0})}), 1)
-
-
-def test_cameras_that_do_wrong_by_themselves_are_asked_for_by_faults() -> None:
-    check_supported(Scenario(faults=FaultSection(lost_frames=(LostFrame(camera=0, row=1),))))
-    with pytest.raises(InputError, match=r"faults\.ignored_triggers apply to the cameras of the in-process twin only"):
-        check_supported(Scenario(faults=FaultSection(ignored_triggers=(LostFrame(camera=0, row=1),))))
-
-
-def scenario_of(lights: tuple[str, ...], exposures_us: tuple[float, ...] = (250.0,)) -> Scenario:
-    return Scenario(
-        array=ArraySection(exposures_us=exposures_us),
-        line=LineSection(lights=lights),
-        lights={name: LightSection() for name in lights},
-    )
-
-
 def pulse(channels: tuple[int, ...], on_us: float) -> Pulse:
     return Pulse(0, 0, channels, on_us)
-
-
-def test_a_camera_sees_the_light_within_its_own_exposure() -> None:
-    lighting = lighting_of(scenario_of(("ring",), (250.0, 1000.0)))
-    assert lighting.brightness(pulse((0,), 1000.0), 0) == 1.0
-    assert lighting.brightness(pulse((0,), 500.0), 1) == 0.5
-
-
-@dataclass(frozen=True)
-class Short(RenderedBoard):
-    seconds: float = 0.0
-
-    @property
-    def duration_s(self) -> float:
-        return self.seconds
-
-
-def test_a_program_lights_each_row_for_its_time() -> None:
-    lit = {"left": LightSection(), "right": LightSection()}
-    steps = [{"light": "left", "on_us": 100.0}, {"light": "right"}]
-    scenario = Scenario.model_validate({"lights": lit, "line": {"lights": ["left"]}, "program": steps})
-    lighting = lighting_of(scenario)
-    assert lighting.channels == {"left": (0,), "right": (1,)}
-    assert [lighting.brightness(pulse((0,), on_us), 0, 0) for on_us in (100.0, 50.0)] == [1.0, 0.5]
-    assert lighting.brightness(pulse((1,), 250.0), 0, 1) == 1.0
-    assert lighting.brightness(pulse((0,), 200.0), 0, 2) == 2.0
 
 
 def test_a_camera_whose_exposures_differ_follows_the_width_of_the_trigger() -> None:
@@ -314,10 +227,3 @@ def test_a_board_is_held_back_until_the_line_is_ready(short_boards: list[Rendere
         assert feeder.finished.wait(TIMEOUT_S)
     assert passed == [0, 1, 2], "each board waits before it starts"
     assert [passage.held_s is None for passage in feeder.passages] == [False, True, False]
-
-
-def test_a_failure_is_raised_where_the_feeder_was_started(short_boards: list[RenderedBoard]) -> None:
-    line = ScriptedLine(fails_at=1)
-    with pytest.raises(DeviceError, match="has ended"), feeder_of(line, short_boards) as feeder:
-        assert feeder.finished.wait(TIMEOUT_S)
-    assert line.started == [0]

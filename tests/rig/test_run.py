@@ -69,32 +69,6 @@ def watch(station: Station) -> Iterator[StatusWatch]:
         yield watch
 
 
-def test_ready_means_armed_with_all_cameras(watch: StatusWatch, station: Station) -> None:
-    station.state = "armed"
-    assert watch.wait_ready(TIMEOUT_S)
-    station.connected[1] = False
-    assert not watch.wait_ready(0.05)
-    station.connected[1] = True
-    station.state = "filming"
-    assert not watch.wait_ready(0.05)
-
-
-def test_ready_since_is_the_first_reply_of_an_unbroken_series(watch: StatusWatch, station: Station) -> None:
-    began_ns = time.monotonic_ns()
-    station.state = "armed"
-    assert watch.wait_ready(TIMEOUT_S)
-    station.state = "stopped"
-    assert watch.wait(lambda s: s["state"] == "stopped", TIMEOUT_S)
-    assert watch.ready_since(began_ns) is None
-    middle_ns = time.monotonic_ns()
-    station.state = "filming"
-    assert watch.wait(lambda s: s["state"] == "filming", TIMEOUT_S)
-    since_ns = watch.ready_since(began_ns)
-    assert since_ns is not None
-    assert middle_ns <= since_ns <= time.monotonic_ns()
-    assert watch.ready_since(time.monotonic_ns() + 10**12) is None
-
-
 SHORT_TIMEOUT_S = 0.2
 TIMES: dict[str, Any] = {"edges": ((0.0, True), (0.001, False)), "views": {"R1": ((0.0, 1.0, 10.0, 20.0),)}}
 
@@ -270,30 +244,6 @@ def test_a_board_without_a_run_is_reported_after_the_timeout(rig: Rig) -> None:
     assert report.boards[1].run is None
 
 
-def test_a_run_that_takes_longer_than_the_timeout_is_awaited(rig: Rig) -> None:
-    """It becomes visible between two requests, as after an installation, when workers compile for minutes."""
-    rig.station.stitching_s = 3 * SHORT_TIMEOUT_S
-    report = rig.run(boards=1)
-    assert (report.ok, report.failings) == (True, ())
-    assert report.boards[0].proven == CAMERAS * ROWS
-
-
-def test_missed_boards_and_unexpected_pulses_fail(rig: Rig) -> None:
-    rig.station.boards_missed, rig.unexpected = 1, 2
-    report = rig.run(boards=1)
-    assert (report.boards_missed, report.stray_pulses) == (1, 2)
-    assert report.failings == ("the station missed 1 board(s)", "2 pulse(s) were fired while no board passed")
-
-
-def test_a_failed_run_has_no_positions(rig: Rig) -> None:
-    rig.station.changes[0] = {"verdict": "failed", "reasons": [{"message": "No fiducial was found."}]}
-    report = rig.run(boards=2)
-    assert report.boards[0].deviation.views == 0
-    assert report.boards[1].deviation.views == 1
-    assert report.rms_px == 0.0
-    assert report.failings == ("board 0 is failed, but has reasons: No fiducial was found.",)
-
-
 def test_a_fault_that_never_happens_fails_the_run(rig: Rig) -> None:
     report = rig.run(boards=1, faults=("kill:board=0,row=99",))
     assert report.failings == ("kill did not happen: board 0 had no row 99",)
@@ -360,18 +310,6 @@ def start(
     return run
 
 
-def test_boards_pass_again_and_again_until_the_chip_ends(start: Callable[..., list[str]]) -> None:
-    lines = start()
-    assert COMMANDS == ["calibration board", "board", "board", "board", "closed"]
-    assert lines[-1].startswith("Boards pass")
-
-
-def test_without_boards_only_the_calibration_board_is_there(start: Callable[..., list[str]]) -> None:
-    lines = start(still=True)
-    assert COMMANDS == ["calibration board", "closed"]
-    assert lines[-1].startswith("No board passes")
-
-
 def test_the_printed_command_starts_a_station_that_can_be_read(
     start: Callable[..., list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -380,8 +318,3 @@ def test_the_printed_command_starts_a_station_that_can_be_read(
     assert f"Start the station: vaoi serve --config {tmp_path / 'station.toml'}" in lines
     assert f"2 cameras at 127.0.0.2 …, the controller at {tmp_path / 'trigger'}." in lines
     assert read_config(tmp_path / "station.toml").name == "rig"
-
-
-def test_noise_is_injected_from_the_start(start: Callable[..., list[str]]) -> None:
-    start(parse_fault("noise:share=0.25"), still=True)
-    assert COMMANDS[0] == "noise 0.25 0.25"

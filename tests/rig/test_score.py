@@ -66,12 +66,6 @@ def look(ring: Ring, passage: BoardPassage) -> RingCheck:
     return check
 
 
-def test_all_frames_are_in_their_rows(ring: Ring, passage: BoardPassage) -> None:
-    seen = look(ring, passage)
-    assert len(seen.proven) == 2 * passage.rendered.rows
-    assert seen.wrong == {}
-
-
 def test_frames_that_have_changed_places_are_named(ring: Ring, passage: BoardPassage) -> None:
     frames = passage.rendered.map_frames()
     put(ring, 0, 3, frames[4, 0])
@@ -98,14 +92,6 @@ def test_half_a_frame_is_a_half_of_its_own_frame(ring: Ring, passage: BoardPassa
     assert seen.wrong == {(1, 3): "5 pixels of another picture"}
 
 
-def test_a_board_without_faults(known: RenderedBoard) -> None:
-    board = scored(known)
-    assert (board.ok, board.incomplete, board.missing) == (CAMERAS * ROWS, 0, 0)
-    assert (board.proven, board.rows, board.rows_due, board.pulse_off_us) == (board.ok, ROWS, ROWS, 0.2)
-    assert (board.deviation.views, board.deviation.unplaced, board.deviation.max_px) == (3, 0, 0.0)
-    assert (board.affected, board.wrong, board.unfilmed) == ((), (), 0)
-
-
 @pytest.mark.parametrize(
     ("outcome", "done"),
     [
@@ -122,12 +108,6 @@ def test_a_lost_frame_is_listed_with_its_fault(known: RenderedBoard, outcome: Fr
         1, 2, "incomplete", "80% arrived", done,
     )  # fmt: skip
     assert (board.ok, board.incomplete) == (CAMERAS * ROWS - 1, 1)
-
-
-def test_a_frame_lost_without_a_fault_is_reported(known: RenderedBoard) -> None:
-    board = scored(known, None, {(0, 1): ("missing", "lost"), (1, 1): ("missing", "")})
-    assert [(frame.done, frame.cause) for frame in board.affected] == [("", "lost"), ("", "")]
-    assert board.missing == 2
 
 
 def test_a_frame_that_the_rig_sent_late_is_the_rigs(known: RenderedBoard) -> None:
@@ -163,21 +143,8 @@ def test_a_light_that_the_chip_did_not_fire_is_reported(
     assert board.mislit == words
 
 
-def test_pixels_that_were_overwritten_meanwhile_prove_nothing(known: RenderedBoard) -> None:
-    evidence = evidence_of(known)
-    assert score(replace(evidence, ring_check=None), ()).proven is None
-
-
 def innocent(board: BoardScore) -> list[tuple[int, int]]:
     return [(frame.camera, frame.row) for frame in board.affected if not frame.done]
-
-
-def test_an_outage_excuses_its_own_camera_and_time(known: RenderedBoard) -> None:
-    lost = {(0, 2): ("missing", "gone"), (0, 5): ("missing", "gone"), (1, 2): ("missing", "gone")}
-    outage = Outage(2 * PERIOD_NS, 3 * PERIOD_NS, 0, "the camera was dead")
-    assert innocent(scored(known, None, lost, outages=(outage,))) == [(0, 5), (1, 2)]
-    everywhere = replace(outage, camera=None, until_ns=9 * PERIOD_NS)
-    assert innocent(scored(known, None, lost, outages=(everywhere,))) == []
 
 
 def test_an_unarmed_camera_is_excused_only_by_an_outage(known: RenderedBoard) -> None:
@@ -186,15 +153,6 @@ def test_an_unarmed_camera_is_excused_only_by_an_outage(known: RenderedBoard) ->
     assert innocent(scored(known, {(0, 2): "unarmed"}, lost)) == [(0, 2)]
     [frame] = scored(known, {(0, 2): "unarmed"}, lost, outages=(outage,)).affected
     assert frame.done == "the controller was reset, and the camera was not armed"
-
-
-def test_figures_of_the_stitch_are_taken_from_the_run(known: RenderedBoard) -> None:
-    timings = {"ready_after_last_frame_ms": 180.5, "links": 20, "links_while_filming": 15}
-    reasons = [{"message": "Camera 0 lost a frame."}]
-    run = run_json(known) | {"timings": timings, "reasons": reasons, "verdict": "degraded"}
-    board = score(replace(evidence_of(known), run=run), ())
-    assert (board.ready_after_last_frame_ms, board.links_open) == (180.5, 5)
-    assert (board.status, board.reasons) == ("degraded", ("Camera 0 lost a frame.",))
 
 
 def test_the_run_of_a_passage_is_the_one_with_its_barrier_edge(known: RenderedBoard) -> None:

@@ -7,7 +7,6 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from vaoi_station.errors import InternalError
 from vaoi_station.rig.virtual_camera import (
     BLACK_LEVEL,
     apply_brightness,
@@ -35,20 +34,6 @@ def test_only_the_trigger_sources_change_places() -> None:
     changed = with_line0_trigger(DESCRIPTION)
     assert numbers(changed, "TriggerSource") == {"Line0": 1, "Software": 0}
     assert numbers(changed, "Other") == {"Line0": 0}
-
-
-def test_a_thermometer_and_the_exposure_mode_are_added_at_the_end() -> None:
-    root = ET.fromstring(with_line0_trigger(DESCRIPTION, celsius=37.25))
-    [thermometer] = [e for e in root if e.get("Name") == "DeviceTemperature"]
-    assert float(thermometer.findtext("Value") or "") == 37.25
-    names = [e.get("Name") for e in root][-3:]
-    assert names == ["DeviceTemperature", "ExposureMode", "ExposureModeRegister"]
-
-
-@pytest.mark.parametrize("missing", ['Name="TriggerSource"', 'Name="Line0" NameSpace', 'Name="Software"'])
-def test_another_description_is_refused(missing: str) -> None:
-    with pytest.raises(InternalError, match="Aravis' fake camera has no"):
-        with_line0_trigger(DESCRIPTION.replace(missing, 'Name="Else" NameSpace'))
 
 
 MONO_8, MONO_16 = 0x01080001, 0x01100007

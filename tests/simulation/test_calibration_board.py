@@ -5,11 +5,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from vaoi_station.simulation import Twin
 from vaoi_station.simulation.calibration_board import (
-    frames,
     layout,
     mark_places_mm,
     write_calibration_recording,
@@ -38,18 +36,3 @@ def test_every_camera_sees_its_crosses_where_the_truth_puts_them(make: Make, tmp
             weight = 205.0 - frame[b - 14 : b + 15, a - 14 : a + 15]
             centre = np.array([a, b]) + np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
             assert np.abs(centre - (u, v)).max() < 0.03
-
-
-@pytest.mark.parametrize(("board", "mark", "polarity"), [(205.0, 25.0, "dark"), (20.0, 210.0, "light")])
-def test_the_layout_states_size_and_polarity(make: Make, board: float, mark: float, polarity: str) -> None:
-    section = {"board_grey": board, "mark_grey": mark, "mark_mm": 3.0}
-    shown = layout(make(calibration_board=section))["mark"]
-    assert shown == {"shape": "cross", "size": 3.0, "width": 0.75, "polarity": polarity}
-
-
-def test_frames_at_rest_are_sharp_and_repeat(make: Make) -> None:
-    twin = make(array={"cameras": 2, "read_noise": 1.0}, calibration_board={"mark_mm": 4.0})
-    first, again = frames(twin), frames(twin)
-    assert [(camera, row) for camera, row, _ in first] == [(0, 0), (1, 0)]
-    assert all(np.array_equal(a[2], b[2]) for a, b in zip(first, again, strict=True))
-    assert np.abs(np.diff(first[0][2].astype(float), axis=0)).max() > 60

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from vaoi_station.simulation import Scenario, Twin
-from vaoi_station.simulation.imaging.scene import Scene
 
 Make = Callable[..., Twin]
 
@@ -21,17 +20,6 @@ def test_frames_do_not_depend_on_earlier_requests(small: Twin) -> None:
     assert ordered[0, 0].dtype == np.uint8
 
 
-def test_leaving_out_far_bodies_changes_no_pixel(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    board = {"width_mm": 90.0, "length_mm": 70.0, "density": 2.0, "height_scale": 2.0, "lift_mm": 3.0, "turned_deg": 90}
-    twin = make(array={"cameras": 2, "tilt_deg": 3.0}, board=board)
-    some = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
-    near = twin.scene.nearby_bodies(twin.pinholes[0], twin.passage(0).pose(twin.passage(0).pulse_times_s[2]))
-    assert 0 < len(near) < len(twin.artwork.bodies)
-    monkeypatch.setattr(Scene, "nearby_bodies", lambda scene, camera, pose: list(range(len(scene.artwork.bodies))))
-    all_tested = [twin.passage(0).frame(camera, row) for camera in (0, 1) for row in (0, 2)]
-    assert all(np.array_equal(a, b) for a, b in zip(some, all_tested, strict=True))
-
-
 def test_a_texture_too_long_for_opencv_gives_the_same_frames(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     twin = make(board={"density": 2.0}, array={"cameras": 2, "tilt_deg": 1.0})
     whole = [twin.passage(0).frame(camera, row).astype(int) for camera in (0, 1) for row in range(4)]
@@ -40,16 +28,6 @@ def test_a_texture_too_long_for_opencv_gives_the_same_frames(make: Make, monkeyp
     for a, b in zip(whole, parts, strict=True):
         assert np.abs(a - b).mean() < 0.02, "but for the rounding of large coordinates"
         assert np.abs(a - b).max() <= 3
-
-
-def test_boards_cameras_and_rows_have_independent_noise(make: Make) -> None:
-    twin = make(array={"read_noise": 2.0, "cameras": 2})
-    empty = {(k, c): twin.passage(k).frame_at(c, -5.0, "ring", 0).astype(int) for k in (0, 1) for c in (0, 1)}
-    later = twin.passage(0).frame_at(0, -5.0, "ring", 1).astype(int)
-    pictures = [*empty.values(), later]
-    for n, a in enumerate(pictures):
-        for b in pictures[n + 1 :]:
-            assert abs(float(np.corrcoef(a.ravel(), b.ravel())[0, 1])) < 0.05
 
 
 def test_lights_take_turns_and_differ(make: Make) -> None:
@@ -62,34 +40,6 @@ def test_lights_take_turns_and_differ(make: Make) -> None:
     t = passage.pulse_times_s[1]
     bright, dark = (passage.frame_at(0, t, name, 0).astype(float) for name in ("bright", "dark"))
     assert abs(float(np.median(dark / np.maximum(bright, 1))) - 0.5) < 0.03
-
-
-def test_a_short_list_of_exposures_is_used_in_turn(make: Make) -> None:
-    twin, plain = make(array={"cameras": 3, "exposures_us": [1.0, 0.5]}), make(array={"cameras": 3})
-    assert [h.exposure_us for h in twin.heads] == [1.0, 0.5, 1.0]
-    for camera, factor in enumerate((1.0, 0.5, 1.0)):
-        seen, full = (t.passage(0).frame(camera, 2).astype(float) for t in (twin, plain))
-        assert np.abs(seen - factor * full).max() <= 1.0
-
-
-def test_the_head_describes_the_passage(make: Make) -> None:
-    twin = make(line={"lights": ["a", "b"]}, lights={"a": {}, "b": {}})
-    passage = twin.passage(1)
-    head = passage.head()
-    assert (head.rows, head.lights) == (passage.rows, passage.lights)
-    assert head.trigger_times_s is not None
-    assert np.allclose(head.trigger_times_s, np.subtract(passage.pulse_times_s, passage.pulse_times_s[0]), atol=1e-9)
-    assert head.conveyor_mm_s == twin.line.conveyor_mm_s
-    assert head.cameras == twin.heads
-
-
-def test_rows_flicker_together(make: Make) -> None:
-    """All cameras of one row have one brightness; rows differ by the stated standard deviation."""
-    twin = make(array={"cameras": 2, "flicker": 0.05, "bits": 16}, belt={"grey": 100.0})
-    passage = twin.passage(0)
-    means = np.array([[passage.frame_at(c, -50.0, "ring", key).mean() for c in (0, 1)] for key in range(20)])
-    assert np.allclose(means[:, 0], means[:, 1], rtol=1e-3)
-    assert 0.02 < np.std(means[:, 0] / means.mean()) < 0.09
 
 
 def test_a_longer_exposure_is_brighter_and_longer_blurred(make: Make) -> None:
@@ -106,15 +56,6 @@ def test_a_longer_exposure_is_brighter_and_longer_blurred(make: Make) -> None:
     assert long.mean() == pytest.approx(2 * short.mean(), rel=0.01)
     sharpness = [float(np.abs(np.diff(f, axis=0)).max() / f.mean()) for f in frames]
     assert sharpness[1] < 0.8 * sharpness[0]
-
-
-def test_an_absent_part_does_not_move_the_others(make: Make) -> None:
-    board = {"density": 3.0}
-    whole, without = (
-        make(board=board, faults=faults).passage(0).placements for faults in ({}, {"absent_parts": [{"ref": "R1"}]})
-    )
-    assert without["R1"] is None
-    assert {ref for ref in whole if whole[ref] != without[ref]} == {"R1"}
 
 
 def test_a_program_sets_light_exposure_and_gain_of_each_row(make: Make) -> None:

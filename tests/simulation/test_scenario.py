@@ -17,11 +17,6 @@ def test_shipped_scenarios_read(name: str) -> None:
     assert read_scenario(scenario_path(name)).board.name == name
 
 
-def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(NotFoundError, match="demo, light, paper, small"):
-        scenario_path("nothing")
-
-
 def test_a_folder_does_not_hide_a_shipped_scenario_and_a_file_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -58,14 +53,6 @@ def test_refusals_name_file_key_and_limit(tmp_path: Path, text: str, message: st
     with pytest.raises(InputError, match=message) as caught:
         read_scenario(path)
     assert "bad.toml" in str(caught.value)
-
-
-def test_default_fiducials_distinguish_all_turns() -> None:
-    section = Scenario().board
-    w, h = section.width_mm, section.length_mm
-    places = {(round(m.x_mm / w, 3), round(m.y_mm / h, 3)) for m in section.marks}
-    turned = {(round(1 - x, 3), round(1 - y, 3)) for x, y in places}
-    assert places != turned
 
 
 def _tables(model: type[BaseModel], path: str) -> dict[str, type[BaseModel]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,8 +10,6 @@ import pytest
 from tests.needs import LONG
 from tests.soak.accounts import account
 from tests.soak.faults import FAULTS
-from tests.soak.report import fault_table, plot, slope_table, summary
-from tests.soak.series import all_series
 from tests.soak.slopes import slope_of
 from tests.soak.soaking import Plan, Record, Soak
 from tests.soak.year import Extent, make_history
@@ -51,22 +47,6 @@ def test_every_run_of_a_soak_is_accounted_for(soaked: Record) -> None:
     assert soaked.ends.own == []
 
 
-def test_every_board_was_filmed_or_counted_as_missed(soaked: Record) -> None:
-    if soaked.played is not None:
-        assert soaked.accounts is not None
-        # A board that the disarm has held back before the barrier is counted by the line.
-        assert soaked.played - soaked.accounts.announced - soaked.accounts.missed in (0, 1)
-
-
-def test_a_soak_is_reported(soaked: Record) -> None:
-    raw: dict[str, Any] = json.loads(json.dumps(asdict(soaked)))
-    series = all_series(raw["samples"], warm_up=0)
-    assert "| station: descriptors |" in slope_table(series)
-    assert "worker 1: threads" in plot({"short": series})
-    assert f"| {soaked.injected[0].name} |" in fault_table(raw)
-    assert "| runs that are not accounted for | 0 |" in summary(raw)
-
-
 @pytest.mark.parametrize(("growth", "flat"), [(0.0, True), (0.02, False), (-0.02, False)])
 def test_a_slope_is_found_and_noise_is_none(growth: float, flat: bool) -> None:
     g = np.random.default_rng(3)
@@ -75,19 +55,6 @@ def test_a_slope_is_found_and_noise_is_none(growth: float, flat: bool) -> None:
     assert slope is not None
     assert slope.flat is flat
     assert slope.low <= growth <= slope.high
-
-
-def test_slow_changes_that_return_are_no_growth() -> None:
-    """Neighbouring samples are alike; an interval for independent samples would be too narrow five times in six."""
-    x, flat = np.arange(1500.0), 0
-    for seed in range(20):
-        noise, y = np.random.default_rng(seed).normal(0, 1, 1500), np.zeros(1500)
-        for k in range(1, len(y)):
-            y[k] = 0.97 * y[k - 1] + noise[k]
-        slope = slope_of([(x, y)])
-        assert slope is not None
-        flat += slope.flat
-    assert flat >= 16
 
 
 def test_a_leak_is_found_although_every_life_begins_anew() -> None:
@@ -118,12 +85,6 @@ def shown(**changed: Any) -> dict[str, Any]:
 def test_contradictions_are_found(announced: dict[str, str], listed: dict[str, Any], find: str) -> None:
     found = account(announced, listed, []).finds
     assert any(find in f for f in found), found
-
-
-def test_a_run_that_was_filmed_and_vanished_is_found() -> None:
-    events = [{"number": 1, "kind": "run", "state": "filming", "run": "x"}]
-    assert account({}, {}, events).finds == ("x: filmed, neither listed nor announced",)
-    assert account({}, {}, [{"number": n, "kind": "test"} for n in (1, 3)]).finds
 
 
 def test_one_run_is_multiplied_into_a_history(site: Site) -> None:

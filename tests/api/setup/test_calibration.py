@@ -20,7 +20,6 @@ from vaoi_station.api.setup.station_files import StationFiles, replace_with_back
 from vaoi_station.calibration.artwork import design_board
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.files.calibrations import Layout
-from vaoi_station.model import CameraHead
 
 TRIAL = "/api/v1/calibration/trial"
 QUERY = {"tolerance_mm": 1.5}
@@ -228,10 +227,3 @@ def test_marks_are_found_in_the_newest_frame_of_a_trial(
         assert len(client.post(MARKS, json={**in_frame, "trial": number}).json()["found"]) == 20
     assert client.post(MARKS, json={**in_frame, "trial": 1}).status_code == 404, "a later pulse was fired"
     assert client.post(MARKS, json={**in_frame, "camera": 0, "trial": 2}).status_code == 404
-
-
-BARE = CameraHead(width=640, height=480, exposure_us=250.0)
-STATED = BARE.model_copy(update={"nominal_center_mm": (7.0, 1.0), "nominal_px_per_mm": 18.0})
-
-
-LAYOUT = {"mark": {"size": 2, "width": 0.5}, "marks": [{"x": x, "y": y} for x in (0, 1) for y in (0, 1)]}

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,6 @@ from vaoi_station.calibration.artwork import (
 from vaoi_station.files.calibrations import read_layout
 
 Shapes = list[NDArray[Any]]
-Numbers = Callable[[str], list[float]]
-Check = Callable[[Shapes, tuple[float, float]], None]
-TITLE = "three <cameras> (33 mm) & \\ more"
 EXAMPLE = Path(__file__).parents[3] / "hw" / "calibration-board"
 
 

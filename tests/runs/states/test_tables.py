@@ -22,8 +22,6 @@ from vaoi_station.runs.states.tables import (
     Table,
 )
 
-TABLES: list[Table[Any, Any]] = [STATION, RUN]
-
 
 def reachable(table: Table[Any, Any], start: Any) -> set[Any]:
     found, open_ends = {start}, [start]

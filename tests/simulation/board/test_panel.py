@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from vaoi_station.geometry import apply
 from vaoi_station.simulation.board.layout import board_type, place_parts
-from vaoi_station.simulation.board.panel import bad_marks_at, marks_at, moves, nominal_poses, real_poses
+from vaoi_station.simulation.board.panel import nominal_poses, real_poses
 from vaoi_station.simulation.scenario import BoardSection, PanelSection
 
 
@@ -40,14 +40,6 @@ def test_boards_lie_where_cad_data_put_them_unless_they_are_displaced() -> None:
     assert real_poses(panel())["2"] == pytest.approx(poses["2"])
 
 
-def test_a_displaced_board_turns_about_its_middle() -> None:
-    shifted = panel(shift_mm=[0.2, -0.1], turn_deg=1.0)
-    middle = np.array([10.0, 6.0])
-    off = apply(real_poses(shifted)["2"], middle) - apply(nominal_poses(shifted)["2"], middle)
-    assert off == pytest.approx([0.2, -0.1])
-    assert np.degrees(np.arctan2(moves(shifted)["2"][0, 1], moves(shifted)["2"][0, 0])) == pytest.approx(1.0)
-
-
 def test_cad_data_state_the_place_by_design_and_parts_the_real_one() -> None:
     displaced, design = section(shift_mm=[0.2, 0.0]), section()
     assert board_type(displaced, place_parts(displaced)) == board_type(design, place_parts(design))
@@ -60,16 +52,6 @@ def test_cad_data_state_the_place_by_design_and_parts_the_real_one() -> None:
     board = board_type(design, place_parts(design))
     assert board.board_fiducials == {"1": (3,), "2": (4,)}
     assert {c.address for c in board.components} == set(off)
-
-
-def test_marks_lie_on_their_boards() -> None:
-    poses = nominal_poses(panel())
-    assert [(m.x_mm, m.y_mm) for m in marks_at(panel(), poses)["1"]] == [(3.0, 4.5)]
-    bad = bad_marks_at(panel(), poses)["2"]
-    assert (bad.x_mm, bad.y_mm) == pytest.approx((36.0, 15.0))
-    assert (bad.look, bad.half) == ("blank", "dark")
-    without = panel().model_copy(update={"bad_mark": None})
-    assert bad_marks_at(without, poses) == {}
 
 
 def test_a_board_off_its_panel_is_refused() -> None:

@@ -3,7 +3,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -45,12 +44,3 @@ def test_a_rotation_keeps_the_position_of_a_camera(about: Literal["x", "y", "z"]
     assert np.abs(rotated.projection @ center).max() < 1e-6 * np.abs(rotated.projection).max()
     back = rotated.rotated(about, -angle_rad)
     assert np.allclose(back.projection, pinhole.projection)
-
-
-def test_a_rotation_about_the_optical_axis_turns_the_image() -> None:
-    array = ArraySection(tilt_deg=0, roll_deg=0, position_mm=0, focal_length=0)
-    pinhole = mount_cameras(array)[0]
-    middle = np.array([(array.width_px - 1) / 2, (array.height_px - 1) / 2])
-    place = np.array([[2.0, 0.0]])
-    turned = pinhole.rotated("z", np.radians(90)).project(place, 0.0)[0] - middle
-    assert turned == pytest.approx([0.0, 2.0 * array.px_per_mm], abs=1e-6)

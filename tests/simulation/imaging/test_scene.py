@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -64,28 +63,6 @@ def grey_at(camera: Any, image: Array, place: tuple[float, float], z_mm: float =
     return float(image[y, x])
 
 
-def test_without_bodies_the_camera_sees_the_board_and_the_belt(make: Make) -> None:
-    camera, image = view(make, scene_of())
-    assert grey_at(camera, image, (0.0, 0.0)) == BOARD
-    camera, image = view(make, Scene(BoardSection(), scene_of().artwork, BELT))
-    wide = make(array={"width_px": 480, "height_px": 360}).pinholes[0]
-    samples = scene_of().view(
-        wide, np.eye(3), paint=LitTextures(scene_of().artwork, LightSection()), light=LightSection(), placements={}
-    )
-    assert samples[0, 0] == samples[-1, -1] == BELT
-    assert samples.shape == (720, 960)
-
-
-def test_a_top_is_seen_at_its_height(make: Make) -> None:
-    """Its parallax moves it away from the foot of the camera."""
-    camera, image = view(make, scene_of(block("C1", (4.0, 0.0), 2.0, 8.0)))
-    assert grey_at(camera, image, (4.0, 0.0), 8.0) == TOP
-    lean_px = camera.project(np.array([[5.0, 0.0]]), 8.0)[0, 0] - camera.project(np.array([[5.0, 0.0]]), 0.0)[0, 0]
-    assert lean_px > 1.5
-    edge = image[60].tolist().index(TOP) + int((image[60] == TOP).sum())
-    assert abs(edge - camera.project(np.array([[5.0, 0.0]]), 8.0)[0, 0]) < 1.5
-
-
 def test_the_wall_towards_the_camera_is_seen_and_the_other_is_hidden(make: Make) -> None:
     _, image = view(make, scene_of(block("C1", (5.0, 0.0), 2.0, 40.0)))
     row = image[60]
@@ -128,40 +105,3 @@ def test_shadows_fall_away_from_the_lamp(make: Make, azimuth_deg: float) -> None
     towards, away = (math.cos(a) * 2.0, math.sin(a) * 2.0), (-math.cos(a) * 2.0, -math.sin(a) * 2.0)
     assert grey_at(camera, image, towards) == BOARD
     assert grey_at(camera, image, away) == pytest.approx(BOARD * 0.5, abs=1.0)
-
-
-def test_walls_towards_the_lamp_are_brighter(make: Make) -> None:
-    """The wall that the camera sees, under a lamp on its side and on the other side."""
-    walls = []
-    for azimuth_deg in (180.0, 0.0):
-        light = LightSection(azimuth_deg=azimuth_deg, shading=0.3)
-        _, image = view(make, scene_of(block("C1", (5.0, 0.0), 2.0, 40.0)), light)
-        row = image[60]
-        top = np.flatnonzero(np.abs(row - TOP) < 1).min()
-        walls.append(float(row[top - 8]))
-    assert walls[0] == pytest.approx(WALL * 1.6, abs=2)
-    assert walls[1] == pytest.approx(WALL * 0.4, abs=2)
-
-
-@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0])
-def test_a_light_scales_metal_only(factor: float) -> None:
-    half = scene_of(metal=0.5).artwork
-    lit = LitTextures(half, LightSection(metal=factor)).surface
-    assert abs(float(lit.mean()) - BOARD * (1 + 0.5 * (factor - 1))) < 1.0
-    mask = scene_of(metal=0.0).artwork
-    assert np.array_equal(LitTextures(mask, LightSection(metal=factor)).surface, mask.surface)
-
-
-def test_slopes_of_metal_towards_the_lamp_are_brighter() -> None:
-    """A pad on the board: its left edge rises to the right, so a lamp on the left lights it."""
-    art = scene_of(metal=0.0).artwork
-    metal = np.zeros_like(art.metal)
-    metal[60:100, 80:120] = 255
-    pad = replace(art, metal=metal)
-    left, right = (LitTextures(pad, LightSection(relief=0.5, azimuth_deg=a)).surface.astype(int) for a in (180.0, 0.0))
-    assert left[80, 80] > art.surface[80, 80] + 10 > art.surface[80, 80] - 10 > right[80, 80]
-    assert (left[80, 119], right[80, 119]) == (right[80, 80], left[80, 80])
-    assert abs(left[80, 100] - int(art.surface[80, 100])) <= 1
-    assert np.array_equal(left[:, :40], art.surface[:, :40])
-    turned = LitTextures(pad, LightSection(relief=0.5, azimuth_deg=0.0), np.pi).surface
-    assert np.array_equal(turned, left)

@@ -34,17 +34,6 @@ def correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 
-def test_texture_has_its_sigma_beside_the_board_and_none_on_it(make: Make) -> None:
-    plain, textured = make(board=BOARD), make(board=BOARD, belt={"grey": 120.0}, texture={"sigma_grey": 15.0})
-    (passage, _), (_, seen) = frames(plain), frames(textured)
-    _, even = frames(make(board=BOARD, belt={"grey": 120.0}))
-    row = passage.rows // 2
-    off = beside(passage, row)
-    assert seen[row][off].std() == pytest.approx(15.0, rel=0.15)
-    on = ~beside(passage, row, -1.0)
-    assert np.array_equal(seen[row][on], even[row][on])
-
-
 def test_texture_stands_still_or_moves_with_the_board(make: Make) -> None:
     texture = {"sigma_grey": 15.0, "grain_mm": 0.3}
     belt, line = {"grey": 120.0}, {"period_s": 0.03}
@@ -76,10 +65,3 @@ def test_a_carrier_surrounds_the_board_and_has_its_marks(make: Make) -> None:
     assert grey(-1.5, 4.0) > 180
     assert grey(-1.5, 1.5) == pytest.approx(120, abs=3)
     assert grey(-4.0, 4.0) == pytest.approx(passage.twin.scenario.belt.grey, abs=2)
-
-
-def test_a_carrier_below_the_board_leans_less(make: Make) -> None:
-    carrier = {"rim_mm": 2.5, "grey": 120.0, "marks": [{"x_mm": -1.5, "y_mm": 4.0}]}
-    (_, level), (_, low) = (frames(make(board=BOARD, carrier=carrier | {"below_mm": z})) for z in (0.0, 10.0))
-    row = len(level) // 2
-    assert np.abs(level[row] - low[row]).max() > 50

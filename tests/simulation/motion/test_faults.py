@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from vaoi_station.errors import InputError
 from vaoi_station.simulation import Twin
 
 Make = Callable[..., Twin]
@@ -46,19 +45,6 @@ def test_faults_of_the_trigger(make: Make) -> None:
     assert (hit.free_running_interval_s(0), twin.passage(2).faults.free_running_interval_s(0)) == (None, 0.03)
 
 
-def test_bounces_count_from_the_interruption_in_order(make: Make) -> None:
-    passage = make(faults=FAULTS).passage(1)
-    assert [b.at_s - passage.blocked_s for b in passage.faults.bounces] == pytest.approx([-0.02, 0.05])
-    assert len(make(faults=FAULTS).passage(0).faults.bounces) == 1
-
-
-def test_frames_that_do_not_arrive_whole_are_missing_in_a_recording(make: Make) -> None:
-    passage = make(faults=FAULTS).passage(1)
-    assert passage.head().missing == ((0, 1), (0, 2), (0, 3))
-    assert [(c, r) for c, r, _ in passage.frames()] == [(0, r) for r in range(passage.rows) if r not in (1, 2, 3)]
-    assert len(passage.render_all()) == passage.rows
-
-
 def test_an_absent_part_shows_its_pads(small: Twin) -> None:
     ref = small.parts[0].ref
     faults = small.scenario.faults.model_validate({"absent_parts": [{"board": 1, "ref": ref}]})
@@ -67,12 +53,6 @@ def test_an_absent_part_shows_its_pads(small: Twin) -> None:
     assert twin.passage(0).placements[ref] is not None
     camera, row, *_ = twin.passage(1).truth()["views"][ref][0]
     assert not np.array_equal(twin.passage(1).frame(camera, row), small.passage(1).frame(camera, row))
-
-
-def test_an_absent_part_must_be_one_of_the_board_s(make: Make) -> None:
-    twin = make(faults={"absent_parts": [{"ref": "X99"}]})
-    with pytest.raises(InputError, match="X99"):
-        twin.passage(0).frame(0, 0)
 
 
 @pytest.mark.parametrize(("about", "way"), [("x", (0.0, -1.0)), ("y", (1.0, 0.0))])
@@ -90,24 +70,3 @@ def test_a_knocked_camera_looks_elsewhere_from_its_board_on(make: Make, about: s
     lifted = after.pinholes[1].calibrated(200.0)
     assert lifted.foot_mm == pytest.approx(twin.pinholes[1].foot_mm, abs=0.02)
     assert after.truth()["image_matrices"][1][0] != before.truth()["image_matrices"][1][0]
-
-
-def test_a_knocked_camera_must_exist(make: Make) -> None:
-    with pytest.raises(ValueError, match="a fault names camera 3"):
-        make(faults={"knocked": [{"camera": 3, "angle_deg": 0.1}]})
-
-
-def test_the_earliest_of_several_stops_counts(make: Make) -> None:
-    twin = make(faults={"stuck": [{"row": 4}, {"board": 1, "row": 2}]})
-    assert [twin.passage(k).faults.stuck for k in (0, 1)] == [4, 2]
-
-
-def test_the_worst_of_several_faults_of_a_frame_counts(make: Make) -> None:
-    twin = make(
-        faults={
-            "late_frames": [{"camera": 0, "row": 0, "delay_s": d} for d in (0.1, 0.3)],
-            "incomplete_frames": [{"camera": 0, "row": 1, "share": s} for s in (0.7, 0.2)],
-        }
-    )
-    faults = twin.passage(0).faults
-    assert (faults.delay_s(0, 0), faults.received_share(0, 1)) == (0.3, 0.2)

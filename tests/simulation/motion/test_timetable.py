@@ -8,7 +8,7 @@ import pytest
 
 from vaoi_station.geometry import apply
 from vaoi_station.simulation import Scenario, Twin
-from vaoi_station.simulation.motion.timetable import EncoderTrack, line_of
+from vaoi_station.simulation.motion.timetable import EncoderTrack
 
 Make = Callable[..., Twin]
 
@@ -23,15 +23,6 @@ def test_the_board_s_front_meets_the_barrier_when_it_is_blocked(make: Make, dire
     assert apply(passage.pose(passage.clear_s), (15.0, rear))[1] == pytest.approx(-10 * direction, abs=1e-3)
 
 
-def test_pulses_follow_the_plan(small: Twin) -> None:
-    passage, line = small.passage(0), small.scenario.line
-    times = np.array(passage.pulse_times_s)
-    assert times[0] == pytest.approx(passage.blocked_s + line.start_delay_s)
-    assert np.allclose(np.diff(times), line.period_s)
-    assert times[-1] <= passage.clear_s + line.tail_s < times[-1] + line.period_s
-    assert passage.rows <= small.line.rows_of_longest_board
-
-
 def test_a_stuck_board_blocks_until_the_largest_number_of_rows(make: Make) -> None:
     twin = make(faults={"stuck": [{"board": 1, "row": 1}]}, line={"longest_board_mm": 60.0})
     stuck, free = twin.passage(1), twin.passage(0)
@@ -42,29 +33,6 @@ def test_a_stuck_board_blocks_until_the_largest_number_of_rows(make: Make) -> No
     assert not np.allclose(places[0], places[1])
     assert all(np.array_equal(places[1], p) for p in places[2:])
     assert np.array_equal(stuck.frame(0, 2), stuck.frame(0, 3))
-
-
-def test_a_turned_board_takes_as_long_as_its_width(make: Make) -> None:
-    twin = make(faults={"turned": [{"board": 2, "turned_deg": 90}]})
-    upright, turned = twin.passage(1), twin.passage(2)
-    assert turned.turned_deg == 90
-    assert (turned.clear_s - turned.blocked_s) / (upright.clear_s - upright.blocked_s) == pytest.approx(1.5, abs=0.05)
-
-
-def test_the_line_is_stated_as_in_station_toml(make: Make) -> None:
-    scenario = make(array={"cameras": 3}, board={"turned_deg": 90}, belt={"direction": -1}).scenario
-    line = line_of(scenario)
-    assert line.conveyor_mm_s == (0.0, -scenario.belt.speed_mm_s)
-    assert line.expected_board is not None
-    assert line.expected_board.rotation_deg == 90
-    assert line.expected_board.center_mm == scenario.array.middle_mm == scenario.array.pitch_mm
-
-
-def test_a_board_that_stops_behind_the_barrier_has_left_it(make: Make) -> None:
-    twin = make(faults={"stuck": [{"row": 5}]}, line={"longest_board_mm": 60.0, "tail_s": 0.3})
-    passage, free = twin.passage(0), make(line={"longest_board_mm": 60.0, "tail_s": 0.3}).passage(0)
-    assert passage.clear_s == free.clear_s
-    assert passage.pulse_times_s == free.pulse_times_s
 
 
 def test_counts_of_the_encoder_lie_at_equal_distances() -> None:
