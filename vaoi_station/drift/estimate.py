@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vaoi_station.geometry.displacement import PARAMETERS
+from vaoi_station.geometry.displacement import PARAMETERS, CameraMatrices, move_points
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.cameras import comparable_cameras, ground_changes, move_points
+from vaoi_station.stitching.adjustment.cameras import comparable_cameras
 from vaoi_station.stitching.adjustment.problem import SIGMA_MM, AdjustmentResult, Ints, SurfaceBasis
 from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.quality.findings import Findings
@@ -46,11 +46,12 @@ def estimate_displacements(findings: Findings) -> DisplacementEstimate:
         # A single camera, or a run without links, gives no evidence of displacements.
         none, nothing, size = np.full(n, np.nan), np.zeros(n, dtype=np.int_), PARAMETERS * n
         return DisplacementEstimate(np.zeros((size, size)), np.zeros(size), none, none, nothing, nothing)
-    back = np.ascontiguousarray(np.linalg.inv(ground_changes(findings.calibrated, estimate.displacement_px)))
+    changes = CameraMatrices.of(findings.calibrated).ground_changes(estimate.displacement_px)
+    back = np.asarray(np.linalg.inv(changes), dtype=np.float64)
 
     def explained(ground_mm: Floats, camera: Ints, row: Ints) -> Floats:
         """Return by what (k, 2) mm of the board points lie elsewhere as the calibrated cameras would see them."""
-        change = move_points(np.ascontiguousarray(ground_mm), camera, back) - ground_mm
+        change = move_points(ground_mm, camera, back) - ground_mm
         return np.asarray(adjusted.motion.turned(row, change))
 
     # Links on components are left out, because the height of a component looks like a displacement of a camera.

@@ -10,10 +10,12 @@ is unknown, they describe a motion in the image plane.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Projective, System
 from vaoi_station.geometry.transforms import Floats
@@ -21,37 +23,86 @@ from vaoi_station.geometry.transforms import Floats
 PARAMETERS = 3
 
 
-def corner_radius_px(camera: Camera) -> float:
-    """Compute the distance in px from the middle of the frame to a corner, where a turn moves the picture most."""
-    return math.hypot(camera.width_px, camera.height_px) / 2
+class CameraMatrices(NamedTuple):
+    """n cameras as arrays, from which the matrices of the displaced cameras are computed together."""
+
+    image_from_row: Floats  # (n, 3, 3) N_i
+    row_from_image: Floats  # (n, 3, 3) the inverse N_i
+    inner: Floats  # (n, 3, 3) K: focal length, 1 where it is unknown, and principal point
+    from_inner: Floats  # (n, 3, 3) K⁻¹
+    focal_px: Floats  # (n,) ∞ where the working distance is unknown
+    center_px: Floats  # (n, 2) middle of the frame
+
+    @staticmethod
+    def of(cameras: Sequence[Camera]) -> CameraMatrices:
+        """Collect the matrices of cameras."""
+        values = np.zeros((len(cameras), 5))
+        for own, camera in zip(values, cameras, strict=True):
+            # The focal length in px follows from resolution and working distance, since it is not calibrated alone.
+            f = camera.px_per_mm * camera.working_distance_mm if camera.working_distance_mm else math.inf
+            own[:] = f, *(camera.principal_point_px or camera.center_px), *camera.center_px
+        f, x, y = values[:, :3].T
+        one = np.where(np.isinf(f), 1.0, f)
+        inner, outer = np.zeros((2, len(cameras), 3, 3))
+        inner[:, 0, 0] = inner[:, 1, 1] = one
+        outer[:, 0, 0] = outer[:, 1, 1] = 1 / one
+        inner[:, 2, 2] = outer[:, 2, 2] = 1.0
+        inner[:, 0, 2], inner[:, 1, 2], outer[:, 0, 2], outer[:, 1, 2] = x, y, -x / one, -y / one
+        there = np.array([c.image_from_row.matrix for c in cameras]).reshape(-1, 3, 3)
+        back = np.array([c.row_from_image.matrix for c in cameras]).reshape(-1, 3, 3)
+        return CameraMatrices(there, back, inner, outer, f, values[:, 3:])
+
+    def moved(self, displacement_px: Floats) -> Floats:
+        """Return homographies T (..., n, 3, 3) from undistorted pixels as calibrated to those of the displaced cameras.
+
+        A displaced camera (x, y, turn), (..., n, 3), has the matrix T·N_i. If the working distance is known, T is
+        K·R·K⁻¹, the homography of a camera that turned about its projection centre by R.
+        """
+        x, y, corner = np.moveaxis(displacement_px, -1, 0)
+        # A turn is stated as the motion of the frame's corner.
+        p, q, r = -y / self.focal_px, x / self.focal_px, corner / np.hypot(*(self.center_px + 0.5).T)
+        nil = np.zeros_like(p)
+        cross = np.array([[nil, -r, q], [r, nil, -p], [-q, p, nil]])
+        cross = np.moveaxis(cross, (0, 1), (-2, -1))
+        # Rodrigues' formula, in a form that is exact for small angles
+        angle = np.sqrt(p * p + q * q + r * r)[..., None, None]
+        motion = np.eye(3) + np.sinc(angle / np.pi) * cross + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (cross @ cross)
+        flat = np.isinf(self.focal_px)
+        if flat.any():
+            motion[..., :2, 2] += np.where(flat[:, None], displacement_px[..., :2], 0.0)
+        return np.asarray(self.inner @ motion @ self.from_inner, dtype=np.float64)
+
+    def ground_changes(self, displacement_px: Floats) -> Floats:
+        """Return homographies (n, 3, 3) from ground points by the calibrated cameras to those by the displaced ones."""
+        back = np.linalg.inv(self.moved(displacement_px))
+        return np.asarray(self.row_from_image @ back @ self.image_from_row, dtype=np.float64)
 
 
-def moved_from_calibrated(camera: Camera, displacement_px: Floats) -> Floats:
-    """Build the homography T (3, 3) from undistorted pixels of the calibrated camera to those of the displaced one.
-
-    The displaced camera has the matrix T·N_i. If the working distance is known, T is K·R·K⁻¹, the homography of a
-    camera that turned about its projection centre by R; K holds the focal length and the principal point.
-    """
-    x, y, corner = (float(v) for v in displacement_px)
-    cx, cy = camera.principal_point_px or camera.center_px
-    turn = corner / corner_radius_px(camera)
-    if camera.working_distance_mm is None:
-        c, s = math.cos(turn), math.sin(turn)
-        return np.array([[c, -s, x + cx - c * cx + s * cy], [s, c, y + cy - s * cx - c * cy], [0, 0, 1]])
-    # The focal length in px follows from resolution and working distance, since it is not calibrated separately.
-    f = camera.px_per_mm * camera.working_distance_mm
-    rotation = cv2.Rodrigues(np.array([-y / f, x / f, turn]))[0]
-    inner = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]])
-    return np.asarray(inner @ rotation @ np.linalg.inv(inner), dtype=np.float64)
+def displaced_cameras(cameras: Sequence[Camera], displacement_px: Floats) -> tuple[Camera, ...]:
+    """Return the cameras with the N_i that result from their displacements (n, 3) px."""
+    # Without a displacement, the same object is returned, so that a camera that has not moved keeps its exact N_i.
+    if not np.any(displacement_px):
+        return tuple(cameras)
+    matrices = CameraMatrices.of(cameras)
+    moved = matrices.moved(displacement_px) @ matrices.image_from_row
+    return tuple(
+        replace(camera, image_from_row=Projective(matrix / matrix[2, 2], System.IMAGE, System.ROW))
+        if any(d)
+        else camera
+        for camera, matrix, d in zip(cameras, moved, displacement_px.tolist(), strict=True)
+    )
 
 
 def displace_camera(camera: Camera, displacement_px: Floats) -> Camera:
     """Return the camera with its N_i changed by a displacement (3,) px."""
-    # Without a displacement, the same object is returned, so that a camera that has not moved keeps its exact N_i.
-    if not np.any(displacement_px):
-        return camera
-    matrix = moved_from_calibrated(camera, displacement_px) @ camera.image_from_row.matrix
-    return replace(camera, image_from_row=Projective(matrix / matrix[2, 2], System.IMAGE, System.ROW))
+    return displaced_cameras((camera,), np.reshape(displacement_px, (1, PARAMETERS)))[0]
+
+
+def move_points(ground_mm: Floats, camera: NDArray[np.int_], changes: Floats) -> Floats:
+    """Transform ground points (k, 2) of the cameras numbered `camera` (k,) by homographies (n, 3, 3)."""
+    h = changes[camera]
+    q = (h[:, :, :2] @ ground_mm[:, :, None])[:, :, 0] + h[:, :, 2]
+    return np.asarray(q[:, :2] / q[:, 2:], dtype=np.float64)
 
 
 def rms_displacement_px(displacement_px: Floats) -> float:

@@ -16,7 +16,7 @@ from vaoi_station.board_check.overview import CheckedRun
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files import Recording, read_stitch, write_stitch
 from vaoi_station.geometry import Camera, apply
-from vaoi_station.geometry.displacement import PARAMETERS, displace_camera
+from vaoi_station.geometry.displacement import PARAMETERS, displaced_cameras
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.library.arguments import require_path, require_text, require_whole, whole
 from vaoi_station.library.component_images import ComponentImages, component_height, made_image
@@ -379,7 +379,7 @@ def _as_in_run(result: Stitch, cameras: Sequence[Camera]) -> Sequence[Camera]:
         return cameras
     if displacement_px.shape != (len(cameras), PARAMETERS) or not np.isfinite(displacement_px).all():
         return cameras
-    return [displace_camera(camera, d) for camera, d in zip(cameras, displacement_px, strict=True)]
+    return displaced_cameras(cameras, displacement_px)
 
 
 def _apart_px(matrix: Floats, camera: Camera) -> float:

@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
-from vaoi_station.geometry.displacement import displace_camera
+from vaoi_station.geometry.displacement import CameraMatrices, displace_camera, displaced_cameras
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.cameras import (
     CameraEffects,
     attribute_motion,
-    displaced_cameras,
     prior_weights,
     spread_of_unseen_motion,
     without_direction,
@@ -210,7 +209,10 @@ def test_the_effect_on_a_row_is_that_of_the_displaced_camera(number: int, parame
     px = g.uniform((0, 0), SIZE, (20, 2))
     angle, row = np.array([0.2]), np.zeros(20, dtype=np.int_)
     here = Motion(angle, np.zeros((1, 2)), pivot)
-    change = CameraEffects.of(CAMERAS, np.zeros((3, 3))).row_changes(angle, pivot)[number, 0] @ step[number]
+    change = (
+        CameraEffects.of(CameraMatrices.of(CAMERAS), np.zeros((3, 3))).row_changes(angle, pivot)[number, 0]
+        @ step[number]
+    )
     as_row = Motion(angle + change[0], change[None, 1:], pivot).board(row, CAMERAS[number].ground(px))
     as_camera = here.board(row, displace_camera(CAMERAS[number], step[number]).ground(px))
     # the rest is the keystone distortion of a camera that turned, which a motion of the row cannot have

@@ -72,8 +72,8 @@ class Scene:
         """The compiled residuals at these unknowns."""
         heights = np.append(unknowns[SIZE:], 0.0)
         height = self.basis @ unknowns[3 * ROWS : AT_CAMERAS] + heights[self.component]
-        state = LinkState.zeros(LINKS)
-        compute_residuals(self.links, self.motion(unknowns), height, state)
+        state = LinkState.of(self.links, movable=False)
+        compute_residuals(self.links, self.motion(unknowns), np.zeros((0, 3, 3)), height, state)
         return state
 
     def jacobian(self, unknowns: Array, step: float = 1e-6) -> Array:
@@ -143,7 +143,7 @@ def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) ->
 
 
 def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
-    state, px, group = LinkState.zeros(LINKS), scene.links.px_per_mm, scene.links.group
+    state, px, group = LinkState.of(scene.links, movable=False), scene.links.px_per_mm, scene.links.group
     state.residual[:] = np.random.default_rng(7).normal(0, 0.1, (LINKS, 2))
     kind = (scene.links.p == scene.links.q).astype(np.int_)
     floor, shared = np.array([0.3, 0.6]), np.array([0.1, 0.2])
@@ -180,7 +180,7 @@ def weights_of(
     plainly: float = np.inf,
 ) -> LinkState:
     """Compute the weights of links whose residual changes by 0.1 mm in x per mm of height."""
-    state = LinkState.zeros(LINKS)
+    state = LinkState.of(scene.links, movable=False)
     state.residual[:], state.lean[:] = residual, (0.1, 0.0)
     kind, floor, common = np.zeros(LINKS, np.int_), np.array([0.01]), np.full(LINKS, common_mm)
     noise = NoiseModel(kind, floor, np.array([0.0]), 2.0, 6.0, raised, scatter_mm, cell, common, plainly)

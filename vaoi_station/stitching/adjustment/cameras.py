@@ -18,18 +18,17 @@ cameras have not moved are then the most likely.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
-from vaoi_station.geometry.displacement import PARAMETERS, displace_camera
+from vaoi_station.geometry.displacement import PARAMETERS, CameraMatrices, displaced_cameras, move_points
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.envelope import NormalEquations, solve_forward
-from vaoi_station.stitching.adjustment.problem import CameraEstimate, Ints, Problem
+from vaoi_station.stitching.adjustment.equations import LinkState
+from vaoi_station.stitching.adjustment.problem import CameraEstimate, Problem
 
 STILL_PX = 0.03  # standard deviation, over many runs, of x, y and turn of a camera that was not moved
 MOVED_PX = 2 * STILL_PX  # length of the displacement vector (x, y, turn) above which a camera counts as moved
@@ -121,8 +120,15 @@ def _maximum(
     d, _ = most_likely(information, vector, weight, still_px, _ITERATIONS)
     x, tails = d.ravel(), np.log1p((d**2).sum(1) / still_px**2)
     cost = float(x @ information @ x / 2 - x @ vector) + (1 + PARAMETERS) / 2 * float(tails.sum())
-    prior = np.diag(np.repeat(prior_weights(d, still_px), PARAMETERS))
-    return cost, Attribution(d, np.asarray(np.linalg.inv(information + prior), dtype=np.float64))
+    whole = with_prior(information, np.repeat(prior_weights(d, still_px), PARAMETERS))
+    return cost, Attribution(d, np.asarray(np.linalg.inv(whole), dtype=np.float64))
+
+
+def with_prior(information: Floats, weight: Floats) -> Floats:
+    """Return a normal matrix (n, n) with weights (n,) added to its diagonal."""
+    whole = information.copy()
+    whole.flat[:: len(weight) + 1] += weight
+    return whole
 
 
 def most_likely(
@@ -134,7 +140,7 @@ def most_likely(
     the weights with which they were computed.
     """
     for left in range(iterations - 1, -1, -1):
-        whole = information + np.diag(np.repeat(weight, PARAMETERS))
+        whole = with_prior(information, np.repeat(weight, PARAMETERS))
         d = np.asarray(np.linalg.solve(whole, vector), dtype=np.float64).reshape(-1, PARAMETERS)
         if left:
             weight = prior_weights(d, still_px)
@@ -170,25 +176,22 @@ def spread_of_unseen_motion(
         unmoved_px: (n,) standard deviation of x, y and turn of each camera if it was not pushed.
     """
     weights, unmoved = np.repeat(weight, PARAMETERS), np.repeat(unmoved_px**2, PARAMETERS)
-    whole = information + np.diag(weights)
-    curvature = np.linalg.inv(whole)
+    curvature = np.linalg.inv(with_prior(information, weights))
     # A camera that is estimated as moved keeps the width that the prior of the estimate has there.
+    estimate = displacement_px.ravel()
     actual = unmoved + np.repeat((displacement_px**2).sum(1), PARAMETERS) / (1 + PARAMETERS)
     spread = np.asarray(curvature * (weights**2 * (actual - 1 / weights)) @ curvature, dtype=np.float64)
-    share = np.array([1 - _PUSHED_SHARE, _PUSHED_SHARE])
     blind = np.repeat(np.diag(information)[1::PARAMETERS] < _BLIND_PX**-2, PARAMETERS)
-    pushed_px = np.where(blind, _PUSHED_BLIND_PX, _PUSHED_PX)
-    for k, estimate in enumerate(displacement_px.ravel()):
-        rest = np.delete(np.arange(displacement_px.size), k)
-        follow = information[k, rest] @ np.linalg.inv(whole[np.ix_(rest, rest)])
-        alone = float(information[k, k] - follow @ information[rest, k])
-        right = float(vector[k] - follow @ vector[rest])
-        width = unmoved[k] + np.array([0.0, pushed_px[k] ** 2])
-        variance = 1 / (alone + 1 / width)
-        evidence = variance * right**2 - np.log1p(alone * width)
-        likely = share * np.exp((evidence - evidence.max()) / 2)
-        still, pushed = (variance + (variance * right - estimate) ** 2).tolist()
-        spread[k, k] += max(pushed - still, 0.0) * float(likely[1] / likely.sum())
+    # Information and vector of each number alone, after all others are eliminated with their priors.
+    alone = np.maximum(1 / np.diag(curvature) - weights, 0.0)
+    right = curvature @ vector / np.diag(curvature)
+    # In two lines, not pushed and pushed.
+    width = unmoved + np.where(blind, _PUSHED_BLIND_PX, _PUSHED_PX) ** 2 * np.array([[0.0], [1.0]])
+    variance = 1 / (alone + 1 / width)
+    evidence = variance * right**2 - np.log1p(alone * width)
+    likely = np.array([[1 - _PUSHED_SHARE], [_PUSHED_SHARE]]) * np.exp((evidence - evidence.max(0)) / 2)
+    still, pushed = variance + (variance * right - estimate) ** 2
+    spread[np.diag_indices_from(spread)] += np.maximum(pushed - still, 0.0) * likely[1] / likely.sum(0)
     return spread
 
 
@@ -206,7 +209,6 @@ With the tight prior from the start, the search would stay at displacements of 0
 _ANYWHERE_PX = 1000.0  # σ of the weak prior that makes the normal matrix regular, before the real one replaces it
 _EM_ITERATIONS = 5  # iterations of the search for the most likely displacements in each step of the adjustment
 _LARGE_PX = 1.0  # beyond this displacement, the first steps try each camera as the only one that moved
-_UNCHANGED_PX = 1e-7  # if no displacement changes by more than this, the links are not projected again
 _NEW_EFFECTS_PX = 0.5  # the effects, which vary slowly, are computed again after a displacement has changed by this
 _OTHER_PX = 0.02  # another explanation is tried only if one of its displacements differs by more than this
 
@@ -218,22 +220,21 @@ class CameraEffects(NamedTuple):
     middle_mm: Floats  # (n, 2) middle of each camera's view, about which the ground points are rotated
 
     @staticmethod
-    def of(cameras: Sequence[Camera], displacement_px: Floats) -> CameraEffects:
+    def of(cameras: CameraMatrices, displacement_px: Floats) -> CameraEffects:
         """Return the effects of changes of the displacements (n, 3) with which the cameras are taken."""
-        motion, middle = np.zeros((len(cameras), 3, 3)), np.zeros((len(cameras), 2))
-        for i, camera in enumerate(cameras):
-            here = displace_camera(camera, displacement_px[i])
-            c = np.array(camera.center_px)
-            # three points of the picture: its middle, and one to each side, from whose motion the rotation follows
-            px = np.array([c, c + (c[0], 0), c - (c[0], 0)])
-            ground = here.row_from_image(px)
-            middle[i], arm = ground[0], ground[1] - ground[2]
-            for k, step in enumerate(np.eye(PARAMETERS) * _STEP_PX):
-                moved = displace_camera(camera, displacement_px[i] + step).row_from_image(px)
-                change, turned = (moved - ground) / _STEP_PX, (moved[1] - moved[2] - arm) / _STEP_PX
-                motion[i, 0, k] = (arm[0] * turned[1] - arm[1] * turned[0]) / (arm @ arm)
-                motion[i, 1:, k] = change[0]
-        return CameraEffects(motion, middle)
+        # the cameras as they are, and with each of the three numbers changed
+        steps = np.concatenate([np.zeros((1, PARAMETERS)), _STEP_PX * np.eye(PARAMETERS)])
+        h = cameras.row_from_image @ np.linalg.inv(cameras.moved(displacement_px + steps[:, None]))
+        # three points of the picture: its middle, and one to each side, from whose motion the rotation follows
+        c, aside = cameras.center_px, cameras.center_px * (1, 0)
+        q = h[..., :2] @ np.stack([c, c + aside, c - aside], -1) + h[..., 2:]
+        ground = q[..., :2, :] / q[..., 2:, :]
+        middle, arm = ground[0, :, :, 0], ground[0, :, :, 1] - ground[0, :, :, 2]
+        change = (ground[1:] - ground[0]) / _STEP_PX
+        turned = change[..., 1] - change[..., 2]
+        theta = (arm[:, 0] * turned[..., 1] - arm[:, 1] * turned[..., 0]) / (arm**2).sum(1)
+        motion = np.array([theta, change[:, :, 0, 0], change[:, :, 1, 0]])
+        return CameraEffects(np.ascontiguousarray(np.moveaxis(motion, 2, 0)), middle)
 
     def row_changes(self, angle: Floats, pivot: Floats) -> Floats:
         """Return the changes of (φ, sx, sy) of m rows that have the effect of a displacement of a camera.
@@ -262,29 +263,6 @@ def comparable_cameras(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
     return cameras if len(cameras) > 1 else ()
 
 
-def displaced_cameras(cameras: Sequence[Camera], displacement_px: Floats) -> tuple[Camera, ...]:
-    """Return the cameras with the N_i that result from their displacements (n, 3)."""
-    return tuple(displace_camera(camera, d) for camera, d in zip(cameras, displacement_px, strict=True))
-
-
-def ground_changes(cameras: Sequence[Camera], displacement_px: Floats) -> Floats:
-    """Return homographies (n, 3, 3) from ground points by the calibrated cameras to those by the displaced ones."""
-    pairs = zip(displaced_cameras(cameras, displacement_px), cameras, strict=True)
-    return np.array([now.row_from_image.matrix @ then.image_from_row.matrix for now, then in pairs])
-
-
-@compiled
-def move_points(ground_mm: Floats, camera: Ints, changes: Floats) -> Floats:
-    """Transform ground points (k, 2) of the cameras numbered `camera` (k,) by homographies (n, 3, 3)."""
-    out = np.empty_like(ground_mm)
-    for k in range(len(ground_mm)):
-        h, x, y = changes[camera[k]], ground_mm[k, 0], ground_mm[k, 1]
-        w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-        out[k, 0] = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
-        out[k, 1] = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
-    return out
-
-
 def without_direction(information: Floats, vector: Floats, direction: Floats) -> tuple[Floats, Floats]:
     """Return normal equations (n, n), (n,) from which all information about a motion along a direction (n,) is removed.
 
@@ -311,10 +289,13 @@ class MovingCameras:
         self.displacement_px = np.zeros((len(problem.cameras), PARAMETERS))
         self.unknowns = self.displacement_px.size
         self.first_column = first_column if self.unknowns else -1
-        # Links and detections as the cameras see them with their current displacements.
-        self.links, self.points = problem.links.arrays, problem.fiducials
-        self.effects = CameraEffects.of(self.calibrated, self.displacement_px)
-        self._problem, self._effects_at = problem, self.displacement_px
+        self._matrices = CameraMatrices.of(problem.cameras)
+        # Homographies from ground points by the calibrated cameras to those with their current displacements, and the
+        # detections as these see them.
+        self.changes = np.tile(np.eye(3), (len(problem.cameras), 1, 1))
+        self.points = problem.fiducials
+        self._problem = problem
+        self._use_effects()
         # Where the calibration states its covariance, the errors of shift and turn are added.
         errors = [np.zeros(1) if c.covariance_px2 is None else np.diag(c.covariance_px2) for c in self.calibrated]
         stated_px = np.sqrt(np.array([variance[:PARAMETERS].max() for variance in errors]))
@@ -326,6 +307,10 @@ class MovingCameras:
         self._rivals: tuple[int, ...] = ()
         self._spread: Floats | None = None
         self._considered = not self.unknowns
+
+    def _use_effects(self) -> None:
+        self.effects, self._effects_at = CameraEffects.of(self._matrices, self.displacement_px), self.displacement_px
+        self._rotation = self.effects.rotation_of_all() if self.unknowns else np.zeros(0)
 
     @property
     def settled(self) -> bool:
@@ -352,9 +337,10 @@ class MovingCameras:
         at = normal.trailing(self.unknowns)
         lower: Floats = np.tril(normal.values[at])
         reduced = lower @ forward[-self.unknowns :]
-        information = lower @ lower.T - np.eye(self.unknowns) / _ANYWHERE_PX**2
+        information = lower @ lower.T
+        information.flat[:: self.unknowns + 1] -= 1 / _ANYWHERE_PX**2
         d = self.displacement_px.ravel()
-        self._information, reduced = without_direction(information, reduced, self.effects.rotation_of_all())
+        self._information, reduced = without_direction(information, reduced, self._rotation)
         self._vector = reduced + self._information @ d
         start = prior_weights(self.displacement_px, self._still_px) if self._weight is None else self._weight
         found, weight = most_likely(self._information, self._vector, start, self._still_px, _EM_ITERATIONS)
@@ -363,7 +349,7 @@ class MovingCameras:
             # displacements are then too far away for linear equations.
             weight = prior_weights(self._attribution(self._still_px).displacement_px, self._still_px)
         prior = np.repeat(weight, PARAMETERS)
-        lower = np.asarray(np.linalg.cholesky(self._information + np.diag(prior)), dtype=np.float64)
+        lower = np.asarray(np.linalg.cholesky(with_prior(self._information, prior)), dtype=np.float64)
         stored = np.tril_indices(self.unknowns)
         normal.values[at[stored]] = lower[stored]
         forward[-self.unknowns :] = np.linalg.solve(lower, reduced - prior * d)
@@ -380,23 +366,17 @@ class MovingCameras:
             return
         change = delta[-self.unknowns :].reshape(-1, PARAMETERS)
         self.displacement_px = self.displacement_px + change
-        if np.abs(change).max() < _UNCHANGED_PX:
-            return
         if np.abs(self.displacement_px - self._effects_at).max() > _NEW_EFFECTS_PX:
-            self.effects = CameraEffects.of(self.calibrated, self.displacement_px)
-            self._effects_at = self.displacement_px
-        changes, points = ground_changes(self.calibrated, self.displacement_px), self._problem.fiducials
-        links = self._problem.links.arrays
-        a_mm = move_points(links.a_mm, links.camera_a, changes)
-        self.links = links._replace(a_mm=a_mm, b_mm=move_points(links.b_mm, links.camera_b, changes))
+            self._use_effects()
+        self.changes, points = self._matrices.ground_changes(self.displacement_px), self._problem.fiducials
         if points is not None:
-            self.points = replace(points, ground_mm=move_points(points.ground_mm, points.camera, changes))
+            self.points = replace(points, ground_mm=move_points(points.ground_mm, points.camera, self.changes))
 
-    def displaced_problem(self) -> Problem:
+    def displaced_problem(self, state: LinkState) -> Problem:
         """Return the problem with observations and cameras as they are with the current displacements."""
         if not self.unknowns:
             return self._problem
-        links = replace(self._problem.links, a_mm=self.links.a_mm, b_mm=self.links.b_mm)
+        links = replace(self._problem.links, a_mm=state.a_mm, b_mm=state.b_mm)
         cameras = displaced_cameras(self.calibrated, self.displacement_px)
         return replace(self._problem, links=links, fiducials=self.points, cameras=cameras)
 

@@ -283,11 +283,15 @@ class LinkState(NamedTuple):
     sigma: Floats  # (k,) length of the residual in standard deviations: rms of its two axes
     robust: Floats  # (k,) robust weight, 0 … 1
     weight: Floats  # (k, 3) entries xx, xy, yy of the weight matrix, mm⁻²
+    a_mm: Floats  # (k, 2) first point on the ground, as the cameras see it with their current displacements
+    b_mm: Floats  # (k, 2) second point
 
     @staticmethod
-    def zeros(k: int) -> LinkState:
-        """Return the state of k links before the first step: all values are 0."""
-        return LinkState(np.zeros((k, 2)), np.zeros((k, 2)), np.zeros(k), np.zeros(k), np.zeros((k, 3)))
+    def of(links: LinkArrays, *, movable: bool) -> LinkState:
+        """Return the state of k links before the first step; `movable` says whether cameras may be displaced."""
+        k = len(links.p)
+        seen = (np.empty((k, 2)), np.empty((k, 2))) if movable else (links.a_mm, links.b_mm)
+        return LinkState(np.zeros((k, 2)), np.zeros((k, 2)), np.zeros(k), np.zeros(k), np.zeros((k, 3)), *seen)
 
 
 class NoiseModel(NamedTuple):
@@ -306,13 +310,31 @@ class NoiseModel(NamedTuple):
 
 
 @compiled
-def compute_residuals(links: LinkArrays, motion: MotionArrays, height_mm: Floats, state: LinkState) -> None:
-    """Write to `state` residual and lean of every link, for points at heights (k,) above the calibrated plane."""
-    p, q, a_mm, b_mm, a_lean, b_lean = links.p, links.q, links.a_mm, links.b_mm, links.a_lean, links.b_lean
+def compute_residuals(
+    links: LinkArrays, motion: MotionArrays, changes: Floats, height_mm: Floats, state: LinkState
+) -> None:
+    """Write to `state` residual and lean of every link, for points at heights (k,) above the calibrated plane.
+
+    The homographies `changes` (n, 3, 3) of n displaced cameras move the ground points first; 0 cameras are exact.
+    """
+    p, q, a_mm, b_mm, a_lean, b_lean = links.p, links.q, state.a_mm, state.b_mm, links.a_lean, links.b_lean
     shift, pivot, residual, lean = motion.shift, motion.pivot, state.residual, state.lean
     cos, sin = np.cos(motion.angle), np.sin(motion.angle)
     for n in range(len(p)):
         i, j = p[n], q[n]
+        if len(changes):
+            h, x, y = changes[links.camera_a[n]], links.a_mm[n, 0], links.a_mm[n, 1]
+            w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+            a_mm[n, 0], a_mm[n, 1] = (
+                (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w,
+                (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w,
+            )
+            h, x, y = changes[links.camera_b[n]], links.b_mm[n, 0], links.b_mm[n, 1]
+            w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+            b_mm[n, 0], b_mm[n, 1] = (
+                (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w,
+                (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w,
+            )
         ax, ay, bx, by = a_mm[n, 0] - pivot[0], a_mm[n, 1] - pivot[1], b_mm[n, 0] - pivot[0], b_mm[n, 1] - pivot[1]
         lx = cos[j] * b_lean[n, 0] - sin[j] * b_lean[n, 1] - cos[i] * a_lean[n, 0] + sin[i] * a_lean[n, 1]
         ly = sin[j] * b_lean[n, 0] + cos[j] * b_lean[n, 1] - sin[i] * a_lean[n, 0] - cos[i] * a_lean[n, 1]
@@ -407,12 +429,12 @@ def add_links(  # noqa: PLR0912, PLR0915  (one loop over links whose parts are i
 ) -> None:
     """Add links to the normal equations of rows, surface and cameras, and to those of the heights.
 
-    The links of one group (pair of frames) are adjacent and have the same rows p and q. Of `state` residual, lean and
-    weight at this motion are used. All links of a group have the same unknowns: their whitened derivatives by φ_p, φ_q,
-    a shift along x and y, and the surface are collected with their residuals, line by line, and multiplied at the end
-    of the group in loops over links, which the compiler keeps in vector registers.
+    The links of one group (pair of frames) are adjacent and have the same rows p and q. Of `state` all but sigma and
+    robust weight at this motion are used. All links of a group have the same unknowns: their whitened derivatives by
+    φ_p, φ_q, a shift along x and y, and the surface are collected with their residuals, line by line, and multiplied at
+    the end of the group in loops over links, which the compiler keeps in vector registers.
     """
-    p, q, a_mm, b_mm, group, pivot = links.p, links.q, links.a_mm, links.b_mm, links.group, motion.pivot
+    p, q, a_mm, b_mm, group, pivot = links.p, links.q, state.a_mm, state.b_mm, links.group, motion.pivot
     basis, coupling, entries, weight = model.basis, model.coupling, heights.entries, state.weight
     if len(p) == 0:
         return

@@ -81,10 +81,8 @@ class Assembly:
         """Return the same equations of the links `at` alone, which are of one pair of frames."""
         normal, heights = self.normal.zeros(), self.heights.zeros()
         # Of the other arrays nothing is read: indexing them would take half of the time.
-        read = {
-            name: getattr(self.links, name)[at] for name in ("p", "q", "camera_a", "camera_b", "group", "a_mm", "b_mm")
-        }
-        of_links = {name: getattr(self.state, name)[at] for name in ("residual", "lean", "weight")}
+        read = {name: getattr(self.links, name)[at] for name in ("p", "q", "camera_a", "camera_b", "group")}
+        of_links = {name: getattr(self.state, name)[at] for name in ("residual", "lean", "weight", "a_mm", "b_mm")}
         own = self.model._replace(basis=self.model.basis[at], component=self.model.component[at])
         add_links(self.links._replace(**read), self.motion, own, self.state._replace(**of_links), heights, normal)
         return normal, heights

@@ -266,7 +266,7 @@ class _Solver:
         )
         self.empty = NormalEquations.of(self.coupling.furthest, shared + self.cameras.unknowns)
         self.factor: NormalEquations | None = None
-        self.state = LinkState.zeros(len(links))
+        self.state = LinkState.of(links.arrays, movable=bool(problem.cameras))
         self.linked_steps = linked_steps(problem)
         self.raised = (problem.component < 0) & problem.reaches_component
         self.scatter = HeightScatter(problem, self.component, self.n_parts)
@@ -321,11 +321,11 @@ class _Solver:
         row_changes = self.cameras.effects.row_changes(motion.angle, motion.pivot)
         model = LinkModel(self.basis, self.component, self.coupling, row_changes)
         priors = [belt, *self._fiducials(row_changes), surface]
-        return Assembly(priors, self.cameras.links, motion.arrays, model, self.state, self.empty, heights)
+        return Assembly(priors, problem.links.arrays, motion.arrays, model, self.state, self.empty, heights)
 
     def _compute_residuals(self) -> None:
         height = self.basis @ self.surface_mm + np.append(self.heights_mm, 0.0)[self.component]
-        compute_residuals(self.cameras.links, self.motion.arrays, height, self.state)
+        compute_residuals(self.problem.links.arrays, self.motion.arrays, self.cameras.changes, height, self.state)
 
     def _compute_weights(self) -> None:
         free, floors = self.steps <= _FREE_STEPS, self.floors
@@ -391,7 +391,7 @@ class _Solver:
             fiducial_px,
             float(self.floors.px[0]),
             sigma0,
-            self.cameras.displaced_problem(),
+            self.cameras.displaced_problem(state),
             self.cameras.estimate(covariance, u),
             self._influence(),
         )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from vaoi_station.frame_index import FootprintViews
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.camera_error import basis_px
-from vaoi_station.geometry.displacement import PARAMETERS
+from vaoi_station.geometry.displacement import PARAMETERS, CameraMatrices
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.cameras import CameraEffects
 from vaoi_station.stitching.adjustment.problem import REFERENCE, AdjustmentResult, FiducialPoints, Ints, basis
@@ -162,7 +162,7 @@ def _by_displacements(j: Floats, scene: Scene, adjusted: AdjustmentResult, camer
     estimate, motion = adjusted.cameras, adjusted.motion
     if estimate is None:
         return np.zeros((len(j), 2, 2))
-    effects = CameraEffects.of(scene.cameras, np.zeros_like(estimate.displacement_px))
+    effects = CameraEffects.of(CameraMatrices.of(scene.cameras), np.zeros_like(estimate.displacement_px))
     by_camera = j[:, :, :3] @ effects.row_changes(motion.angle, motion.pivot)[camera, row]
     out = np.empty((len(j), 2, 2))
     for i in np.unique(camera).tolist():
