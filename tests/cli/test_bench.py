@@ -50,19 +50,38 @@ def test_station_is_measured_at_every_rate(vaoi: Any, tmp_path: Path, monkeypatc
     assert list((tmp_path / "small").glob("*/frames.raw")), "kept for the next time"
 
 
-def test_growth_is_measured_for_the_given_rows(vaoi: Any, tmp_path: Path) -> None:
-    said = vaoi("bench", "--growth", "--rows", "4", "--json", tmp_path / "growth.json")
+def test_profile_shows_tasks_stages_and_functions(vaoi: Any, small_recording: Path, tmp_path: Path) -> None:
+    options = "--case", small_recording, "--repetitions", 1, "--json", tmp_path / "profile.json"
+    said = vaoi("bench", "--profile", *options)
     assert (said.code, said.err) == (0, "")
-    assert [b["frames"] for b in json.loads((tmp_path / "growth.json").read_text())["boards"]] == [12]
-    assert "| 12 | 4 |" in said.out
+    document = json.loads((tmp_path / "profile.json").read_text())
+    assert set(document["kinds_ms"]) == {"rows", "neighbours", "marks"}
+    assert set(document["stages_ms"]) == {"motion", "cad", "verdict"}
+    names = {name for name, *_ in document["functions"]["rows, per frame"]}
+    assert {"stitching/matching/link: find_shift", "stitching/matching/patches: match_patches"} <= names
+    assert all(0 <= own_ms <= ms for part in document["functions"].values() for *_, ms, own_ms in part)
+    assert "| conclusion |" in said.out
+
+
+def test_compile_times_are_those_of_a_new_process(vaoi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The new process stitches nothing here, because it would compile for a minute."""
+    printed = (
+        "def stitch_board(_):\n    from vaoi_station.marks.template_correlation import correlate_with_shape as f\n"
+    )
+    printed += "    import numpy as np\n    f(np.zeros((9, 9), np.uint8), 4.0, 4.0, 0, 4.0, 0.25, 6.0)\n"
+    program = f"from vaoi_station.benchmarks import profile\n{printed}profile.stitch_board = stitch_board\n"
+    program += "profile.board_from_twin = str\nprofile.print_compiling({scenario!r})"
+    monkeypatch.setattr("vaoi_station.benchmarks.profile._PROGRAM", program)
+    said = vaoi("bench", "--profile", "--compile")
+    assert (said.code, said.err) == (0, "")
+    assert "| marks.template_correlation: correlate_with_shape | 1 |" in said.out
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--station", "--growth"), "exclude each other"),
+        (("--station", "--profile"), "exclude each other"),
         (("--station", "--rates", "1,fast"), "--rates"),
-        (("--growth", "--rows", "0"), "--rows"),
         (("--station", "--scenario", "nowhere"), "nowhere"),
     ],
 )

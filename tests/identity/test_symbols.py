@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.benchmarks.codes import DottedCode, draw_dotted_code
+from tests.identity.dotted_codes import DottedCode, draw_dotted_code
 from vaoi_station.identity.symbols import read_symbols
 from vaoi_station.model.board_identity import Symbology
 from vaoi_station.simulation.board.printed_code import symbol

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.files import open_recording, read_board_type, read_calibration
 from vaoi_station.model import BoardType, Calibration, RecordingHead
-from vaoi_station.simulation import Twin, read_scenario, scenario_path
+from vaoi_station.simulation import Twin, find_scenario, read_scenario
 from vaoi_station.stitching.expectation import turned_by
 from vaoi_station.stitching.work import StitchSetup
 
@@ -48,11 +48,13 @@ class BenchmarkBoard:
 
 
 def board_from_twin(scenario: str = "demo", board: int = 0) -> BenchmarkBoard:
-    """Render all frames of a board of a scenario that the package contains."""
-    twin = Twin(read_scenario(scenario_path(scenario)))
+    """Render all frames of a board of a scenario, given as the name of a shipped one or as a file."""
+    twin = Twin(read_scenario(find_scenario(scenario)))
     passage = twin.passage(board)
     frames = passage.render_all()
-    return BenchmarkBoard(scenario, passage.head(), twin.calibration, twin.board_type, frames, passage.truth())
+    return BenchmarkBoard(
+        Path(scenario).stem, passage.head(), twin.calibration, twin.board_type, frames, passage.truth()
+    )
 
 
 def board_from_recording(directory: Path) -> BenchmarkBoard:

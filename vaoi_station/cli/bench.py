@@ -20,11 +20,12 @@ def bench(
     repetitions: Annotated[
         int, typer.Option(min=1, max=100, help="Repeat each measurement this number of times; the median counts.")
     ] = 5,
-    marks: Annotated[bool, typer.Option("--marks", help="Measure the detection of marks.")] = False,
-    codes: Annotated[
-        int | None,
-        typer.Option(min=1, max=10_000, help="Read codes, printed and of dots, in this number of views of each kind."),
-    ] = None,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Show where the CPU time of a board goes, per frame and after the last.")
+    ] = False,
+    compiling: Annotated[
+        bool, typer.Option("--compile", help="With --profile: measure instead how long each function compiles.")
+    ] = False,
     consistency: Annotated[
         int | None, typer.Option(min=1, max=1000, help="Compare predicted and real errors of this number of boards.")
     ] = None,
@@ -34,16 +35,12 @@ def bench(
     station: Annotated[
         bool, typer.Option("--station", help="Measure a whole station with boards in real time.")
     ] = False,
-    growth: Annotated[
-        bool, typer.Option("--growth", help="Measure time and memory over the length of the board.")
-    ] = False,
     scenario: Annotated[
-        str | None, typer.Option(help="With --station [paper] or --growth [small]: a shipped scenario, or a file.")
+        str | None, typer.Option(help="With --station [paper] or --profile [demo]: a shipped scenario, or a file.")
     ] = None,
     rates: Annotated[str, typer.Option(help="With --station: multiples of the scenario's own rate.")] = "1,2,4",
     boards: Annotated[int, typer.Option(min=1, max=1000, help="With --station: number of boards at each rate.")] = 6,
     workers: Annotated[int, typer.Option(min=1, max=64, help="With --station: number of worker processes.")] = 2,
-    rows: Annotated[str, typer.Option(help="With --growth: numbers of rows of three cameras.")] = "4,10,33,100,333",
     films: Annotated[
         Path | None, typer.Option(help="Keep rendered boards in this directory for the next call [not kept].")
     ] = None,
@@ -51,20 +48,15 @@ def bench(
 ) -> None:
     """Measure stitching and rendering on frames in memory, in one thread, and compare with the paper's method.
 
-    With --marks, --codes, --consistency, --station or --growth, measure marks, codes, the predicted uncertainty, a
-    whole station, or the growth of time and memory.
+    With --profile, --consistency or --station, show where the time of stitching goes, or measure the predicted
+    uncertainty or a whole station.
     """
     kinds: dict[str, tuple[object, Callable[[], dict[str, Any]]]] = {
-        "--marks": (marks, _marks),
-        "--codes": (codes, lambda: _codes(codes or 0)),
+        "--profile": (profile, lambda: _profile(case, scenario, repetitions, compiling=compiling)),
         "--consistency": (consistency, lambda: _consistency(consistency or 0, recordings)),
         "--station": (
             station,
             lambda: _station(scenario or "paper", _numbers("--rates", rates), boards, workers, films, ring),
-        ),
-        "--growth": (
-            growth,
-            lambda: _growth(scenario or "small", tuple(int(n) for n in _numbers("--rows", rows)), films),
         ),
     }
     chosen = [option for option, (given, _) in kinds.items() if given]
@@ -91,22 +83,18 @@ def _stitching(case: Path | None, repetitions: int) -> dict[str, Any]:
     return document
 
 
-def _marks() -> dict[str, Any]:
-    from vaoi_station.benchmarks.marks import measure_marks
+def _profile(case: Path | None, scenario: str | None, repetitions: int, *, compiling: bool) -> dict[str, Any]:
+    from vaoi_station.benchmarks.boards import board_from_recording, board_from_twin
+    from vaoi_station.benchmarks.profile import compiling_table, measure_compiling, measure_profile
 
-    figures = measure_marks()
-    for line in figures.lines():
-        typer.echo(line)
-    typer.echo(f"whole frame ({figures.material}): {figures.whole_frame_ms} ms")
-    return figures.document()
-
-
-def _codes(views: int) -> dict[str, Any]:
-    from vaoi_station.benchmarks.codes import PX_PER_MM, measure_code_reading, measure_dotted_codes
-
-    printed = [asdict(rates) for rates in measure_code_reading(views, report=typer.echo)]
-    dotted = [asdict(rates) for rates in measure_dotted_codes(views, report=typer.echo)]
-    return {"px_per_mm": PX_PER_MM, "modules": printed, "dotted": dotted}
+    if compiling:
+        figures = measure_compiling(scenario or "small")
+        typer.echo(compiling_table(figures))
+        return {"compiled": figures}
+    board = board_from_recording(case) if case else board_from_twin(scenario or "demo")
+    profile = measure_profile(board, repetitions)
+    typer.echo(profile.text())
+    return asdict(profile)
 
 
 def _consistency(count: int, recordings: Path | None) -> dict[str, Any]:
@@ -148,17 +136,6 @@ def _station(
             figures.append(measure_station_pace(board, rate, boards, workers, folder, ring))
     typer.echo("\n" + station_table(figures) + "\n\n" + process_table(figures))
     return {"scenario": scenario, "workers": workers, "rates": [f.document() for f in figures]}
-
-
-def _growth(scenario: str, rows: tuple[int, ...], films: Path | None) -> dict[str, Any]:
-    from vaoi_station.benchmarks.growth import measure_scaling, scaling_table
-    from vaoi_station.simulation import find_scenario, read_scenario
-
-    with tempfile.TemporaryDirectory(prefix="vaoi-bench-") as made:
-        temporary = Path(made)
-        figures = measure_scaling(read_scenario(find_scenario(scenario)), films or temporary, rows, typer.echo)
-    typer.echo("\n" + scaling_table(figures))
-    return {"scenario": scenario, "boards": [asdict(f) for f in figures]}
 
 
 def _numbers(option: str, given: str) -> tuple[float, ...]:
