@@ -3,28 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from typing import Any
 
-import pytest
-
-from vaoi_station.acquisition import devices
 from vaoi_station.acquisition.devices import Devices, Feedback
 
 TIMEOUT_S = 10.0
-
-
-def never() -> bool:
-    return False
-
-
-def test_waiting_for_frames_ends_after_the_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(devices, "ROW_TIMEOUT_S", 0.01)
-    feedback = Feedback()
-    feedback.expect_frames(1)
-    started_s = time.monotonic()
-    feedback.wait_for_frames(never)
-    assert 0.01 <= time.monotonic() - started_s < TIMEOUT_S
 
 
 def test_a_stop_ends_all_waiting_after_wake() -> None:

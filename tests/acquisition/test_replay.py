@@ -133,27 +133,6 @@ def test_a_run_has_the_recorded_times(make: Callable[..., Bench], paced: bool) -
     assert pace is None or pace.frames == 6
 
 
-def test_disarming_cuts_a_run_short(make: Callable[..., Bench]) -> None:
-    bench = make(times_s=(0.0, 3600.0))
-    bench.controller.arm(PLAN)
-    while not isinstance(bench.events.get(timeout=10), PulseFired):
-        pass
-    bench.controller.disarm()
-    end = bench.events.get_nowait()
-    assert isinstance(end, RunEnded)
-    assert (end.pulses, end.reason) == (1, "disarmed")
-
-
-def test_nothing_is_played_before_it_is_armed(make: Callable[..., Bench]) -> None:
-    pace = CountingPace()
-    bench = make(pace=pace)
-    bench.controller.disarm()
-    assert pace.woken.is_set()
-    assert bench.events.empty()
-    bench.controller.arm(PLAN)
-    assert len(bench.run()) == 5
-
-
 def test_a_recording_that_cannot_be_read_is_reported() -> None:
     def runs() -> Iterator[list[RecordedRow]]:
         yield from map(damaged, [1])
@@ -253,30 +232,6 @@ def test_runs_come_back_exactly_as_recorded(
         bench.grant(f"run {n + 2}", finished.bay)
     if pace == "fast":
         assert bench.of(BoardMissed) == [], "a fast replay waits for memory"
-
-
-def test_a_fast_replay_waits_for_memory_and_can_be_disarmed_meanwhile(
-    start: Start, make_replay: Callable[..., StationConfig]
-) -> None:
-    bench = start(make_replay())
-    bench.arm()
-    assert bench.disarm().unused == ()
-    bench.arm()
-    bench.grant("late", 0)
-    assert bench.until(RunFinished).run == "late"
-
-
-def test_a_station_whose_plan_has_too_few_rows_reports_it(
-    start: Start, make_replay: Callable[..., StationConfig]
-) -> None:
-    config = make_replay(longest_board_mm=10.0)
-    assert config.line.rows_of_longest_board < 5 <= config.rows_per_run
-    bench = start(config)
-    bench.grant("one", 0)
-    bench.arm()
-    trouble = bench.until(Trouble)
-    assert "max_rows" in trouble.message
-    assert "5 rows of the recording" in trouble.message
 
 
 @pytest.mark.parametrize(

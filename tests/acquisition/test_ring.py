@@ -18,10 +18,8 @@ from hypothesis import strategies as st
 
 from tests.needs import need
 from vaoi_station.acquisition.ring import (
-    EMPTY,
     HEADER,
     INCOMPLETE,
-    NO_ROW,
     OK,
     PAGE_BYTES,
     FrameShape,
@@ -31,7 +29,6 @@ from vaoi_station.acquisition.ring import (
     open_existing,
     read_owner,
     remove_leftovers,
-    start_ticks,
 )
 from vaoi_station.errors import BusyError, GoneError, InputError, NotFoundError, StateError
 
@@ -46,30 +43,12 @@ layouts = st.builds(
 
 
 @given(layouts)
-def test_places_and_slots_are_one_to_one(layout: RingLayout) -> None:
-    places = [
-        (b, c, k) for b in range(layout.bays) for c in range(layout.cameras) for k in range(layout.slots_per_camera)
-    ]
-    assert [layout.slot(*p) for p in places] == list(range(layout.slots))
-    assert [layout.place(s) for s in range(layout.slots)] == places
-
-
-@given(layouts)
 def test_slots_lie_on_pages_of_their_own_inside_the_file(layout: RingLayout) -> None:
     offsets = [layout.offset(s) for s in range(layout.slots)]
     assert all(o % PAGE_BYTES == 0 for o in offsets)
     assert all(b - a == layout.slot_bytes for a, b in pairwise(offsets))
     assert all(f.nbytes + layout.room_bytes <= layout.slot_bytes for f in layout.frames)
     assert offsets[-1] + layout.slot_bytes == layout.file_bytes
-
-
-@given(layouts, st.integers(1, 2**31), st.integers(0, 2**60))
-def test_a_layout_is_read_back_from_its_header(layout: RingLayout, pid: int, ticks: int) -> None:
-    header = layout.header(pid, ticks)
-    assert RingLayout.read(header, layout.camera_records()) == layout
-    assert int(header["file_bytes"][0]) == layout.file_bytes
-    assert header.tobytes()[:8] == b"VAOIRING"
-    assert len(header.tobytes()) == PAGE_BYTES
 
 
 LAYOUT = RingLayout(3, 2, (FrameShape(40, 30, "Mono8"), FrameShape(64, 20, "Mono16")))
@@ -115,14 +94,6 @@ def test_only_leftovers_of_dead_owners_are_removed(leftover: Path) -> None:
     assert short.exists()
 
 
-def test_a_reused_pid_does_not_keep_a_leftover_alive(leftover: Path) -> None:
-    path = leftover
-    with path.open("r+b") as file:  # as if the number had been given to this very process
-        file.seek(HEADER.fields["owner_pid"][1])  # type: ignore[index]
-        file.write(np.uint32(os.getpid()).tobytes())
-    assert remove_leftovers(path.parent) == [path]
-
-
 def test_a_locked_ring_is_alive_whatever_its_pid_says(path: Path) -> None:
     with Ring.create(path, LAYOUT) as ring:
         with path.open("r+b") as file:  # as seen from a container that shares the memory but not the pids
@@ -160,11 +131,6 @@ except BusyError as error:
     assert not path.exists()
 
 
-def test_an_absent_directory_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be created"):
-        Ring.create(tmp_path / "absent" / "x.ring", LAYOUT)
-
-
 def test_attaching_to_nothing_or_to_something_else_is_refused(path: Path) -> None:
     with pytest.raises(NotFoundError):
         Ring.attach(path)
@@ -195,15 +161,6 @@ def test_a_header_that_contradicts_its_file_is_refused(path: Path, field: str, v
         copy.write_bytes(page.tobytes() + path.read_bytes()[PAGE_BYTES:])
         with pytest.raises(InputError):
             Ring.attach(copy)
-
-
-def test_a_process_that_has_ended_has_no_start_time() -> None:
-    """A process that has not been waited for is a zombie, which counts as ended."""
-    child = os.posix_spawn("/bin/true", ["true"], {})
-    os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)
-    assert start_ticks(child) is None
-    os.waitpid(child, 0)
-    assert start_ticks(child) is None
 
 
 def test_what_other_users_put_beside_the_ring_neither_blocks_nor_breaks_the_start(
@@ -300,27 +257,7 @@ def test_a_borrower_leaves_the_file_and_sees_that_the_owner_closed_it(path: Path
     reader.close()
 
 
-def test_the_slot_table_describes_each_slot(path: Path) -> None:
-    with Ring.create(path, LAYOUT) as ring:
-        generation = ring.claim(0)
-        assert ring.slot_record(1) == (generation, EMPTY, NO_ROW, 0)
-        ring.write_slot_record(1, OK, 5, 65400)
-        assert ring.slot_record(1) == (generation, OK, 5, 65400)
-        ring.memory(1)[:] = 3
-        ring.clear(1)
-        assert not ring.memory(1).any()
-        assert ring.slot_record(1) == (generation, EMPTY, NO_ROW, 0)
-
-
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "internals" / "ring.md").read_text()
-SIZES = {"char[8]": 8, "u32": 4, "u64": 8}
-
-
-def test_the_header_table_is_the_layout() -> None:
-    rows = re.findall(r"^\| (\d+) \| (\S+) \| (\w+) \|", DOCUMENT, re.MULTILINE)
-    documented = {name: (int(offset), SIZES[kind]) for offset, kind, name in rows}
-    assert HEADER.fields is not None
-    assert documented == {name: (entry[1], entry[0].itemsize) for name, entry in HEADER.fields.items()}
 
 
 def test_the_c_program_reads_what_the_station_wrote(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -37,13 +36,11 @@ from vaoi_station.acquisition.simulated import (
     JITTER_S,
     SimulatedCamera,
     SimulatedController,
-    accept_plan,
     barrier_edges,
     predict_pulses,
 )
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError, StateError
-from vaoi_station.model import ProgramRow, Verdict
+from vaoi_station.model import Verdict
 from vaoi_station.simulation import Passage, Twin, calibration_board, read_scenario
 from vaoi_station.simulation.scenario import SpeedChange
 
@@ -73,14 +70,6 @@ def past_s() -> float:
     return time.monotonic() - 1.0
 
 
-def test_the_time_stamp_is_the_pulse_on_the_cameras_clock(camera: SimulatedCamera, arrivals: SimpleQueue[Any]) -> None:
-    host_s = past_s()
-    camera.trigger(host_s, PIXELS)
-    arrival = arrivals.get(timeout=TIMEOUT_S)
-    assert arrival.complete
-    assert 0 <= arrival.time_s - CLOCK.device_s(host_s) < 10e-6
-
-
 def test_ids_wrap_to_1_and_a_lost_frame_is_counted(camera: SimulatedCamera, arrivals: SimpleQueue[Any]) -> None:
     count = MAX_FRAME_ID - FIRST_ID + 3
     start_s = past_s()
@@ -91,9 +80,6 @@ def test_ids_wrap_to_1_and_a_lost_frame_is_counted(camera: SimulatedCamera, arri
     assert ids == expected
     with pytest.raises(Empty):
         arrivals.get_nowait()
-
-
-BOUNCE = "[[faults.bounces]]\nat_s = 0.001\nduration_s = 0.001\n"
 
 
 @pytest.fixture
@@ -107,14 +93,6 @@ def make_twin(tmp_path: Path, tiny: str) -> Callable[[str], Twin]:
     return make
 
 
-def test_a_bounce_inverts_the_barrier_for_its_duration(make_twin: Callable[..., Twin]) -> None:
-    edges = barrier_edges(make_twin(BOUNCE).passage(0))
-    assert len(edges) == 5
-    assert [time_s for time_s, _ in edges] == sorted(time_s for time_s, _ in edges)
-    assert [blocked for _, blocked in edges] == [False, True, False, True, False]
-    assert edges[3][0] - edges[2][0] == pytest.approx(0.001)
-
-
 def test_pulses_follow_the_counts_of_a_belt_that_stops(make_twin: Callable[..., Twin]) -> None:
     """The controller's rule and the twin's own timetable agree, row by row."""
     twin = make_twin()
@@ -125,28 +103,6 @@ def test_pulses_follow_the_counts_of_a_belt_that_stops(make_twin: Callable[..., 
     assert [p.time_s for p in pulses] == pytest.approx(passage.pulse_times_s, abs=1e-9)
     assert len(pulses) == passage.rows > 2
     assert max(np.diff([p.time_s for p in pulses])) > 0.3
-
-
-PLAN = TriggerPlan(start_delay_s=0.1, period_s=0.05, tail_s=0.2, max_rows=6, debounce_s=0.001, lights=("ring", "dome"))
-
-
-def test_the_plan_of_the_scenario_is_completed_with_its_lights() -> None:
-    assert accept_plan(replace(PLAN, lights=()), PLAN) == PLAN
-    rows = (ProgramRow("low", (100.0,), (0.0,)),)
-    asked = replace(PLAN, lights=("low",), program=rows)
-    assert accept_plan(asked, PLAN, ("ring", "low")) == asked
-    with pytest.raises(InputError, match=r"program\.0\.light is 'low', but must be a light of the scenario"):
-        accept_plan(asked, PLAN, ("ring",))
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [({"start_delay_s": 0.5}, r"start_delay_s is 0\.5, but must be .*, as in the scenario"),
-     ({"tail_s": 0.5}, "tail_s is"), ({"lights": ("laser",)}, "lights")],
-)  # fmt: skip
-def test_a_plan_with_other_times_or_lights_is_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        accept_plan(replace(PLAN, **changes), PLAN)
 
 
 @pytest.fixture
@@ -181,20 +137,6 @@ def passed(events: EventQueue, timeout_s: float = 20.0) -> bool:
     except Empty:
         return False
     return True
-
-
-def test_no_more_boards_come_than_configured_and_none_while_disarmed(make_controller: Make) -> None:
-    controller, plan, events = make_controller(boards=2)
-    assert not passed(events, 0.05)
-    controller.arm(plan)
-    assert passed(events)
-    controller.disarm()
-    assert not passed(events, 0.05)
-    controller.arm(plan)
-    assert passed(events)
-    assert not passed(events, 0.1)
-    with pytest.raises(StateError, match="armed"):
-        controller.fire_one()
 
 
 def test_a_conveyor_with_an_interlock_lets_one_board_in_for_each_permit(make_controller: Make) -> None:
@@ -409,24 +351,3 @@ def test_a_bouncing_barrier_is_one_board_and_frames_show_the_pulses_really_fired
     shifted_s = 0.002  # the edge counts that lasts, after the bounce at the leading edge
     first = truth.frame_at(0, truth.pulse_times_s[0] + shifted_s, truth.lights[0], 0)
     assert np.array_equal(bench.ring.frame(finished.frames[0].slot), first)
-
-
-def test_a_stuck_board_ends_at_the_largest_number_of_rows(start: Start, make_config: Config, tiny: str) -> None:
-    bench = start(make_config(tiny + "[[faults.stuck]]\nboard = 0\nrow = 1\n"))
-    bench.arm(runs=2)
-    stuck, following = bench.until(RunFinished), bench.until(RunFinished)
-    assert stuck.reason == "max-rows"
-    assert stuck.head.rows == bench.config.line.rows_of_longest_board
-    assert stuck.head.missing == ()
-    assert following.reason == "clear"
-    assert following.head.missing == ()
-
-
-def test_a_pipe_that_ends_ends_the_process(start: Start, make_config: Config) -> None:
-    bench = start(make_config())
-    bench.grant("one", 0)
-    bench.arm()
-    bench.until(PulseReported)
-    bench.connection.close()
-    bench.thread.join(30)
-    assert not bench.thread.is_alive()

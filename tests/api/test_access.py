@@ -69,13 +69,6 @@ def test_a_key_permits_its_scopes_only(call_from: Any, keys: KeyFile) -> None:
         assert (refused.status_code, refused.json()["code"]) == (403, "missing-scope")
 
 
-@pytest.mark.parametrize("address", [INSIDE, "::1", "::ffff:127.0.0.1"])
-def test_loopback_is_open_for_all_but_keys(call_from: Any, address: str) -> None:
-    client = call_from(address)
-    assert client.post(ARM).status_code == 200
-    assert client.get("/api/v1/keys").status_code == 403
-
-
 def test_a_wrong_key_is_refused_from_loopback_too(call_from: Any) -> None:
     assert call_from(INSIDE, "vaoi_000000000000_wrong").get("/api/v1/station").status_code == 401
 

@@ -34,18 +34,6 @@ def test_all_pictures_of_a_run_in_every_container(shared_client: Any, container:
     assert {view["file"] for view in views} | set(found) | {"run.json", "end.json"} == set(files)
 
 
-def test_each_file_is_the_picture_at_its_address(shared_client: Any) -> None:
-    answer = shared_client.get(
-        f"{RUNS}/r000001/images?component=U1&component=2/R1&container=zip&format=png&limit=2&margin_mm=1"
-    )
-    files = unpacked(answer.content, "zip")
-    for name, document in documents(files).items():
-        for view in document.get("views", ()):
-            assert "margin_mm=1" in view["url"], name
-            assert shared_client.get(view["url"]).content == files[view["file"]]
-    assert "components/R1/views.json" not in files
-
-
 @pytest.mark.parametrize(
     ("query", "status", "code"),
     [
@@ -107,25 +95,6 @@ def reply(content: bytes) -> CutPart:
     return CutPart(Packed(content), 1, 0, None)
 
 
-def test_parts_come_in_the_order_of_their_readiness() -> None:
-    async def check() -> None:
-        first_may_end = asyncio.Event()
-
-        async def cut(part: BatchPart) -> tuple[CutPart, None]:
-            if part.image == 0:
-                await first_may_end.wait()
-            return reply(b"part %d" % part.image), None
-
-        answer = stream(batch(3), cut)
-        await anext(answer)
-        assert {await anext(answer), await anext(answer)} == {b"part 1", b"part 2"}
-        first_may_end.set()
-        assert await anext(answer) == b"part 0"
-        assert b'"images":3' in await anext(answer)
-
-    asyncio.run(check())
-
-
 def test_a_reader_that_waits_stops_the_work() -> None:
     async def check() -> None:
         begun = []
@@ -168,14 +137,3 @@ def test_a_part_whose_reader_has_gone_keeps_its_thread() -> None:
         assert begun == [0, 2]
 
     asyncio.run(check())
-
-
-def test_a_fault_of_the_station_ends_the_batch_too(shared_client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any) -> Any:
-        raise RuntimeError("a secret path /etc/passwd")
-
-    monkeypatch.setattr("vaoi_station.runs.batches.batches.BatchAccess.cut", fail)
-    content = shared_client.get(f"{RUNS}/r000001/images?container=zip").content
-    end = documents(unpacked(content, "zip"))["end.json"]
-    assert end["error"]["code"] == "internal"
-    assert b"passwd" not in content

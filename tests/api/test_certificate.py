@@ -36,13 +36,6 @@ def test_a_pair_that_does_not_fit_yet_leaves_the_present_one_in_use(
     assert "read again" in caplog.text
 
 
-def test_a_certificate_that_cannot_be_used_is_refused(certificate: Certificate, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\[api\] certificate .*cannot be used"):
-        CertificateFiles(certificate.certificate, tmp_path / "absent.pem")
-    with pytest.raises(InputError, match="PEM"):
-        CertificateFiles(certificate.private_key, certificate.private_key)
-
-
 def test_an_encrypted_key_is_refused_without_asking_for_its_password(certificate: Certificate, tmp_path: Path) -> None:
     locked = tmp_path / "locked.key"
     command = [
@@ -70,7 +63,3 @@ def test_the_end_of_a_certificate_is_that_which_openssl_states(tmp_path: Path, d
     asked = ["openssl", "x509", "-in", str(path), "-noout", "-enddate"]
     stated = subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
     assert valid_until(chain) == datetime.strptime(stated, "notAfter=%b %d %H:%M:%S %Y GMT").replace(tzinfo=UTC)
-
-
-def test_a_file_without_a_plain_certificate_states_no_end(certificate: Certificate) -> None:
-    assert valid_until(certificate.private_key) is None

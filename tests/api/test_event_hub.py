@@ -17,20 +17,6 @@ from vaoi_station.errors import DeviceError
 NEXT = "/api/v1/runs/next"
 
 
-@pytest.mark.parametrize("follows", [True, False])
-def test_a_waiting_request_is_woken_when_a_run_finishes(served: Any, follows: bool) -> None:
-    known = served.station.film()
-    unfinished = served.station.film(finish=False)
-    with ThreadPoolExecutor() as pool:
-        params = {"timeout": 30, **({"after": known} if follows else {})}
-        waiting = pool.submit(served.client.get, NEXT, params=params)
-        served.station.publish("trouble", "something else", code="cable")
-        assert not waiting.done()
-        wait_for_callers(served, 1)
-        served.station.finish(unfinished)
-        assert waiting.result(timeout=20).json()["id"] == unfinished
-
-
 def test_many_waiting_requests_delay_neither_commands_nor_pictures(served: Any) -> None:
     run = served.station.film()
     limits = httpx2.Limits(max_connections=200)

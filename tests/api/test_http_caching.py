@@ -9,7 +9,6 @@ from fastapi import Request
 
 from vaoi_station.api.http_caching import (
     ChangedError,
-    matches,
     require_unchanged,
     tag_of,
 )
@@ -45,21 +44,3 @@ def test_a_change_is_made_only_to_what_was_read(
 ) -> None:
     with nullcontext() if allowed else pytest.raises(ChangedError, match=r"Board type 'x' .*nothing was changed"):
         require_unchanged(change(**conditions), present, "Board type 'x'")
-
-
-@pytest.mark.parametrize(
-    ("header", "expected"),
-    [
-        (None, False),
-        ("", False),
-        ('"a"', True),
-        ('W/"a"', True),
-        ('"b", "a"', True),
-        ('"b",W/"a" ', True),
-        ("*", True),
-        ('"b"', False),
-        ("a", False),
-    ],
-)
-def test_an_if_none_match_header_names_tags(header: str | None, expected: bool) -> None:
-    assert matches(header, '"a"') is expected

@@ -14,7 +14,6 @@ from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.limits import (
     QueuedSeats,
     Seats,
-    caller_address,
 )
 from vaoi_station.api.parameters import PREFIX
 from vaoi_station.api.routes import board_types, cameras, mosaics, pictures
@@ -105,21 +104,6 @@ def test_commands_and_matrices_do_not_wait_for_searches(
         finally:
             release.set()
         assert {search.result(PATIENCE_S).status_code for search in searches} == {200}
-
-
-@pytest.mark.parametrize(
-    ("host", "counted"),
-    [
-        ("127.0.0.1", "127.0.0.1"),
-        ("::ffff:10.0.0.1", "10.0.0.1"),
-        ("::1", "::1"),
-        ("fd00:1:2:3:4:5:6:7", "fd00:1:2:3::/64"),
-        ("fe80::1%eth0", "fe80::/64"),
-        ("testclient", "testclient"),
-    ],
-)
-def test_one_host_is_one_caller(host: str, counted: str) -> None:
-    assert caller_address(host) == counted
 
 
 def test_every_picture_of_a_camera_or_run_takes_a_seat(station: Any) -> None:

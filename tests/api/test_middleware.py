@@ -18,13 +18,6 @@ ARM = "/api/v1/station/arm"
 ORDER = '{"board_type": "demo-board", "board_id": "B1"}'
 
 
-@pytest.mark.parametrize("content_type", [None, "text/plain", "application/x-www-form-urlencoded", "application/json"])
-def test_json_is_accepted_with_any_content_type(client: Any, content_type: str | None) -> None:
-    headers = {"content-type": content_type} if content_type else {}
-    answer = client.post(ARM, content=ORDER, headers=headers)
-    assert answer.json()["armed_with"].items() >= {"board_type": "demo-board", "board_id": "B1"}.items()
-
-
 @pytest.mark.parametrize("path", ["/", "/docs", "/healthz", "/api/v1/station", "/nowhere", "/web/app.js"])
 def test_pages_may_load_nothing_from_other_sites(untouched_client: Any, path: str) -> None:
     headers = untouched_client.get(path).headers
@@ -37,11 +30,6 @@ def test_commands_from_other_origins_are_refused(client: Any, station: Any, orig
     answer = client.post(ARM, content=ORDER, headers={"origin": origin})
     assert (answer.status_code, answer.json()["code"]) == (403, "foreign-origin")
     assert station.armed is None
-
-
-@pytest.mark.parametrize("headers", [{"origin": "http://testserver"}, {}, {"sec-fetch-site": "same-origin"}])
-def test_commands_from_the_stations_page_and_from_programs_are_accepted(client: Any, headers: dict[str, str]) -> None:
-    assert client.post(ARM, content=ORDER, headers=headers).status_code == 200
 
 
 def test_bodies_are_limited_with_and_without_content_length(untouched_client: Any) -> None:
@@ -64,15 +52,6 @@ def test_unknown_host_names_are_refused(client: Any, station: Any, host: str) ->
         assert (
             answer.json()["action"] == "Use the station's IP address, or add the name to [api] names in station.toml."
         )
-    assert station.armed is None
-
-
-def test_a_repeated_key_is_refused(client: Any, station: Any) -> None:
-    answer = client.post(ARM, content='{"board_type": "demo-board", "board_type": "other"}')
-    assert (answer.status_code, answer.json()["code"]) == (400, "malformed")
-    assert answer.json()["detail"] == "body: key 'board_type' appears twice in one object."
-    nested = '{"name": "x", "components": [{"ref": "U1", "ref": "U2", "center": [1, 2], "width": 3, "height": 4}]}'
-    assert "'ref' appears twice" in client.put("/api/v1/board-types/x", content=nested).json()["detail"]
     assert station.armed is None
 
 
@@ -138,7 +117,3 @@ def test_large_bodies_of_one_caller_are_limited_and_its_commands_are_not(served:
         assert (answer.status_code, answer.json()["code"]) == (503, "busy")
         assert "bytes of requests in memory" in answer.json()["detail"]
         assert served.client.post("/api/v1/station/arm?board_type=demo-board").status_code == 200
-
-
-def test_head_of_the_event_stream_is_refused(untouched_client: Any) -> None:
-    assert untouched_client.head("/api/v1/events").status_code == 405

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.api.pages import WEB
 from vaoi_station.api.problems import KINDS
 from vaoi_station.doctor.runner import MACHINE_CHECKS, STATION_CHECKS
 from vaoi_station.model import ReasonCode
@@ -33,17 +32,6 @@ def test_pages_are_revalidated(untouched_client: Any, path: str, media_type: str
     assert reply.headers["content-type"].startswith(media_type)
     assert reply.headers["cache-control"] == "no-cache"
     assert untouched_client.get(path, headers={"if-none-match": reply.headers["etag"]}).status_code in (200, 304)
-
-
-def test_the_style_sheets_of_the_page_come_as_one(untouched_client: Any) -> None:
-    reply = untouched_client.get("/web/styles.css")
-    assert (reply.headers["content-type"], reply.headers["cache-control"]) == ("text/css; charset=utf-8", "no-cache")
-    sheets = [path.read_text() for path in WEB.rglob("*.css") if "vendor" not in path.parts]
-    assert len(reply.text) == sum(map(len, sheets))
-    assert all(sheet in reply.text for sheet in sheets)
-    assert reply.text.startswith((WEB / "style.css").read_text())
-    again = untouched_client.get("/web/styles.css", headers={"if-none-match": reply.headers["etag"]})
-    assert again.status_code == 304
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -91,25 +79,6 @@ def test_the_page_has_an_order_for_every_reason(untouched_client: Any) -> None:
         assert set(re.findall(r"^    ([a-z]+): ", orders[1], re.MULTILINE)) == set(
             re.findall(r"^  ([a-z]+): \[", groups[1], re.MULTILINE)
         )
-
-
-@pytest.mark.parametrize("language", ["en", "de"])
-def test_the_page_words_refusals_that_exist(untouched_client: Any, language: str) -> None:
-    texts = untouched_client.get(f"/web/texts/{language}.js").text.partition("export const texts")[2]
-    found = re.search(r"  refusals: {\n(.*?)\n  },", texts, re.DOTALL)
-    assert found
-    worded = re.findall(r"^    \"?([a-z-]+)\"?: ", found[1], re.MULTILINE)
-    assert len(worded) == len(found[1].splitlines())
-    listed = CODES.read_text(encoding="utf-8")
-    assert [code for code in worded if f"`{code}`" not in listed] == ["other"]
-
-
-@pytest.mark.parametrize("language", ["en", "de"])
-def test_every_reason_has_a_short_text(untouched_client: Any, language: str) -> None:
-    texts = dictionary(untouched_client, language, "reasons")
-    reasons = re.findall(r'^  "([a-z-]+)": ".+\."', texts, re.MULTILINE)
-    assert len(reasons) == len(set(reasons))
-    assert set(reasons) == {code.value for code in ReasonCode} | codes_of("Reasons of a run", "Reasons of an identity")
 
 
 def test_german_pages_translate_only_known_refusals(untouched_client: Any) -> None:

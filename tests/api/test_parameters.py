@@ -61,25 +61,6 @@ def test_unknown_query_parameters_are_refused(
     assert untouched_client.get("/api/v1/runs?limit=2&_=1").status_code == 200
 
 
-@pytest.mark.parametrize(
-    ("method", "address", "name"),
-    [
-        ("POST", "/api/v1/station/arm?board_type=nope&board_type=demo-board", "board_type"),
-        ("GET", "/api/v1/runs?verdict=ok&verdict=failed", "verdict"),
-        ("GET", "/api/v1/runs?limit=2&limit=2&_=1", "limit"),
-        ("GET", "/api/v1/runs/1/components/U1?px_per_mm=10&light=left&px_per_mm=20", "px_per_mm"),
-    ],
-)
-def test_a_parameter_that_is_given_twice_is_refused(
-    untouched_client: TestClient, method: str, address: str, name: str
-) -> None:
-    """Only the last one would count, and the caller would not learn which."""
-    refused = untouched_client.request(method, address)
-    assert (refused.status_code, refused.json()["code"]) == (422, "repeated-parameter")
-    assert f"{name!r} is given 2 times" in refused.json()["detail"]
-    assert untouched_client.get("/api/v1/station").json()["state"] == "idle"
-
-
 def test_each_operation_offers_the_query_parameters_of_the_document(untouched_client: TestClient) -> None:
     for path, operations in untouched_client.get("/api/v1/openapi.json").json()["paths"].items():
         for method, operation in operations.items():

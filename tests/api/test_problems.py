@@ -36,41 +36,6 @@ def problem(answer: Any, status: int, code: str) -> dict[str, Any]:
     return content
 
 
-REFUSALS = [
-    ("GET", "/nowhere", 404, "no-route", "/nowhere does not exist."),
-    ("GET", "/api/v1/station/", 404, "no-route", "does not exist"),
-    ("GET", "/web/../api/__init__.py", 404, "no-route", ""),
-    ("GET", "/web/%2e%2e/__init__.py", 404, "no-route", ""),
-    ("GET", "/web/", 404, "no-route", ""),
-    ("GET", "/problems/unheard-of", 404, "no-route", ""),
-    ("DELETE", f"{API}/runs", 405, "wrong-method", "does not take DELETE, only GET"),
-    ("POST", f"{API}/station/arm", 422, "invalid-input", "board_type is missing"),
-    ("POST", f"{API}/station/arm?board_type=unheard", 404, "unknown-board-type", "'unheard'"),
-    ("POST", f"{API}/station/arm?board_type=demo-board&runs=0", 422, "invalid-input", "query.runs"),
-    ("GET", f"{API}/runs/latest", 404, "no-run-yet", "No board has been filmed yet."),
-    ("GET", f"{API}/runs/r000001", 404, "unknown-run", "'r000001'"),
-    ("GET", f"{API}/runs/..%2f..%2fetc", 404, "no-route", ""),
-    ("GET", f"{API}/runs/{'x' * 65}", 422, "invalid-input", "path.run"),
-    ("GET", f"{API}/runs/a%20b", 422, "invalid-input", "path.run: must be the id of a run, as listed by runs (given"),
-    ("GET", f"{API}/runs/r1/mosaics/bord.dzi", 422, "invalid-input", "as listed by mosaics of the run (given: 'bord')"),
-    ("GET", f"{API}/board-types/demo/revisions/1", 422, "invalid-input", "as listed by revisions of the board type"),
-    ("GET", f"{API}/runs?limit=501", 422, "invalid-input", "less than or equal to 500"),
-    ("GET", f"{API}/runs/r1/frames/-1/0", 422, "invalid-input", "path.camera"),
-    ("GET", f"{API}/runs/r1/frames/0/zero", 422, "invalid-input", "path.row"),
-    ("GET", f"{API}/runs/r1/components/U1?px_per_mm=501", 422, "invalid-input", "query.px_per_mm"),
-    ("GET", f"{API}/runs/r1/components/U1?px_per_mm=nan", 422, "invalid-input", "query.px_per_mm"),
-    ("GET", f"{API}/runs/r1/components/U1?min_coverage=0", 422, "invalid-input", "query.min_coverage"),
-    ("GET", f"{API}/board-types/.hidden", 422, "invalid-input", "path.name: must be the name of a board type"),
-    ("GET", f"{API}/board-types/..%5cpasswd", 422, "invalid-input", "path.name"),
-    ("DELETE", f"{API}/board-types/unheard", 404, "unknown-board-type", "'unheard'"),
-]
-
-
-@pytest.mark.parametrize(("method", "path", "status", "code", "detail"), REFUSALS)
-def test_refusals(untouched_client: Any, method: str, path: str, status: int, code: str, detail: str) -> None:
-    assert detail in problem(untouched_client.request(method, path), status, code)["detail"]
-
-
 PLACES = {"run": "r000001", "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board", "picture": "board"}
 PLACES |= {"level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "9,9", "file": "x", "revision": "x"}
 

@@ -123,22 +123,6 @@ def test_a_repetition_waits_for_the_command_under_way(status: int, replies: list
     assert sorted(asyncio.run(three())) == replies
 
 
-def test_a_repetition_does_not_wait_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(repeated_requests, "WAIT_S", 0.0)
-
-    async def both() -> tuple[int, str]:
-        service = SlowService()
-        first = asyncio.create_task(service.asked(KEY))
-        await service.begun.wait()
-        refused = await service.asked(KEY)
-        service.may_end.set()
-        assert await first == (200, "1")
-        assert await service.asked(KEY) == (200, "1")
-        return refused
-
-    assert asyncio.run(both()) == (409, "request-under-way")
-
-
 def test_replies_are_kept_for_a_time_a_number_and_a_size(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     service.ask(KEY)
     service.now_s = KEEP_S + 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -71,17 +70,3 @@ def test_a_file_has_its_type_and_is_revalidated(client: TestClient, path: str, m
 )
 def test_only_files_of_the_folder_are_there(client: TestClient, path: str) -> None:
     assert client.get(f"/web{path}").status_code == 404
-
-
-def test_a_changed_file_is_shown_at_once(client: TestClient, folder: Path) -> None:
-    module = folder / "parts" / "one.js"
-    before, both = (client.get(path).headers["etag"] for path in ("/web/parts/one.js", "/both"))
-    module.write_text("export [];")  # of the same size, at a later time
-    os.utime(module, ns=(1, module.stat().st_mtime_ns + 1))
-    after = client.get("/web/parts/one.js", headers={"if-none-match": before})
-    assert (after.status_code, after.text) == (200, "export [];")
-    assert client.get("/both", headers={"if-none-match": both}).text == "export [];export [];"
-    module.unlink()
-    assert client.get("/web/parts/one.js").status_code == 404
-    module.write_text("export {};")
-    assert client.get("/web/parts/one.js", headers={"if-none-match": before}).status_code == 304

@@ -22,7 +22,7 @@ from tests.peers.certificates import Certificate, make_certificate
 from vaoi_station.api import web_server as module
 from vaoi_station.api.certificate import CertificateFiles
 from vaoi_station.api.web_server import WebServer, open_listener
-from vaoi_station.errors import DeviceError, InternalError
+from vaoi_station.errors import DeviceError
 
 
 @pytest.fixture
@@ -39,27 +39,6 @@ def server(ended: threading.Event) -> Iterator[WebServer]:
         made.start()
         yield made
         made.stop()
-
-
-def test_it_serves_at_its_address_until_it_is_stopped(server: WebServer, ended: threading.Event) -> None:
-    assert httpx2.get(server.address, timeout=20).json() == "served"
-    assert not ended.is_set()
-    server.stop()
-    assert ended.wait(20)
-    server.check()
-
-
-# uvicorn ends its thread with SystemExit when the application does not start.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_an_unexpected_end_is_reported(ended: threading.Event) -> None:
-    app = FastAPI(on_startup=[lambda: 1 / 0])
-    with open_listener("127.0.0.1", 0, "[api]") as listener:
-        server = WebServer(app, listener, ended.set)
-        server.start()
-        assert ended.wait(20)
-        with pytest.raises(InternalError, match="ended unexpectedly"):
-            server.check()
-        server.stop()
 
 
 def test_a_port_in_use_is_refused_with_the_source_of_the_address() -> None:

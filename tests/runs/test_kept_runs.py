@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
 
-from vaoi_station.errors import GoneError, NotFoundError
-from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.finished_runs import Archive
-from vaoi_station.runs.kept_runs import KeptRuns
+from vaoi_station.errors import NotFoundError
 from vaoi_station.store import Store
 from vaoi_station.store.run_search import RunFilter
 
@@ -34,22 +31,6 @@ def test_a_pin_survives_a_restart_and_is_removed(make_rig: Callable[..., Any], s
     with pytest.raises(NotFoundError, match="is not pinned") as refusal:
         kept.unpin(grant.run)
     assert refusal.value.code == "not-pinned"
-
-
-def test_runs_without_data_cannot_be_pinned(make_rig: Callable[..., Any], store: Store) -> None:
-    rig = make_rig()
-    rig.ready()
-    grant = rig.arm()
-    rig.board(grant)
-    rig.result_of(grant.run)
-    with pytest.raises(NotFoundError):
-        rig.coordinator.kept.pin("unknown")
-    store.retention.forget_details([grant.run]).result(10)
-    archive = Archive(store, EventLog(store))
-    frames, made = rig.coordinator._frames, (rig.coordinator.heights, rig.coordinator.kept.mosaics)
-    kept = KeptRuns(rig.config, archive, EventLog(store), frames, *made, lambda _job, _name: None)
-    with pytest.raises(GoneError):
-        kept.pin(grant.run)
 
 
 def test_an_error_in_what_follows_a_run_prevents_neither_its_announcement_nor_the_rest(
@@ -88,28 +69,6 @@ def filmed(make_rig: Callable[..., Any]) -> tuple[Any, str]:
     rig.board(grant)
     rig.result_of(grant.run)
     return rig, grant.run
-
-
-def test_a_run_is_found_counted_and_decided_about(filmed: tuple[Any, str]) -> None:
-    rig, run = filmed
-    kept, detail = rig.coordinator.kept, rig.coordinator.run(run)
-    history = kept.history
-    wanted = RunFilter(verdict=detail.verdict, board_type=detail.board_type, since="2000-01-01T00:00:00.000Z")
-    runs, more = history.find(wanted, 9, None)
-    assert ([r.id for r in runs], more) == ([run], None)
-    assert history.find(RunFilter(board_id="another"), 9, None) == ([], None)
-    counts = history.counts(LONG_AGO)
-    assert (counts.ok + counts.degraded + counts.failed, counts.missed) == (1, 0)
-    assert history.counts(datetime.now(UTC) + timedelta(days=1)).ok == 0
-
-    history.decide(run, "use", "Ada", "Only R7 is hidden, and it is not tested.")
-    shown = kept.shown(detail).decision
-    assert shown is not None
-    assert (shown.choice, shown.name) == ("use", "Ada")
-    (event,) = [e for e in rig.coordinator.events() if e.kind == "decision"]
-    assert (event.run, event.state) == (run, "use")
-    with pytest.raises(NotFoundError):
-        history.decide("unknown", "use", "Ada", "x")
 
 
 def test_a_run_that_is_not_on_disk_yet_is_found_once_and_as_it_ended(

@@ -18,9 +18,8 @@ from vaoi_station.acquisition.controller.filming_plan import (
     line_of_board,
     require_none,
     time_faults,
-    unknown_lights,
 )
-from vaoi_station.acquisition.controller.interface import BeltPacing, TriggerPlan
+from vaoi_station.acquisition.controller.interface import BeltPacing
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType, ProgramRow
@@ -41,13 +40,6 @@ def test_one_error_names_all_faults_once_and_counts_those_it_does_not_show() -> 
         require_none([ProgramFault(InputError(f"{n}.")) for n in range(MOST_SHOWN + 2)])
 
 
-def test_a_light_that_the_line_lacks_is_named_with_its_step() -> None:
-    rows = [ProgramRow(name, (100.0,), (0.0,)) for name in ("ring", "left")]
-    found = unknown_lights(rows, ("ring",))
-    assert [(fault.step, fault.key) for fault in found] == [(1, "light")]
-    assert "program.1.light is 'left', but must be a light of the scenario, which has 'ring'" in found[0].error.message
-
-
 def found(wanted: CameraExposure, gains_db: tuple[float, ...] = (0.0,)) -> list[tuple[int | None, str]]:
     return [(fault.step, fault.key) for fault in beyond_camera(wanted, gains_db, LIMITS, 0, "camera a")]
 
@@ -59,12 +51,6 @@ def test_a_register_may_be_rounded_and_the_sets_of_a_sequencer_are_compared_exac
     sets = ((1001.0, 0.0), (100.0, 0.0))
     assert found(CameraExposure((1001.0, 100.0), 0.0, sequence=sets), (0.0, 0.0)) == [(0, "exposure_us")]
     assert found(CameraExposure((100.0,) * 3, 0.0, sequence=((100.0, 0.0),) * 3)) == [(None, "")]
-
-
-def test_the_width_of_the_trigger_has_no_limit_of_the_register() -> None:
-    assert found(CameraExposure((5000.0,), 0.0, by_trigger=True)) == []
-    silent = CameraLimits()
-    assert list(beyond_camera(CameraExposure((5000.0,), 90.0), (90.0,), silent, 0, "camera a")) == []
 
 
 Make = Callable[..., StationConfig]
@@ -91,13 +77,6 @@ def test_a_program_is_completed_from_the_station(serial: StationConfig) -> None:
         ProgramRow("left", shutters_us, (0.0, 0.0), 60.0),
         ProgramRow("ring", shutters_us, (0.0, 0.0), 50.0),
     )
-
-
-def test_each_camera_has_its_exposure_and_gain(serial: StationConfig) -> None:
-    plan = filming_plan(serial, board(program=[{"light": "left", "exposure_us": [200.0, 300.0], "gain_db": 6.0}]))
-    assert exposures_of(plan, serial) == [CameraExposure((200.0,), 6.0), CameraExposure((300.0,), 6.0)]
-    own = [CameraExposure((c.exposure_us,), c.gain_db) for c in serial.cameras]
-    assert exposures_of(filming_plan(serial), serial) == own
 
 
 def test_the_width_of_the_trigger_makes_exposures_that_differ(serial: StationConfig) -> None:
@@ -149,14 +128,6 @@ def test_what_does_not_fit_is_refused_with_the_numbers(
     registers = _with_cameras(serial, exposure_by="register")
     with pytest.raises(InputError, match=f"board type 'b': {words}"):
         filming_plan(registers, board(program=program), RESOLUTION)
-
-
-def test_a_period_too_short_for_the_longest_exposure_is_refused(serial: StationConfig) -> None:
-    plan = filming_plan(serial, board(program=[{"light": "left", "exposure_us": 4000.0, "on_us": 50.0}]))
-    require_none(time_faults(plan, serial))
-    late = TriggerPlan(0.1, 0.003, 0.1, 5, 0.001, program=plan.program)
-    with pytest.raises(InputError, match=r"period_s is 0\.003, but must be at least 0\.004: camera 'c0' exposes"):
-        require_none(time_faults(late, serial))
 
 
 def test_rows_lie_at_the_same_places_at_another_speed(serial: StationConfig) -> None:
@@ -215,11 +186,6 @@ def test_what_the_line_cannot_do_is_refused_with_the_numbers(
     config = _with_line(serial, expected_board={"rail_mm": -10.0}, rail_limits_mm=(-20.0, 0.0))
     with pytest.raises(InputError, match=f"board type 'b': {words}"):
         line_of_board(config, board(line=line))
-
-
-def test_a_rail_needs_a_line_with_a_rail(serial: StationConfig) -> None:
-    with pytest.raises(InputError, match=r"line\.rail_mm is 3\.0, but must be absent"):
-        line_of_board(serial, board(line={"rail_mm": 3.0}))
 
 
 def _with_cameras(config: StationConfig, **keys: Any) -> StationConfig:

@@ -17,11 +17,8 @@ from vaoi_station.acquisition.controller.protocol import (
     PAYLOAD_LONGEST,
     REPLY,
     RETRY_S,
-    ClockReply,
     Event,
     EventOrder,
-    EventReceived,
-    EventsLost,
     FrameReader,
     Ident,
     Kind,
@@ -30,12 +27,9 @@ from vaoi_station.acquisition.controller.protocol import (
     Nak,
     Notification,
     Reason,
-    Replied,
     Request,
     Restarted,
     Status,
-    Step,
-    Timing,
     Type,
     Unanswered,
     cobs,
@@ -93,17 +87,6 @@ def test_up_to_two_wrong_bits_are_always_noticed(message: Message, data: st.Data
     assert decode(cobs(bytes(damaged))) is None
 
 
-@pytest.mark.parametrize(
-    ("kind", "size"), [(Timing, 30), (Step, 4), (Ident, 52), (Status, 48), (Event, 16), (ClockReply, 8), (Nak, 8)]
-)
-def test_sizes_are_those_of_the_protocol(kind: Any, size: int) -> None:
-    """The firmware asserts the same numbers at compile time (protocol.h)."""
-    assert len(kind.unpack(bytes(size)).pack()) == size
-    too_few = (kind.OLDEST_BYTES or size) - 1
-    with pytest.raises(ValueError, match=f"has {size} bytes, not {too_few}"):
-        kind.unpack(bytes(too_few))
-
-
 @pytest.mark.parametrize("kind", [Ident, Status])
 def test_a_higher_minor_version_may_append_fields(kind: Any) -> None:
     size = kind.LAYOUT.size
@@ -126,16 +109,6 @@ def test_each_event_comes_out_once_and_in_order(arrivals: list[int]) -> None:
     assert passed == list(range(len(passed)))
     first_gap = next(k for k in range(14) if k not in arrivals)
     assert len(passed) == first_gap == order.next_number
-
-
-def test_what_was_overwritten_is_counted_and_what_arrived_early_is_kept() -> None:
-    order = EventOrder()
-    for number in (1, 4, 5):
-        order.add(event(number))
-    lost, events = order.skip_to(4)
-    assert lost == 3  # 0, 2 and 3
-    assert numbers(events) == [1, 4, 5]
-    assert order.next_number == 6
 
 
 @pytest.mark.parametrize(
@@ -183,20 +156,6 @@ def known(boots: int = 1, events: int = 0) -> Link:
     return link
 
 
-def test_one_request_is_under_way_at_a_time() -> None:
-    link = Link()
-    link.request(PING)
-    link.request(Request(Type.SAFE))
-    first = sent(link, 0.0)
-    assert first is not None
-    assert first.type == Type.CLOCK
-    assert sent(link, RETRY_S / 2) is None
-    link.receive(encode(Message(first.type | REPLY, first.sequence, bytes(8))), 0.01)
-    second = sent(link, 0.02)
-    assert second is not None
-    assert (second.type, second.sequence) == (Type.SAFE, first.sequence + 1)
-
-
 def test_a_request_is_repeated_with_the_same_sequence_number_and_then_given_up() -> None:
     link = Link()
     link.request(PING)
@@ -221,32 +180,6 @@ def test_replies_to_other_requests_are_counted_and_ignored(message: Message) -> 
     assert sent(link, RETRY_S) is not None, "the request is still pending"
 
 
-def test_the_heartbeat_goes_before_requests_and_keeps_its_interval() -> None:
-    link = Link(heartbeat=True)
-    link.request(PING)
-    types = []
-    for k in range(100):
-        if message := sent(link, k * 0.01):
-            types.append(message.type)
-            link.receive(encode(Message(message.type | REPLY, message.sequence, STATUS.pack()[:44])), k * 0.01)
-    assert types[:2] == [Type.BEAT, Type.CLOCK]
-    assert types.count(Type.BEAT) == round(1.0 / HEARTBEAT_S)
-
-
-def test_a_queued_request_is_sent_after_an_unanswered_heartbeat() -> None:
-    """A heartbeat is given up after more than its interval, so the next one is due already."""
-    link = Link(heartbeat=True)
-    link.request(PING)
-    sent_types: list[int] = []
-    unanswered: list[Notification] = []
-    for k in range(1000):
-        if message := sent(link, k * 0.01):
-            sent_types.append(message.type)
-        unanswered += link.receive(b"", k * 0.01)
-    assert sent_types[: 2 * MAX_TRIES + 1] == [Type.BEAT] * MAX_TRIES + [Type.CLOCK] * MAX_TRIES + [Type.BEAT]
-    assert unanswered[:3] == [Unanswered(Request(Type.BEAT)), Unanswered(PING), Unanswered(Request(Type.BEAT))]
-
-
 def test_an_event_of_another_boot_is_not_passed_on_until_the_boot_is_known() -> None:
     link = known(boots=1)
     assert link.receive(link_event(0, boots=2), 0.0) == []
@@ -256,37 +189,6 @@ def test_an_event_of_another_boot_is_not_passed_on_until_the_boot_is_known() -> 
     read = sent(link, 0.0)
     assert read is not None
     assert (read.type, read.payload) == (Type.READ_EVENT, bytes(4))
-
-
-def test_a_reset_returns_queued_requests_as_unanswered() -> None:
-    link = known(boots=1)
-    link.request(Request(Type.STATUS))
-    link.request(PING)
-    notifications = reply(link, replace(STATUS, boots=2).pack())
-    assert notifications[:2] == [Restarted(2), Unanswered(PING)]
-    assert isinstance(notifications[2], Replied)
-
-
-def test_events_are_acknowledged_when_nothing_else_is_to_be_done() -> None:
-    link = known()
-    (received,) = link.receive(link_event(0, boots=1), 0.0)
-    assert isinstance(received, EventReceived)
-    assert link.status_is_outdated
-    link.request(PING)
-    assert reply(link, bytes(8))
-    acknowledgement = sent(link, 0.0)
-    assert acknowledgement is not None
-    assert (acknowledgement.type, acknowledgement.payload) == (Type.ACK_EVENTS, bytes([1, 0, 0, 0]))
-
-
-def test_events_that_the_controller_has_overwritten_are_reported_as_lost() -> None:
-    link = known(events=5)
-    request = sent(link, 0.0)
-    assert request is not None
-    assert request.type == Type.READ_EVENT
-    nak = Nak(Type.READ_EVENT, Reason.GONE, 0, 3)
-    assert link.receive(encode(Message(Type.NAK, request.sequence, nak.pack())), 0.0) == [EventsLost(3)]
-    assert not link.up_to_date, "3 and 4 can still be read"
 
 
 def permitting(until_s: float = 10.0) -> Link:

@@ -51,22 +51,6 @@ def ended(events: list[ControllerEvent], time_s: float) -> tuple[int, str]:
     return last.pulses, last.reason
 
 
-def test_a_passage_from_edge_to_end() -> None:
-    events = run(PLAN, [(1.0, True), (1.52, False)])
-    assert isinstance(events[0], BarrierBlocked)
-    assert [p.time_s for p in pulses(events)] == pytest.approx([1.3 + 0.1 * k for k in range(7)])
-    assert [p.light for p in pulses(events)] == ["a", "b", "a", "b", "a", "b", "a"]
-    assert [type(e) for e in events if isinstance(e, BarrierClear | RunEnded)] == [BarrierClear, RunEnded]
-    assert ended(events, 1.9) == (7, "clear")
-    assert [e.number for e in events] == list(range(len(events)))
-
-
-def test_a_board_that_sticks_ends_at_the_most_rows_and_the_next_is_seen() -> None:
-    events = run(replace(PLAN, max_rows=4), [(1.0, True), (9.0, False), (10.0, True), (10.1, False)])
-    ends = [e for e in events if isinstance(e, RunEnded)]
-    assert [(e.pulses, e.reason) for e in ends] == [(4, "max-rows"), (3, "clear")]
-
-
 def test_every_edge_of_boards_that_follow_too_closely_is_an_event() -> None:
     """Three boards of 50 mm, 40 mm apart, at 100 mm/s: the tail of deploy/station.toml is 48 mm long."""
     plan = replace(PLAN, start_delay_s=0.32, period_s=0.105, tail_s=0.48, max_rows=11)
@@ -82,12 +66,6 @@ def test_every_edge_of_boards_that_follow_too_closely_is_an_event() -> None:
         (3.3, BarrierClear),
     ]
     assert [e.reason for e in events if isinstance(e, RunEnded)] == ["max-rows", "clear"]
-
-
-def test_a_cut_out_does_not_end_the_run() -> None:
-    events = run(PLAN, [(1.0, True), (1.3, False), (1.5, True), (1.9, False)])
-    assert [type(e) for e in events if isinstance(e, BarrierBlocked | RunEnded)] == [BarrierBlocked, RunEnded]
-    assert pulses(events)[-1].time_s == pytest.approx(2.3)
 
 
 @given(
@@ -108,16 +86,6 @@ def test_the_times_of_evaluation_do_not_matter(
         assert pulse.index == k
         assert pulse.time_s == start_s + plan.start_delay_s + k * period_s, "no error adds up"
         assert pulse.time_s <= start_s + passing_s + max(plan.tail_s, plan.debounce_s)
-
-
-def test_disarming_ends_a_run_at_once() -> None:
-    rule = TriggerRule(PLAN, count())
-    assert rule.stop(0.0) == []
-    rule.add_edge(1.0, True)
-    rule.advance(1.35)
-    assert rule.run_active
-    assert rule.stop(1.36) == [RunEnded(2, 1.36, 1, "disarmed")]
-    assert rule.due_s() is None
 
 
 @pytest.mark.parametrize(
@@ -171,8 +139,3 @@ def test_rows_that_come_too_soon_are_skipped_and_keep_their_number() -> None:
     rows = [(type(e), e.index) for e in events if isinstance(e, PulseFired | PulseSkipped)]
     assert rows[:4] == [(PulseFired, 0), (PulseSkipped, 1), (PulseFired, 2), (PulseSkipped, 3)]
     assert ended(events, events[-2].time_s)[0] == len(rows)
-
-
-def test_a_belt_that_stops_keeps_the_run_open() -> None:
-    events = run_on_belt(BELT, [(8.9, True)])
-    assert [type(e) for e in events] == [BarrierBlocked]

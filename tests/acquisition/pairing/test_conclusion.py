@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.acquisition.clocks import ClockJump
-from vaoi_station.acquisition.controller.interface import PulseFired, PulseSkipped
+from vaoi_station.acquisition.controller.interface import PulseFired
 from vaoi_station.acquisition.pairing.conclusion import (
     Outages,
     conclude_run,
-    contradicted_frames,
-    contradicted_rows,
     contradiction,
     judge_run,
 )
@@ -53,7 +49,6 @@ def test_times_between_the_readings_of_a_clock_that_jumped_are_unknown() -> None
 
 
 LEFT = ProgramRow("left", (200.0, 200.0), (0.0, 6.0), 80.0)
-RIGHT = ProgramRow("right", (200.0, 200.0), (0.0, 0.0), 80.0)
 
 
 def pulse(
@@ -80,32 +75,6 @@ def pulse(
 )
 def test_a_pulse_agrees_with_its_step_or_the_difference_is_stated(reported: PulseFired, words: str) -> None:
     assert contradiction(reported, LEFT) == words
-
-
-def test_rows_are_compared_with_the_step_of_their_turn() -> None:
-    lights = {0: "left", 1: "left", 3: "right"}
-    pulses = {row: ObservedPulse(pulse(light, row), float(row)) for row, light in lights.items()}
-    assert list(contradicted_rows(pulses, (LEFT, RIGHT))) == [1]
-    assert contradicted_rows(pulses, ()) == {}
-
-
-def stating(row: int | None, exposure_us: float, gain_db: float | None = 0.0) -> ObservedFrame:
-    return ObservedFrame(row, 1, 0.0, 0.0, 0.0, stated=StatedExposure(exposure_us, gain_db))
-
-
-def test_frames_state_the_exposure_and_gain_of_their_row() -> None:
-    """Sensors expose whole lines: within its tolerance a frame fits, and it fits one step only."""
-    program = (ProgramRow("left", (9.0, 100.0), (0.0, 0.0)), ProgramRow("left", (9.0, 140.0), (0.0, 0.6)))
-    fitting = [stating(0, 81.0), stating(0, 119.9, 0.2), stating(1, 120.1, 0.4), stating(2, 100.0, None)]
-    fitting.append(stating(None, 5.0))
-    assert contradicted_frames(1, [*fitting, ObservedFrame(3, 1, 0.0, 0.0, 0.0)], program) == {}
-    other = contradicted_frames(1, [stating(4, 120.0), stating(5, 140.0, 0.3)], program)
-    assert {row: text.split(":")[0] for row, text in other.items()} == {
-        4: "its frame states an exposure of 120 µs, but the light program has 100 µs",
-        5: "its frame states a gain of 0.3 dB, but the light program has 0.6 dB",
-    }
-    assert contradicted_frames(1, [stating(0, 5.0)], ()) == {}
-    assert list(contradicted_frames(1, [stating(0, math.nan), stating(2, 100.0, math.nan)], program)) == [0, 2]
 
 
 PERIOD_S = 0.1
@@ -143,26 +112,6 @@ def causes(run: RunRecord, outages: Outages | None = None, previous: RunRecord |
     return {frame.row: frame.cause for frame in missing}
 
 
-def test_frames_whose_stamps_fit_no_pulse_were_sent() -> None:
-    """A camera with another latency needs no new cable."""
-    run = run_with_frames({}, rows=3)
-    unassigned = [
-        ObservedFrame(None, n, at, at, at + 0.02) for n, at in enumerate(START_S + 0.05 + 0.1 * k for k in (0, 1))
-    ]
-    missing, _ = concluded(run, [unassigned], Outages(), 1e-4)
-    assert {m.cause for m in missing} == {"the camera sent 2 frame(s) in this run, but no time stamp fits a pulse"}
-    assert set(causes(run_with_frames({}, rows=1)).values()) == {
-        "the camera sent no frame in this run; check its cable, its power and its trigger line"
-    }
-
-
-def test_a_skipped_row_has_the_reason_of_the_controller() -> None:
-    run = run_with_frames({0: 1, 2: 2}, rows=3)
-    del run.pulses[1]
-    run.skipped[1] = PulseSkipped(0, START_S + PERIOD_S, 1, "the LEDs must cool down")
-    assert causes(run) == {1: "the LEDs must cool down"}
-
-
 def test_a_refused_frame_precedes_an_outage_and_an_outage_precedes_the_ids() -> None:
     run, outages = run_with_frames({0: 1, 3: 4}, rows=4), Outages()
     run.refused[0, 1] = "its run has no free slot for row 1"
@@ -174,27 +123,11 @@ def test_a_refused_frame_precedes_an_outage_and_an_outage_precedes_the_ids() -> 
     }
 
 
-def test_ids_before_and_after_an_outage_are_not_compared() -> None:
-    """The camera restarts its ids: a comparison would find a gap of thousands of frames."""
-    run, outages = run_with_frames({0: 4711, 1: 4712, 4: 1, 5: 2}), Outages()
-    outages.begin(0, START_S + 0.15, "its cable")
-    outages.end(0, START_S + 0.35)
-    _, proof = concluded(run, [[]], outages, 1e-4)
-    assert proof.proven
-    assert proof.findings == ()
-
-
 @pytest.mark.parametrize(("first_id", "cause"), [(7, "did not expose"), (9, "lost in transfer")])
 def test_the_first_rows_are_compared_with_the_last_frame_of_the_run_before(first_id: int, cause: str) -> None:
     previous = run_with_frames({row: row + 1 for row in range(6)}, name="before", start_s=START_S - 2.0)
     run = run_with_frames({2: first_id, 3: first_id + 1}, rows=4)
     assert all(cause in text for text in causes(run, previous=previous).values())
-
-
-def test_a_count_that_does_not_fit_the_run_before_is_ignored() -> None:
-    previous = run_with_frames({5: 6}, name="before", start_s=START_S - 2.0)
-    run = run_with_frames({2: 60, 3: 61}, rows=4)
-    assert set(causes(run, previous=previous).values()) == {"no frame arrived for the first pulses"}
 
 
 def test_frames_of_the_time_in_which_a_clock_jumped_are_not_used() -> None:

@@ -133,28 +133,6 @@ def test_a_belt_faster_than_planned_confirms_no_latency_that_is_one_pulse_off() 
     assert run.latency_known == {}
 
 
-def test_before_the_second_pulse_the_plan_states_how_soon_it_may_come() -> None:
-    """The plan allows 4 times the planned speed: a first frame after 8 ms may be that of the second pulse."""
-    latencies, run = Latencies([LatencySettings()], lambda _camera, _s: 1e-4), RunRecord("a", 0, 0.03)
-    run.pulses[0] = ObservedPulse(PulseFired(0, START_S, 0), START_S)
-    run.fastest_s = 0.03 / 4
-    latencies.learn(0, [run], [(START_S + 0.0077, False)], [], START_S + 1)
-    assert not latencies[0].confirmed
-
-
-@pytest.mark.parametrize(("gap", "known"), [(1.7, {0: True}), (1.5, {})])
-def test_the_silence_before_a_run_is_as_short_as_its_intervals(gap: float, known: dict[int, bool]) -> None:
-    """On a belt of 1.25 times the planned speed, two intervals are 1.6 trigger periods."""
-    latencies = Latencies([LatencySettings()], lambda _camera, _s: 1e-4)
-    before, run = RunRecord("a", 0, PERIOD_S, finished=True), RunRecord("b", 0, PERIOD_S)
-    before.pulses[0] = ObservedPulse(PulseFired(0, START_S, 0), START_S)
-    for row in range(2):
-        fired_s = START_S + (gap + 0.8 * row) * PERIOD_S
-        run.pulses[row] = ObservedPulse(PulseFired(0, fired_s, row), fired_s)
-    latencies.learn(0, [before, run], [(run.first_s + 0.002, False)], [], START_S + 1)
-    assert run.latency_known == known
-
-
 def test_a_latency_that_grows_by_nearly_a_period_is_named_and_used_from_the_next_run_on() -> None:
     script = RecorderScript(1)
     film(script, "a", START_S, 0.0, list(range(6)))
@@ -186,32 +164,12 @@ def test_frames_taken_before_the_latency_came_into_doubt_count_as_well(latency_s
     assert bool(script.wrong_rows("c")) <= bool(found)
 
 
-def test_a_given_latency_is_used_from_the_first_frame_on() -> None:
-    script = RecorderScript(1, [LatencySettings(given_s=0.098)])
-    film(script, "a", START_S, 0.098, [1, 2, 3, 4, 5])
-    script.play()
-    script.check()
-    assert script.proofs["a"].findings == ()
-
-
 def test_a_wrong_given_latency_is_named() -> None:
     script = RecorderScript(1, [LatencySettings(given_s=0.0)])
     film(script, "a", START_S, 0.098, list(range(6)))
     script.play()
     assert [f.kind for f in script.proofs["a"].findings] == ["latency-changed"]
     assert not script.wrong_rows("a")
-
-
-@pytest.mark.parametrize(("gate_s", "good"), [(0.004, 5), (0.008, 6)])
-def test_the_gate_is_configurable(gate_s: float, good: int) -> None:
-    script = RecorderScript(1, [LatencySettings(gate_s=gate_s)])
-    script.run("a", START_S, 6, 0.001)
-    for row in range(6):
-        exposed_s = START_S + row * PERIOD_S
-        script.frame(("a", 0, row), exposed_s, 0.02, dated_s=exposed_s + (0.006 if row == 3 else 0.0))
-    script.play()
-    assert sum(v is Verdict.OK for v in script.verdicts("a").values()) == good
-    assert doubts_of(script.proofs["a"])
 
 
 fates = st.sampled_from(["ok"] * 6 + ["lost", "ignored", "incomplete", "extra"])

@@ -72,14 +72,6 @@ def test_frames_lost_in_transfer_leave_the_others_proven(script: RecorderScript)
     assert proof.cameras[0].frames == ROWS - 2
 
 
-def test_an_ignored_trigger(script: RecorderScript) -> None:
-    film_rows(script, 0, [0, 1, 2, 4, 5, 6, 7])
-    proof = proof_of(script)
-    assert proof.proven
-    assert kinds_found(proof) == [(0, 3, "ignored-trigger")]
-    assert "did not expose" in next(f.cause for f in script.finished["a"] if (f.camera, f.row) == (0, 3))
-
-
 @pytest.mark.parametrize("ignored", [True, False])
 def test_the_first_rows_are_explained_by_the_run_before(script: RecorderScript, ignored: bool) -> None:
     """The camera continues to count from the last frame of that run."""
@@ -98,16 +90,6 @@ def test_the_first_rows_are_explained_by_the_run_before(script: RecorderScript, 
     assert kinds == ([(0, 0, "ignored-trigger"), (0, 1, "ignored-trigger")] if ignored else [])
     causes = {f.row: f.cause for f in script.finished["b"] if f.verdict is Verdict.MISSING}
     assert all(("did not expose" if ignored else "lost in transfer") in causes[row] for row in (0, 1))
-
-
-def test_a_double_trigger(script: RecorderScript) -> None:
-    film_rows(script, 0, range(4))
-    script.frame(("a", 0, -1), at_s(3) + 0.041, 0.02)
-    film_rows(script, 0, range(4, ROWS))
-    proof = proof_of(script)
-    assert proof.proven
-    assert kinds_found(proof) == [(0, 3, "extra-frame")]
-    assert "41.0 ms after the pulse of row 3" in proof.findings[0].text
 
 
 def test_an_ignored_trigger_and_a_spurious_one_soon_after(script: RecorderScript) -> None:

@@ -12,14 +12,6 @@ from vaoi_station.acquisition.pairing.recorder import Finished, Outcome, assign_
 from vaoi_station.model import Verdict
 
 
-def test_one_assignment_may_force_the_next() -> None:
-    assert assign_forced([{1, 2}, {1}, {2, 3, 1}]) == {1: 1, 0: 2, 2: 3}
-
-
-def test_two_sets_with_the_same_candidate_get_nothing() -> None:
-    assert assign_forced([{1}, {1}, {4}]) == {2: 4}
-
-
 @given(st.data())
 def test_assignments_are_right_and_independent_of_order(data: st.DataObject) -> None:
     truth = data.draw(st.lists(st.integers(0, 6), unique=True, max_size=7))
@@ -90,20 +82,6 @@ def test_a_clean_run_is_finished_with_its_last_frame() -> None:
     assert record.last_frame_host_s == pytest.approx(1000.22)
     assert record.unassigned == 0
     assert all(abs(f.pulse_error_us or 0) < 100 for f in script.finished["a"])
-
-
-def test_frames_state_the_time_for_which_the_leds_lit_them() -> None:
-    """Without a light program the lights of the controller have on-times of their own."""
-    script = RecorderScript(2, shutters_us=(250.0, 80.0))
-    script.run("a", 1000.0, 4, 0.001, on_us=(100.0, 60.0, 300.0, 0.0))
-    for camera in range(2):
-        for row in range(4):
-            script.frame(("a", camera, row), 1000.0 + row * PERIOD_S, 0.02)
-    script.play()
-    script.check()
-    (record,) = [o.record for o in script.outcomes if isinstance(o, Finished)]
-    assert record.exposures_us() == ((100.0, 80.0), (60.0, 60.0), (250.0, 80.0), (250.0, 80.0))
-    assert [f.exposure_us for f in script.finished["a"]] == [100.0, 60.0, 250.0, 250.0, 80.0, 60.0, 80.0, 80.0]
 
 
 def test_a_frame_after_the_deadline_is_unassigned_and_its_row_missing() -> None:
@@ -177,14 +155,6 @@ def test_a_jump_at_the_end_of_a_run_is_named_as_soon_as_the_clock_is_read() -> N
     assert {(f.camera, f.kind) for f in script.proofs["a"].findings} == {(1, "clock-jumped")}
     assert {f.row for f in script.finished["a"] if f.usable and f.camera == 0} == set(range(5))
     assert script.recorder.open_runs == []
-
-
-def test_a_run_waits_for_a_reading_no_longer_than_for_its_frames() -> None:
-    script = jumped_at_the_end(1003.0)
-    script.play()
-    script.check()
-    assert {f.camera for f in script.proofs["a"].findings} == {1}
-    assert "clock-jumped" not in {f.kind for f in script.proofs["a"].findings}
 
 
 def test_clocks_are_wanted_from_the_last_pulse_to_the_end_of_the_run() -> None:

@@ -14,23 +14,6 @@ from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
 PERIOD_S = 0.1
 
 
-def record(*rows: int, light: str = "", exposures_us: tuple[float, ...] = ()) -> RunRecord:
-    """Return a run with pulses of some rows; its device clock is 50 s ahead of the host's."""
-    run = RunRecord("a", 0, PERIOD_S)
-    for row in rows:
-        pulse = PulseFired(0, 50.0 + row * PERIOD_S, row, light)
-        run.pulses[row] = ObservedPulse(replace(pulse, exposures_us=exposures_us), row * PERIOD_S)
-    return run
-
-
-def test_rows_without_a_report_follow_the_row_before_by_one_period() -> None:
-    assert record(0, 2).times_s() == (0.0, 0.1, 0.2)
-    run = record(1, 2)
-    assert run.times_s() == (0.0, 0.1, 0.2), "the first report was lost"
-    run.pulse_count = 4
-    assert run.times_s() == (0.0, 0.1, 0.2, 0.3), "the last report was lost"
-
-
 def on_belt(times_s: dict[int, float]) -> RunRecord:
     """Return a run whose pulses have these times by the controller's clock."""
     run = RunRecord("a", 0, PERIOD_S)
@@ -44,12 +27,6 @@ def test_rows_without_a_report_follow_the_belt_not_the_period() -> None:
     run = on_belt({2: 0.0, 3: 0.08, 4: 0.24})
     run.pulse_count = 6
     assert run.times_s() == (0.0, 0.08, 0.16, 0.24, 0.4, 0.56)
-
-
-def test_a_skipped_row_has_the_time_at_which_it_was_due() -> None:
-    run = on_belt({0: 0.0, 3: 0.3})
-    run.skipped = {row: PulseSkipped(row, s, row, "too fast") for row, s in ((1, 0.07), (2, 0.05), (9, 0.9))}
-    assert run.times_s() == (0.0, 0.07, 0.185, 0.3), "the report of row 2 is out of order"
 
 
 @given(st.data())
@@ -82,9 +59,3 @@ def test_without_a_program_leds_that_are_on_shortly_determine_the_exposures() ->
     # A lost report must not cost the other rows their exposures.
     run.pulse_count = 6
     assert run.exposures_us() == (*((100.0, 40.0), (60.0, 40.0), (30.0, 30.0)), *((250.0, 40.0),) * 3)
-
-
-def test_leds_that_are_on_for_longer_than_all_shutters_change_no_exposure() -> None:
-    assert lit({0: 250.0, 1: 300.0}).exposures_us() is None
-    assert lit({0: None, 1: 0.0}).exposures_us() is None
-    assert lit({0: 100.0}, shutters_us=()).exposures_us() is None

@@ -25,7 +25,7 @@ from vaoi_station.acquisition.process.messages import (
     TrialFailed,
 )
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, StateError
+from vaoi_station.errors import DeviceError
 from vaoi_station.model import ProgramRow, Verdict
 
 STEPS_US = (300, 100, 50)
@@ -142,17 +142,6 @@ def test_a_late_report_of_the_barrier_stops_no_camera_during_the_board(line: Lin
     assert line.exposures() == [dict.fromkeys(range(6), True), {0: True, 1: True, 2: True}]
 
 
-def test_a_board_whose_first_pulse_is_the_first_report_of_it_stops_no_camera(line: Line) -> None:
-    """The end of the run before, of six rows, and the edge of the board are not reported."""
-    line.event(BarrierBlocked(0, 10.0 - START_S))
-    for row in range(6):
-        line.row(10.0 + row * PERIOD_S, row)
-    for row in range(3):
-        line.row(12.0 + row * PERIOD_S, row)
-    line.event(RunEnded(0, 12.25, 3, "clear"))
-    assert line.exposures() == [dict.fromkeys(range(6), True), {0: True, 1: True, 2: True}]
-
-
 def test_no_camera_is_stopped_while_a_frame_is_awaited_unless_the_next_board_comes(line: Line) -> None:
     for row in range(2):
         line.row(10.0 + row * PERIOD_S, row, (0,) if row == 1 else (0, 1))
@@ -238,14 +227,6 @@ def test_one_slow_rewind_is_reported_and_tried_again_after_some_boards(
     assert len(boards.sent) == 2, "it was in time between"
 
 
-def test_a_camera_that_was_opened_anew_is_tried_at_once(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    boards = Boards(line, monkeypatch)
-    boards.rewound(3.0)
-    assert not boards.rewound(0.03)
-    boards.start.forget(0)
-    assert boards.rewound(0.03)
-
-
 BRIGHT = (CameraExposure((900.0,), 6.0), CameraExposure((250.0,), 0.0))
 TRIAL = FireTrial(Grant("trial-1", 0), BRIGHT, "ring", 80.0)
 
@@ -263,31 +244,6 @@ def frames_of(bench: SessionBench, at_s: float) -> None:
         slot = camera.slots.pop(0)
         bench.session.handle_arrival(Arrival(n, slot.number, True, 1, at_s, at_s + 0.01), at_s + 0.01, at_s + 0.01)
     bench.session.tick(at_s + 1.0)
-
-
-def test_a_trial_sets_the_cameras_and_is_a_run_of_one_row(bench: SessionBench) -> None:
-    bench.session.fire_trial(TRIAL, 1.0)
-    assert [camera.exposures for camera in bench.cameras] == [[(900.0, 6.0)], [(250.0, 0.0)]]
-    assert (bench.controller.fired, bench.session.trial.is_under_way) == (1, True)
-    frames_of(bench, 1.0)
-    assert [r.run for r in bench.of(RunStarted)] == ["trial-1"]
-    [finished] = bench.of(RunFinished)
-    assert [f.verdict for f in finished.frames] == [Verdict.OK, Verdict.OK]
-    assert not bench.session.trial.is_under_way
-    bench.session.trial.restore()
-    assert [camera.exposures[-1] for camera in bench.cameras] == [(250.0, 0.0), (250.0, 0.0)]
-
-
-def test_what_is_refused_leaves_the_memory_unused(bench: SessionBench) -> None:
-    bench.controller.refuses = True
-    with pytest.raises(DeviceError, match="the port is gone"):
-        bench.session.fire_trial(TRIAL, 1.0)
-    assert not bench.session.trial.is_under_way
-    assert bench.cameras[0].slots == []
-    bench.controller.refuses = False
-    bench.session.fire_trial(TRIAL, 2.0)
-    with pytest.raises(StateError, match="a pulse is under way"):
-        bench.session.fire_trial(TRIAL, 2.1)
 
 
 def test_a_camera_that_refuses_leaves_no_camera_with_settings_on_trial(bench: SessionBench) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,13 +15,12 @@ from vaoi_station.acquisition.process.filming import (
     FilmingProcess,
     export_run,
     film,
-    film_pulses,
     fire_steadily,
 )
 from vaoi_station.acquisition.process.messages import Command, FireOne, Grant, Ready, RunFinished, Trouble
 from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, GoneError, InputError
+from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files import open_recording, read_calibration
 from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
 from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
@@ -63,7 +61,6 @@ def test_a_recording_holds_pictures_of_packed_frames(tmp_path: Path, names: tupl
             assert (kept == seen).all()
 
 
-IGNORE = FilmingHandlers(lambda *_: None, lambda _: None)
 FAULT = "[[faults.lost_frames]]\ncamera = 1\nrow = 2\n"
 
 Make = Callable[..., StationConfig]
@@ -129,36 +126,6 @@ def test_time_stamps_late_by_nearly_a_period_shift_no_row(make_config: Make, tin
         assert run.proof.cameras[1].latency_us == pytest.approx(late_s * 1e6, abs=2000)
 
 
-def test_more_boards_than_the_simulation_has_are_refused(make_config: Make) -> None:
-    config = make_config()
-    assert config.simulation is not None
-    few = config.model_copy(update={"simulation": config.simulation.model_copy(update={"boards": 2})})
-    with pytest.raises(InputError, match=r"simulation\.boards is 2, but must be 0 or at least 3"):
-        film(few, 3, IGNORE)
-
-
-def test_a_device_that_does_not_open_is_an_error_with_the_limit(make_config: Make, tmp_path: Path, tiny: str) -> None:
-    config = make_config()
-    (tmp_path / "scenario.toml").write_text(tiny.replace("cameras = 2", "cameras = 3"))
-    with pytest.raises(DeviceError, match=r"array\.cameras is 3, but must be 2"):
-        film(config, 1, IGNORE)
-    assert list((tmp_path / "shm").iterdir()) == []
-
-
-def test_steady_pulses_are_no_faster_than_requested(make_config: Make, tmp_path: Path) -> None:
-    runs: list[str] = []
-
-    def finished(run: RunFinished, ring: Ring, generation: int) -> None:
-        runs.append(run.run)
-        assert all(ring.snapshot(f.slot, generation).any() for f in run.frames if f.slot is not None)
-
-    started_s = time.monotonic()
-    film_pulses(make_config(), 5, 10.0, FilmingHandlers(finished, lambda _: None))
-    assert runs == ["001", "002", "003", "004", "005"]
-    assert time.monotonic() - started_s >= 4 / 10.0
-    assert list((tmp_path / "shm").iterdir()) == []
-
-
 def test_a_refused_pulse_is_requested_again_with_the_same_grant(make_config: Make) -> None:
     """The test plays the other end of the pipe: a controller whose LEDs must cool down after the first pulse."""
     config, results, received = make_config(), list[str](), list[Command]()
@@ -189,16 +156,6 @@ def test_a_refused_pulse_is_requested_again_with_the_same_grant(make_config: Mak
         player.join()
     assert results == ["001", "the LEDs must cool down. Wait.", "002"]
     assert received == [Grant("001", 0), FireOne(), Grant("002", 0), FireOne(), FireOne()]
-
-
-def test_a_refused_first_pulse_raises(make_config: Make) -> None:
-    config = make_config()
-    ours, theirs = multiprocessing.Pipe()
-    with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
-        theirs.send(Ready(2))
-        theirs.send(Trouble("led-limit", "the on-time is too long.", "Shorten it."))
-        with pytest.raises(DeviceError, match=r"the on-time is too long\. Shorten it\."):
-            fire_steadily(FilmingProcess(ring, ours, IGNORE), 1, 0.01)
 
 
 def test_a_board_filmed_with_a_program_has_it_in_its_recording(make_config: Make, tiny: str, tmp_path: Path) -> None:

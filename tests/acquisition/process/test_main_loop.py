@@ -19,11 +19,10 @@ from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process import main_loop
 from vaoi_station.acquisition.process.backends import open_devices
 from vaoi_station.acquisition.process.between_boards import SequenceStart
-from vaoi_station.acquisition.process.main_loop import HELD_UP_S, LONGEST_LAG_S, Inbox
+from vaoi_station.acquisition.process.main_loop import Inbox
 from vaoi_station.acquisition.process.messages import (
     Arm,
     Armed,
-    Disarm,
     FireOne,
     FireTrial,
     Grant,
@@ -72,32 +71,6 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return Clock(monkeypatch)
-
-
-def test_its_time_stays_until_the_last_message_was_taken(clock: Clock) -> None:
-    clock.inbox.messages.put("first")
-    clock.inbox.messages.put("second")
-    clock.now_s += HELD_UP_S / 2
-    assert clock.take() == "first"
-    assert clock.inbox.taken_until_s == 100.0
-    assert clock.take() == "second"
-    assert clock.inbox.taken_until_s == clock.now_s
-
-
-def test_a_wait_that_ends_late_is_followed_by_one_for_threads_that_were_held_up_too(clock: Clock) -> None:
-    clock.late_s = 0.7
-    assert clock.take(after_s=0.2) is None
-    assert clock.inbox.taken_until_s == 100.0
-    assert clock.take() is None
-    assert clock.inbox.taken_until_s == clock.now_s == pytest.approx(100.9 + HELD_UP_S)
-
-
-def test_its_time_lags_by_no_more_than_the_limit(clock: Clock) -> None:
-    for n in range(3):
-        clock.inbox.messages.put(n)
-    clock.now_s += 10.0
-    assert clock.take() == 0
-    assert clock.inbox.taken_until_s == clock.now_s - LONGEST_LAG_S
 
 
 def test_frames_that_came_while_the_process_was_held_up_are_not_missing(
@@ -192,21 +165,6 @@ class LooseCamera:
         return getattr(self.camera, name)
 
 
-@dataclass
-class SteppedCamera:
-    """A camera whose clock is set by another program."""
-
-    camera: Any
-    step_s: float = 0.0
-
-    def read_clock(self) -> ClockReading:
-        reading: ClockReading = self.camera.read_clock()
-        return replace(reading, device_s=reading.device_s + self.step_s)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.camera, name)
-
-
 def test_arming_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
     """Neither the readings before the process is ready nor three more suffice."""
     bench = start(make_config(), open_backend=busy(main_loop.FIRST_READINGS + 3))
@@ -233,27 +191,6 @@ def test_a_line_that_is_armed_during_a_trial_is_armed_after_its_last_frame(start
     failed = bench.until(TrialFailed)
     assert (failed.run, failed.why.code) == ("trial-2", "wrong-state")
     assert bench.of(Trouble) == []
-
-
-def test_a_trial_that_waits_when_the_line_is_armed_gives_its_memory_back(start: Start, make_config: Make) -> None:
-    bench = start(make_config(), open_backend=busy(10**6))
-    own = tuple(CameraExposure((c.exposure_us,), c.gain_db) for c in bench.config.cameras)
-    bench.send(FireTrial(Grant("trial-1", 1), own))
-    bench.send(Disarm())
-    assert bench.until(TrialFailed).run == "trial-1"
-
-
-def test_clocks_that_stay_unknown_are_reported_after_the_timeout(
-    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(main_loop, "CLOCK_TIMEOUT_S", 0.3)
-    bench = start(make_config(), open_backend=busy(10**6))
-    bench.grant("one", 0)
-    bench.send(Arm(TriggerPlan.of(bench.config.line)))
-    trouble = bench.until(Trouble)
-    assert trouble.code == "clock-unknown"
-    assert "controller: times of its clock may be wrong by 2.7" in trouble.message
-    assert bench.of(Armed) == []
 
 
 def test_a_board_in_the_barrier_is_reported_with_the_arming(start: Start, make_config: Make) -> None:
@@ -358,23 +295,6 @@ def test_each_thread_of_a_device_that_ends_or_hangs_ends_the_process(
     assert f"In the acquisition process: Thread {name!r} {what}" in trouble.message
 
 
-def test_disarming_cancels_the_waiting_command(start: Start, make_config: Make) -> None:
-    """The cancelled command is not carried out when the clocks are known later."""
-    computer = BusyComputer(math.inf)
-    bench = start(make_config(), open_backend=computer.open)
-    bench.grant("one", 0)
-    bench.send(Arm(TriggerPlan.of(bench.config.line)))
-    assert [grant.run for grant in bench.disarm().unused] == ["one"]
-    computer.poor = 0
-    for _ in range(2):  # when the second reading is taken, the first is in the inbox
-        assert computer.good.acquire(timeout=PATIENCE_S)
-    bench.grant("two", 0)
-    bench.arm()
-    assert bench.until(RunFinished).run == "two"
-    assert bench.of(Trouble) == []
-    assert len(bench.of(Armed)) == 1
-
-
 def test_the_clock_of_a_lost_camera_is_not_reported_again(
     start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -414,26 +334,6 @@ def test_the_clock_of_a_lost_camera_is_not_reported_again(
     camera.report_back()
     assert bench.until(Trouble).message == "camera c1: its clock cannot be read."
     assert forgotten == [1], "how long it took to begin its sequence anew may have changed"
-
-
-def test_the_clocks_are_read_at_the_end_of_a_run(
-    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No periodic reading comes within this test: only that at the end of the run can show the jump."""
-    monkeypatch.setattr(main_loop, "HEALTH_PERIOD_S", 600.0)
-    cameras = list[SteppedCamera]()
-
-    def open_devices_with_a_jump(config: StationConfig) -> Devices:
-        devices = open_devices(config)
-        cameras.append(SteppedCamera(devices.cameras[1]))
-        return replace(devices, cameras=(devices.cameras[0], cameras[0]))
-
-    bench = start(make_config(), open_backend=open_devices_with_a_jump)
-    bench.grant("one", 0)
-    bench.arm()
-    bench.until(PulseReported)
-    cameras[0].step_s = 37.0
-    assert bench.until(Trouble).code == "clock-jumped"
 
 
 def test_a_ring_of_another_configuration_is_refused(make_config: Make) -> None:

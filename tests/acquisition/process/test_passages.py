@@ -9,7 +9,6 @@ import pytest
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
-    BarrierBlockedAgain,
     BarrierClear,
     BarrierClearAfterRun,
     BeltPacing,
@@ -18,7 +17,6 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.acquisition.process.messages import BoardMissed
 from vaoi_station.acquisition.process.passages import (
     STILL_S,
@@ -38,46 +36,10 @@ def passages() -> Passages:
     return Passages(clock)
 
 
-def test_a_passage_has_all_interruptions_from_its_first_edge_on(passages: Passages) -> None:
-    edges = [BarrierBlocked(0, 1.0), BarrierClear(1, 1.5), BarrierBlockedAgain(2, 1.6), BarrierClearAfterRun(3, 2.0)]
-    assert [passages.add(event, AHEAD_S + 9.0) for event in edges] == [None] * 4
-    assert (passages.edge_s, passages.interruptions) == (AHEAD_S + 1.0, [(1.0, 1.5), (1.6, 2.0)])
-    passages.add(BarrierBlocked(4, 3.0), AHEAD_S + 2.9)
-    assert passages.edge_s == AHEAD_S + 2.9, "no edge lies in the future"
-    of_the_run = passages.begin_run()
-    assert of_the_run == [(3.0, None)]
-    passages.over = True
-    passages.add(BarrierBlockedAgain(5, 7.0), AHEAD_S + 8.0)
-    assert (of_the_run, passages.interruptions) == ([(3.0, None)], [(7.0, None)]), "after the run, another passage"
-    passages.over = True
-    assert passages.begin_run() == [], "the edge of this run was not reported"
-
-
 def test_a_second_end_extends_the_interruption_because_its_beginning_was_lost(passages: Passages) -> None:
     for event in (BarrierClear(0, 1.0), BarrierBlocked(1, 2.0), BarrierClear(2, 3.0), BarrierClear(3, 5.0)):
         passages.add(event, AHEAD_S + 9.0)
     assert passages.interruptions == [(2.0, 5.0)]
-
-
-def with_counts(passages: Passages, *counts: int | None) -> tuple[Interruption, ...] | None:
-    """Return the ways of a passage with these positions of the encoder at its edges, at 20 counts per mm."""
-    for n, position in enumerate(counts):
-        kind = (BarrierBlocked if n == 0 else BarrierBlockedAgain) if n % 2 == 0 else BarrierClear
-        passages.add(kind(n, float(n), position), AHEAD_S + 99.0)
-    return passages.ways_mm(20.0)
-
-
-def test_the_way_of_the_belt_at_the_edges_is_that_of_the_encoder(passages: Passages) -> None:
-    assert passages.ways_mm(20.0) is None
-    wrapped = (2**32 - 100, 900, 920)
-    assert with_counts(passages, *wrapped) == ((0.0, 50.0), (51.0, None)), "the counter wraps"
-    assert with_counts(passages, *wrapped, None) is None, "one edge came without a position"
-    assert with_counts(passages, 1000, 1600, 1598) == ((0.0, 30.0), (29.9, None)), "a belt at rest shakes"
-
-
-@pytest.mark.parametrize("counts", [(1000, 1000), (1000, 960), (1000, 960, 1600, 1599)])
-def test_an_encoder_that_does_not_count_forwards_measures_no_way(passages: Passages, counts: tuple[int, ...]) -> None:
-    assert with_counts(passages, *counts) is None
 
 
 def test_a_board_without_a_run_is_missed_once(passages: Passages) -> None:
@@ -99,24 +61,10 @@ def watch() -> PassageWatch:
     return armed
 
 
-def test_a_board_passes_from_the_edge_to_the_end_of_its_run(watch: PassageWatch) -> None:
-    events = [BarrierBlocked(0, 1.0), PulseFired(1, 1.2, 0), BarrierClear(2, 1.3), RunEnded(3, 1.5, 1, "clear")]
-    assert [(watch.add(event, event.time_s), watch.passing) for event in events] == [
-        (True, True), (False, True), (False, True), (True, False),
-    ]  # fmt: skip
-
-
 def test_a_replay_that_reports_no_clear_barrier_leaves_none_blocked(watch: PassageWatch) -> None:
     watch.add(BarrierBlocked(0, 1.0), 1.0)
     assert watch.add(RunEnded(1, 1.5, 1, "clear"), 1.5)
     assert not watch.passing
-
-
-def test_a_board_that_stays_after_its_rows_is_in_the_barrier_until_it_left(watch: PassageWatch) -> None:
-    watch.add(BarrierBlocked(0, 1.0), 1.0)
-    assert not watch.add(RunEnded(1, 1.5, 9, "max-rows"), 1.5)
-    assert not watch.belt_stopped(99.0), "without a run no row is awaited"
-    assert watch.add(BarrierClearAfterRun(2, 2.0), 2.0)
 
 
 def test_a_board_that_came_too_soon_is_in_the_barrier_until_it_left_or_its_edge_was_lost(watch: PassageWatch) -> None:
@@ -138,13 +86,6 @@ def test_a_belt_that_spaces_the_rows_has_stopped_if_none_comes(watch: PassageWat
     assert not watch.belt_stopped(6.2 + 8.0), "a slow belt needs 8 s to the first row"
     watch.arm(BY_TIME, None)
     assert not watch.belt_stopped(99.0)
-
-
-def test_while_disarmed_nothing_passes(watch: PassageWatch) -> None:
-    watch.add(BarrierBlocked(0, 1.0), 1.0)
-    watch.disarm()
-    assert not watch.passing
-    assert not watch.add(PulseFired(1, 2.0, 0), 2.0), "a single pulse is no board"
 
 
 def shown(watch: PassageWatch) -> tuple[bool, bool]:

@@ -13,7 +13,6 @@ from vaoi_station.acquisition.pairing.recorder import Finished
 from vaoi_station.acquisition.pairing.run_record import ObservedPulse, RunRecord
 from vaoi_station.acquisition.process.run_reports import clock_jump_error, finished_report, trouble_report
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError
 from vaoi_station.model import FrameRecord, Verdict
 
 PROOF = TriggerProof(proven=True, cameras=(), findings=())
@@ -30,19 +29,6 @@ def finished(last_frame_s: float | None) -> Finished:
         )
     )  # fmt: skip
     return Finished(record, frames, PROOF)
-
-
-def test_the_head_describes_the_run_and_lists_frames_that_are_not_complete(
-    make_config: Callable[..., StationConfig],
-) -> None:
-    report = finished_report(make_config(), finished(100.2), 101.0)
-    assert (report.run, report.bay, report.reason, report.unassigned) == ("r1", 1, "clear", 3)
-    assert (report.head.rows, report.head.trigger_period_s) == (2, 0.05)
-    assert report.head.trigger_times_s == (0.0, 0.05)
-    assert report.head.missing == ((0, 1), (1, 1))
-    assert len(report.head.cameras) == 2
-    assert report.last_frame_host_s == 100.2
-    assert report.proof is PROOF
 
 
 def test_reports_that_contradict_each_other_cost_the_run_its_certainty_not_the_process(
@@ -64,14 +50,6 @@ def test_without_a_frame_the_last_pulse_dates_the_run_but_never_the_future(
     assert report.last_frame_host_s == pytest.approx(expected_s)
 
 
-def test_a_fault_names_its_device_once_and_always_has_an_action() -> None:
-    assert trouble_report(DeviceError("the port is gone."), "controller").message == "controller: the port is gone."
-    named = trouble_report(DeviceError("controller: the port is gone.", action="Plug it in."), "controller")
-    assert (named.message, named.action) == ("controller: the port is gone.", "Plug it in.")
-    assert trouble_report(DeviceError("the port is gone.")).action
-    assert trouble_report(DeviceError("x.", code="port-gone")).code == "port-gone"
-
-
 @pytest.mark.parametrize(("configured", "written"), [(0, None), (270, 270)])
 def test_the_head_states_the_rotation_of_boards_on_this_line(
     make_config: Callable[..., StationConfig], configured: int, written: int | None
@@ -80,17 +58,6 @@ def test_the_head_states_the_rotation_of_boards_on_this_line(
     expected = config.line.expected_board.model_copy(update={"rotation_deg": configured})
     turned = config.model_copy(update={"line": config.line.model_copy(update={"expected_board": expected})})
     assert finished_report(turned, finished(None), 101.0).head.rotation_deg == written
-
-
-def test_a_run_whose_reports_contradict_keeps_what_the_line_states(make_config: Callable[..., StationConfig]) -> None:
-    config = make_config()
-    expected = config.line.expected_board.model_copy(update={"rotation_deg": 90})
-    turned = config.model_copy(update={"line": config.line.model_copy(update={"expected_board": expected})})
-    run = finished(None)
-    run.record.pulses[1] = ObservedPulse(PulseFired(0, 0.5, 1), 100.05)  # earlier than the pulse before it
-    head = finished_report(turned, run, 101.0).head
-    assert (head.rotation_deg, head.trigger_times_s) == (90, None)
-    assert "contradict each other" in head.doubts[0]
 
 
 def test_a_clock_jump_names_the_camera_its_cost_and_what_to_do() -> None:

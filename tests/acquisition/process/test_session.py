@@ -28,7 +28,6 @@ from vaoi_station.acquisition.process.messages import (
     BoardMissed,
     Disarmed,
     Grant,
-    MissedPassage,
     RunFinished,
     RunStarted,
     Trouble,
@@ -36,9 +35,8 @@ from vaoi_station.acquisition.process.messages import (
 from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, InputError, StateError
-from vaoi_station.line_config import Encoder
-from vaoi_station.model import ProgramRow, Verdict
+from vaoi_station.errors import DeviceError
+from vaoi_station.model import Verdict
 
 
 @dataclass
@@ -147,32 +145,6 @@ def test_arming_is_refused_while_a_clock_is_unknown(make_config: Callable[..., S
         assert bench.controller.plans == []
 
 
-def test_arming_does_not_wait_for_the_clock_of_a_lost_camera(make_config: Callable[..., StationConfig]) -> None:
-    with session_bench(make_config(), (1e-5, 1e-5, None)) as bench:
-        bench.session.outages.begin(1, 0.5, "it does not answer any more")
-        bench.session.arm(bench.plan)
-        assert bench.of(Armed)
-        bench.session.outages.end(1, 0.6)
-        with pytest.raises(DeviceError, match="camera c1"):
-            bench.session.arm(bench.plan)
-
-
-def test_skipped_rows_are_missing_with_the_reason_of_the_controller(bench: SessionBench) -> None:
-    """Row 0 is skipped before any pulse was fired."""
-    bench.session.grant(Grant("a", 0))
-    bench.session.arm(bench.plan)
-    bench.session.handle_event(BarrierBlocked(0, 1.0), 1.0)
-    bench.session.handle_event(PulseSkipped(1, 1.1, 0, "hot"), 1.1)
-    bench.pulse(1.2, 1)
-    bench.frames(1.2, 1)
-    bench.session.handle_event(PulseSkipped(3, 1.3, 2, "late"), 1.3)
-    bench.session.handle_event(RunEnded(4, 1.4, 3, "clear"), 1.4)
-    bench.session.tick(9.0)
-    (finished,) = bench.of(RunFinished)
-    causes = {(f.camera, f.row): f.cause for f in finished.frames if f.verdict is not Verdict.OK}
-    assert causes == {(0, 0): "hot", (1, 0): "hot", (0, 2): "late", (1, 2): "late"}
-
-
 def test_a_controller_that_refuses_leaves_the_station_disarmed_and_memory_returnable(bench: SessionBench) -> None:
     bench.controller.refuses = True
     bench.session.grant(Grant("a", 0))
@@ -197,14 +169,6 @@ def test_a_changed_plan_that_fails_leaves_the_station_not_armed_with_the_reason(
     bench.controller.refuses = False
     bench.session.arm(bench.plan)
     assert bench.controller.plans == [bench.plan, None, bench.plan], "the controller receives the first plan again"
-
-
-def test_a_plan_that_is_refused_beforehand_leaves_the_present_one_in_force(bench: SessionBench) -> None:
-    bench.session.arm(bench.plan)
-    with pytest.raises(InputError, match="max_rows"):
-        bench.session.arm(replace(bench.plan, max_rows=1000))
-    bench.session.arm(bench.plan)
-    assert bench.controller.plans == [bench.plan]
 
 
 def test_a_controller_that_stops_reporting_is_a_fault_and_the_run_is_finished(bench: SessionBench) -> None:
@@ -271,27 +235,6 @@ def test_a_board_finds_slots_while_late_frames_of_another_are_awaited(bench: Ses
     assert {f.verdict for f in late.frames} == {Verdict.MISSING}
 
 
-def test_an_interruption_without_a_pulse_keeps_the_grant(bench: SessionBench) -> None:
-    bench.session.grant(Grant("a", 0))
-    bench.session.arm(bench.plan)
-    bench.session.handle_event(BarrierBlocked(0, 10.0), 10.0)
-    bench.session.handle_event(RunEnded(1, 10.1, 0, "clear"), 10.1)
-    assert "no pulse was fired" in bench.of(BoardMissed)[0].reason
-    bench.pulse(20.0, 0)
-    assert bench.of(RunStarted)[0].run == "a"
-
-
-def test_another_plan_while_a_board_passes_is_refused(bench: SessionBench) -> None:
-    bench.session.grant(Grant("a", 0))
-    bench.session.arm(bench.plan)
-    other = replace(bench.plan, max_rows=2)
-    bench.session.arm(other)
-    assert bench.controller.plans == [bench.plan, None, other]
-    bench.pulse(10.0, 0)
-    with pytest.raises(StateError, match="passing"):
-        bench.session.arm(bench.plan)
-
-
 def test_a_refused_pulse_leaves_its_grant_to_the_next(bench: SessionBench) -> None:
     bench.session.grant(Grant("a", 0))
     bench.controller.refuses = True
@@ -301,27 +244,6 @@ def test_a_refused_pulse_leaves_its_grant_to_the_next(bench: SessionBench) -> No
     bench.session.fire_one(1.1)
     bench.pulse(1.1, 0)
     assert [r.run for r in bench.of(RunStarted)] == ["a"]
-
-
-def test_a_program_sets_the_cameras_and_is_in_every_record(bench: SessionBench) -> None:
-    bench.session.grant(Grant("a", 0))
-    row = ProgramRow("left", (200.0, 300.0), (0.0, 6.0), 80.0)
-    bench.session.arm(replace(bench.plan, program=(row,), lights=("left",)))
-    assert [camera.exposures for camera in bench.cameras] == [[(200.0, 0.0)], [(300.0, 6.0)]]
-    bench.session.handle_event(BarrierBlocked(0, 1.0), 1.0)
-    bench.session.handle_event(PulseFired(1, 1.1, 0, "left", on_us=80.0), 1.1)
-    bench.frames(1.1, 0)
-    bench.session.handle_event(RunEnded(2, 1.2, 1, "clear"), 1.2)
-    [finished] = bench.of(RunFinished)
-    assert (finished.head.lights, finished.head.exposures_us) == (("left",), ((80.0, 80.0),))
-    assert finished.head.gains == ((1.0, 1.995262),)
-    assert [(f.light, f.exposure_us, f.gain) for f in finished.frames] == [
-        ("left", 80.0, 1.0),
-        ("left", 80.0, 1.995262),
-    ]
-    assert finished.proof.proven
-    bench.session.arm(bench.plan)
-    assert bench.cameras[0].exposures[-1] == (250.0, 0.0)
 
 
 def pass_two(bench: SessionBench) -> None:
@@ -339,45 +261,6 @@ def pass_two(bench: SessionBench) -> None:
     bench.session.tick(20.0)
 
 
-def test_a_run_reports_every_interruption_of_the_barrier(bench: SessionBench) -> None:
-    bench.session.grant(Grant("a", 0))
-    bench.session.arm(bench.plan)
-    pass_two(bench)
-    (finished,) = bench.of(RunFinished)
-    assert finished.interruptions == ((-0.3, 0.05), (0.2, None))
-    assert not bench.of(BoardMissed), "what outlasts its run belongs to the run"
-
-
-def test_a_missed_passage_reports_every_interruption(bench: SessionBench) -> None:
-    bench.session.arm(bench.plan)
-    bench.session.handle_event(BarrierBlocked(0, 9.7), 9.7)
-    bench.pulse(10.0, 0)
-    bench.session.handle_event(BarrierClear(1, 10.05), 10.05)
-    bench.session.handle_event(BarrierBlockedAgain(2, 10.2), 10.2)
-    bench.session.handle_event(RunEnded(3, 10.31, 2, "max-rows"), 10.32)
-    assert len(bench.of(BoardMissed)) == 1
-    (passage,) = bench.of(MissedPassage)
-    assert passage.host_time_s == pytest.approx(9.7)
-    assert [round(blocked, 6) for blocked, _ in passage.interruptions] == [0.0, 0.5]
-
-
-def test_a_missed_passage_has_the_way_of_the_belt_if_there_is_an_encoder(
-    make_config: Callable[..., StationConfig],
-) -> None:
-    """The rows need not follow the encoder."""
-    config = make_config()
-    line = config.line.model_copy(update={"encoder": Encoder(counts_per_mm=20.0)})
-    for fitted in (line, config.line):
-        with session_bench(config.model_copy(update={"line": fitted})) as bench:
-            bench.session.arm(bench.plan)
-            bench.session.handle_event(BarrierBlocked(0, 9.7, 500), 9.7)
-            bench.pulse(10.0, 0)
-            bench.session.handle_event(BarrierClear(1, 40.0, 1500), 40.0)
-            bench.session.handle_event(RunEnded(2, 40.1, 1, "clear"), 40.1)
-            (passage,) = bench.of(MissedPassage)
-            assert passage.ways_mm == (((0.0, 50.0),) if fitted.encoder else None)
-
-
 def test_a_board_that_stood_in_the_barrier_when_the_line_was_armed_is_missed(bench: SessionBench) -> None:
     bench.session.grant(Grant("a", 0))
     bench.session.arm(bench.plan)
@@ -389,23 +272,6 @@ def test_a_board_that_stood_in_the_barrier_when_the_line_was_armed_is_missed(ben
     bench.session.arm(bench.plan)
     bench.session.handle_event(BarrierClearAfterRun(5, 40.0), 40.0)
     assert len(bench.of(BoardMissed)) == 2
-
-
-def test_a_board_whose_edge_was_lost_has_no_interruptions_of_the_one_before(bench: SessionBench) -> None:
-    for n in range(2):
-        bench.session.grant(Grant(f"run {n}", n))
-    bench.session.arm(bench.plan)
-    bench.session.handle_event(BarrierBlocked(0, 9.7), 9.7)
-    bench.pulse(10.0, 0)
-    bench.frames(10.0, 0)
-    bench.session.handle_event(RunEnded(1, 10.1, 1, "clear"), 10.1)
-    bench.pulse(20.0, 0)
-    bench.frames(20.0, 0)
-    bench.session.handle_event(RunEnded(2, 20.1, 1, "clear"), 20.1)
-    bench.session.tick(30.0)
-    assert [finished.interruptions for finished in bench.of(RunFinished)] == [((-0.3, None),), ()]
-    # Nor its time: a run whose edge is not known must not get the order of the board before.
-    assert [(r.host_time_s, r.edge_known) for r in bench.of(RunStarted)] == [(9.7, True), (20.0, False)]
 
 
 def test_the_edge_of_a_board_without_a_pulse_is_not_that_of_the_next_one(bench: SessionBench) -> None:

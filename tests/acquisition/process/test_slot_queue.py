@@ -113,21 +113,3 @@ def test_a_frame_in_a_slot_of_an_earlier_run_is_copied_into_its_own_bay(
     assert ring.layout.place(moved)[:2] == (1, 1)
     assert moved not in numbers(cameras[1])
     assert len(numbers(cameras[1])) == 2
-
-
-def test_without_a_free_slot_a_frame_is_refused(slot_queue: SlotQueue, cameras: list[SlotHolder]) -> None:
-    slot_queue.load(0)
-    slot = cameras[0].fill(1)
-    slot_queue.mark_returned(slot)
-    assert slot_queue.move_to_bay(slot, 0, 0) == slot
-    assert slot_queue.move_to_bay(slot, 2, 0) is None
-
-
-def test_slots_of_a_closed_run_are_left_alone(slot_queue: SlotQueue, cameras: list[SlotHolder], ring: Ring) -> None:
-    slot_queue.load(0)
-    slot = cameras[0].fill(7)
-    slot_queue.unload()
-    slot_queue.close_bay(0)
-    slot_queue.mark_returned(slot)
-    slot_queue.recycle(slot)
-    assert (ring.memory(slot) == 7).all(), "the bay may belong to another run by now"

@@ -44,21 +44,6 @@ def test_a_key_and_the_certificate_of_the_station_let_it_in(program: Path, guard
     assert re.match(r"missing-scope: POST /api/v1/station/arm needs the scope operate; key reader has", done.stderr)
 
 
-def test_without_a_key_it_is_refused(program: Path, guarded: Any) -> None:
-    served, certificate, _ = guarded
-    done = run_csharp(program, served.url, "demo-board", "U1", VAOI_CA=str(certificate))
-    assert done.stderr.startswith("no-key: GET /api/v1/runs/latest needs a key with the scope read")
-
-
-def test_another_certificate_is_not_trusted(program: Path, guarded: Any, tmp_path: Path) -> None:
-    served, _, keys = guarded
-    other = make_certificate(tmp_path, "other").certificate
-    secret = keys.create("tester", ["operate"]).secret
-    done = run_csharp(program, served.url, "demo-board", "U1", VAOI_KEY=secret, VAOI_CA=str(other))
-    assert done.returncode == 1
-    assert done.stderr.startswith("The station does not reply: ")
-
-
 def test_a_refusal_has_code_detail_and_action(program: Path, served: Any) -> None:
     done = run_csharp(program, served.url, "unheard", "U1")
     assert done.stderr == "unknown-board-type: There is no board type 'unheard'. Teach it.\n"

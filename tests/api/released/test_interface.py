@@ -45,16 +45,6 @@ def test_the_page_lists_every_operation_once_with_its_version(document: dict[str
     assert RELEASES[-1] == __version__, "a release adds its interface to tests/api/released"
 
 
-def test_the_page_lists_what_is_deprecated(document: dict[str, Any]) -> None:
-    marked = {
-        f"{method.upper()} {path.removeprefix('/api/v1/')}"
-        for path, methods in document["paths"].items()
-        for method, operation in methods.items()
-        if operation.get("deprecated")
-    }
-    assert set(listed("Deprecated")) == marked
-
-
 @pytest.mark.parametrize("release", RELEASES)
 def test_what_was_released_stays(release: str, document: dict[str, Any]) -> None:
     """A program that was written for a release goes on with this version."""
@@ -69,14 +59,3 @@ def test_what_was_released_stays(release: str, document: dict[str, Any]) -> None
             f"{operation}: {n} is required now" for n in now[operation]["required"] if n not in before["required"]
         ]
     assert faults == []
-
-
-def test_the_comparison_sees_a_field_that_goes_and_a_parameter_that_becomes_required() -> None:
-    schema = {"type": "object", "properties": {"a": {"type": "array", "items": {"$ref": "#/components/schemas/B"}}}}
-    inner = {"properties": {"b": {"type": "string"}, "again": {"$ref": "#/components/schemas/B"}}}
-    answer = {"content": {"application/json": {"schema": schema}}}
-    operation = {"parameters": [{"in": "query", "name": "q", "required": True}], "responses": {"200": answer}}
-    made = {"paths": {"/api/v1/x": {"get": operation}}, "components": {"schemas": {"B": inner}}}
-    assert interface_of(made) == {
-        "GET x": {"parameters": ["query q"], "required": ["query q"], "body": [], "answer": ["a", "a.again", "a.b"]}
-    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -102,40 +101,6 @@ def test_options_are_corrected_and_files_joined(client: Any) -> None:
     assert "--repeat 2x2 needs --pitch" in refused
 
 
-def test_a_table_of_sizes_is_given_with_the_options(client: Any) -> None:
-    table = "Ref,X(mm),Y(mm),Package\nR1,0,0,MY-RELAY\nR2,30,30,OTHER\n"
-    sizes = "[[package]]\npattern = '^MY-RELAY'\nsize = [15.0, 7.5]\n"
-    preview = upload(client, table, sizes=sizes)
-    assert preview["found"]["sizes_from"] == {"table": 1, "guess": 1}
-    r1 = client.get(preview["board_type"]).json()["components"][0]
-    assert (r1["width"], r1["height"], r1["size_from"]) == (15.0, 7.5, "table")
-    again = client.put(f"{PREVIEWS}/{preview['id']}", json={"sizes": sizes + sizes.replace("MY-RELAY", "OTHER")}).json()
-    assert again["found"]["sizes_from"] == {"table": 2}
-    refused = client.put(f"{PREVIEWS}/{preview['id']}", json={"sizes": "[[package]]\npattern = '('\nsize = [1, 1]\n"})
-    assert "sizes: package.0.pattern is '('" in refused.json()["refusal"]
-
-
-def test_an_unreadable_file_is_kept_with_its_refusal(client: Any) -> None:
-    preview = upload(client, "nonsense", "x.txt")
-    assert "x.txt: has no header" in preview["refusal"]
-    assert "found" not in preview
-    answer = client.get(f"{PREVIEWS}/{preview['id']}/picture")
-    assert (answer.status_code, answer.json()["code"]) == (422, "unreadable-board-data")
-    assert client.delete(f"{PREVIEWS}/{preview['id']}").status_code == 204
-    assert client.get(f"{PREVIEWS}/{preview['id']}").status_code == 404
-
-
-def test_a_name_that_no_address_can_have_is_refused(client: Any) -> None:
-    preview = upload(client, name="a/b")
-    assert "the name is 'a/b', but must be 1 to 80 characters without slashes" in preview["refusal"]
-    assert "found" in client.put(f"{PREVIEWS}/{preview['id']}", json={"name": "b"}).json()
-    again = client.put(f"{PREVIEWS}/{preview['id']}", json={"name": ""}).json()
-    assert "the name is '', but must be" in again["refusal"]
-    design = samples.HTML_BOM.replace('"title": "', '"title": "a/')
-    answer = client.post(f"{PREVIEWS}/{upload(client, design, 'b.json')['id']}/confirm")
-    assert (answer.status_code, "name is 'a/" in answer.json()["detail"]) == (422, True), "the name of the design"
-
-
 def test_an_empty_upload_and_a_too_large_one_are_refused(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = client.post(PREVIEWS, params={"filename": "x"}, content=b"")
     assert answer.json()["detail"] == "body: is empty, but must be the file."
@@ -144,13 +109,6 @@ def test_an_empty_upload_and_a_too_large_one_are_refused(client: Any, monkeypatc
     assert (answer.status_code, "is 11 bytes; it must be at most 10" in answer.json()["detail"]) == (413, True)
     pieces = client.post(PREVIEWS, params={"filename": "x"}, content=iter([b"x"]))
     assert (pieces.status_code, "is not stated" in pieces.json()["detail"]) == (413, True)
-
-
-def test_a_repeated_key_is_content_of_an_upload(client: Any) -> None:
-    """An upload is no request in JSON, even if the file is JSON."""
-    text = samples.HTML_BOM.replace('"edges_bbox": {}', '"edges_bbox": {}, "edges_bbox": {}')
-    assert upload(client, text, "b.json")["found"]["format"] == "html-bom"
-    assert json.loads(text)
 
 
 def test_a_preview_that_is_deleted_while_it_is_confirmed_is_stored(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.api.held_station import HeldStation
 from vaoi_station.board_check.report import BoardCheck
-from vaoi_station.model import BoardType, Status
+from vaoi_station.model import Status
 from vaoi_station.runs.workers.picture_jobs import CheckedBoard
 
 TYPES = "/api/v1/board-types"
@@ -23,13 +23,6 @@ def test_a_board_type_is_created_and_replaced(client: Any) -> None:
     assert (first.status_code, first.headers["location"]) == (201, f"{TYPES}/new")
     assert client.put(f"{TYPES}/new", json=NEW).status_code == 200
     assert client.get(f"{TYPES}/new").json() == first.json()
-
-
-def test_a_board_type_is_returned_as_stored(client: Any) -> None:
-    client.put(f"{TYPES}/new", json=NEW)
-    content = client.get(f"{TYPES}/new").json()
-    assert content["x_note"] == {"a": 1}
-    assert BoardType.model_validate(content) == BoardType.model_validate(NEW)
 
 
 def test_of_two_who_edit_a_board_type_the_second_learns_that_it_has_changed(client: Any) -> None:
@@ -60,24 +53,6 @@ def test_names_with_any_letters_are_accepted(client: Any, name: str) -> None:
     assert client.get(address).status_code == 404
 
 
-@pytest.mark.parametrize(
-    ("fault", "reason"),
-    [
-        ({"components": [U1, U1]}, "contains 'U1' twice"),
-        (
-            {"outline": [[0, 0], [5, 5]], "fiducials": [{"name": "F", "x": 9, "y": 1, "diameter": 1}]},
-            "outside the outline",
-        ),
-        ({"nonsense": 1}, "unknown key(s) 'nonsense'"),
-        ({"unit": "cm"}, "'mm', 'inch' or 'mil'"),
-    ],
-)
-def test_impossible_boards_are_refused_with_the_reason(client: Any, fault: dict[str, Any], reason: str) -> None:
-    answer = client.put(f"{TYPES}/new", json=NEW | fault)
-    assert answer.status_code == 422
-    assert reason in answer.json()["detail"]
-
-
 def test_a_board_type_in_use_is_not_deleted(client: Any) -> None:
     client.post("/api/v1/station/arm?board_type=demo-board")
     assert client.delete(f"{TYPES}/demo-board").status_code == 409
@@ -101,16 +76,6 @@ def test_what_was_replaced_or_deleted_is_listed_read_and_restored(client: Any) -
     assert restored.status_code == 200
     assert client.get(f"{TYPES}/new").json() == restored.json()
     assert client.get(TYPES).json()["deleted"] == []
-
-
-def test_the_state_is_set_and_the_version_before_restored(client: Any) -> None:
-    address = f"{TYPES}/demo-board"
-    answer = client.put(f"{address}/state", json={"state": "draft", "revision": "B"})
-    assert (answer.json()["state"], answer.json()["revision"]) == ("draft", "B")
-    assert client.put(f"{address}/state", json={"state": "old"}).status_code == 422
-    assert "state" not in client.get(f"{address}/revisions/latest").json()
-    assert "state" not in client.post(f"{address}/revisions/latest/restore").json()
-    assert client.put(f"{TYPES}/none/state", json={"state": "draft"}).status_code == 404
 
 
 TYPE = "/api/v1/board-types/demo-board"
@@ -148,16 +113,6 @@ def test_unsuitable_runs_are_refused_as_reference(client: Any, station: Any) -> 
     assert client.put("/api/v1/board-types/unheard/reference", json={"run": gone}).status_code == 404
 
 
-def test_a_method_is_set_and_deleted(client: Any) -> None:
-    assert client.get(f"{TYPE}/method").json() == {"method": "auto", "chosen": "station"}
-    assert client.put(f"{TYPE}/method", json={"method": "reference"}).json() == {
-        "method": "reference",
-        "chosen": "board-type",
-    }
-    assert client.get(f"{TYPE}/method").json()["method"] == "reference"
-    assert client.delete(f"{TYPE}/method").json() == {"method": "auto", "chosen": "station"}
-
-
 PATH = "/api/v1/board-types/demo-board/program/check"
 
 
@@ -184,24 +139,6 @@ def proposing(station: HeldStation) -> BoardCheck:
     return report
 
 
-def test_a_change_that_comes_during_a_check_is_checked_as_well(client: Any, station: HeldStation) -> None:
-    """Other changes do not wait for the check, and none of them is lost."""
-    run = station.film()
-    proposing(station)
-    checks, asked = station.mosaics.board_checks, list[BoardType]()
-    correct = checks.correct
-
-    def changed_meanwhile(run: str, board_type: BoardType, revision: str | None) -> BoardType:
-        asked.append(board_type)
-        if len(asked) == 1:
-            station.put_board_type(board_type.model_copy(update={"revision": "meanwhile"}))
-        return correct(run, board_type, revision)
-
-    checks.correct = changed_meanwhile  # type: ignore[method-assign]
-    assert client.post("/api/v1/board-types/demo-board/correct", json={"run": run}).status_code == 200
-    assert [board_type.revision for board_type in asked] == [None, "meanwhile"]
-
-
 def test_a_correction_is_stored_as_a_draft_of_the_version_that_was_read(client: Any, station: HeldStation) -> None:
     run = station.film()
     proposing(station)
@@ -212,30 +149,3 @@ def test_a_correction_is_stored_as_a_draft_of_the_version_that_was_read(client: 
     assert stored.status_code == 200, stored.text
     assert (stored.json()["state"], stored.json()["revision"]) == ("draft", "B")
     assert client.get("/api/v1/board-types/demo-board").json()["revision"] == "B"
-
-
-def test_a_method_is_changed_only_if_it_is_the_one_that_was_read(client: Any) -> None:
-    read = client.get(f"{TYPE}/method").headers["etag"]
-    first = client.put(f"{TYPE}/method", json={"method": "features"}, headers={"If-Match": read})
-    assert first.headers["etag"] == client.get(f"{TYPE}/method").headers["etag"] != read
-    for answer in (
-        client.put(f"{TYPE}/method", json={"method": "fiducials"}, headers={"If-Match": read}),
-        client.delete(f"{TYPE}/method", headers={"If-Match": read}),
-    ):
-        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
-    assert client.get(f"{TYPE}/method").json()["method"] == "features"
-
-
-def test_of_two_who_teach_the_second_learns_that_there_is_another_reference(client: Any, station: Any) -> None:
-    runs = [station.film() for _ in range(3)]
-    first = client.put(f"{TYPE}/reference", json={"run": runs[0]}).headers["etag"]
-    assert client.get(f"{TYPE}/reference").headers["etag"] == first
-    second = client.put(f"{TYPE}/reference", json={"run": runs[1]}, headers={"If-Match": first}).headers["etag"]
-    for answer in (
-        client.put(f"{TYPE}/reference", json={"run": runs[2]}, headers={"If-Match": first}),
-        client.delete(f"{TYPE}/reference", headers={"If-Match": first}),
-    ):
-        assert (answer.status_code, answer.json()["code"]) == (412, "changed")
-    assert client.get(f"{TYPE}/reference").json()["run"] == runs[1]
-    assert client.delete(f"{TYPE}/reference", headers={"If-Match": second}).status_code == 204
-    assert client.put(f"{TYPE}/reference", json={"run": runs[2]}, headers={"If-Match": second}).status_code == 412

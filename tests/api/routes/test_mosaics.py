@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import re
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
-import tifffile
 
 from tests.api.held.replies import RUNS, picture
 
@@ -67,18 +64,6 @@ def test_deep_zoom_tiles_join_to_the_board(client: Any, board: Any) -> None:
 def test_what_cannot_be_shown_is_refused_with_numbers(filmed: Any, address: str, status: int, words: str) -> None:
     answer = filmed.client.get(f"{RUNS}/{filmed.run}/mosaics/{address}")
     assert (answer.status_code, words in answer.json()["detail"]) == (status, True), answer.text
-
-
-def test_region_as_a_file(client: Any, board: Any) -> None:
-    answer = client.get(board["tiff"], params={"x0": 10, "y0": 10, "x1": 30, "y1": 20, "px_per_mm": 4})
-    assert re.search(r'filename=".*board\.tif"', answer.headers["content-disposition"])
-    assert tifffile.imread(io.BytesIO(answer.content)).shape == (40, 80)
-    # A part of the file, and headers that name none: the whole file then, not a refusal in plain text.
-    size = {"x0": 10, "y0": 10, "x1": 30, "y1": 20, "px_per_mm": 4}
-    part = client.get(board["tiff"], params=size, headers={"Range": "bytes=0-3"})
-    assert (part.status_code, part.content) == (206, answer.content[:4])
-    for range_ in ("bytes=9-1", "x", "bytes=99999999-"):
-        assert client.get(board["tiff"], params=size, headers={"Range": range_}).status_code == 200, range_
 
 
 def test_one_caller_has_one_file_made_at_a_time(

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.api.held.replies import RUNS, picture
-from tests.runs.merging.finished_board import RADIANCE
 from vaoi_station.api.routes.pictures import ImageQuery, _wanted
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
 
@@ -21,14 +20,6 @@ def test_frames_are_lossless(filmed: Any, name: str) -> None:
     np.testing.assert_array_equal(picture(answer), filmed.station.pixels[run, 2, 3])
     assert answer.headers["x-frame-verdict"] == "ok"
     assert "immutable" in answer.headers["cache-control"]
-
-
-def test_an_incomplete_frame_is_returned_on_request_only(filmed: Any) -> None:
-    address = f"{RUNS}/{filmed.run}/frames/0/1"
-    assert filmed.client.get(address).status_code == 409
-    shown = filmed.client.get(address, params={"incomplete": "show"})
-    assert (shown.status_code, shown.headers["x-frame-verdict"]) == (200, "incomplete")
-    assert filmed.client.get(address, params={"incomplete": "perhaps"}).status_code == 422
 
 
 def test_the_list_of_components_leads_to_their_views(filmed: Any) -> None:
@@ -73,15 +64,6 @@ def test_temporary_images_in_every_format(filmed: Any, ref: str, name: str) -> N
     assert again.status_code == 304
 
 
-def test_image_addresses_keep_resolution_and_coverage_of_the_list(filmed: Any) -> None:
-    address = f"{RUNS}/{filmed.run}/components/2/R1"
-    views = filmed.client.get(address, params={"px_per_mm": 20, "min_coverage": 1}).json()["views"]
-    assert len(views) < len(filmed.client.get(address, params={"min_coverage": 0.01}).json()["views"])
-    for view in views:
-        assert view["coverage"] == 1
-        assert picture(filmed.client.get(view["url"])).shape == (24, 40)
-
-
 def test_images_under_one_light_best_first(filmed: Any) -> None:
     address = f"{RUNS}/{filmed.lit}/components/U1"
     every = filmed.client.get(address).json()["views"]
@@ -98,47 +80,10 @@ def test_images_under_one_light_best_first(filmed: Any) -> None:
     assert measured["saturated"] == 0
 
 
-@pytest.mark.parametrize(
-    ("params", "words"),
-    [
-        ({"light": "blue"}, "light is 'blue', but must be one of the lights of this run: left, right"),
-        ({"seen_from": "up"}, "seen_from is 'up', but must be 'left' or 'right' or 'front' or 'back'"),
-        ({"seen_from": "361"}, "seen_from is 361.0, but must be 'left', 'right', 'front', 'back' or an azimuth"),
-        ({"min_angle_deg": 40, "max_angle_deg": 20}, "min_angle_deg is 40.0, but must be at most max_angle_deg, 20"),
-        ({"minus": "left"}, "minus is 'left', but no light is given"),
-        ({"within_deg": 30}, "within_deg is 30, but no seen_from is given"),
-        ({"margin_mm": 90, "px_per_mm": 100}, "margin_mm is 90.0, but must be at most 15.5 at 100 px/mm"),
-    ],
-)
-def test_requests_that_cannot_be_met_are_refused_with_the_limit(
-    filmed: Any, params: dict[str, Any], words: str
-) -> None:
-    address = f"{RUNS}/{filmed.lit}/components/U1"
-    for path in (address, f"{address}/images/0"):
-        answer = filmed.client.get(path, params=params)
-        assert answer.status_code == 422
-        assert words in answer.json()["detail"]
-
-
 @pytest.fixture(scope="module")
 def run(shared_client: Any) -> str:
     name: str = shared_client.get(f"{RUNS}/latest").json()["id"]
     return name
-
-
-def test_the_list_leads_to_the_pictures(shared_client: Any, run: str) -> None:
-    answer = shared_client.get(f"{RUNS}/{run}/merged", params={"component": "2/R1", "light": "left", "px_per_mm": 12})
-    assert answer.status_code == 200
-    pictures = answer.json()["pictures"]
-    assert [p["k"] for p in pictures] == list(range(len(pictures)))
-    last = pictures[-1]
-    assert last["exposures"] == 2
-    assert len(last["merged"]) == max(len(p["merged"]) for p in pictures)
-    assert last["lights"] == ["left"]
-    np.testing.assert_allclose(np.array(last["cad_from_crop"]) @ last["crop_from_cad"], np.eye(3), atol=1e-9)
-    value = picture(shared_client.get(last["url"], headers={"accept": "application/x-npy"}))
-    assert value.shape == (last["height_px"], last["width_px"])
-    np.testing.assert_allclose(value[np.isfinite(value)], RADIANCE, rtol=0.01)
 
 
 @pytest.mark.parametrize(

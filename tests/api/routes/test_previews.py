@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -39,13 +38,6 @@ def test_an_upload_that_cannot_be_imported_leaves_no_file(kept: Previews) -> Non
     with pytest.raises(NotFoundError):
         kept.add(path, ImportOptions(join="0" * 16))
     assert not path.parent.exists()
-
-
-def test_uploads_go_on_after_the_system_has_deleted_their_folder(kept: Previews) -> None:
-    old = upload(kept).file
-    shutil.rmtree(old.parent.parent)
-    assert upload(kept).reply is not None
-    kept.close()
 
 
 def test_the_least_recently_used_go_first_and_old_ones_go(kept: Previews) -> None:

@@ -26,21 +26,6 @@ def test_arming_by_body_or_by_query(client: Any, by: str) -> None:
     }  # fmt: skip
 
 
-def test_the_query_completes_the_body(client: Any) -> None:
-    content = client.post(f"{STATION}/arm?board_id=B2", json={"board_type": "demo-board"}).json()
-    assert content["armed_with"] == {
-        "board_type": "demo-board", "board_id": "B2", "method": "auto", "board_id_certain": True, "resumed": False,
-    }  # fmt: skip
-
-
-def test_contradicting_ids_are_refused(client: Any, station: Any) -> None:
-    order = {"board_type": "demo-board", "board_id": "B1"}
-    answer = client.post(f"{STATION}/arm?board_id=B2", json=order)
-    assert answer.status_code == 422
-    assert "'B1' in the body and 'B2' in the query" in answer.json()["detail"]
-    assert station.armed is None
-
-
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -69,15 +54,6 @@ def test_arming_without_a_camera_needs_permission(client: Any, station: Any, by:
     assert station.armed is None
     asked = {"json" if by == "body" else "params": {"board_type": "demo-board", "allow_lost_cameras": True}}
     assert client.post(f"{STATION}/arm", **asked).json()["state"] == "armed"
-
-
-@pytest.mark.parametrize(
-    ("state", "status"), [("idle", 200), ("filming", 200), ("faulted", 503), ("starting", 503), ("stopping", 503)]
-)
-def test_health_is_for_supervisors(client: Any, station: Any, state: str, status: int) -> None:
-    station.state = StationState(state)
-    answer = client.get("/healthz")
-    assert (answer.status_code, answer.json()["state"]) == (status, state)
 
 
 @pytest.mark.parametrize(

@@ -29,14 +29,6 @@ def test_trends_are_filtered_by_type_span_and_figure(client: Any, station: Any) 
     assert "runs" not in thinned
 
 
-def test_two_spans_are_compared(client: Any, station: Any) -> None:
-    station.kept.trends.fill(240)
-    found = client.get("/api/v1/trends/comparison").json()
-    assert found["before_boards"] == pytest.approx(120, abs=1)
-    first = found["changes"][0]
-    assert (first["figure"], first["part"], first["changed"], first["worse"]) == ("seam_px", "0-1", True, True)
-
-
 @pytest.mark.parametrize(
     "query",
     [

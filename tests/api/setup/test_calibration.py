@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Event
@@ -23,56 +22,6 @@ from vaoi_station.files.calibrations import Layout
 
 TRIAL = "/api/v1/calibration/trial"
 QUERY = {"tolerance_mm": 1.5}
-
-
-def test_the_artwork_has_the_cameras_of_the_station(client: Any) -> None:
-    svg = client.get("/api/v1/calibration/artwork/calibration-board.svg", params=QUERY)
-    assert svg.headers["content-type"] == "image/svg+xml"
-    assert "sandbox" in svg.headers["content-security-policy"]
-    assert all(f">camera {n}</text>" in svg.text for n in range(3))
-    assert client.get("/api/v1/calibration/artwork/calibration-board.pdf", params=QUERY).content.startswith(b"%PDF")
-    crowded = client.get("/api/v1/calibration/artwork/calibration-board.gbr", params={"columns": 30})
-    assert (crowded.status_code, "Ask for fewer" in crowded.json()["action"]) == (422, True)
-    assert client.get("/api/v1/calibration/artwork/../station.toml").status_code == 404
-
-
-@pytest.fixture
-def ended(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """Provide an event that is set when a trial has been performed."""
-    ended, perform = threading.Event(), Trials.perform
-
-    def watched(trials: Trials, wanted: Any) -> None:
-        perform(trials, wanted)
-        ended.set()
-
-    monkeypatch.setattr(Trials, "perform", watched)
-    return ended
-
-
-def test_a_trial_is_followed_to_its_end_and_accepted(client: Any, station: HeldStation, ended: threading.Event) -> None:
-    layout = client.get("/api/v1/calibration/layout", params=QUERY).json()
-    run = film_board(station, Layout.model_validate(layout))
-    assert client.get(TRIAL).json()["state"] == "none"
-    assert client.post(f"{TRIAL}/accept").json()["code"] == "no-trial"
-    begun = client.post(TRIAL, json={"run": run, "row": 0, "layout": layout})
-    assert (begun.status_code, begun.json()["state"]) == (202, "reading")
-    assert ended.wait(120)
-    trial = client.get(TRIAL).json()
-    assert trial["state"] == "judged", trial
-    assert client.get(f"{TRIAL}/calibration").json()["format"] == "vaoi-calibration"
-    assert client.get(f"{TRIAL}/pictures/marks").headers["content-type"] == "image/jpeg"
-    assert client.post(f"{TRIAL}/accept").json()["state"] == "accepted"
-
-
-def test_a_trial_is_discarded(client: Any, station: HeldStation, ended: threading.Event) -> None:
-    layout = client.get("/api/v1/calibration/layout", params=QUERY).json()
-    client.post(TRIAL, json={"run": film_board(station, Layout.model_validate(layout)), "row": 0, "layout": layout})
-    assert ended.wait(120)
-    assert client.get(TRIAL).json()["state"] == "judged"
-    assert client.delete(TRIAL).json()["state"] == "none"
-    assert client.get(TRIAL).json()["state"] == "none"
-    assert client.post(f"{TRIAL}/accept").json()["code"] == "no-trial"
-    assert client.get(f"{TRIAL}/pictures/marks").status_code == 404
 
 
 @pytest.mark.parametrize("files", [False], indirect=True)
@@ -201,15 +150,6 @@ MARKS = "/api/v1/calibration/marks"
 def in_frame(client: Any, station: HeldStation) -> dict[str, Any]:
     layout = client.get("/api/v1/calibration/layout", params={"tolerance_mm": 1.5}).json()
     return {"run": film_board(station, Layout.model_validate(layout)), "row": 0, "camera": 1, "layout": layout}
-
-
-def test_marks_are_found_where_they_are(client: Any, in_frame: dict[str, Any]) -> None:
-    found = client.post(MARKS, json=in_frame).json()
-    assert (found["width"], found["height"]) == (320, 240)
-    assert len(found["found"]) == 20
-    assert found["expected"] == 12, "those that are 2 mm further inside"
-    elsewhere = client.post(MARKS, json={**in_frame, "row": 1}).json()
-    assert (elsewhere["expected"], elsewhere["found"]) == (12, [])
 
 
 def test_marks_are_found_in_the_newest_frame_of_a_trial(

@@ -29,27 +29,6 @@ def test_the_plan_is_that_of_the_command(client: Any) -> None:
     assert {r["requirement"] for r in found["remedies"]} >= {"cameras", "frame_rate_hz"}
 
 
-def test_what_the_station_knows_begins_a_plan(client: Any, files: StationFiles) -> None:
-    known = client.get(REQUIREMENTS).json()
-    assert known["values"].keys() == known["sources"].keys()
-    missing = client.get(PLAN, params=known["values"])
-    wheres = {fault["where"] for fault in missing.json()["errors"]}
-    assert (missing.status_code, wheres) == (422, {"query.sensor_width_mm", "query.distance_max_mm"})
-    whole = client.get(PLAN, params=known["values"] | {"sensor_width_mm": 6.4, "distance_max_mm": 500})
-    assert (whole.status_code, whole.json()["array"]["camera_pitch_mm"]) == (200, 36.0)
-    # A calibration that cannot be read is no reason to state nothing.
-    files.config.calibration.write_text("{}")
-    assert client.get(REQUIREMENTS).json()["sources"]["resolution_px_per_mm"] == "cameras.nominal_px_per_mm"
-
-
-def test_contradictions_and_limits_are_refused_by_name(client: Any) -> None:
-    paper = client.get(REQUIREMENTS, params={"of": "paper"}).json()["values"]
-    for change in ({"distance_min_mm": 900}, {"width_mm": 1e9}, {"speed_mm_s": "nan"}, {"cameras": 1.5}):
-        refused = client.get(PLAN, params=paper | change)
-        assert (refused.status_code, next(iter(change)) in refused.json()["detail"]) == (422, True), refused.text
-    assert client.get(PLAN, params=paper | {"breadth_mm": 3}).json()["code"] == "unknown-parameter"
-
-
 def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_none(v) for key, v in value.items() if v is not None}
@@ -70,16 +49,6 @@ def test_the_calibration_states_resolution_and_width(files: StationFiles) -> Non
     assert "distance_max_mm" not in known
     far = calibration.model_copy(update={"working_distance_mm": 480.0})
     assert known_requirements(files.config, far)["distance_max_mm"] == (480.0, "calibration")
-
-
-def test_without_a_calibration_nominal_values_are_taken(files: StationFiles) -> None:
-    known = known_requirements(files.config, None)
-    assert known["width_mm"] == (COVERED_MM, "cameras.nominal_center_mm")
-    assert known["resolution_px_per_mm"] == (PX_PER_MM, "cameras.nominal_px_per_mm")
-    bare = (files.config.cameras[0].model_copy(update={"nominal_px_per_mm": None}), *files.config.cameras[1:])
-    unknown = known_requirements(files.config.model_copy(update={"cameras": bare}), None)
-    assert not {"width_mm", "resolution_px_per_mm"} & unknown.keys()
-    assert unknown["sensor_px_h"] == (WIDTH, "cameras.width")
 
 
 @pytest.mark.parametrize(("roll_deg", "px_h"), [(0.0, WIDTH), (178.0, WIDTH), (90.0, HEIGHT), (-90.0, HEIGHT)])

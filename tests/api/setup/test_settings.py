@@ -105,20 +105,6 @@ def test_a_file_with_faults_is_read_and_can_be_corrected(files: StationFiles) ->
     assert file.read(file.content()).faults == []
 
 
-def test_lights_by_name_and_further_cameras_can_be_added_and_removed(files: StationFiles) -> None:
-    file = SettingsFile(files)
-    given = {"name": "cam3", "width": 320, "height": 240, "exposure_us": 100}
-    changes = _change(controller__lights__red__on_us=80, controller__lights__red__channels=[0])
-    changes += [SettingChange(key=f"cameras.3.{key}", value=value) for key, value in given.items()]
-    proposal = file.propose([*changes, SettingChange(key="cameras.0")], file.content())
-    assert proposal.faults == []
-    file.save([*changes, SettingChange(key="cameras.0")], _accept)
-    config = read_config(files.path)
-    assert [camera.name for camera in config.cameras] == ["cam1", "cam2", "cam3"]
-    assert config.controller.lights["red"].on_us == 80.0
-    assert "exposure_us = 100.0" in files.path.read_text()
-
-
 def test_a_change_needs_the_file_that_its_caller_has_read(client: Any, files: StationFiles) -> None:
     read = client.get(SETTINGS)
     assert next(key for key in read.json()["keys"] if key["key"] == "ring.runs")["maximum"] == 64
@@ -156,10 +142,3 @@ def test_the_audit_log_names_what_was_changed_and_no_values(
         ("teach", "POST", 403, None),
         ("teach", "GET", 403, None),
     ]
-
-
-@pytest.mark.parametrize("content", ["a =", "\0"])
-def test_a_file_that_is_no_toml_is_a_refusal(client: Any, files: StationFiles, content: str) -> None:
-    files.path.write_text(content)
-    assert client.get(SETTINGS).status_code == 422
-    assert client.post(f"{SETTINGS}/check", json=BODY).status_code == 422

@@ -14,33 +14,6 @@ from vaoi_station.model import Status
 
 pytestmark = pytest.mark.browser
 
-CHOOSE_TWICE = """async () => {
-    const { DeepZoom } = await import("/web/board/deep_zoom.js");
-    const root = document.createElement("div");
-    document.body.append(root);
-    const unchanged = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
-    const picture = (name) => ({ name, url: `/web/icon.svg?${name}`, image_from_cad: unchanged });
-    const part = (address) => ({ address, footprint: [[0, 0], [9, 0], [9, 9]] });
-    const deep = new DeepZoom(root, () => {}, () => {});
-    await deep.open(picture("under"), [part("U1")]);
-    const viewer = OpenSeadragon.getViewer(root);
-    await new Promise((done) => viewer.addOnceHandler("open", done));
-    const both = new Promise((done) => {
-        let added = 0;
-        viewer.world.addHandler("add-item", () => ++added === 2 && setTimeout(done));
-    });
-    deep.compare(picture("first"));
-    deep.compare(picture("second"));
-    await both;
-    const laid = Array.from({ length: viewer.world.getItemCount() }, (_, n) => viewer.world.getItemAt(n).source.url);
-    await deep.open(picture("under"), [part("U2")]);
-    const parts = [...root.querySelectorAll("polygon")].map((shape) => shape.dataset.address);
-    deep.close();
-    root.remove();
-    return [laid, parts];
-}"""
-"""Chooses another board to compare with before the first has come, then shows a picture with other parts."""
-
 
 def test_a_board_has_its_report_its_parts_and_their_pictures(page: Page, served: Any) -> None:
     run = served.station.film(board_id="SN-1")
@@ -129,14 +102,6 @@ def test_a_link_reproduces_colours_drawings_part_picture_and_comparison(page: Pa
     assert abs(width) <= 1, "one pixel of the camera is one of the screen"
 
 
-def test_only_the_board_chosen_last_is_laid_over_and_parts_are_those_of_the_picture(page: Page, served: Any) -> None:
-    page.goto(f"{served.url}/#/board/{served.station.film()}")
-    expect(page.locator("#zoom-view[data-mosaic]")).to_be_visible()
-    laid, parts = page.evaluate(CHOOSE_TWICE)
-    assert laid == ["/web/icon.svg?under", "/web/icon.svg?second"]
-    assert parts == ["U2"]
-
-
 def test_lights_are_subtracted_exposures_merged_and_boards_blink(page: Page, served: Any) -> None:
     station = served.station
     station.lights = ("left", "right")
@@ -162,16 +127,6 @@ def test_lights_are_subtracted_exposures_merged_and_boards_blink(page: Page, ser
     page.keyboard.press("Enter")
     expect(page.locator("#compare-answer")).to_have_text("That is this run.")
     expect(page.locator("#other")).to_be_hidden()
-
-
-def test_the_times_of_a_run_are_drawn_and_listed(page: Page, served: Any) -> None:
-    run = served.station.film(board_id="SN-1")
-    page.goto(f"{served.url}/#/board/{run}?tab=timing")
-    for name, count in (("barrier", 1), ("pulse", 4), ("led", 4), ("exposure", 4), ("transfer", 4), ("stitch", 9)):
-        expect(page.locator(f"svg .t-{name}")).to_have_count(count)
-    expect(page.locator(".times tbody tr")).to_have_count(4)
-    expect(page.locator(".times tbody tr").nth(1)).to_have_text("10.150080250" + "44.060.0")
-    expect(page.locator("#tab-timing")).to_contain_text("80.0 ms after the last frame")
 
 
 def test_files_are_offered_and_what_is_gone_says_why(page: Page, served: Any) -> None:
@@ -208,35 +163,6 @@ def test_a_board_whose_frames_are_gone_has_its_kept_picture(page: Page, served: 
     expect(page.locator("#compare-answer")).to_have_text(f"Beside SN-1 ({run}).")
     page.locator("#to-export").click()
     expect(page.get_by_role("link", name="Kept picture, JPEG")).to_be_visible()
-
-
-@pytest.mark.parametrize(
-    ("width", "height", "order"),
-    [(1024, 768, ["tabs", "zoom", "tab-part"]), (1280, 800, ["zoom", "tabs", "tab-part"])],
-)
-def test_the_tabulator_goes_as_the_eye_does(page: Page, served: Any, width: int, height: int, order: list[str]) -> None:
-    page.set_viewport_size({"width": width, "height": height})
-    page.goto(f"{served.url}/#/board/{served.station.film(board_id='SN-1')}")
-    wait_for_pictures(page, 10)
-    assert parts_by_tabulator(page) == order
-    page.get_by_role("tab", name="Part").focus()
-    other = 1280 if width < 1280 else 1024
-    page.set_viewport_size({"width": other, "height": height})
-    expect(page.get_by_role("tab", name="Part")).to_be_focused()
-    assert parts_by_tabulator(page) == [order[1], order[0], order[2]]
-
-
-def parts_by_tabulator(page: Page) -> list[str]:
-    """Return the parts of the page in the order in which the tabulator reaches them, beginning at the head."""
-    page.evaluate("document.getElementById('head').tabIndex = -1")
-    page.evaluate("document.getElementById('head').focus()")
-    parts: list[str] = []
-    while "tab-part" not in parts:
-        page.keyboard.press("Tab")
-        part = page.evaluate("document.activeElement.closest('#tabs, #zoom, #tab-part, #head').id")
-        if part not in (*parts, "head"):
-            parts.append(part)
-    return parts
 
 
 @pytest.mark.parametrize(("language", "scheme"), [("en", "light"), ("de", "dark")])

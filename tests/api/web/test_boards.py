@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from playwright.sync_api import Page, Route, expect
 
 from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import Origin, Unseen
+from vaoi_station.runs.states.schemas import Origin
 from vaoi_station.runs.states.tables import StationState
 from vaoi_station.store.figures import BoardRow
 
@@ -131,28 +130,6 @@ def test_a_board_that_ends_while_the_page_reads_is_counted_once(page: Page, serv
     expect(page.locator("#counts .count-ok")).to_have_text("2")
 
 
-def test_a_board_that_was_left_while_it_was_read_does_not_change_the_address(page: Page, served: Any) -> None:
-    """A reload shows the page that was in sight, not the one before."""
-    run = served.station.film(board_id="SN-1")
-    overlay, held = f"**/api/v1/runs/{run}/overlay", list[Route]()
-
-    def hold(route: Route) -> None:
-        held.append(route)
-
-    page.route(overlay, hold)
-    with page.expect_request(overlay):
-        page.goto(f"{served.url}/#/board/{run}")
-    page.goto(f"{served.url}/#/boards")
-    page.get_by_label("Span").select_option("today")
-    expect(page.locator("#list tbody tr")).to_have_count(1)
-    with page.expect_response(overlay):
-        held[0].continue_()
-    # What the reply has set off is done when a later one has come.
-    page.evaluate("fetch('/api/v1/station').then((reply) => reply.text())")
-    page.reload()
-    expect(page.get_by_label("Span")).to_have_value("today")
-
-
 def test_runs_of_another_station_are_no_boards_of_this_line(page: Page, served: Any) -> None:
     station = served.station
     station.arm("demo-board")
@@ -186,38 +163,6 @@ def settled(page: Page, station: Any) -> None:
         with page.expect_response("**/api/v1/station"):
             station.publish("station", state=state)
         expect(page.locator("#state-word")).to_have_text(word)
-
-
-def test_missed_boards_and_the_last_twenty_are_shown(page: Page, served: Any) -> None:
-    station = served.station
-    station.film(board_id="SN-1")
-    station.publish("board-missed", "A board passed the barrier without a run.")
-    station.kept.history.missed = 1
-    page.goto(served.url)
-    expect(page.locator("#strip li")).to_have_count(2)
-    expect(page.locator("#strip .missed span")).to_have_attribute("aria-label", re.compile("passed without pictures"))
-    expect(page.locator("#counts .count-missed")).to_have_text("1")
-    station.arm("demo-board")
-    expect(page.locator("#state-word")).to_have_text("Board missed")
-    expect(page.locator("#order")).to_have_text("A board was not filmed. Film it again.")
-    page.locator("nav a").nth(1).click()
-    page.locator("nav a").first.click()
-    expect(page.locator("#strip .missed")).to_have_count(1)
-    for n in range(25):
-        station.film(board_id=f"SN-{n + 2}")
-    expect(page.locator("#strip a").last).to_have_attribute("aria-label", re.compile("SN-26: Pictures good"))
-    expect(page.locator("#strip li")).to_have_count(20)
-    page.locator("#strip a").last.click()
-    expect(page.locator("#board-title")).to_have_text("SN-26: Pictures good")
-
-
-def test_parts_that_were_not_seen_are_hatched_in_the_picture(page: Page, served: Any) -> None:
-    part = Unseen(address="U1", coverage=0.4, views=0, in_one_frame=False, cause="frames-lost")
-    fail(served.station, "SN-5", Status.DEGRADED, unseen=(part,))
-    page.goto(served.url)
-    expect(page.locator("#unseen")).to_have_text("1 part not seen")
-    expect(page.locator(".unseen-parts polygon")).to_have_count(1)
-    expect(page.locator(".unseen-parts polygon title")).to_have_text("U1")
 
 
 def test_the_station_filters_the_list_and_a_file_has_it(page: Page, served: Any, tmp_path: Path) -> None:
@@ -301,42 +246,6 @@ def test_reasons_are_chosen_and_shown_in_the_language_of_the_page(page: Page, se
         "Zwischen zwei Teilen des Laufs fehlen brauchbare Einzelbilder."
     )
     assert page.url.endswith("?reason=rows-lost")
-
-
-def test_a_search_goes_on_until_a_board_is_found_and_a_cut_file_says_so(
-    page: Page, served: Any, tmp_path: Path
-) -> None:
-    station = served.station
-    fail(station, "SN-OLD")
-    first = station.filmed[station.film(board_id="SN-2")]
-    for n in range(4_999):
-        run = f"r{n + 3:06d}"
-        station.filmed[run] = first.model_copy(update={"id": run})
-    station.kept.history.most_scanned = 2_000
-    page.goto(f"{served.url}/#/boards?verdict=failed")
-    expect(page.locator("#list tbody tr")).to_have_count(1)
-    expect(page.locator("#more")).to_be_hidden()
-    page.get_by_label("Verdict").select_option("degraded")
-    page.get_by_role("button", name="Show").click()
-    expect(page.locator("#list-answer")).to_have_text("No boards match.")
-    page.goto(f"{served.url}/#/boards")
-    expect(page.locator("#list tbody tr")).to_have_count(100)
-    with page.expect_download() as saved:
-        page.locator("#save").click()
-    expect(page.locator("#list-answer")).to_contain_text("The file has the newest 5,000 boards.")
-    saved.value.save_as(tmp_path / "boards.csv")
-    assert len((tmp_path / "boards.csv").read_text(encoding="utf-8-sig").splitlines()) == 5_001
-
-
-def test_what_is_pressed_is_large(page: Page, served: Any) -> None:
-    fail(served.station, "SN-1", Status.DEGRADED)
-    served.station.fault("x", "Message.", "Action.")
-    for path, wait in (("/", "#why"), ("/#/boards", "#list tr a"), ("/#/board/r000001", "figure")):
-        page.goto(served.url + path)
-        page.locator(wait).first.wait_for()
-        for target in page.locator("header a, header button, main button, main select").all():
-            box = target.bounding_box()
-            assert box is None or min(box["width"], box["height"]) >= 44, target
 
 
 def wait_for_pictures(page: Page, count: int) -> None:

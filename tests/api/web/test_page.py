@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -16,7 +14,6 @@ from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.tables import StationState
 
 pytestmark = pytest.mark.browser
-MUCH_LATER_S = 60
 COUNT_TONES = """
 window.tones = 0;
 const start = OscillatorNode.prototype.start;
@@ -39,29 +36,6 @@ def test_a_fault_is_shown_by_word_sign_colour_and_order(page: Page, served: Any)
     expect(page.locator("#reasons li")).to_have_text(["Camera 2 does not answer. Check the cable of camera 2."])
     page.keyboard.press("Enter")
     expect(page.locator("#details")).to_be_hidden()
-
-
-def test_words_stand_in_place_of_a_picture_that_is_being_made(
-    page: Page, served: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Also in place of that of the board before, which would stand beside the verdict of another one."""
-    station, may_go = served.station, threading.Event()
-    render = station.mosaics._render
-
-    def held(job: Any, name: str) -> Any:
-        assert may_go.wait(60)
-        return render(job, name)
-
-    monkeypatch.setattr(station.mosaics, "_render", held)
-    station.arm("demo-board")
-    page.goto(served.url)
-    for _ in range(2):
-        may_go.clear()
-        station.film()
-        expect(page.locator("#last-picture")).to_have_text("The picture is being made.")
-        expect(page.locator("#last-picture .board-picture")).to_have_count(0)
-        may_go.set()
-        expect(page.locator("#last-picture .board-picture")).to_be_visible()
 
 
 def test_title_and_tone_follow_the_station_in_every_view(page: Page, served: Any) -> None:
@@ -98,20 +72,6 @@ def test_title_and_tone_follow_the_station_in_every_view(page: Page, served: Any
     assert page.evaluate("tones") == 3, "the sound is off"
 
 
-def test_a_late_retry_is_shown_with_its_time_and_the_state_asked_for_after_it(page: Page, served: Any) -> None:
-    page.route("**/events?*", lambda route: route.abort())
-    page.clock.install()
-    refuse_its_settings(served.station)
-    page.goto(served.url)
-    expect(page.locator("#verdict-word")).to_have_text("No board yet")  # it has asked for all it wants to know
-    lines = page.locator("#reasons li")
-    expect(lines).to_have_count(2)
-    expect(lines.nth(1)).to_have_text(re.compile(r"^Next attempt for acquisition: \d+:\d\d:\d\d.*\.$"))
-    served.station.next_try = None
-    page.clock.fast_forward((MUCH_LATER_S + 10) * 1000)
-    expect(lines).to_have_count(1)
-
-
 def test_a_drift_is_shown_while_boards_are_filmed(page: Page, served: Any) -> None:
     served.station.arm("demo-board")
     page.goto(served.url)
@@ -127,18 +87,6 @@ def test_a_drift_is_shown_while_boards_are_filmed(page: Page, served: Any) -> No
     served.station.publish("calibration", "Camera cam1 is back at its calibrated position.")
     expect(page.locator("#why")).to_be_hidden()
     expect(page.locator("#details")).to_be_hidden()
-
-
-def test_a_database_that_was_set_aside_is_acknowledged_by_a_button(page: Page, served: Any) -> None:
-    name = "station.db.damaged-20260101T000000Z"
-    served.station.storage.files[name] = False
-    page.goto(served.url)
-    page.locator("#why").click()
-    button = page.get_by_role("button", name=f"Acknowledge {name}")
-    button.click()
-    expect(page.locator("#answer")).to_have_text(f"The warning about {name} was acknowledged.")
-    expect(button).to_have_count(0)
-    expect(page.locator("#set-aside")).to_be_hidden()
 
 
 def test_arming_without_a_lost_camera_takes_a_second_press(page: Page, served: Any) -> None:
@@ -227,18 +175,6 @@ def test_a_refusal_is_said_in_the_language_of_the_page(browser: Browser, served:
         page.close()
 
 
-def test_a_refused_decision_is_said_in_the_words_of_the_page(page: Page, served: Any) -> None:
-    run = served.station.film(verdict=Status.FAILED, board_id="SN-47")
-    page.goto(served.url)
-    page.get_by_role("button", name="Use it anyway").click()
-    del served.station.filmed[run]
-    page.get_by_label("Your name").fill("Ada")
-    page.get_by_label("Reason").fill("It is a sample.")
-    page.keyboard.press("Enter")
-    expect(page.locator("#decision-answer")).to_contain_text("The station has refused it. Call the engineer.")
-    expect(page.get_by_text("There is no run")).to_be_hidden()
-
-
 def test_old_data_are_marked_until_new_data_come(page: Page, station: Any, serve: Callable[..., Any]) -> None:
     server = serve(station)
     station.arm("demo-board")
@@ -269,18 +205,6 @@ def test_a_view_that_cannot_be_loaded_says_so_until_it_comes(page: Page, served:
     page.unroute("**/web/boards/boards.js")
     expect(page.locator("#list")).to_be_visible()
     expect(page.get_by_role("button", name="Load again")).to_have_count(0)
-
-
-def test_the_api_documentation_needs_no_network(page: Page, served: Any) -> None:
-    paths = served.client.get("/api/v1/openapi.json").json()["paths"]
-    page.goto(f"{served.url}/docs")
-    expect(page.locator(".opblock")).to_have_count(sum(map(len, paths.values())))
-
-
-def refuse_its_settings(station: Any) -> None:
-    """A fault whose next attempt is much later."""
-    station.next_try = (datetime.now(UTC) + timedelta(seconds=MUCH_LATER_S)).isoformat(timespec="milliseconds")
-    station.fault("setting-refused", "Camera 2 refuses Gain = 99.", "Set what it can do.")
 
 
 def reach(page: Page, target: str) -> None:

@@ -41,14 +41,3 @@ def test_a_deleted_board_type_is_restored(directory: BoardTypeDirectory) -> None
     assert history.deleted() == ()
     with pytest.raises(NotFoundError):
         history.list("other")
-
-
-def test_a_state_is_set_and_going_back_is_one_step(directory: BoardTypeDirectory) -> None:
-    history = BoardTypeHistory(directory, lambda board_type, _: directory.put(board_type))
-    directory.put(board(1))
-    assert history.set_state("b", "retired", "C").revision == "C"
-    assert history.set_state("b", "draft") == directory.get("b")
-    assert (directory.get("b").state, directory.get("b").revision) == ("draft", "C")
-    assert history.restore("b", "latest").state == "retired"
-    with pytest.raises(NotFoundError):
-        history.set_state("none", "draft")

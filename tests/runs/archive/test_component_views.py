@@ -58,40 +58,6 @@ def test_unseen_components_are_named_by_run_event_and_list(rig: Any, make_stitch
     assert "(U1)" in event.message
 
 
-def test_frames_with_holes_are_no_views(rig: Any) -> None:
-    finished = finished_run(rig, {0: Verdict.INCOMPLETE, 1: Verdict.MISSING})
-    views = views_of(finished, min_coverage=0.0)
-    assert views
-    assert all(view.row != 1 for view in views)
-
-
-def test_without_a_cad_mapping_there_are_no_positions_and_no_views(
-    rig: Any, make_stitch: Callable[..., Stitch]
-) -> None:
-    def unmapped(head: RecordingHead) -> Stitch:
-        return make_stitch(head, Status.FAILED, ("no fiducials",)).model_copy(update={"cad_matrix": None})
-
-    rig.workers.result = unmapped
-    finished = finished_run(rig)
-    [component] = component_views.components_of(finished)
-    assert (component.tester_mm, component.views) == (None, 0)
-    with pytest.raises(StateError):
-        views_of(finished)
-
-
-def test_views_and_components_that_do_not_exist_are_refused_with_their_numbers(rig: Any, board_type: BoardType) -> None:
-    finished = finished_run(rig)
-    views = views_of(finished)
-    first = component_views.image_of_component(finished, "U1", 0, ImageRequest(), unmeasured).view
-    assert (first.camera, first.row) == (views[0].camera, views[0].row)
-    for k in (-1, len(views)):
-        with pytest.raises(NotFoundError, match=f"has {len(views)} images, numbered from 0; there is no {k}"):
-            component_views.image_of_component(finished, "U1", k, ImageRequest(), unmeasured)
-    assert component_views.component_of(board_type, "U1").ref == "U1"
-    with pytest.raises(NotFoundError, match="no component 'R99'"):
-        component_views.component_of(board_type, "R99")
-
-
 def test_callers_of_many_components_get_what_each_one_gets_alone(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that is refused, because its picture would be too large, prevents none of its neighbours."""
     finished = finished_run(rig)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 from vaoi_station.runs.archive import event_log as module
@@ -33,13 +32,3 @@ def test_old_events_come_from_the_store(store: Store) -> None:
     store.set_state("no run", "gone").result(10)
     assert [e.number for e in log.read(module.RECENT, 0, 10)] == [module.RECENT + k for k in range(1, 6)]
     assert [e.number for e in log.read(1, 0, 2)] == [2, 3]
-
-
-def test_waiting_readers_are_woken(store: Store) -> None:
-    log = EventLog(store)
-    got: list[int] = []
-    waiting = threading.Thread(target=lambda: got.extend(e.number for e in log.read(0, 30.0, 10)))
-    waiting.start()
-    log.add("station", "idle", state="idle")
-    waiting.join(10)
-    assert got == [1]

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from vaoi_station.acquisition.process.messages import Grant
-from vaoi_station.errors import DeviceError, GoneError
+from vaoi_station.errors import DeviceError
 from vaoi_station.model import Status
 from vaoi_station.runs.archive import finished_runs as module
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.finished_runs import LATENCY_BOUNDS_S, Archive, RunStatistics
+from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.states.schemas import VerdictCounts
 from vaoi_station.store import Database, Store, schema
 
@@ -82,26 +82,6 @@ def test_a_run_of_which_a_part_is_damaged_is_refused_as_such(
     with pytest.raises(DeviceError, match="cannot be read") as refusal:
         archive.get(grant.run)
     assert refusal.value.code == "record-unreadable"
-
-
-def test_frames_from_before_a_restart_are_gone(make_rig: Callable[..., Any]) -> None:
-    first = make_rig(runs=2)
-    first.ready()
-    grant = first.arm()
-    first.board(grant)
-    first.result_of(grant.run)
-    first.coordinator.close()
-    first.ring.close()
-    second = make_rig(runs=2)
-    assert second.coordinator.run(grant.run).state == "gone"
-    with pytest.raises(GoneError, match="no longer in memory"):
-        second.coordinator.frame(grant.run, 0, 0)
-    with pytest.raises(GoneError, match="no longer in memory"):
-        second.coordinator.image(grant.run, "U1", 0)
-    with pytest.raises(GoneError, match="no longer in memory"):
-        second.coordinator.hold(grant.run, "me", "late")
-    assert second.coordinator.stitch(grant.run).status is Status.OK
-    assert second.coordinator.release(grant.run).state == "gone"
 
 
 @pytest.fixture(autouse=True)
@@ -210,15 +190,3 @@ def test_a_run_that_will_never_be_written_is_named(rig: Any, monkeypatch: pytest
 def run(verdict: Status | None, waited_s: float | None) -> tuple[Any, Any]:
     detail = SimpleNamespace(verdict=verdict, counts=VerdictCounts(ok=10, incomplete=1, missing=0))
     return detail, SimpleNamespace(last_frame_s=2.0, ready_s=None if waited_s is None else 2.0 + waited_s)
-
-
-def test_runs_are_counted_by_verdict_and_waiting_time() -> None:
-    statistics = RunStatistics()
-    for verdict, waited_s in ((Status.OK, 0.2), (Status.OK, 1e9), (Status.DEGRADED, 0.05), (None, None)):
-        statistics.add(*run(verdict, waited_s))
-    figures = statistics.figures()
-    assert figures.verdicts == {"ok": 2, "degraded": 1, "none": 1}
-    assert figures.frames == {"ok": 40, "incomplete": 4, "missing": 0, "unproven": 0}
-    assert len(figures.latencies) == len(LATENCY_BOUNDS_S) + 1
-    assert (figures.latencies[2], figures.latencies[-1], sum(figures.latencies)) == (1, 1, 3)
-    assert figures.latency_sum_s > 1e9

@@ -11,12 +11,11 @@ import pytest
 
 from tests.store.conftest import noise
 from vaoi_station.config import KeepConfig
-from vaoi_station.errors import DeviceError, GoneError, NotFoundError
+from vaoi_station.errors import DeviceError
 from vaoi_station.runs.archive import housekeeping as module
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import DAY_S, Housekeeping, Retention
-from vaoi_station.runs.states.run_ids import RunIds, earliest_id, utc
+from vaoi_station.runs.states.run_ids import earliest_id, utc
 from vaoi_station.store import RunRow, Store
 from vaoi_station.store import retention as store_module
 
@@ -105,22 +104,6 @@ def test_runs_are_forgotten_by_age_and_verdict(store: Store, add: Callable[..., 
     assert retention.sweep(NOW_S) == 0
 
 
-def test_runs_are_forgotten_by_size_first_those_that_are_ok(store: Store, add: Callable[..., list[str]]) -> None:
-    doubtful = add(30, 29, 28, verdict="failed", kilobytes=300)
-    sound = add(*range(20, 10, -1), kilobytes=300)
-    store.retention.pin(sound[0], "")
-    used = store.retention.used_bytes()
-    Retention(keep(database_gb=(used - 1e6) / 1e9), store.retention).sweep(NOW_S)
-    assert store.retention.used_bytes() <= used - 1e6
-    assert all(whole(store, doubtful))
-    assert whole(store, sound)[0]
-    assert not whole(store, sound)[1]
-    Retention(keep(database_gb=0.0), store.retention).sweep(NOW_S)
-    assert whole(store, sound) == [True, *[False] * 8, True]
-    assert whole(store, doubtful) == [False, False, True], "the newest of each kind stays"
-    assert len(store.runs(99, None)) == 3
-
-
 def test_on_a_full_disk_the_oldest_runs_make_some_room_in_the_file(
     store: Store, add: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,27 +126,6 @@ def test_a_clock_that_jumps_ahead_deletes_little_at_a_time(
     monkeypatch.setattr(module, "MOST_BATCHES", 3)
     assert Retention(keep(), store.retention).sweep(NOW_S + 1000 * DAY_S) == 6
     assert whole(store, runs).count(False) == 6
-
-
-def test_a_forgotten_run_is_gone_not_unknown(make_rig: Callable[..., Any], store: Store) -> None:
-    rig = make_rig()
-    rig.ready()
-    grant = rig.arm()
-    rig.board(grant)
-    first = rig.result_of(grant.run).id
-    assert not rig.coordinator.runs()[0].forgotten
-    store.retention.forget_details([first]).result(10)
-    later = Archive(store, EventLog(store))
-    assert later.list(9, None)[0].forgotten
-    with pytest.raises(GoneError, match="were deleted because of their age") as refusal:
-        later.get(first)
-    assert refusal.value.code == "run-forgotten"
-    assert later.next(first, 0.0) is None
-    store.retention.forget_runs([first]).result(10)
-    with pytest.raises(GoneError):
-        later.get(first)
-    with pytest.raises(NotFoundError):
-        later.get(RunIds().next())
 
 
 def test_documents_that_no_run_refers_to_are_forgotten_after_a_week(

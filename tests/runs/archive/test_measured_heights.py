@@ -5,21 +5,16 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from tests.heights.conftest import Filmed, make_film
 from tests.runs.finished import held_run
-from vaoi_station.errors import GoneError, InternalError, StateError
 from vaoi_station.heights.estimates import PartMeasure
-from vaoi_station.model import CameraHead
-from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.picture_jobs import HeightsJob
@@ -109,63 +104,8 @@ def test_heights_are_measured_once_from_usable_frames_under_a_lease(station: Sta
     assert station.held == 1
 
 
-@pytest.mark.parametrize(("lights", "used"), [(("left",), False), (("left", "right"), True)])
-def test_flat_fields_are_used_where_they_fit(station: Station, tmp_path: Path, lights: Any, used: bool) -> None:
-    """Heights are measured without them otherwise: that they do not fit is said elsewhere."""
-    head, camera = station.finished.head, station.finished.cameras[0]
-    size = {"width": camera.width_px, "height": camera.height_px}
-    head.cameras = [CameraHead(**size, exposure_us=250.0)]
-    fields = [
-        {"camera": 0, "light": light, "file": f"fields/{light}.tiff", "level": 1.0, "rows": 4} for light in lights
-    ]
-    document = {"format": "vaoi-flatfield", "version": 1, "cameras": [size | {"read": 1, "shot": 0.02}]}
-    flats = {(0, light): np.ones((camera.height_px, camera.width_px), np.float32) for light in lights}
-    write_flat_fields(tmp_path, FlatFields(FlatFieldDocument.model_validate(document | {"fields": fields}), flats))
-    station.flat_fields = tmp_path
-    assert station.heights().document("r1") == CONTENT
-    assert {job.flat_fields for job in station.jobs[:-1]} == {tmp_path if used else None}
-
-
-def test_stored_heights_are_served_while_those_of_another_run_are_measured(station: Station) -> None:
-    """A measurement may wait for minutes behind later boards; readers would occupy all threads for commands."""
-    station.stored["r1"] = CONTENT.decode()
-    station.free.clear()
-    heights, detail = station.heights(), station.finished.detail
-    detail.id = "r2"
-    heights.queue.start()
-    heights.queue.put(detail.id)
-    with ThreadPoolExecutor(1) as readers:
-        try:
-            assert station.asked.wait(20)
-            assert readers.submit(heights.known, "r1").result(10) == {"U1": (1.5, 0.02)}
-            assert readers.submit(heights.document, "r1").result(10) == CONTENT
-            assert readers.submit(heights.known, "r2").result(10) is None
-        finally:
-            station.free.set()
-    assert station.saved.wait(20)
-    heights.queue.stop()
-    assert heights.known("r2") == {"U1": (1.5, 0.02)}
-
-
 def test_after_a_run_its_heights_are_measured_at_the_lowest_priority_and_stored(station: Station) -> None:
     measured_after(station)
     assert station.stored == {"r1": CONTENT.decode()}
     assert {job.priority for job in station.jobs} == {Priority.HEIGHTS}
     assert station.held == 0, "the next board may take the frames"
-
-
-@pytest.mark.parametrize(
-    ("fault", "events"), [(GoneError("a later run has this memory."), 0), (InternalError("broken."), 1)]
-)
-def test_a_run_whose_heights_cannot_be_measured_has_none(station: Station, fault: Exception, events: int) -> None:
-    station.fault = fault
-    measured_after(station)
-    assert station.stored == {}
-    assert [e["code"] for e in station.events] == ["heights-not-measured"] * events
-
-
-def test_a_run_without_cad_mapping_occupies_no_worker(station: Station) -> None:
-    station.finished.stitch = station.finished.stitch.model_copy(update={"cad_matrix": None})
-    with pytest.raises(StateError, match="no CAD mapping"):
-        station.heights().document("r1")
-    assert not station.jobs

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.runs.finished import held_run
-from vaoi_station.errors import GoneError, InternalError, StateError
+from vaoi_station.errors import StateError
 from vaoi_station.identity.code_reader import Progress
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, BoardType, Status
@@ -156,39 +156,6 @@ def test_run_is_pending_until_its_codes_are_read() -> None:
     assert station.done.wait(20)
     station.identities.queue.stop()
     assert station.identities.document("r1").state == "agrees"
-
-
-@pytest.mark.parametrize(
-    ("fault", "codes"),
-    [(GoneError("taken."), [""]), (InternalError("b"), [""]), (ValueError(), ["identity-not-read", ""])],
-)
-def test_run_whose_frames_were_needed_has_no_id(fault: Exception, codes: list[str]) -> None:
-    station = Station()
-    station.fault = fault
-    station.read()
-    assert station.identities.document("r1").state == "not-read"
-    assert [e["code"] for e in station.events] == codes
-    shown = station.shown()
-    assert (shown.verdict, [r.code for r in shown.reasons]) == (Status.DEGRADED, ["identity-not-read"])
-
-
-def test_board_type_without_codes_occupies_no_worker() -> None:
-    station = Station(None)
-    station.identities.finished(station.finished.detail)
-    assert station.identities.document("r1").state == "not-expected"
-    assert station.shown().identity is None
-    assert (station.jobs, station.events) == ([], [])
-
-
-def test_report_of_the_next_machine_is_compared_and_kept_with_the_reading() -> None:
-    station = Station()
-    station.read()
-    found = station.identities.report("r1", ReportedId(board_id="7", machine="prober"))
-    assert (found.state, [r.code for r in found.reasons]) == ("differs", ["next-machine-differs"])
-    assert list(station.saved["r1"].board_ids) == ["1", "7"]
-    again = station.identities.report("r1", ReportedId(board_id="1"))
-    assert (again.state, len(again.codes), again.complete) == ("agrees", 1, False)
-    assert list(station.saved["r1"].board_ids) == ["1"]
 
 
 def test_run_whose_codes_were_being_read_when_the_station_ended_is_degraded() -> None:

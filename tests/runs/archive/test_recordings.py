@@ -16,7 +16,7 @@ from tests.runs.conftest import a_stitch
 from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch, write_board_type
-from vaoi_station.files.directories import new_directory, remove_directory, size_below
+from vaoi_station.files.directories import remove_directory, size_below
 from vaoi_station.model import BoardIdentity, Status, Verdict
 from vaoi_station.runs.archive import recordings as module
 from vaoi_station.runs.archive.event_log import EventLog
@@ -143,16 +143,6 @@ def test_pictures_of_a_run_that_left_the_memory_come_from_its_recording(rig: Any
         rig.coordinator.image(run.id, "U1", 0)
 
 
-def test_a_run_that_is_pinned_while_it_is_filmed_is_kept_in_the_end(rig: Any) -> None:
-    grant = rig.arm()
-    rig.begin(grant)
-    records = [record for row in range(3) for record in rig.row(grant, row)]
-    rig.wait_run(grant.run, lambda run: run.state == "filming", "the board")
-    rig.coordinator.kept.pin(grant.run)
-    rig.finish(grant, records)
-    wait_event(rig, grant.run, "recording")
-
-
 class Away:
     """Frames that are given to a later board after some copies."""
 
@@ -220,25 +210,6 @@ def test_a_recording_is_offered_once_its_record_is_known_and_never_of_another_st
     assert offered == [run.id]
 
 
-def test_the_oldest_recording_that_is_not_pinned_makes_room(rig: Any, tmp_path: Path) -> None:
-    runs = [a_board(rig).id]
-    frames = rig.coordinator._frames
-    size = 2 * 64 * 48 * rig.coordinator.run(runs[0]).rows
-    keeper = a_keeper(rig, tmp_path, frames, recordings_gb=3.5 * size / 1e9)
-    for name in ("00-oldest", "00-second"):
-        with new_directory(tmp_path / "kept" / name) as draft:
-            (draft / module.HEAD_FILE).write_bytes(bytes(size))
-    (tmp_path / "kept" / ".00-oldest.cut").mkdir()
-    keeper = a_keeper(rig, tmp_path, frames, recordings_gb=2.5 * size / 1e9)
-    assert keeper.runs == 2
-    assert not (tmp_path / "kept" / ".00-oldest.cut").exists(), "a draft of a killed station"
-    keeper.start()
-    keeper.request(runs[0])
-    wait_event(rig, runs[0], "recording")
-    keeper.stop()
-    assert {path.name for path in (tmp_path / "kept").iterdir()} == {"00-second", runs[0]}
-
-
 @pytest.mark.parametrize("cause", ["quota", "disk", "fault"])
 def test_a_recording_without_room_is_refused_and_counted(
     rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: str
@@ -254,12 +225,6 @@ def test_a_recording_without_room_is_refused_and_counted(
     assert "not kept" in wait_event(rig, run.id, "trouble", "recording-refused")
     keeper.stop()
     assert keeper.counts.refused == 1
-
-
-def test_nothing_is_kept_with_a_quota_of_zero(rig: Any, tmp_path: Path) -> None:
-    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=0.0)
-    keeper.request(a_board(rig).id)
-    assert not keeper._waiting
 
 
 def test_recordings_make_room_on_a_disk_that_is_nearly_full(
@@ -286,23 +251,3 @@ def test_recordings_make_room_on_a_disk_that_is_nearly_full(
     monkeypatch.setattr(module, "DISK_RESERVE", 10**18)
     keeper.tend()
     assert [path.name for path in (tmp_path / "kept").iterdir()] == [run.id], "a pinned one stays"
-
-
-def test_recordings_that_no_archive_has_go_last_and_are_named(rig: Any, tmp_path: Path) -> None:
-    run = a_board(rig)
-    rig.coordinator.kept.pin(run.id)
-    for name in ("0-archive", "1-archive", "2-awaited", "3-free", "4-free", run.id):
-        with new_directory(tmp_path / "kept" / name) as draft:
-            (draft / module.HEAD_FILE).write_bytes(bytes(1000))
-            if name.endswith("archive"):
-                (draft / module.FOR_ARCHIVE_FILE).touch()
-    left = []
-    for quota_gb in (5e-6, 4e-6, 3e-6, 2e-6, 0.0):
-        keeper = a_keeper(rig, tmp_path, rig.coordinator._frames, recordings_gb=quota_gb)
-        keeper.awaited = lambda: ("2-awaited",)
-        keeper.tend()
-        left.append(sorted(path.name[0] for path in (tmp_path / "kept").iterdir() if path.name != run.id))
-    assert left == [["0", "1", "2", "4"], ["0", "1", "2"], ["1", "2"], ["2"], []]
-    # The archive's thread reports those that it waits for.
-    found = [e.run for e in rig.coordinator.events(0, 0.0) if e.code == "archive-dropped"]
-    assert found == ["0-archive", "1-archive"]

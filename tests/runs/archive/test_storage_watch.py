@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import pytest
 
-from vaoi_station.runs.archive import storage_watch as module
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.storage_watch import StorageWatch
 from vaoi_station.store import StorageTrouble, Store
@@ -73,29 +72,3 @@ def test_a_trouble_is_published_once_and_is_a_warning_while_it_lasts(
     storage.database.trouble = None
     watch.tick()
     assert (watch.warnings(), events.codes) == ((), ["storage-full", "storage-back"])
-
-
-def test_little_space_is_a_warning(watch: StorageWatch, storage: Storage, events: Events) -> None:
-    storage.database.free_bytes = module.LOW_BYTES - 1
-    watch.tick()
-    watch.tick()
-    assert [warning.code for warning in watch.warnings()] == events.codes == ["storage-low"]
-    storage.database.free_bytes = module.LOW_BYTES
-    watch.tick()
-    assert watch.warnings() == ()
-
-
-def test_the_warning_about_a_file_ends_when_it_is_acknowledged(
-    watch: StorageWatch, storage: Storage, events: Events
-) -> None:
-    files = [Path("station.db.damaged-1Z"), Path("station.db.deleted-2Z")]
-    storage.database.notices = tuple(
-        StorageTrouble("database-damaged", f"{file}: was set aside.", kept=file) for file in files
-    )
-    watch.tick()
-    assert len(watch.warnings()) == 2
-    watch.acknowledge(files[0].name)
-    watch.tick()
-    assert [warning.message for warning in watch.warnings()] == ["station.db.deleted-2Z: was set aside."]
-    assert [(s.file, s.acknowledged) for s in watch.set_aside()] == [(files[0].name, True), (files[1].name, False)]
-    assert events.codes == ["database-damaged", "database-damaged", "acknowledged"]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from vaoi_station.errors import DeviceError
-from vaoi_station.runs.archive.stored_documents import cut_short, decided, in_state, readable, state_of, summary
+from vaoi_station.runs.archive.stored_documents import cut_short, decided, readable, summary
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of, summary_of
 from vaoi_station.runs.states.tables import RunState
@@ -38,11 +38,3 @@ def test_a_record_that_cannot_be_read_is_ended_and_listed_as_such(row: RunRow) -
     with pytest.raises(DeviceError, match="cannot be read") as refusal, readable(odd.id):
         decided(odd.detail, odd.summary)
     assert refusal.value.code == "record-unreadable"
-
-
-def test_frames_are_available_in_some_states_only(row: RunRow) -> None:
-    assert state_of(replace(row, state="?")) is RunState.GONE
-    kept = decided(row.detail, row.summary).model_copy(update={"frames_kept_until": "then"})
-    assert in_state(kept, RunState.READY).frames_kept_until == "then"
-    assert in_state(kept, RunState.READY).frames_available
-    assert in_state(kept, RunState.GONE).frames_kept_until is None

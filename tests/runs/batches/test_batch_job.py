@@ -7,15 +7,15 @@ import json
 import numpy as np
 import pytest
 
-from tests.api.held.replies import documents, unpacked
+from tests.api.held.replies import unpacked
 from tests.api.held_station import HeldStation
 from vaoi_station.api.rest_models import ViewEntry
-from vaoi_station.errors import GoneError, InputError
+from vaoi_station.errors import GoneError
 from vaoi_station.model import Component
 from vaoi_station.rendering import ImageRequest, render_chosen
 from vaoi_station.rendering.selection import describe
 from vaoi_station.runs.batches import batch_job
-from vaoi_station.runs.batches.batch_job import folder_of, picture_member
+from vaoi_station.runs.batches.batch_job import folder_of
 from vaoi_station.runs.batches.batches import BatchRequest
 from vaoi_station.runs.batches.containers import ContainerWriter
 
@@ -59,23 +59,6 @@ def test_pictures_and_figures_are_those_of_single_requests(station: HeldStation,
             np.testing.assert_array_equal(pixels, render_chosen(choice, *frames).ravel())
 
 
-def test_a_region_has_one_picture_per_frame(station: HeldStation) -> None:
-    files = files_of(station, BatchRequest(region=(10, 10, 30, 20), format="raw", container="zip"))
-    [(name, entry)] = documents(files).items()
-    assert name == "region/views.json"
-    assert len(entry["views"]) == len(files) - 1 > 0
-    assert "url" not in entry["views"][0]
-
-
-def test_a_component_that_is_refused_does_not_prevent_the_others(station: HeldStation) -> None:
-    files = files_of(
-        station, BatchRequest(images=ImageRequest.of({"px_per_mm": 490.0}), format="jpeg", container="zip")
-    )
-    found = documents(files)
-    assert found["components/U1/views.json"]["refused"]["code"] == InputError.code
-    assert found["components/R1/views.json"]["views"]
-
-
 def test_a_batch_ends_although_every_choice_takes_longer_than_a_part(
     station: HeldStation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,11 +91,3 @@ def test_frames_that_are_lost_are_no_refusal_of_components(
 def test_folders_never_lead_out_of_the_container(ref: str, folder: str) -> None:
     part = Component.model_construct(ref=ref, panel=None, center=(0.0, 0.0), width=1.0, height=1.0)
     assert folder_of(part, region=False) == folder
-
-
-def test_colours_of_bare_pixels_are_red_green_blue() -> None:
-    blue = np.zeros((1, 2, 3), np.uint8)
-    blue[..., 0] = 9  # OpenCV's first channel
-    member = picture_member("a", "", blue, "raw")
-    assert member.content == bytes([0, 0, 9, 0, 0, 9])
-    assert ("X-Image-Stride", "6") in member.headers

@@ -31,12 +31,6 @@ def test_members_that_were_packed_apart_make_one_container(container: ContainerN
     assert unpacked(content, container) == FILES
 
 
-def test_parts_of_a_multipart_answer_state_their_length_and_further_headers() -> None:
-    head = pack("multipart", [Member("a", "image/png", b"123", (("X-Image-Width", "7"),))], TIME_S).content
-    assert b"\r\nContent-Length: 3\r\n" in head
-    assert b"\r\nX-Image-Width: 7\r\n" in head
-
-
 def test_a_zip_file_states_times_modes_and_no_compression() -> None:
     writer = ContainerWriter("zip", TIME_S)
     content = writer.add(packed("zip", *FILES)) + writer.end()

@@ -9,11 +9,10 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.process.messages import Disarm, Ready, Shutdown, Trouble
+from vaoi_station.acquisition.process.messages import Disarm, Ready, Trouble
 from vaoi_station.backoff import Backoff
 from vaoi_station.runs.control import acquisition_link as module
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink
-from vaoi_station.runs.states.schemas import STARTING, WAITING
 
 PATIENCE_S = 20.0
 
@@ -51,24 +50,6 @@ def link(unstarted: AcquisitionLink, peer: Any, events: Recorded) -> Acquisition
     unstarted.start(events.messages.put, events.ends.put)
     peer.wait_for_start(1)
     return unstarted
-
-
-def test_status_states_that_the_first_start_waits_for_the_workers(
-    unstarted: AcquisitionLink, peer: Any, events: Recorded
-) -> None:
-    warm = threading.Event()
-    unstarted.start(events.messages.put, events.ends.put, warm.is_set)
-    status = unstarted.status()
-    assert (status.doing, status.pid, status.alive) == (WAITING, None, False)
-    warm.set()
-    peer.wait_for_start(1)
-    peer.report(Ready(3))
-    assert events.messages.get(timeout=PATIENCE_S) == Ready(3)
-    status = unstarted.status()
-    assert (status.doing, status.alive) == ("", True)
-    peer.die()
-    events.ends.get(timeout=PATIENCE_S)
-    assert unstarted.status().doing in ("", STARTING), "only the first start waits for them"
 
 
 def test_an_unexpected_end_is_reported_and_followed_by_a_restart(
@@ -138,20 +119,3 @@ def test_a_process_without_heartbeat_is_killed(
     events.messages.get(timeout=PATIENCE_S)
     assert "sent no heartbeat" in events.ends.get(timeout=PATIENCE_S)
     assert peer.processes[0][0].exitcode == -9
-
-
-def test_stop_sends_shutdown_and_waits(link: AcquisitionLink, peer: Any, events: Recorded) -> None:
-    ending = threading.Thread(target=link.stop, args=(PATIENCE_S,))
-    ending.start()
-    peer.expect(Shutdown)
-    peer.die(0)
-    ending.join(PATIENCE_S)
-    assert not ending.is_alive()
-    assert events.ends.empty()
-    assert len(peer.processes) == 1
-
-
-def test_stop_kills_a_process_that_does_not_end(link: AcquisitionLink, peer: Any) -> None:
-    link.stop(0.05)
-    assert peer.processes[0][0].exitcode == -9
-    link.stop()

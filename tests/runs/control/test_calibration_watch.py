@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from typing import Any
 
@@ -11,7 +10,6 @@ import pytest
 from tests.runs.conftest import ScriptedWorkers
 from vaoi_station.acquisition.process import messages
 from vaoi_station.drift.checks import LampCheck
-from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control import calibration_watch
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
@@ -132,30 +130,3 @@ def test_a_board_type_that_pauses_keeps_its_baseline(
     pass_boards(range(28, 31), "paused", 30.0)
     (warning,) = watches[-1].warnings()
     assert "50% of the brightness" in warning.message
-
-
-def test_a_check_of_another_calibration_is_kept_and_changes_nothing(rig: Any) -> None:
-    rig.workers.displacement_px = 3.0
-    film(rig, rig.arm())
-    other = rig.store.keep_document("calibration", '{"n": 1}', "2026-01-01T00:00:00Z")
-    (job,) = (job for job in rig.workers.done if isinstance(job, CheckJob))
-    rig.coordinator._core.watch.checked(dataclasses.replace(job, calibration=other), rig.workers.check_reply(job))
-    rig.wait_for(lambda: rig.store.checks.count(other) == 1, "the check")
-    assert rig.coordinator.calibration().runs == 1
-
-
-@pytest.mark.parametrize(
-    ("error", "codes"),
-    [(InternalError("the check failed."), {"calibration-not-checked"}), (StateError("the station stops."), set())],
-    ids=["a fault is an event", "a stop is not"],
-)
-def test_a_check_that_cannot_be_done(
-    rig: Any, monkeypatch: pytest.MonkeyPatch, error: VaoiError, codes: set[str]
-) -> None:
-    monkeypatch.setattr(rig.workers, "check_reply", lambda _: Reply(None, error, 0.0))
-    grant = rig.arm()
-    rig.board(grant)
-    assert rig.result_of(grant.run).state == "ready"
-    rig.coordinator.calibration()  # asked of the same thread: every reply before it has been processed
-    assert {e.code for e in rig.coordinator.events() if e.code == "calibration-not-checked"} == codes
-    assert rig.coordinator.snapshot().warnings == ()

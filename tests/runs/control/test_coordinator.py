@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import NotFoundError, StateError
-from vaoi_station.model import BoardType, Status, Verdict
+from vaoi_station.errors import StateError
+from vaoi_station.model import Status
 from vaoi_station.runs.control import reasons
 
 
@@ -31,17 +30,6 @@ def test_a_board_passes(rig: Any) -> None:
     assert rig.coordinator.stitch(grant.run).status is Status.OK
     assert rig.coordinator.next_run(None, 0.0) is None
     assert rig.workers.closed == [grant.run]
-
-
-def test_lost_frames_are_named_and_bridged(rig: Any) -> None:
-    grant = rig.arm()
-    rig.board(grant, rows=3, verdicts={0: Verdict.MISSING, 1: Verdict.INCOMPLETE})
-    run = rig.result_of(grant.run)
-    assert (run.counts.ok, run.counts.incomplete, run.counts.missing) == (4, 1, 1)
-    words = [reason.message for reason in run.reasons]
-    assert any("(0, 1) are missing: scripted" in word for word in words)
-    bridges = {(t.a, t.b) for t in rig.workers.tasks(grant.run) if t.kind == "rows"}
-    assert bridges <= {((0, 0), (0, 2)), ((1, 0), (1, 2))}
 
 
 def test_every_finished_run_is_returned_once_and_in_order(rig: Any) -> None:
@@ -74,52 +62,7 @@ def test_every_finished_run_is_returned_once_and_in_order(rig: Any) -> None:
 # --- ids, and how long they hold
 
 
-def test_armed_for_one_run_the_line_disarms_automatically(rig: Any) -> None:
-    grant = rig.arm(runs=1)
-    rig.board(grant)
-    rig.peer.expect(messages.Disarm)
-    rig.peer.report(messages.Disarmed(()))
-    rig.until("idle")
-    assert rig.result_of(grant.run).state == "ready"
-    assert rig.coordinator.snapshot().armed_with is None
-
-
 # --- board types, health, the end
-
-
-def test_board_types_are_taught_listed_and_forgotten(rig: Any, board_type: BoardType) -> None:
-    other = board_type.model_copy(update={"name": "other/board", "revision": "B"})
-    assert rig.coordinator.put_board_type(other) is True
-    assert rig.coordinator.put_board_type(other) is False
-    (rig.config.board_types / "broken.json").write_text("{")
-    listed = {entry.name: entry for entry in rig.coordinator.board_types()}
-    assert set(listed) == {"small", "other/board", "broken"}
-    assert listed["broken"].fault is not None
-    assert (listed["other/board"].components, listed["other/board"].revision) == (1, "B")
-    assert listed["small"].revision is None
-    assert rig.coordinator.board_type("other/board") == other
-    rig.arm()
-    with pytest.raises(StateError, match="armed for board type 'small'"):
-        rig.coordinator.delete_board_type("small")
-    rig.coordinator.delete_board_type("other/board")
-    with pytest.raises(NotFoundError):
-        rig.coordinator.board_type("other/board")
-
-
-def test_health_is_shown(rig: Any) -> None:
-    assert [c.connected for c in rig.coordinator.snapshot().cameras] == [False, False]
-    now_s = time.monotonic()
-    fine = CameraHealth(True, delivered=7, temperature_c=41.5, last_frame_s=now_s - 2, counters=(("n_failures", 3),))
-    rig.peer.report(messages.Health((fine, CameraHealth(False, "cable pulled")), "controller fine", now_s))
-    rig.wait_for(lambda: rig.coordinator.snapshot().controller == "controller fine", "health")
-    snapshot = rig.coordinator.snapshot()
-    assert snapshot.cameras[0].delivered == 7
-    assert snapshot.cameras[0].last_frame_age_s == pytest.approx(2)
-    assert snapshot.cameras[0].counters == {"n_failures": 3}
-    assert snapshot.cameras[1].last_frame_age_s is None
-    assert snapshot.reasons[0].message == "Camera c1 is not connected. Cable pulled"
-    [acquisition] = snapshot.processes
-    assert acquisition.heartbeat_age_s is not None
 
 
 def test_a_trouble_is_published_once_and_shown_while_it_lasts(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:

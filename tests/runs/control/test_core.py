@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import pytest
 
@@ -22,7 +21,7 @@ from vaoi_station.runs.control.line_control import Completion
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import CAUSE, Progress
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, LinkJob, WorkerLostError
+from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, LinkJob
 from vaoi_station.store import Store
 
 
@@ -87,25 +86,12 @@ def station(config: StationConfig, store: Store, calibration: Calibration, progr
     return Station(config, store, calibration, progress.order)
 
 
-def test_arming_is_published_with_the_board_type(station: Station) -> None:
-    station.arm()
-    assert station.events("armed") == ["Armed for board type 'small'."]
-    assert station.state == "armed"
-
-
 def test_a_board_gets_its_bay_and_the_next_bay_is_granted(station: Station) -> None:
     run = station.begin()
     assert station.state == "filming"
     assert [bay.use for bay in station.core.memory.bays()] == ["filming", "granted", "free"]
     with pytest.raises(StateError, match="its memory is needed"):
         station.core.release(run)
-
-
-def test_runs_without_an_order_or_a_beginning_get_nothing(station: Station) -> None:
-    station.core.acquisition_message(messages.RunStarted("never", 0, time.monotonic()))
-    assert station.events("trouble") == ["Run never was filmed without an order."]
-    station.core.acquisition_message(messages.RunFinished("never", 0, a_head(1), station.row("never"), 1.0, "clear"))
-    assert (station.core.active, station.workers.jobs) == ({}, [])
 
 
 def test_a_missed_board_is_counted_and_names_the_memory_if_that_is_the_cause(station: Station) -> None:
@@ -164,35 +150,3 @@ def test_what_had_arrived_is_stitched_when_the_acquisition_process_ends(station:
     assert (film.head.rows, film.head.trigger_times_s, film.head.missing) == (2, (0.0, 0.1), ((1, 1),))
     assert [f.verdict for f in film.frames] == [Verdict.OK, Verdict.OK, Verdict.OK, Verdict.MISSING]
     assert (film.frames[-1].cause, film.reason) == (CAUSE, "acquisition lost")
-
-
-def test_a_run_without_a_pulse_fails_when_the_acquisition_process_ends(station: Station) -> None:
-    station.begin()
-    station.core.acquisition_ended("the acquisition process ended (code -9)")
-    assert station.core.active == {}
-    assert [bay.use for bay in station.core.memory.bays()] == ["finished", "free", "free"]
-
-
-def test_a_stop_completes_when_the_last_run_has_ended(station: Station) -> None:
-    run = station.begin()
-    station.row(run)
-    stopped = Completion()
-    station.core.stop(stopped)
-    assert not stopped.done()
-    station.core.acquisition_ended("the acquisition process ended")
-    job: Any = station.workers.of(LinkJob, run)[0]
-    station.workers.answer(job, error=WorkerLostError("it died"))
-    stopped.result(0)
-    assert (station.state, station.archive.get(run).detail.state) == ("stopping", "failed")
-    assert "worker-lost" in [reason.code for reason in station.archive.get(run).detail.reasons]
-
-
-def test_expired_leases_and_events_of_the_workers_are_published(station: Station) -> None:
-    station.core.memory.lease_s = 0.0
-    station.core.memory.lease("r1", "tester 3", "AOI")
-    station.core.tick()
-    assert station.events("lease") == ["The hold of tester 3 (AOI) expired."]
-    station.core.worker_ended("Worker 0 ended with code -9.")
-    station.core.workers_ready()
-    assert station.events("process") == ["Worker 0 ended with code -9."]
-    assert station.events("workers") == ["The workers are ready: results come at once."]

@@ -12,7 +12,7 @@ from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.process import messages
 from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import BusyError, DeviceError, StateError
+from vaoi_station.errors import DeviceError, StateError
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import line_control
@@ -81,18 +81,6 @@ def board_leaves(line: Line) -> None:
     line.control.board_left()
 
 
-def test_a_disarm_refuses_the_orders_that_wait_for_a_board_to_leave(line: Line) -> None:
-    filming(line)
-    armed, disarmed = line.arm(), Completion()
-    line.control.disarm(disarmed)
-    with pytest.raises(StateError, match="disarmed before it was armed"):
-        armed.result(0)
-    board_leaves(line)
-    line.control.on_disarmed(messages.Disarmed(()))
-    disarmed.result(0)
-    assert line.state == "idle"
-
-
 def test_a_board_at_the_barrier_keeps_its_order_when_several_wait(line: Line) -> None:
     filming(line)
     before = line.control.orders.order
@@ -106,17 +94,6 @@ def test_a_board_at_the_barrier_keeps_its_order_when_several_wait(line: Line) ->
     second.result(0)
     assert line.control.orders.runs_left == 3
     assert line.control.orders.take(early) is before
-
-
-def test_an_order_that_waits_is_withdrawn_or_refused_with_a_fault(line: Line) -> None:
-    filming(line)
-    first, second = line.arm(), line.arm()
-    assert line.control.withdraw(first)
-    assert not line.control.withdraw(first)
-    line.control.on_acquisition_ended("the process ended")
-    with pytest.raises(StateError, match="faulted"):
-        second.result(0)
-    assert not first.done()
 
 
 def test_disarming_returns_unused_memory_and_a_waiting_order_is_armed_afterwards(line: Line) -> None:
@@ -142,15 +119,6 @@ def test_an_armed_that_crosses_a_disarm_does_not_arm(line: Line) -> None:
     line.control.on_disarmed(messages.Disarmed(()))
     with pytest.raises(StateError, match="disarmed before it was armed"):
         armed.result(0)
-
-
-def test_trouble_while_arming_refuses_the_order_and_disarms(line: Line) -> None:
-    armed = line.arm()
-    line.control.on_trouble(messages.Trouble("clock", "its clock is not known", "Check its cable."))
-    with pytest.raises(DeviceError, match="Arming failed: its clock is not known"):
-        armed.result(0)
-    assert line.acquisition.taken()[-1] == "Disarm"
-    assert line.control.orders.order is None
 
 
 def test_an_order_survives_a_trouble_while_the_line_is_armed_again(
@@ -180,43 +148,3 @@ def test_an_order_survives_a_trouble_while_the_line_is_armed_again(
     assert line.acquisition.taken() == ["Grant", "Arm"]
     line.control.on_armed()
     assert (line.state, line.control.warnings()) == ("armed", ())
-
-
-def test_a_full_ring_blocks_the_line_until_memory_is_free(line: Line) -> None:
-    line.armed()
-    for _ in range(2):
-        [run] = line.granted()
-        assert line.control.take_grant(run, 1e9) is not None
-        line.memory.use(run, "filming")
-        line.control.keep_memory_granted()
-    assert line.state == "blocked"
-    with pytest.raises(BusyError, match="is being filmed"):
-        line.arm().result(0)
-    line.memory.free(run)
-    line.control.keep_memory_granted()
-    assert line.state == "armed"
-    assert line.machine.reasons.all() == ()
-
-
-def test_a_run_without_grant_or_order_has_no_order(line: Line) -> None:
-    assert line.control.take_grant("never", 1.0) is None
-    line.arm(runs=1)
-    [run] = line.granted()
-    assert line.control.take_grant(run, 1e9) is line.order
-    line.control.disarm_after_last_run()
-    assert line.acquisition.taken()[-1] == "Disarm"
-
-
-def test_an_order_with_another_plan_is_armed_after_a_disarm(line: Line) -> None:
-    line.armed()
-    line.acquisition.taken()
-    assert line.order.plan is not None
-    line.order = replace(line.order, plan=replace(line.order.plan, period_s=0.2))
-    changed = line.arm()
-    assert line.acquisition.taken() == ["Disarm"]
-    assert not changed.done()
-    line.control.on_disarmed(messages.Disarmed(()))
-    assert line.acquisition.taken()[-1] == "Arm"
-    line.control.on_armed()
-    changed.result(0)
-    assert line.state == "armed"

@@ -16,11 +16,9 @@ import pytest
 
 from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
-from vaoi_station.files.images import decode
 from vaoi_station.mosaic.tile_specs import TileSpec
-from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.control import pictures
-from vaoi_station.runs.control.pictures import LARGEST_PX, SEATS, frame_record
+from vaoi_station.runs.control.pictures import SEATS, frame_record
 from vaoi_station.runs.host import processes
 from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 from vaoi_station.runs.workers.evidence_log import EvidenceLog, shared_memory
@@ -101,9 +99,6 @@ def test_no_full_garbage_collection_delays_a_caller_who_fetches(
 
 # --- small pictures
 
-MEDIUM = ImageRequest.of({"px_per_mm": 200})
-FINE = ImageRequest.of({"px_per_mm": 277})
-
 
 @pytest.fixture
 def run(rig: Any) -> str:
@@ -135,31 +130,11 @@ def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any, monkey
     assert reply.value == own
 
 
-def test_a_large_picture_waits_for_a_worker(rig: Any, run: str) -> None:
-    assert rig.coordinator.image(run, "U1", 0, FINE) == b"picture"
-    [job] = jobs(rig)
-    assert job.view.width * job.view.height > LARGEST_PX
-
-
-def test_a_large_component_at_the_resolution_of_the_camera_waits_for_no_worker(rig: Any, run: str) -> None:
-    picture = decode(rig.coordinator.image(run, "U1", 0, MEDIUM))
-    assert jobs(rig) == []
-    assert picture is not None
-    assert 400_000 < picture.size <= LARGEST_PX
-
-
 def tile_of(rig: Any, run: str, **changes: Any) -> TileJob:
     detail = rig.coordinator.run(run)
     spec = TileSpec(width=256, height=200, hdr=False, cells_from_tile=np.eye(2, 3), parts=())
     job = TileJob(run, detail.bay, detail.generation, {}, spec, (0.0, 1.0), "jpg")
     return replace(job, **changes)
-
-
-def test_tiles_that_take_long_are_left_to_workers(rig: Any, run: str) -> None:
-    small, spec = rig.coordinator._frames, tile_of(rig, run).spec
-    assert small.render_here(tile_of(rig, run, spec=replace(spec, hdr=True))) is None
-    assert small.render_here(tile_of(rig, run, spec=replace(spec, width=LARGEST_PX))) is None
-    assert small.render_here(tile_of(rig, run, format=None)) is None, "a file of the whole board is made of these"
 
 
 def test_tiles_are_left_to_workers_while_a_board_passes(rig: Any, run: str) -> None:
@@ -185,11 +160,6 @@ def test_no_more_than_its_seats_are_rendered_at_a_time(rig: Any, run: str, monke
         assert rig.coordinator.image(run, "U1", 0) == b"picture"
         go_on.set()
         assert all(d.result(60).startswith(b"\x89PNG") for d in drawn)
-
-
-def test_memory_that_a_later_board_has_is_left_to_the_ordinary_way(rig: Any, run: str) -> None:
-    rig.ring.renew(rig.coordinator.run(run).bay)
-    assert rig.coordinator.image(run, "U1", 0) == b"picture", "a worker finds out by itself, or reads a recording"
 
 
 def test_each_of_two_callers_gets_its_own_reply_whatever_their_order(

@@ -29,20 +29,6 @@ def health(*connected: bool) -> Health:
     return Health(tuple(CameraHealth(c, "" if c else "cable pulled") for c in connected), "fine", 1.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("camera 0", "Camera 0 is not connected. There is no camera at 127.0.0.2."),
-        ("Camera A", "Camera A is not connected. There is no camera at 127.0.0.2."),
-        ("left", "Camera left is not connected. There is no camera at 127.0.0.2."),
-    ],
-)
-def test_a_camera_is_named_once(name: str, expected: str) -> None:
-    label = camera(name).label
-    assert readiness.not_connected(label, f"{label}: there is no camera at 127.0.0.2.") == expected
-    assert readiness.not_connected(label, "") == expected[: expected.index(".") + 1]
-
-
 def test_every_disconnected_camera_has_a_reason_with_an_action() -> None:
     assert readiness.disconnected(health(False, True)) == (0,)
     both = readiness.reasons(health(False, False), CAMERAS)
@@ -65,15 +51,6 @@ def codes(**changes: object) -> list[str]:
     return [reason.code for reason in readiness.held_back(replace(READY, **changes), CAMERAS)]  # type: ignore[arg-type]
 
 
-def test_the_next_board_may_come_only_if_nothing_speaks_against_it() -> None:
-    assert codes() == []
-
-
-@pytest.mark.parametrize("state", [state for state in StationState if state is not StationState.ARMED])
-def test_in_every_state_but_armed_the_next_board_waits(state: StationState) -> None:
-    assert codes(state=state) == [{"blocked": "ring-full", "filming": "line-filming"}.get(str(state), "line-not-armed")]
-
-
 def test_a_lost_camera_holds_boards_back_unless_the_order_accepts_it() -> None:
     assert codes(health=health(True, False)) == ["camera-lost"]
     assert codes(health=health(True, False), without_cameras=True) == []
@@ -83,12 +60,6 @@ def test_every_present_trouble_of_the_storage_holds_boards_back_and_what_is_over
     newer = Reason(code="database-newer", message="The database is of a later version.")
     assert codes(storage=newer, reasons=(newer,)) == ["database-newer"]
     assert codes(reasons=(Reason(code="database-damaged", message="It was set aside."),)) == []
-
-
-def test_devices_that_have_not_reported_count_as_not_ready() -> None:
-    assert codes(health=None) == ["line-not-armed"]
-    assert codes(now_s=1.1 + readiness.HEALTH_OLD_S) == ["devices-silent"]
-    assert codes(health=replace(health(True, True), controller_ready=False)) == ["controller-not-ready"]
 
 
 def test_a_board_in_the_barrier_holds_the_next_one_back_before_its_first_pulse_too() -> None:
@@ -102,10 +73,6 @@ def test_a_board_in_the_barrier_holds_the_next_one_back_before_its_first_pulse_t
     for state in (StationState.ARMED, StationState.FILMING):
         (reason,) = readiness.held_back(replace(READY, state=state, health=stopped), CAMERAS)
         assert (reason.code, "the belt does not move" in reason.message) == ("belt-stopped", True)
-
-
-def test_warnings_that_leave_the_next_board_whole_do_not_hold_it_back() -> None:
-    assert codes(reasons=(Reason(code="calibration-drift", message="so it is", action="do it"),)) == []
 
 
 HELD = (Reason(code="camera-lost", message="Camera left is not connected.", action="Check its cable."),)
@@ -135,16 +102,6 @@ def test_a_permit_is_given_renewed_and_withdrawn() -> None:
     bench.permit.update(HELD, 0, 2.0)
     bench.permit.update(HELD, 0, 3.0)
     assert bench.sent == [Permit(1, 1.0 + VALID_S), Permit(1, 1.0 + RENEW_S + VALID_S), None]
-
-
-def test_each_board_has_another_number() -> None:
-    """Also one that was reported as missed while the line stayed ready: it may have used the permit."""
-    bench = Bench()
-    bench.permit.update((), 0, 0.0)
-    bench.permit.update(HELD, 0, 0.1)
-    bench.permit.update((), 0, 0.2)
-    bench.permit.update((), 1, 0.21)
-    assert [permit.number if permit else None for permit in bench.sent] == [1, None, 2, 3]
 
 
 def test_what_holds_boards_back_is_published_once() -> None:

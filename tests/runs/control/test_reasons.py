@@ -9,7 +9,7 @@ from vaoi_station.errors import StateError
 from vaoi_station.model import Reason
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control.reasons import TROUBLE_S, Reasons, StationStateMachine
-from vaoi_station.runs.states.tables import StationState, StationStep
+from vaoi_station.runs.states.tables import StationStep
 from vaoi_station.store import Store
 
 
@@ -48,18 +48,6 @@ def test_a_trouble_lasts_as_long_as_it_is_reported() -> None:
     assert reasons.trouble(cable) is not None
 
 
-def test_of_devices_that_are_opened_again_only_the_last_trouble_is_shown() -> None:
-    reasons = Reasons(Clock())
-    absent, refused = Trouble("port-absent", "no port", ""), Trouble("setting-refused", "no gain", "")
-    assert reasons.trouble(absent) is not None
-    reasons.mark_outdated()
-    assert reasons.trouble(absent) is None
-    reasons.mark_outdated()
-    assert [reason.message for reason in reasons.all()] == ["No port"], "it stays until another is reported"
-    assert reasons.trouble(refused) is not None
-    assert [reason.message for reason in reasons.all()] == ["No gain"]
-
-
 @pytest.fixture
 def events(store: Store) -> EventLog:
     return EventLog(store)
@@ -68,14 +56,6 @@ def events(store: Store) -> EventLog:
 @pytest.fixture
 def machine(events: EventLog) -> StationStateMachine:
     return StationStateMachine(events)
-
-
-def test_an_illegal_event_changes_nothing(machine: StationStateMachine, events: EventLog) -> None:
-    with pytest.raises(StateError, match="The station is starting"):
-        machine.advance(StationStep.ARMED)
-    machine.advance_if_allowed(StationStep.ARMED)
-    assert machine.state is StationState.STARTING
-    assert events.last == 0
 
 
 def test_a_refusal_names_state_reason_and_action(machine: StationStateMachine) -> None:

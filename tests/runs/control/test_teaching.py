@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError, VaoiError
-from vaoi_station.files import open_recording
 from vaoi_station.model import BoardType, RecordingHead, Status, Stitch, Verdict
 
 
@@ -40,23 +37,6 @@ def disarmed(rig: Any) -> None:
 
 def kept(rig: Any) -> set[str]:
     return {path.name for path in (rig.config.data / "references").glob("*")}
-
-
-def test_what_is_kept_of_a_run(rig: Any) -> None:
-    run = filmed(rig, {0: Verdict.MISSING})
-    assert rig.coordinator.teach_reference("small", run)
-    status = rig.coordinator.reference("small")
-    assert (status.run, status.board_type, status.usable) == (run, "small", True)
-    assert (status.cameras, status.rows) == (2, 3)
-    recording = open_recording(rig.config.data / "references" / run)
-    lost = set(recording.head.missing)
-    assert (0, 1) in lost
-    assert status.frames == 6 - len(lost) > 0
-    for camera, row in {(i, j) for i in (0, 1) for j in (0, 1, 2)} - lost:
-        frame = recording.frame(camera, row)
-        assert frame is not None
-        assert np.array_equal(frame, rig.coordinator.frame(run, camera, row)[0])
-    assert not rig.coordinator.snapshot().ring.leases
 
 
 def test_the_next_order_uses_the_reference_and_sends_its_directory_to_the_workers(rig: Any) -> None:
@@ -89,22 +69,6 @@ def test_a_run_that_is_not_ok_is_no_reference(
         rig.coordinator.teach_reference("small", run)
     assert refused.value.code == "not-a-reference"
     assert kept(rig) == set()
-
-
-def test_a_person_settles_an_ambiguous_orientation_once(rig: Any, make_stitch: Callable[..., Stitch]) -> None:
-    def either_way(head: RecordingHead) -> Stitch:
-        found = make_stitch(head, Status.DEGRADED, ("turned by 180° the board would fit as well",))
-        return found.model_copy(update={"quality": found.quality | {"orientation": "ambiguous"}})
-
-    rig.workers.result = either_way
-    run = filmed(rig)
-    with pytest.raises(StateError, match="cannot be a reference") as refused:
-        rig.coordinator.teach_reference("small", run)
-    assert "confirm_orientation" in refused.value.action
-    assert rig.coordinator.teach_reference("small", run, confirm_orientation=True)
-    assert rig.coordinator.reference("small").usable
-    kept_result = json.loads((rig.config.data / "references" / run / "result.json").read_text())
-    assert (kept_result["status"], kept_result["quality"]["orientation"]) == ("ok", "confirmed")
 
 
 def test_what_cannot_be_taught_is_refused_and_nothing_is_kept(rig: Any, board_type: BoardType) -> None:
@@ -141,32 +105,6 @@ def test_a_board_type_that_is_changed_later_is_stitched_without_its_reference(ri
     assert detail.state == "ready"
     assert [r.code for r in detail.reasons] == ["reference-unusable"]
     assert not [task for task in rig.workers.tasks(grant.run) if task.kind == "reference"]
-
-
-def test_a_method_that_needs_a_reference_is_not_armed_without_one(rig: Any) -> None:
-    assert (rig.coordinator.method("small").method, rig.coordinator.method("small").chosen) == ("auto", "station")
-    chosen = rig.coordinator.set_method("small", "reference")
-    assert (chosen.method, chosen.chosen) == ("reference", "board-type")
-    with pytest.raises(StateError, match="none was taught") as refused:
-        rig.coordinator.arm("small")
-    assert refused.value.code == "no-reference"
-    rig.coordinator.set_method("small", None)
-    rig.arm()
-
-
-def test_a_run_keeps_what_it_was_made_with(rig: Any) -> None:
-    first = taught(rig)
-    digest = rig.store.configurations.begin('{"name": "test"}', "2026")
-    detail = rig.coordinator.run(filmed(rig))
-    made = detail.made_with
-    assert made.configuration == digest
-    assert made.reference == first
-    assert len(made.reference_digest) == 16
-    assert BoardType.model_validate_json(rig.store.document(made.board_type)).name == "small"
-    assert made.time_zone
-    assert detail.software.station
-    before = rig.coordinator.run(first).made_with
-    assert (before.reference, before.reference_digest, before.method) == (None, None, "auto")
 
 
 def test_a_disk_that_refuses_changes_nothing(rig: Any) -> None:

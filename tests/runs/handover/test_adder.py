@@ -9,7 +9,6 @@ import threading
 from multiprocessing import Pipe
 from pathlib import Path
 
-from vaoi_station.plant.archive import Archive
 from vaoi_station.runs.handover.adder import Addition, Failed, Turn, serve
 
 ROOT = Path(__file__).parents[3]
@@ -51,14 +50,6 @@ def test_an_absent_archive_is_not_the_fault_of_the_run(tmp_path: Path) -> None:
     assert isinstance(failed, Failed)
     assert (failed.of_run, turns) == (False, 0)
     assert "is no archive" in failed.error.message
-
-
-def test_a_damaged_recording_is_the_fault_of_the_run(tmp_path: Path) -> None:
-    Archive.create(tmp_path / "archive")
-    failed, _ = outcome(Addition(str(tmp_path / "archive"), tmp_path, "one"))
-    assert isinstance(failed, Failed)
-    assert failed.of_run
-    assert "recording.json" in failed.error.message
 
 
 def test_the_processes_of_a_source_checkout_run_its_own_code(tmp_path: Path) -> None:

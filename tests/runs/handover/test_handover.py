@@ -26,7 +26,7 @@ from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Reason, S
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.plant.archive import Archive
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.archive.recordings import FOR_ARCHIVE_FILE, Recordings
+from vaoi_station.runs.archive.recordings import Recordings
 from vaoi_station.runs.handover import handover as module
 from vaoi_station.runs.handover.adder import serve
 from vaoi_station.runs.handover.handover import Handover
@@ -129,15 +129,6 @@ def test_a_degraded_run_is_archived_and_stays_as_a_recording(line: Line, tmp_pat
     assert line.codes == []
 
 
-def test_a_good_run_is_recorded_for_the_archive_only(line: Line) -> None:
-    archive = Archive.create(line.folder)
-    with line.running(ok_every=1) as handover:
-        run = line.board(Status.OK)
-        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
-        line.wait(lambda: line.recordings.path_of(run.id) is None, "its recording is deleted")
-    assert [one.run for one in archive.runs()] == [run.id]
-
-
 @contextmanager
 def restarted(line: Line) -> Iterator[None]:
     """Give the line the recordings of a station after a restart."""
@@ -161,24 +152,6 @@ def test_a_restart_forgets_no_run_that_is_recorded_for_the_archive_only(line: Li
         line.wait(lambda: line.recordings.path_of(runs[1]) is None, "the recording of the other is deleted")
     assert line.recordings.all() == (runs[0],)
     assert not (line.recordings.directory / runs[1]).exists()
-
-
-def test_a_disk_that_does_not_let_a_recording_go_does_not_end_the_thread(line: Line) -> None:
-    """The end of this thread would end the station, after every start anew."""
-    with line.running(ok_every=1) as handover:
-        runs = [line.board(Status.OK).id for _ in range(2)]
-        line.wait(lambda: handover.status().waiting == 2, "both wait for an archive that is absent")
-    marker = line.recordings.directory / runs[0] / FOR_ARCHIVE_FILE
-    marker.unlink()
-    marker.mkdir()  # it cannot be deleted as a file
-    line.recordings._archive.retention.pin(runs[0], "2026-01-01T00:00:00Z")
-    archive = Archive.create(line.folder)
-    with restarted(line), line.running(ok_every=1) as handover:
-        line.wait(lambda: handover.status().added == 2, "both are in the archive")
-        line.wait(lambda: line.recordings.path_of(runs[1]) is None, "the recording of the other is deleted")
-        assert handover.thread.fault() is None
-    assert {one.run for one in archive.runs()} == set(runs)
-    assert line.recordings.all() == (runs[0],)
 
 
 def test_a_run_that_is_degraded_after_its_end_is_recorded_for_the_archive(line: Line) -> None:
@@ -251,16 +224,6 @@ def test_runs_wait_for_an_absent_archive_and_the_station_says_so(line: Line) -> 
         assert (handover.reasons(), handover.status().waiting) == ((), 0)
     assert line.codes == ["archive-waits", "archive-back"]
     assert Archive.open(line.folder).run(run.id).verdict == "failed"
-
-
-def test_a_run_that_made_room_for_others_is_reported(line: Line) -> None:
-    with line.running() as handover:
-        run = line.board(Status.FAILED)
-        line.wait(lambda: handover.status().problem != "", "the archive is absent")
-        with line.recordings._lock:
-            line.recordings._delete(run.id)
-        line.wait(lambda: handover.status().dropped == 1, "the run is given up")
-    assert line.codes[-1] == "archive-dropped"
 
 
 def test_runs_that_the_archive_has_make_room_before_one_that_waits_for_it(line: Line) -> None:
@@ -339,20 +302,4 @@ def test_an_adder_that_a_share_blocks_is_given_up_and_no_other_is_blocked(line: 
         answers.set()
         line.wait(lambda: handover.status().added == 1, "the run is in the archive")
     assert len(started) == 1
-    assert line.codes == ["archive-waits", "archive-back"]
-
-
-def test_an_adder_that_cannot_be_started_does_not_end_the_station(line: Line) -> None:
-    Archive.create(line.folder)
-    failures = [MemoryError(), BlockingIOError(11, "Resource temporarily unavailable")]
-
-    def launch_at_last() -> tuple[Any, Helper]:
-        if failures:
-            raise failures.pop()
-        return launch()
-
-    with line.running(launch=launch_at_last) as handover:
-        line.board(Status.FAILED)
-        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
-        assert handover.thread.fault() is None
     assert line.codes == ["archive-waits", "archive-back"]

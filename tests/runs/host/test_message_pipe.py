@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import threading
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
@@ -65,15 +64,6 @@ def test_a_child_that_does_not_read_blocks_no_caller(ends: Ends) -> None:
     there.close()
     pipe.flush()
     assert not pipe.unsent, "what a child that has ended did not read is dropped"
-
-
-def test_half_a_message_does_not_block(ends: Ends) -> None:
-    pipe, there = ends
-    os.write(there.fileno(), b"\x00\x00\x10\x00half")
-    assert pipe.receive() == []
-    there.close()
-    with pytest.raises(PipeEndedError):
-        pipe.receive()
 
 
 def test_bytes_that_are_no_message_end_the_pipe(ends: Ends) -> None:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import gc
-import json
-import multiprocessing
 import os
 import subprocess
 import sys
 import weakref
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -68,13 +65,6 @@ def test_a_full_collection_waits_until_no_board_is_processed(policy: GcPolicy, c
     assert knot() is None
 
 
-def test_the_interpreter_runs_no_full_collection(policy: GcPolicy) -> None:
-    collections = gc.get_stats()[2]["collections"]
-    kept = [[k] for k in range(400_000)]
-    assert gc.get_stats()[2]["collections"] == collections
-    assert len(kept) == 400_000
-
-
 FAULTS = """
 import resource
 import numpy as np
@@ -103,24 +93,6 @@ def test_freed_memory_is_used_again_without_page_faults() -> None:
     assert kept < 100 < as_it_is
 
 
-SETTINGS = """
-import json, os, signal, sys
-from vaoi_station.runs.host.processes import set_up_process
-
-set_up_process(one_thread=sys.argv[1] == "1")
-ignored = [signal.getsignal(n) is signal.SIG_IGN for n in (signal.SIGINT, signal.SIGTERM)]
-print(json.dumps([ignored, os.environ.get("OMP_NUM_THREADS")]))
-"""
-
-
-@pytest.mark.parametrize(("one_thread", "threads"), [(True, "1"), (False, "7")])
-def test_a_child_ignores_signals_and_may_be_limited_to_one_thread(one_thread: bool, threads: str) -> None:
-    command = [sys.executable, "-c", SETTINGS, str(int(one_thread))]
-    environment = {**os.environ, "OMP_NUM_THREADS": "7"}
-    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-    assert json.loads(done.stdout.splitlines()[-1]) == [[True, True], threads]
-
-
 @pytest.mark.parametrize(
     "module",
     [
@@ -140,17 +112,3 @@ def child(connection: Connection[Any, Any]) -> None:
     set_up_process(one_thread=False)
     connection.send(os.getpid())
     connection.recv()
-
-
-def test_a_child_process_shows_its_name_instead_of_how_it_was_started() -> None:
-    spawn = multiprocessing.get_context("spawn")
-    here, there = spawn.Pipe()
-    process = spawn.Process(target=child, args=(there,), name="vaoi-worker-1", daemon=True)
-    process.start()
-    place = Path(f"/proc/{here.recv()}")
-    command, comm = (place / "cmdline").read_bytes(), (place / "comm").read_text()
-    here.send(None)
-    process.join(10)
-    assert command.rstrip(b"\0") == b"vaoi-worker-1"
-    assert comm == "vaoi-worker-1\n"
-    assert process.exitcode == 0

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -13,22 +11,9 @@ import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import DeviceError, InternalError, NotFoundError, StateError
+from vaoi_station.errors import DeviceError, InternalError
 from vaoi_station.model import Pulse, Status
 from vaoi_station.runs.workers.jobs import Reply, WorkerLostError
-
-
-@contextmanager
-def asked_to_arm(rig: Any) -> Iterator[Future[object]]:
-    """Request arming in a thread of its own."""
-    with ThreadPoolExecutor(1) as pool:
-        yield pool.submit(rig.coordinator.arm, "small")
-
-
-def test_an_unknown_board_type(rig: Any) -> None:
-    with pytest.raises(NotFoundError, match="no board type 'unknown'; known board types: 'small'"):
-        rig.coordinator.arm("unknown")
-    assert rig.coordinator.snapshot().state == "idle"
 
 
 def test_an_order_while_a_board_passes_takes_effect_after_it(rig: Any) -> None:
@@ -103,33 +88,6 @@ def test_a_line_that_loses_a_camera_continues_but_refuses_new_orders(rig: Any) -
     assert reported == ["Camera c0 is lost: boards would be filmed without it.", "Camera c0 is ready again."]
 
 
-def test_a_camera_that_cannot_be_armed(rig: Any) -> None:
-    with asked_to_arm(rig) as asked:
-        grant = rig.peer.expect(messages.Grant)
-        rig.peer.expect(messages.Arm)
-        rig.peer.report(messages.Trouble("clock", "camera c1: its clock is not known", "Check its cable."))
-        rig.peer.expect(messages.Disarm)
-        rig.peer.report(messages.Disarmed((grant,)))
-        with pytest.raises(DeviceError, match="its clock is not known"):
-            asked.result(20)
-    rig.until("idle")
-
-
-def test_unknown_runs_and_frames(rig: Any) -> None:
-    for ask in (rig.coordinator.run, rig.coordinator.release, rig.coordinator.stitch, rig.coordinator.components):
-        with pytest.raises(NotFoundError, match="no run 'never'"):
-            ask("never")
-    with pytest.raises(NotFoundError, match="no run 'never'"):
-        rig.coordinator.hold("never", "me", "test")
-    grant = rig.arm()
-    rig.board(grant, rows=2)
-    rig.result_of(grant.run)
-    with pytest.raises(NotFoundError, match="2 cameras and 2 rows"):
-        rig.coordinator.frame(grant.run, 0, 7)
-    with pytest.raises(NotFoundError, match="no component 'R99'"):
-        rig.coordinator.images(grant.run, "R99")
-
-
 def test_acquisition_ends_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) -> None:
     grant = rig.arm(board_id="b 1")
     rig.begin(grant)
@@ -157,17 +115,6 @@ def test_acquisition_ends_in_mid_run_and_what_had_arrived_is_stitched(rig: Any) 
     assert after.board_id is None, "boards may have passed unnoticed, so the id may belong to another board"
     assert [reason.code for reason in after.reasons] == ["board-id-uncertain"]
     assert rig.link.status().restarts == 1
-
-
-def test_acquisition_ends_while_arming(rig: Any) -> None:
-    with asked_to_arm(rig) as asked:
-        rig.peer.expect(messages.Grant)
-        rig.peer.die()
-        with pytest.raises(DeviceError, match="Arming failed"):
-            asked.result(20)
-    assert rig.coordinator.snapshot().state == "faulted"
-    with pytest.raises(StateError, match="The station is faulted"):
-        rig.coordinator.arm("small")
 
 
 def test_the_cause_of_failed_starts_is_published_once_and_stays(rig: Any) -> None:

@@ -97,16 +97,6 @@ def test_a_lost_device_withdraws_the_permit_and_is_published(line: Any, report: 
     )
 
 
-def test_an_order_that_accepts_lost_cameras_is_permitted(make_rig: Callable[..., Any]) -> None:
-    rig = make_rig(lock="on")
-    rig.ready()
-    rig.peer.report(devices(FINE, CameraHealth(False, "cable pulled")))
-    rig.wait_for(lambda: len(rig.coordinator.snapshot().reasons) == 1, "the lost camera")
-    rig.arm(allow_lost_cameras=True)
-    assert permit(rig) is not None
-    assert held(rig) == []
-
-
 def test_disarming_withdraws_it_before_the_process_confirms(line: Any) -> None:
     permit(line)
     line.coordinator._inbox.post(line.coordinator._core.line.disarm, _Unheard())

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
-from vaoi_station.model import Status, Verdict
+from vaoi_station.errors import BusyError, NotFoundError, StateError
+from vaoi_station.model import Verdict
 from vaoi_station.rendering import ImageRequest
 from vaoi_station.runs.workers.picture_jobs import RenderJob
 
@@ -30,16 +30,6 @@ def test_frames_are_copies_of_the_ring_and_holes_are_refused(rig: Any) -> None:
     with pytest.raises(StateError, match="is incomplete: scripted"):
         rig.coordinator.frame(grant.run, 1, 1)
     assert rig.coordinator.frame(grant.run, 1, 1, allow_incomplete=True)[1].verdict is Verdict.INCOMPLETE
-
-
-def test_frames_of_a_board_that_is_still_passing(rig: Any) -> None:
-    grant = rig.arm()
-    rig.begin(grant)
-    rig.row(grant, 0)
-    rig.wait_run(grant.run, lambda run: run.counts.ok == 2, "two frames")
-    assert np.all(rig.coordinator.frame(grant.run, 1, 0)[0] == 30)
-    with pytest.raises(StateError, match="has not arrived yet"):
-        rig.coordinator.frame(grant.run, 0, 1)
 
 
 def full(rig: Any) -> list[str]:
@@ -101,33 +91,6 @@ def test_a_run_that_is_announced_keeps_its_frames_and_the_next_board_is_refused_
     rig.until("armed")
     assert rig.coordinator.run(run.id).frames_kept_until is None
     assert rig.coordinator.snapshot().reasons == ()
-
-
-def test_only_its_holder_releases_a_held_run(rig: Any) -> None:
-    runs = full(rig)
-    for holder in (None, "tester 4"):
-        with pytest.raises(
-            StateError, match=rf"{runs[0]} is held by tester 3 \(AOI\).*nothing was released"
-        ) as refusal:
-            rig.coordinator.release(runs[0], holder)
-        assert refusal.value.code == "held"
-    assert rig.coordinator.run(runs[0]).frames_available
-    rig.coordinator.hold(runs[1], "tester 4", "a second look")
-    with pytest.raises(StateError, match=r"held by tester 4 \(a second look\)"):
-        rig.coordinator.release(runs[1], "tester 3")
-    assert rig.coordinator.release(runs[0], "tester 3").state == "released"
-    assert {lease.run for lease in rig.coordinator.snapshot().ring.leases} == set(runs[1:])
-
-
-def test_a_released_run_keeps_its_result(rig: Any) -> None:
-    runs = full(rig)
-    assert rig.coordinator.release(runs[2], "tester 3").state == "released"
-    rig.peer.expect(messages.Grant)
-    rig.until("armed")
-    assert rig.coordinator.release(runs[2]).state == "released"
-    assert rig.coordinator.stitch(runs[2]).status is Status.OK
-    with pytest.raises(GoneError):
-        rig.coordinator.hold(runs[2], "me", "late")
 
 
 def test_large_pictures_are_rendered_under_a_lease(rig: Any) -> None:

@@ -9,7 +9,6 @@ import pytest
 from vaoi_station.acquisition.process import messages
 from vaoi_station.model import Reason
 from vaoi_station.runs.control.core import Core, Parts
-from vaoi_station.runs.control.reasons import StationStateMachine
 from vaoi_station.runs.run.order import Resumed, StandingOrder
 
 
@@ -95,14 +94,3 @@ def test_a_cause_against_it_stays_a_warning_until_the_line_is_disarmed(armed: An
     assert core.line.warnings() == (fault,)
     core.line.disarm(messages_future())
     assert core.line.warnings() == ()
-
-
-def test_a_device_that_refuses_is_named_and_the_order_stays_in_force(armed: Any) -> None:
-    core, _ = restarted(armed, taken_up(armed))
-    core.line.on_ready()
-    core.line.on_trouble(messages.Trouble("camera-lost", "camera c0 is lost.", "Check its cable."))
-    warning = core.line.warnings()[0]
-    assert (warning.code, "camera c0 is lost" in warning.message) == ("not-armed-again", True)
-    assert taken_up(armed) is not None
-    assert core.line.orders.wants_more
-    assert isinstance(core.machine, StationStateMachine)

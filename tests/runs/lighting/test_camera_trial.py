@@ -9,7 +9,7 @@ import pytest
 
 from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import BusyError, DeviceError, StateError
+from vaoi_station.errors import DeviceError, StateError
 from vaoi_station.runs.lighting.trials import TRIAL_S, CameraTrial, TrialShot
 from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.states.tables import StationState
@@ -60,28 +60,6 @@ def test_a_pulse_has_memory_of_its_own_until_its_frames_were_copied() -> None:
     assert not bench.memory.has("trial-1")
     bench.fire()
     assert bench.memory.has("trial-2")
-
-
-@pytest.mark.parametrize("state", [s for s in StationState if s is not StationState.IDLE])
-def test_a_line_that_is_not_disarmed_has_no_trials(state: StationState) -> None:
-    bench = Bench()
-    bench.state = state
-    with pytest.raises(StateError, match="Disarm it, then try settings") as refused:
-        bench.fire()
-    assert refused.value.code == "line-armed"
-    assert bench.commands == []
-
-
-def test_one_bay_stays_for_the_next_board() -> None:
-    with pytest.raises(BusyError, match="A trial needs 2 bays"):
-        Bench(bays=1).fire()
-    bench = Bench(bays=2)
-    for run in ("a", "b"):
-        bench.memory.grant(run)
-        bench.memory.use(run, "finished")
-        bench.memory.keep(run, 0.0)
-    bench.fire()
-    assert bench.evicted == ["a"], "the run that finished first, as for a board"
 
 
 def test_the_settings_of_the_station_come_back_after_the_last_pulse_or_on_request() -> None:

@@ -68,25 +68,6 @@ def test_all_faults_are_found_at_once_and_arming_names_them_too() -> None:
         filming_plan(station_config(CAMERAS), board, PX_PER_MM)
 
 
-def test_a_program_that_fits_has_all_its_values() -> None:
-    checked = check([{"light": "left", "exposure_us": [90.0]}, {"light": "even", "on_us": 60.0}], healthy(CAMERAS))
-    assert (checked.usable, checked.faults, checked.origin) == (True, (), "request")
-    assert unchecked(checked) == (
-        "It shows when the line is armed whether camera cam0, camera cam1 can expose for the width of the trigger.",
-    )
-    assert [(s.on_us, s.exposures_us, s.lit_us) for s in checked.steps] == [
-        (120.0, (90.0, 90.0), (90.0, 90.0)),
-        (60.0, (250.0, 250.0), (60.0, 60.0)),
-    ]
-    assert checked.steps[0].trigger_us == 90.0
-    assert [(light.name, light.on_limits_us) for light in checked.lights] == [
-        ("even", (50.0, 1000.0)),
-        ("left", (50.0, 500.0)),
-    ]
-    assert checked.most_steps == 16
-    assert checked.cameras[1].longest_lit_us == pytest.approx(3750.0)
-
-
 @pytest.mark.parametrize(
     ("steps", "firmware", "fault"),
     [
@@ -130,38 +111,6 @@ def test_the_limits_that_cameras_state_count() -> None:
             "It shows when the line is armed whether camera cam0 can advance its sequencer per frame.",
         ),
     )
-
-
-def test_what_no_device_has_stated_is_said() -> None:
-    steps = [{"light": "even"}]
-    assert len(check(steps).unchecked) == 1 + CAMERAS
-    lost = replace(healthy(CAMERAS), cameras=(CameraHealth(True, limits=LIMITS), CameraHealth(False)))
-    checked = check(steps, lost)
-    assert checked.usable
-    assert unchecked(checked) == ("The limits of camera cam1 are not known: it is not connected.",)
-
-
-def test_the_lights_of_a_simulated_line_are_those_of_its_scenario() -> None:
-    simulated = {"controller": {}, "simulation": {"scenario": "scenario.toml"}}
-    cameras = [{"name": f"c{n}", "width": 320, "height": 240, "exposure_us": 250.0} for n in range(CAMERAS)]
-    health = Health((CameraHealth(True),) * CAMERAS, "simulated", 0.0, limits=ControllerLimits(("ring",)))
-    checked = check([{"light": "ring"}, {"light": "left"}], health, cameras=cameras, **simulated)
-    assert found(checked) == [(1, "light", None)]
-    assert "must be a light of the scenario, which has 'ring'" in checked.faults[0].message
-    assert (unchecked(checked), [light.name for light in checked.lights]) == ((), ["ring"])
-
-
-def test_without_a_program_the_one_in_force_is_checked_on_the_line_of_the_board_type() -> None:
-    assert [step.light for step in check(None, healthy(CAMERAS)).steps] == ["even", "left"]
-    station = check(None, healthy(CAMERAS), program=[{"light": "left"}])
-    assert (station.origin, [step.light for step in station.steps]) == ("station", ["left"])
-    assert check(None, healthy(CAMERAS)).origin == check([], healthy(CAMERAS)).origin == "cameras"
-    narrow = CameraHealth(True, limits=replace(LIMITS, exposure_us=(300.0, 400.0)))
-    checked = check(None, replace(healthy(CAMERAS), cameras=(narrow, narrow)))
-    assert [(fault.step, fault.camera) for fault in checked.faults] == [(None, 0), (None, 1)]
-    assert "station.toml: cameras.1.exposure_us is 250.0, but must be 300 … 400 µs" in checked.faults[1].message
-    fast = check([{"light": "left"}], healthy(CAMERAS), line={"speed_mm_s": 300.0})
-    assert "line.speed_mm_s is 300.0, but must be 100" in fast.faults[0].message
 
 
 @pytest.mark.parametrize("program", [None, [{"light": "left", "on_us": 60.0}]])

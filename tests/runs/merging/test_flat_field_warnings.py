@@ -7,7 +7,6 @@ from pathlib import Path
 
 from tests.runs.conftest import a_config
 from vaoi_station.config import StationConfig
-from vaoi_station.model import ProgramStep
 from vaoi_station.runs.merging.flat_field_warnings import flat_field_warnings
 
 
@@ -43,20 +42,6 @@ def test_expired_flat_fields_are_warned_of(tmp_path: Path) -> None:
     assert reason.code == "flat-fields-expired"
     assert "are 200 days old and expire after 180" in reason.message
     assert "vaoi flatfield" in reason.action
-
-
-def test_lights_without_a_flat_field_are_warned_of(tmp_path: Path) -> None:
-    """Those of the armed board type, else those of station.toml."""
-    config = with_fields(a_config(tmp_path), tmp_path, days=1, lights=("even", "left"))
-    assert flat_field_warnings(config) == ()
-    assert flat_field_warnings(config, ("even", "left")) == ()
-    (reason,) = flat_field_warnings(config, ("even", "right"))
-    assert reason.code == "flat-fields-unfit"
-    assert "have no field for the light 'right'; there are 2: 'even', 'left'" in reason.message
-    programmed = config.model_copy(update={"program": (ProgramStep(light="top"),)})
-    (reason,) = flat_field_warnings(programmed)
-    assert "the light 'top'" in reason.message
-    assert flat_field_warnings(programmed, ("left",)) == ()
 
 
 def test_absent_flat_fields_and_those_of_another_array_are_warned_of(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from tests.api.held_station import BOARD, CAMERAS, HeldStation
 from tests.photometry.white_recordings import film, white
 from tests.runs.merging.finished_board import RADIANCE, Merging
-from vaoi_station.errors import GoneError, InputError, NotFoundError
+from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model import BoardType
 from vaoi_station.photometry.flat_fields import write_flat_fields
 from vaoi_station.photometry.measurement import measure_flat_fields
@@ -79,21 +79,6 @@ def test_a_region_has_its_bodies_in_the_planes_of_their_tops(merging: Merging) -
     assert merging.jobs[1].bodies == ()
 
 
-def test_heights_that_were_measured_give_the_planes(merging: Merging) -> None:
-    """In place of those of the board type, of a component as of the bodies in a region."""
-    board_type = merging.finished.board_type
-    (u1, *others) = board_type.components
-    solid = u1.model_copy(update={"body_height": 1.5})
-    merging.finished.board_type = board_type.model_copy(update={"components": (solid, *others)})
-    merging.heights = {"U1": (0.75, 0.02)}
-    assert merging.access.pictures("r1", MergeRequest("U1"))[-1].plane_height_mm == 0.75
-    low, high = (of(board_type.footprint(u1), 0) for of in (np.min, np.max))
-    merging.access.image("r1", MergeRequest(region=(*low.tolist(), *high.tolist()), px_per_mm=4), None, "npy")
-    assert [body.body.height_mm for body in merging.jobs[-1].bodies] == [0.75]
-    merging.heights = None
-    assert merging.access.pictures("r1", MergeRequest("U1"))[-1].plane_height_mm == 1.5
-
-
 @pytest.mark.parametrize(
     ("wanted", "error", "message"),
     [
@@ -108,23 +93,6 @@ def test_heights_that_were_measured_give_the_planes(merging: Merging) -> None:
 def test_what_cannot_be_merged_is_refused(merging: Merging, wanted: MergeRequest, error: Any, message: str) -> None:
     with pytest.raises(error, match=message):
         merging.access.pictures("r1", wanted)
-
-
-def test_images_that_do_not_exist_are_refused(merging: Merging) -> None:
-    with pytest.raises(NotFoundError, match="merged pictures, numbered from 0; there is no 99"):
-        merging.access.image("r1", MergeRequest("U1"), 99, "npy")
-    with pytest.raises(InputError, match="format is 'png', but must be npy or tiff for a sigma"):
-        merging.access.image("r1", MergeRequest("U1"), None, "png", sigma=True)
-    merging.gone = True
-    with pytest.raises(GoneError):
-        merging.access.image("r1", MergeRequest("U1"), None, "npy")
-
-
-def test_a_frame_without_a_known_exposure_is_refused(merging: Merging) -> None:
-    frames = [f.model_copy(update={"exposure_us": None}) for f in merging.finished.detail.frames]
-    merging.finished.detail.frames = tuple(frames)
-    with pytest.raises(InputError, match=r"exposure of camera \d, row \d is unknown"):
-        merging.access.pictures("r1", MergeRequest("U1"))
 
 
 def test_flat_fields_of_another_array_are_refused(tmp_path: Path) -> None:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.api.held_station import BOARD, HeldStation
 from tests.runs.merging.finished_board import RADIANCE, Merging, even_fields
-from vaoi_station.errors import GoneError, InternalError
+from vaoi_station.errors import GoneError
 from vaoi_station.files.images import write_image
 from vaoi_station.model import BoardType
-from vaoi_station.runs.merging.merged_pictures import MergeRequest, RowBrightness
-from vaoi_station.runs.workers.jobs import PictureJob
+from vaoi_station.runs.merging.merged_pictures import MergeRequest
 
 WANTED = MergeRequest(region=(5, 5, 45, 35), px_per_mm=2)
 
@@ -48,16 +46,6 @@ def test_rows_that_flicker_are_equally_bright(merging: Merging) -> None:
     assert len(job.frames) == sum(f.usable for f in merging.finished.detail.frames)
 
 
-def test_levels_belong_to_the_flat_fields_they_were_made_with(merging: Merging, tmp_path: Path) -> None:
-    merging.access.image("r1", WANTED, None, "npy")
-    merging.access.image("r1", WANTED, None, "npy")
-    assert len(merging.compared) == 1
-    document = tmp_path / "fields" / "flatfield.json"
-    document.write_bytes(document.read_bytes() + b" ")
-    merging.access.image("r1", WANTED, None, "npy")
-    assert len(merging.compared) == 2
-
-
 def test_frames_of_a_recording_are_compared_by_their_files(
     merging: Merging, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -74,18 +62,3 @@ def test_frames_of_a_recording_are_compared_by_their_files(
     (job,) = merging.compared
     assert job.recorded
     assert {frame.file for frame in job.frames} == {tmp_path / f"{f.camera * rows + f.row}.png" for f in job.frames}
-
-
-def test_rows_of_a_failed_comparison_count_as_equal_and_are_not_compared_again(
-    merging: Merging, tmp_path: Path
-) -> None:
-    asked: list[str] = []
-
-    def render(job: PictureJob, name: str) -> Any:
-        asked.append(name)
-        raise InternalError("given up after 2 attempts")
-
-    brightness = RowBrightness(merging._lease, merging._recorded, render, tmp_path / "fields")
-    for _ in range(2):
-        np.testing.assert_array_equal(brightness.levels(merging.finished), np.ones(len(merging.levels)))
-    assert len(asked) == 1

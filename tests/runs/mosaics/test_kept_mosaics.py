@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +13,7 @@ import pytest
 from tests.mosaic.conftest import Filmed, board, film
 from tests.runs.mosaics.test_mosaics import mosaics_of
 from vaoi_station.config import KeepConfig
-from vaoi_station.errors import GoneError, NotFoundError
+from vaoi_station.errors import GoneError
 from vaoi_station.runs.mosaics import kept_mosaics
 from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
 from vaoi_station.runs.workers.jobs import Priority
@@ -87,25 +86,6 @@ def test_the_picture_shows_the_board_as_the_mosaic_does(station: Station, monkey
     assert (again.runs, again.size_bytes) == (1, len(content))
 
 
-def test_nothing_is_sent_while_a_board_is_under_way(station: Station, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_mosaics, "_LOOK_S", 0.0)
-    station.boards = 3
-    sent: list[int] = []
-    spare: Callable[..., Any] = station.kept._spare
-    with spare("r1", "test"):
-        sent.append(station.boards)
-    assert sent == [-1]
-
-
-def test_frames_that_are_needed_before_leave_no_picture_and_no_fault(station: Station) -> None:
-    station.gone.add("r1")
-    station.make("r1")
-    assert station.kept.grid("r1") is None
-    with pytest.raises(NotFoundError, match="No picture of the whole board of run r1"):
-        station.kept.content("r1")
-    assert station.events == []
-
-
 def test_the_oldest_makes_room_and_pinned_runs_stay(board: Filmed, tmp_path: Path) -> None:
     first = Station(board, tmp_path)
     first.make("r1")
@@ -115,13 +95,6 @@ def test_the_oldest_makes_room_and_pinned_runs_stay(board: Filmed, tmp_path: Pat
     station.make("r1", "r2", "r3")
     assert [run for run in ("r1", "r2", "r3") if station.kept.grid(run)] == ["r1", "r3"]
     assert len(list(station.directory.glob("*.jpg"))) == 2
-
-
-def test_a_forgotten_run_takes_its_picture_with_it(station: Station) -> None:
-    station.make("r1", "r2")
-    station.forgotten.add("r1")
-    station.kept.tend()
-    assert (station.kept.grid("r1"), station.kept.runs) == (None, 1)
 
 
 def test_a_full_disk_is_reported(station: Station) -> None:

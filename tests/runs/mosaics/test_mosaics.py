@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import threading
 from collections.abc import Callable, Iterator
@@ -14,23 +13,20 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import tifffile
 from numpy.typing import NDArray
 
-from tests.mosaic.conftest import DARK, SIZE, Film, Filmed, board, film
+from tests.mosaic.conftest import Film, Filmed, board, film
 from tests.runs.finished import held_run
 from tests.runs.mosaics.test_opened_mosaics import means
-from vaoi_station.errors import BusyError, DeviceError, GoneError, InputError
+from vaoi_station.errors import BusyError, DeviceError, GoneError
 from vaoi_station.model import CameraHead, FrameRecord, Verdict
 from vaoi_station.model.stitch_result import Heights
 from vaoi_station.mosaic import MosaicPlan, TileRenderer
 from vaoi_station.mosaic.tiles import render_tile
-from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
 from vaoi_station.runs.mosaics.mosaics import Download, Mosaics
-from vaoi_station.runs.mosaics.opened_mosaics import PictureName, parse_name
+from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 from vaoi_station.runs.workers import picture_jobs
-from vaoi_station.runs.workers.jobs import Priority
-from vaoi_station.runs.workers.picture_jobs import PlanJob, PlannedPicture, TileJob
+from vaoi_station.runs.workers.picture_jobs import PlanJob, TileJob
 
 __all__ = ["board", "film"]
 
@@ -100,27 +96,6 @@ def test_lights_and_exposures_have_mosaics(film: Film) -> None:
     ]
 
 
-def test_every_mosaic_that_is_listed_can_be_opened(film: Film) -> None:
-    """By its name: exposures are the product of a ratio, and lights have the names that people give them."""
-    exposures = 333.3333, 250 * 0.06, 15.0, 1234.5678
-    mosaics = mosaics_of(film(exposures=exposures, lights=("top, left/right", "50%")), [])
-    listed = mosaics.names("r1")
-    assert len(set(map(str, listed))) == len(listed)
-    for name in listed:
-        mosaics.grid("r1", parse_name(str(name)))
-
-
-def test_new_flat_fields_make_new_plans(board: Filmed, tmp_path: Path) -> None:
-    jobs: list[Any] = []
-    mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras)))
-    first, again = (planned(mosaics) for _ in range(2))
-    assert first is again
-    document = tmp_path / "flatfield.json"
-    os.utime(document, ns=(0, document.stat().st_mtime_ns + 10**9))
-    assert planned(mosaics) is not first
-    assert sum(isinstance(job, PlanJob) for job in jobs) == 2
-
-
 def test_a_tile_is_rendered_without_a_worker_where_this_process_can(
     board: Filmed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -150,43 +125,6 @@ def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
         caller.join(60)
     assert len(set(contents)) == 1
     assert sum(isinstance(job, PlanJob) for job in jobs) == 1
-
-
-def test_file_has_the_region_in_the_colours_of_the_frames(film: Film, tmp_path: Path) -> None:
-    mosaics = mosaics_of(film(channels=3), [])
-    mosaics.write("r1", PictureName(), Download((5.0, 5.0, 25.0, 15.0), 10.0), tmp_path / "m.tif")
-    assert tifffile.imread(tmp_path / "m.tif").shape == (100, 200, 3)
-
-
-def test_region_that_no_frame_shows_is_refused(board: Filmed, tmp_path: Path) -> None:
-    nothing = Filmed(board.board_type, board.stitch, board.cameras, {}, board.taken)
-    mosaics = mosaics_of(nothing, [])
-    plan = PlannedPicture(_plan(board), 1, None)
-    mosaics._render = lambda job, name: plan if isinstance(job, PlanJob) else None
-    with pytest.raises(InputError, match="no frame of run r1 shows any of this region"):
-        mosaics.write("r1", PictureName(), Download(None, 2.0), tmp_path / "m.tif")
-    assert list(tmp_path.iterdir()) == []
-
-
-def write_fields(folder: Path, cameras: int) -> Path:
-    """Write flat fields of an array: those of odd cameras are brighter by a half."""
-    width, height = SIZE
-    camera = {"width": width, "height": height, "dark": DARK, "read": 1.0, "shot": 0.02}
-    heads = [{"camera": i, "file": f"fields/c{i}.tiff", "level": 1.0, "rows": 8} for i in range(cameras)]
-    document = {"format": "vaoi-flatfield", "version": 1, "cameras": [camera] * cameras, "fields": heads}
-    maps: dict[tuple[int, str | None], Any] = {}
-    for i in range(cameras):
-        maps[i, None] = np.full((height, width), 1.0 + i % 2 / 2, np.float32)
-    write_flat_fields(folder, FlatFields(FlatFieldDocument.model_validate(document), maps))
-    return folder
-
-
-def test_flat_fields_of_another_array_are_refused_before_a_job(board: Filmed, tmp_path: Path) -> None:
-    jobs: list[Any] = []
-    mosaics = mosaics_of(board, jobs, flat_fields=write_fields(tmp_path, len(board.cameras) + 1))
-    with pytest.raises(InputError, match="are of an array of 3 cameras, but 2 cameras were filming"):
-        mosaics.tile("r1", PictureName(), 1, (0, 0, 64, 64), "png")
-    assert jobs == []
 
 
 def _plan(board: Filmed) -> Any:
@@ -266,14 +204,6 @@ def test_reduced_tiles_are_cut_from_the_overview(
     differ, rendered_differ = (np.abs(picture[:-1, :-1] / unit - truth) for picture in (cut, rendered))
     assert np.median(differ) <= 1
     assert np.percentile(differ, 95) <= max(1.1 * np.percentile(rendered_differ, 95), 1)
-
-
-def test_the_plan_in_spare_time_is_that_of_the_tiles(board: Filmed) -> None:
-    jobs: list[Any] = []
-    mosaics = mosaics_of(board, jobs)
-    mosaics.small("r1", 20_000, spare)
-    mosaics.tile("r1", PictureName(), 1, (0, 0, 16, 16), "jpg")
-    assert [job.priority for job in jobs if isinstance(job, PlanJob)] == [Priority.OVERVIEW]
 
 
 def test_an_overview_is_not_shown_when_the_frames_are_gone(board: Filmed) -> None:

@@ -9,16 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vaoi_station.errors import NotFoundError
 from vaoi_station.runs.mosaics.opened_mosaics import (
     MOST_BYTES,
     OpenedMosaic,
     OpenedMosaics,
     Overview,
-    PictureName,
     PlannedMosaic,
     halved,
-    parse_name,
 )
 
 
@@ -83,32 +80,3 @@ def test_each_level_is_the_half_of_the_one_before(shape: tuple[int, ...]) -> Non
         np.testing.assert_array_equal(level, expected)
     assert overview.nbytes < pixels.size * 1.35
     np.testing.assert_array_equal(overview.cut(4, (10, 20, 30, 25)), halved(pixels)[20:25, 10:30])
-
-
-def test_a_board_that_no_frame_shows_is_black() -> None:
-    overview = Overview(None, 4)
-    assert (overview.level(4), overview.nbytes) == (None, 0)
-    assert not overview.cut(4, (0, 0, 100, 75)).any()
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        PictureName(),
-        PictureName("a b=c", 250.0),
-        PictureName("x", hdr=True),
-        PictureName(None, 1234.5678),
-        PictureName("a,b/c", 12345.67),
-        PictureName("x=hdr,y"),
-        PictureName("50%2C~2C\n"),
-    ],
-)
-def test_names_are_read_as_they_are_written(name: PictureName) -> None:
-    assert parse_name(str(name)) == name
-    assert not set(str(name)) & set("/\n"), "an address has them elsewhere, or cannot have them"
-
-
-@pytest.mark.parametrize("text", ["", "bard", "board,light=", "board,hdr,hdr", "board,exposure=-1", "board,exposure=x"])
-def test_other_names_are_refused(text: str) -> None:
-    with pytest.raises(NotFoundError, match="there is no mosaic"):
-        parse_name(text)

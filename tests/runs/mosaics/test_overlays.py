@@ -26,16 +26,6 @@ def finished(board: Filmed, **quality: Any) -> Any:
     )  # fmt: skip
 
 
-def test_frames_of_a_row_stand_beside_each_other_and_cover_the_board(board: Filmed) -> None:
-    found = overlay_of(finished(board))
-    corners = np.array([f.corners for f in found.frames]).reshape(-1, 2)
-    low, high = board.board_type.extent()
-    assert (corners.min(0) <= low + 1e-6).any()
-    assert len(found.frames) == len(board.taken)
-    assert (corners.max(0) >= high - (high - low) / 2).all()
-    assert {f.sigma_px for f in found.frames} == {None}, "a result of an older version"
-
-
 def test_places_of_links_go_through_the_inverse_of_c(board: Filmed) -> None:
     cad = np.array(board.board_type.extent()).mean(0)
     matrix = np.array(board.stitch.cad_matrix)

@@ -12,15 +12,14 @@ import pytest
 from tests.runs.conftest import a_head
 from vaoi_station.acquisition.pairing.proof import CameraProof, Kind, TriggerFinding, TriggerProof
 from vaoi_station.acquisition.pairing.run_record import Interruption
-from vaoi_station.acquisition.process.messages import BoardMissed, MissedPassage, RunFinished
+from vaoi_station.acquisition.process.messages import BoardMissed, RunFinished
 from vaoi_station.config import StationConfig
 from vaoi_station.line_config import ExpectedBoard, Line
-from vaoi_station.model import BoardType, CameraHead, RecordingHead, Status, Stitch
-from vaoi_station.runs.run.boards import BoardAccount, TriggerWatch, limit_of, measure_passage, way_by_encoder
+from vaoi_station.model import CameraHead, RecordingHead, Status, Stitch
+from vaoi_station.runs.run.boards import BoardAccount, TriggerWatch, measure_passage, way_by_encoder
 from vaoi_station.runs.run.order import Orders
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of
-from vaoi_station.runs.workers.jobs import Concluded
 from vaoi_station.runs.workers.run_stitcher import RunStitcher
 
 LIMIT_MM = 65.5
@@ -69,16 +68,6 @@ def stitch(*ways_mm: float, turned: bool = False) -> Stitch:
         row_motion=tuple(np.array([[1, 0, 0], [0, 1, way], [0, 0, 1.0]]) for way in ways_mm),
         status=Status.OK,
     )
-
-
-def test_the_limit_is_the_side_along_the_motion_and_the_longer_one_while_it_is_unknown(board_type: BoardType) -> None:
-    """The board has 40 mm × 30 mm."""
-    assert limit_of(board_type, line(), None) == pytest.approx(30 * 1.1 + 5), "the rotation is the expected one"
-    turned = ExpectedBoard.model_validate({"rotation_deg": 90})
-    assert limit_of(board_type, line(expected_board=turned), None) == pytest.approx(40 * 1.1 + 5)
-    assert limit_of(board_type, line(), stitch(0.0)) == pytest.approx(30 * 1.1 + 5)
-    assert limit_of(board_type, line(), stitch(0.0, turned=True)) == pytest.approx(40 * 1.1 + 5)
-    assert limit_of(board_type, line(carrier_mm=100.0), None) == pytest.approx(115)
 
 
 def test_the_encoder_gives_the_way_of_a_belt_that_stops() -> None:
@@ -181,17 +170,6 @@ def test_a_board_that_passed_before_does_not_lose_its_id(books: Books) -> None:
     assert books.account.missed == 1
 
 
-def test_a_missed_board_on_a_belt_that_stood_is_one_board_by_the_encoder(books: Books) -> None:
-    """By the nominal speed it would be many boards long."""
-    stood = ((0.0, 30.0),)
-    books.account.passage_missed(MissedPassage(49.0, stood, ((0.0, 30.0),)), 79.9)
-    assert books.account.missed == 0
-    books.account.passage_missed(MissedPassage(49.0, ((0.0, 0.1), (0.2, 0.3)), ((0.0, 30.0), (60.0, 90.0))), 49.9)
-    assert books.account.missed == 1, "the belt was fast"
-    books.account.passage_missed(MissedPassage(49.0, stood), 79.9)
-    assert books.account.missed > 2
-
-
 def test_while_the_barrier_is_not_watched_ids_become_uncertain(books: Books) -> None:
     books.account.unwatched(45.0, "the controller did not report all boards for a time")
     books.finish(((0.0, 0.3),))
@@ -221,33 +199,6 @@ def test_a_run_with_the_most_rows_is_not_as_planned(
     assert (books.orders.present_doubt is not None) == (interruptions[-1][1] is None), "another board may have followed"
 
 
-def test_the_measured_motion_decides_when_the_belt_was_slow(
-    books: Books, make_stitch: Callable[..., Stitch], make_head: Callable[[int], RecordingHead]
-) -> None:
-    """In 0.7 s the belt moved 30 mm, not 70."""
-    whole = make_stitch(make_head(8))
-    slow = tuple(m * [[1, 1, 1], [1, 1, 0.4], [1, 1, 1]] for m in whole.row_motion)
-    books.progress.result = Concluded(whole.model_copy(update={"row_motion": slow}), "{}")
-    books.finish(((0.0, 0.7),), rows=8)
-    assert books.codes() == []
-    books.progress.result = Concluded(whole, "{}")
-    books.finish(((0.0, 0.7),), rows=8)
-    assert "boards-too-close" in books.codes()
-
-
-def test_by_the_encoder_a_belt_that_stood_still_makes_no_second_board(books: Books) -> None:
-    """The barrier was interrupted for 5.3 s, in which the belt moved 30 mm and stood for 5 s."""
-    whole = books.make_head
-    times_s = (0.0, 0.1, 5.2, 5.3)
-    books.make_head = lambda rows: whole(rows).model_copy(
-        update={"trigger_times_s": times_s, "belt_mm": (0.0, 10.0, 20.0, 30.0)}
-    )
-    books.finish(((0.0, 5.3),), rows=4)
-    assert books.codes() == []
-    books.finish(((0.0, 0.1), (5.2, 5.3)), rows=4)
-    assert books.codes() == []
-
-
 def finished(run: str, *findings: tuple[int, Kind], frames: int = 3) -> RunFinished:
     found = tuple(TriggerFinding(camera=c, row=None, kind=k, text="its reason") for c, k in findings)
     figures = {"pulses": 3, "frames": frames, "extra": 0, "max_residual_us": 1.0, "latency_us": 7.0}
@@ -265,11 +216,3 @@ def test_a_doubt_is_a_warning_with_camera_run_and_action_until_a_run_without_it(
     assert not ended
     assert watch.add(finished("r2")) == ([], ["camera left"])
     assert watch.warnings() == ()
-
-
-def test_a_missing_frame_is_no_doubt_and_no_frame_ends_none() -> None:
-    watch = TriggerWatch(["left", "right"])
-    assert watch.add(finished("r1", (0, "ignored-trigger"))) == ([], [])
-    watch.add(finished("r2", (0, "extra-frame")))
-    watch.add(finished("r3", frames=0))
-    assert [r.code for r in watch.warnings()] == ["trigger-extra-frame"]

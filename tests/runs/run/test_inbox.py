@@ -9,7 +9,7 @@ from concurrent.futures import Future
 
 import pytest
 
-from vaoi_station.errors import InternalError, NotFoundError, StateError
+from vaoi_station.errors import InternalError, StateError
 from vaoi_station.runs.run.inbox import Inbox
 
 
@@ -21,30 +21,12 @@ def inbox() -> Iterator[Inbox]:
     made.close()
 
 
-def test_answers_come_from_one_thread(inbox: Inbox) -> None:
-    names = {inbox.ask(lambda: threading.current_thread().name) for _ in range(3)}
-    assert names == {"coordinator"}
-
-
-def test_refusals_reach_the_caller(inbox: Inbox) -> None:
-    def refuse() -> None:
-        raise NotFoundError("no such thing")
-
-    with pytest.raises(NotFoundError, match="no such thing"):
-        inbox.ask(refuse)
-
-
 def test_internal_faults_are_raised_and_do_not_end_the_thread(inbox: Inbox, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR), pytest.raises(InternalError, match="ZeroDivisionError"):
         inbox.ask(lambda: 1 / 0)
     inbox.post(lambda: 1 / 0)
     assert inbox.ask(lambda: "alive") == "alive"
     assert caplog.text.count("ZeroDivisionError") >= 1
-
-
-def test_an_answer_that_does_not_come_in_time(inbox: Inbox) -> None:
-    with pytest.raises(TimeoutError):
-        inbox.wait(Future(), lambda: None, 0.01)
 
 
 def test_after_close_requests_are_refused(inbox: Inbox) -> None:

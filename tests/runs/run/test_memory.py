@@ -14,7 +14,7 @@ from tests.runs.doubles import CountingRing
 from vaoi_station.acquisition.process.messages import Command, Disarm, Grant, Shutdown
 from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
 from vaoi_station.errors import BusyError, GoneError
-from vaoi_station.runs.run.memory import MAX_HOLDERS, OWN, BayGrants, Memory
+from vaoi_station.runs.run.memory import BayGrants, Memory
 
 
 class Clock:
@@ -64,36 +64,6 @@ def test_a_run_is_not_evicted_before_it_was_announced_and_its_time_has_passed() 
         memory.grant("r3")
     memory.keep("r2", clock.now_s)
     assert memory.grant("r3").evicted == "r2"
-
-
-def test_pictures_that_are_being_made_keep_no_board_waiting() -> None:
-    """A caller that may only read could stop the line with them."""
-    memory = memory_of(3)
-    for run in ("r1", "r2", "r3"):
-        finish(memory, run)
-    memory.lease("r1", f"{OWN}1", "image U1/0")
-    memory.lease("r2", f"{OWN}2", "image U1/0")
-    memory.lease("r2", "tester", "probing")
-    assert memory.grant("r4").evicted == "r3", "a run that is not read goes first"
-    assert memory.grant("r5").evicted == "r1"
-    assert [lease.run for lease in memory.leases()] == ["r2", "r2"], "those of an evicted run end"
-    assert memory.held()
-    with pytest.raises(BusyError, match=r"r2 is held by tester \(probing\)"):
-        memory.grant("r6")
-
-
-def test_holds_that_leave_memory_for_fewer_than_two_boards_are_a_warning() -> None:
-    memory = memory_of(3)
-    for run in ("r1", "r2"):
-        finish(memory, run)
-        assert memory.warning() is None
-        memory.lease(run, "tester", "AOI")
-    warning = memory.warning()
-    assert warning is not None
-    assert warning.code == "memory-short"
-    assert "one further board at a time: run r1 is held by tester (AOI); run r2 is held by tester" in warning.message
-    memory.end_lease("r1", "tester")
-    assert memory.warning() is None
 
 
 class Line(RuleBasedStateMachine):
@@ -171,20 +141,6 @@ def test_a_lease_is_renewed_by_its_holder_and_ends_with_its_time() -> None:
     assert (memory.leases(), memory.remaining_s(lease)) == ((), 0.0)
     assert memory.expire() == (lease,)
     assert memory.expire() == ()
-
-
-def test_the_number_of_holders_of_a_run_is_limited() -> None:
-    memory = memory_of(1)
-    for k in range(MAX_HOLDERS):
-        memory.lease("r1", f"tester {k}", "")
-    memory.lease("r1", "tester 3", "again")
-    with pytest.raises(BusyError, match="has 32 holders, which is the limit: tester 0") as refused:
-        memory.lease("r1", "one more", "")
-    assert refused.value.code == "too-many-holders"
-    memory.lease("r1", f"{OWN}1", "the station's own are not counted")
-    memory.lease("r2", "one more", "")
-    memory.end_lease("r1", "tester 0")
-    memory.lease("r1", "one more", "")
 
 
 PATIENCE_S = 60.0

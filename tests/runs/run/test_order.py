@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import pickle
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InputError, NotFoundError, StateError
+from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model import BoardType, Calibration, Visibility
 from vaoi_station.runs.run.order import Order, OrderFactory, Orders, StandingOrder
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.reference_store import ReferenceStore
-from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.store import Store
 
 
@@ -69,12 +66,6 @@ def test_a_board_that_waits_longer_than_orders_are_kept_has_no_certain_id(orders
     assert orders.doubt_of(39.0, 45.0) is None
 
 
-def test_a_board_type_with_one_fiducial_is_not_armed(desk: OrderFactory, board_type: BoardType) -> None:
-    """A file in the directory of board types may be older than this rule."""
-    with pytest.raises(InputError, match="has 1 fiducial, but must have at least 2"):
-        desk(board_type.model_copy(update={"fiducials": board_type.fiducials[:1]}), None, None)
-
-
 def test_a_board_type_brings_its_lights_and_its_speed(
     config: StationConfig, calibration: Calibration, store: Store, board_type: BoardType
 ) -> None:
@@ -95,31 +86,6 @@ def test_a_board_type_brings_its_lights_and_its_speed(
         desk(fast, None, None)
 
 
-def test_a_draft_is_armed_with_a_warning_and_a_retired_board_type_is_not(
-    desk: OrderFactory, board_type: BoardType, progress: Progress
-) -> None:
-    draft = desk(board_type.model_copy(update={"state": "draft", "revision": "B"}), "b", None)
-    assert [note.code for note in draft.notes] == ["board-type-draft"]
-    progress.order = draft
-    made = detail_of(progress).made_with
-    assert made is not None
-    assert (made.board_type_revision, made.board_type_state) == ("B", "draft")
-    approved = desk(board_type.model_copy(update={"state": "approved"}), "b", None)
-    assert (approved.notes, approved.draft) == ((), None)
-    with pytest.raises(StateError, match="is retired"):
-        desk(board_type.model_copy(update={"state": "retired"}), "b", None)
-
-
-def test_an_order_is_ready_to_be_sent_to_the_workers(desk: OrderFactory, board_type: BoardType) -> None:
-    parts = [board_type.components[0].model_copy(update={"ref": f"R{n}"}) for n in range(3000)]
-    order = desk(board_type.model_copy(update={"components": tuple(parts)}), "b", None)
-    began_s = time.thread_time()
-    pickle.dumps(order.setup)
-    sent_s = time.thread_time()
-    pickle.dumps(order.board_type)
-    assert sent_s - began_s < (time.thread_time() - sent_s) / 5, "what takes long was done when the line was armed"
-
-
 @pytest.fixture
 def order(progress: Progress) -> Order:
     return replace(progress.order, board_id="b 1", job_id="j 1", despite_lost_cameras=True)
@@ -134,19 +100,6 @@ def make(order: Order) -> Callable[[BoardType, str | None, str | None], Order]:
 
 def settle(store: Store) -> None:
     store.database.write(lambda _: None).result(10)
-
-
-def test_an_order_is_taken_up_as_it_was(store: Store, order: Order, make: Callable[..., Order]) -> None:
-    standing = StandingOrder(store.standing)
-    assert standing.resume(lambda _: order.board_type, make) is None
-    standing.keep(order, 4)
-    settle(store)
-    resumed = StandingOrder(store.standing).resume(lambda _: order.board_type, make)
-    assert resumed is not None
-    assert (resumed.order, resumed.runs, resumed.fault) == (order, 4, None)
-    standing.keep(None, None)
-    settle(store)
-    assert standing.resume(lambda _: order.board_type, make) is None
 
 
 def test_an_order_that_cannot_be_made_any_more_is_explained(

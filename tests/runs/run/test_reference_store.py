@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, VaoiError
+from vaoi_station.errors import DeviceError
 from vaoi_station.model import BoardType, Calibration
 from vaoi_station.runs.run.reference_store import KEEP, ReferenceStore
 from vaoi_station.runs.states.schemas import ReferenceRecord
@@ -41,16 +41,6 @@ def test_records_are_kept_replaced_and_dropped(references: ReferenceStore) -> No
     for _ in range(2):
         references.drop("small")
     assert references.record("small") is None
-
-
-def test_a_board_type_without_reference_opens_none_and_damaged_files_are_refused(
-    references: ReferenceStore, board_type: BoardType
-) -> None:
-    assert references.open(board_type) is None
-    directory_of(references, "r1")
-    references.keep("small", record_of("r1"))
-    with pytest.raises(VaoiError):
-        references.open(board_type)
 
 
 def test_only_directories_that_nothing_uses_are_removed(references: ReferenceStore) -> None:

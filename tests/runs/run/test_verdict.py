@@ -39,13 +39,6 @@ def test_verdict_is_the_worst_that_result_faults_doubts_and_identity_leave(
     assert decide_verdict(result, (), doubted=doubted, identity=identity).status is status
 
 
-def test_reason_of_the_identity_is_stated_once() -> None:
-    once = decide_verdict(Status.OK, (), identity=of_board(required=True))
-    again = decide_verdict(once.status, once.reasons, identity=of_board(required=True))
-    assert again == once
-    assert once.reasons == (REASON,)
-
-
 def of_result(status: Status, findings: tuple[TriggerFinding, ...], doubts: tuple[str, ...], **result: Any) -> Any:
     """Return what `conclude` reads of a run that has ended."""
     proof = TriggerProof(proven=False, cameras=(), findings=findings) if findings else None
@@ -84,8 +77,3 @@ def test_reasons_of_a_result_state_its_codes() -> None:
     assert of_proof.code == "trigger-extra-frame"
     reason, _ = conclude(of_result(Status.FAILED, (finding,), (), reasons=("too dark",))).reasons
     assert reason.cause == "", "results of older versions have no codes"
-
-
-def test_a_doubt_that_no_finding_states_is_shown() -> None:
-    doubt = "times, exposures and lights of this run contradict each other and are not used"
-    assert [r.message for r in conclude(of_result(Status.DEGRADED, (), (doubt,))).reasons] == [doubt]

@@ -38,12 +38,6 @@ def test_every_state_can_be_reached(table: Table[Any, Any], states: Any) -> None
     assert reachable(table, table.start) == set(states)
 
 
-@pytest.mark.parametrize("state", [s for s in StationState if s is not StationState.STOPPING])
-def test_the_station_can_always_be_stopped_and_nothing_leads_back(state: StationState) -> None:
-    assert STATION.next(state, StationStep.STOP) is StationState.STOPPING
-    assert reachable(STATION, StationState.STOPPING) == {StationState.STOPPING}
-
-
 @pytest.mark.parametrize("state", RunState)
 def test_every_run_comes_to_an_end(state: RunState) -> None:
     assert reachable(RUN, state) & {RunState.RELEASED, RunState.GONE}

@@ -15,12 +15,9 @@ import pytest
 
 from vaoi_station.acquisition.process.messages import Grant
 from vaoi_station.errors import StateError
-from vaoi_station.runs.trends import trends
 from vaoi_station.runs.trends.trends import (
     TrendHistory,
     compare,
-    groups_of_boards,
-    series_of_groups,
 )
 from vaoi_station.store import Store
 from vaoi_station.store.figures import BoardRow, Span
@@ -91,26 +88,6 @@ def test_long_spans_are_thinned(store: Store) -> None:
     assert binned.complete
 
 
-def test_figures_per_hour_go_further_back(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vaoi_station.store.figures._EVERY", 100)
-    history = fill(store, 100, kept=10)
-    assert store.figures.count(YEAR) == 10
-    found = history.trends(Span(YEAR.since, "2026-02-01T00:00:00.000Z"), ["ready_ms"], 100)
-    assert (found.boards, found.bin_s, found.series[0].values[0]) == (100, 43200.0, 11.5)
-    recent = history.trends(Span("2026-01-02T22:00:00.000Z", "2026-02-01T00:00:00.000Z"), (), 100)
-    assert recent.boards == len(recent.runs or ()) == 8
-    monkeypatch.setattr(trends, "MOST_READ", 3)
-    assert history.trends(Span("2026-01-02T22:00:00.000Z", "2026-01-03T00:00:00.000Z"), (), 100).bin_s == 3600
-
-
-def test_an_answer_is_bounded_and_says_so(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    history = fill(store, 40)
-    monkeypatch.setattr(trends, "MOST_MARKS", 2)
-    found = history.trends(YEAR, (), 100)
-    assert [m.after for m in found.marks] == ["3", "4"]
-    assert not found.complete
-
-
 @pytest.mark.parametrize("what", ["boards", "hours", "comparison"])
 def test_memory_does_not_grow_with_the_boards_that_are_read(store: Store, what: str) -> None:
     figures = {f"seam_px:{n}-{n + 1}": n / 8 for n in range(40)}
@@ -136,20 +113,6 @@ def test_memory_does_not_grow_with_the_boards_that_are_read(store: Store, what: 
     assert peak < 2.5e6
 
 
-def test_a_bin_has_the_extremes_of_its_boards_and_names_one() -> None:
-    rows = [
-        BoardRow(f"r{n}", f"2026-01-01T00:{n:02d}:30.000Z", "b", {"seam_px:0-1": float(n % 3), "unknown": 1.0})
-        for n in range(7)
-    ]
-    groups = groups_of_boards(rows, 300)
-    assert [(g.time, g.boards) for g in groups] == [("2026-01-01T00:00:00.000Z", 5), ("2026-01-01T00:05:00.000Z", 2)]
-    (series,) = series_of_groups(groups, ())
-    assert (series.figure, series.part, series.upper) == ("seam_px", "0-1", 0.3)
-    assert (series.values, series.least, series.largest) == ((0.8, 1.0), (0.0, 0.0), (2.0, 2.0))
-    assert series.runs == ("r2", "r5")
-    assert series_of_groups(groups, ["ready_ms"]) == []
-
-
 def boards(count: int, seed: int, **means: float) -> list[BoardRow]:
     random = np.random.default_rng(seed)
     columns = {name: mean + 0.1 * abs(mean) * random.standard_normal(count) for name, mean in means.items()}
@@ -166,13 +129,3 @@ def test_the_largest_change_in_spreads_comes_first() -> None:
     assert [c.worse for c in found[:3]] == [True, None, True]
     assert found[0].change == pytest.approx(1, abs=0.1)
     assert found[0].before.spread == pytest.approx(0.1, rel=0.4)
-
-
-def test_counts_are_compared_by_their_means() -> None:
-    def lost(share: int) -> list[BoardRow]:
-        return [BoardRow(f"r{n}", "", "b", {"lost_frames": float(n % share == 0)}) for n in range(400)]
-
-    (found,) = compare(lost(100), lost(4))
-    assert found.changed
-    assert (found.before.middle, found.now.middle) == (0.01, 0.25)
-    assert not compare(lost(100), lost(90))[0].changed

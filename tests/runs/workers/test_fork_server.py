@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import pytest
 
 from tests.runs.workers.conftest import CHECK, RingBoard
-from tests.runs.workers.served import PATIENCE_S, Served, few_files
+from tests.runs.workers.served import PATIENCE_S, Served
 from vaoi_station.benchmarks.process_usage import cpu_s
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.runs.states.schemas import STARTING
@@ -39,12 +39,6 @@ def ring(ring_board: RingBoard) -> str:
 def receive(pipe: Pipe_) -> Any:
     assert pipe.poll(PATIENCE_S)
     return pipe.recv()
-
-
-def open_files(pid: int) -> set[str]:
-    """Return what a process has open, but for the null device and the test's output."""
-    links = (str(path.readlink()) for path in Path(f"/proc/{pid}/fd").iterdir())
-    return {link for link in links if link.startswith(("socket:", "anon_inode:"))}
 
 
 def evidence_file(pid: int) -> str:
@@ -74,45 +68,6 @@ def test_two_workers_share_their_evidence_and_end_when_asked_or_with_their_pipe(
     pipe.send(None)
     its_pipe.close()
     assert [served.code(process) for process in (finder, owner)] == [0, 0]
-
-
-def test_a_worker_has_its_name_and_one_thread_and_nothing_of_the_server(served: Served, ring: str) -> None:
-    first, its_pipe = served.started(ring, 0)
-    second, pipe = served.started(ring, 1)
-    receive(pipe)
-    folder = Path(f"/proc/{second.pid}")
-    assert (folder / "comm").read_text() == "vaoi-worker-1\n"
-    assert (folder / "cmdline").read_bytes().rstrip(b"\0") == b"vaoi-worker-1"
-    assert len(list((folder / "task").iterdir())) == 1
-    assert not open_files(second.pid) & open_files(served.pid)
-    assert len(open_files(second.pid)) == 1, "its pipe alone"
-    for end in (its_pipe, pipe):
-        end.close()
-    assert (served.code(first), served.code(second)) == (0, 0)
-    assert Path(f"/proc/{served.pid}/comm").read_text() == "vaoi-forkserver\n"
-
-
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGABRT])
-def test_the_signal_that_ended_a_worker_is_its_exit_code(served: Served, ring: str, number: signal.Signals) -> None:
-    process, pipe = served.started(ring)
-    os.kill(process.pid, number)
-    assert served.code(process) == -number
-    pipe.close()
-    assert not Path(f"/proc/{process.pid}").exists(), "the fork server has reaped it"
-
-
-def test_a_worker_that_cannot_be_forked_is_reported(served: Served, ring: str) -> None:
-    """The limits are those of the server: it has no room for the worker's pipe, and then for nothing else."""
-    for room, why in ((0, "the fork server has too many open files"), (1, "Too many open files")):
-        with few_files(served.pid, room):
-            outcome, pipe = served.requested(ring)
-        assert why in str(outcome)
-        with pytest.raises(EOFError):
-            pipe.recv()
-        pipe.close()
-    process, pipe = served.started(ring)
-    pipe.close()
-    assert served.code(process) == 0
 
 
 def test_workers_go_on_when_the_server_dies_and_it_is_replaced(ring: str, ring_board: RingBoard) -> None:

@@ -15,14 +15,12 @@ import pytest
 from tests.runs.workers.conftest import CHECK, RingBoard
 from tests.runs.workers.plant import BoardPlant, Pending, Plant, conclusion, numbers
 from tests.runs.workers.served import few_files
-from vaoi_station.benchmarks.process_usage import cpu_s
 from vaoi_station.drift.checks import RunCheck
-from vaoi_station.errors import BusyError, InternalError, StateError
+from vaoi_station.errors import InternalError, StateError
 from vaoi_station.runs.workers import fork_server_link
 from vaoi_station.runs.workers import pool as module
 from vaoi_station.runs.workers import queues as queues_module
-from vaoi_station.runs.workers.jobs import ConcludeJob, PictureJob, Priority, SteppedJob
-from vaoi_station.runs.workers.queues import MAX_PICTURES
+from vaoi_station.runs.workers.jobs import Priority, SteppedJob
 from vaoi_station.steps import Steps
 
 
@@ -88,18 +86,6 @@ def test_a_new_owner_concludes_from_the_evidence_of_all(plant: Plant, make_head:
     assert numbers(plant.submit(whole).get()) == gathered
 
 
-def test_a_check_whose_worker_has_died_is_refused(board_plant: BoardPlant, ring_board: RingBoard) -> None:
-    board_plant.link_all([ring_board.link(task) for task in ring_board.tasks])
-    pid = board_plant.pid(1)
-    board_plant.on_reply = lambda job: os.kill(pid, signal.SIGKILL) if isinstance(job, ConcludeJob) else None
-    board_plant.submit(ring_board.conclusion()).get()
-    board_plant.until(lambda: len(board_plant.lost) == 1)
-    refused = board_plant.submit(CHECK).get()
-    assert refused.error is not None
-    assert "the worker that concluded the run has ended" in refused.error.message
-    assert board_plant.submit(ring_board.link(ring_board.tasks[0])).get().error is None
-
-
 def test_a_conclusion_whose_worker_dies_is_repeated_by_another(plant: Plant, make_head: Any) -> None:
     plant.all_idle()
     jobs = [plant.link(camera) for camera in (0, 1)]
@@ -137,14 +123,6 @@ class Walk(SteppedJob):
         return os.getpid()
 
 
-@dataclasses.dataclass(frozen=True)
-class Glance(PictureJob):
-    """A picture job whose reply's value is its process."""
-
-    def perform(self, frame: Callable[[int], Any]) -> int:
-        return os.getpid()
-
-
 @pytest.fixture
 def walk(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pending]:
     """A job under way in the first worker: the other one, which concludes, takes no pictures while a run is open."""
@@ -157,14 +135,6 @@ def walk(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pending]:
     yield pending
     plant.ring.frame(0)[0, 0] = 1
     pending.get()
-
-
-def test_a_worker_makes_pictures_between_the_steps_of_a_long_job(plant: Plant, walk: Pending) -> None:
-    glances = [plant.submit(Glance("r1", 0, plant.generation)).get() for _ in range(3)]
-    assert {glance.value for glance in glances} == {plant.pid(0)}
-    assert not walk.answers
-    plant.ring.frame(0)[0, 0] = 1
-    assert walk.get().value == plant.pid(0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,15 +161,6 @@ def test_a_job_in_spare_time_that_a_caller_waits_for_overtakes_others(plant: Pla
     assert not first.answers
     plant.ring.frame(0)[0, 0] = 1
     assert first.get().value == plant.pid(0)
-
-
-def test_a_paused_job_begins_anew_when_its_worker_dies(plant: Plant, walk: Pending) -> None:
-    victim = plant.pid(0)
-    assert plant.submit(Glance("r1", 0, plant.generation)).get().value == victim, "the job has been paused"
-    os.kill(victim, signal.SIGKILL)
-    plant.until(lambda: len(plant.lost) == 1)
-    plant.ring.frame(0)[0, 0] = 1
-    assert walk.get().value != victim
 
 
 def test_the_job_of_a_worker_that_hangs_is_repeated_at_once(plant: Plant) -> None:
@@ -234,21 +195,6 @@ def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(board_plant: BoardPl
     assert [len(p.answers) for p in (result, checked)] == [1, 1], "result and check of the slower worker are dropped"
 
 
-def test_waiting_pictures_are_limited(plant: Plant, make_stitch: Callable[..., Any], make_head: Any) -> None:
-    plant.all_idle()
-    for worker in (0, 1):
-        os.kill(plant.pid(worker), signal.SIGSTOP)
-    try:
-        pending = [plant.submit(plant.picture(make_stitch, make_head(3))) for _ in range(MAX_PICTURES + 1)]
-        refused = plant.submit(plant.picture(make_stitch, make_head(3))).get()
-    finally:
-        for worker in (0, 1):
-            os.kill(plant.pid(worker), signal.SIGCONT)
-    assert isinstance(refused.error, BusyError)
-    assert refused.error.code == "pictures-busy"
-    assert all(p.get().error is None for p in pending)
-
-
 def test_a_worker_that_cannot_be_started_is_tried_again(plant: Plant) -> None:
     plant.all_idle()
     server = plant.pool.fork_server.status().pid
@@ -259,14 +205,6 @@ def test_a_worker_that_cannot_be_started_is_tried_again(plant: Plant) -> None:
         assert "Worker 0 could not be started (the fork server has too many open files)" in plant.lost[1]
     plant.all_idle()
     assert plant.submit(plant.link()).get().error is None
-
-
-def test_a_killed_worker_has_a_successor_that_imports_nothing(plant: Plant) -> None:
-    plant.all_idle()
-    os.kill(plant.pid(0), signal.SIGKILL)
-    plant.until(lambda: len(plant.lost) == 1)
-    plant.all_idle()
-    assert cpu_s(plant.pid(0)) < 0.3, "a start by itself takes seconds"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

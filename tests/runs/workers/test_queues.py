@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -21,20 +19,10 @@ from vaoi_station.runs.workers.jobs import (
     OpenRun,
     Priority,
     RunContext,
-    SteppedJob,
 )
 from vaoi_station.runs.workers.picture_jobs import RenderJob
 from vaoi_station.runs.workers.queues import JobQueues, Queued, Worker
-from vaoi_station.steps import Steps
 from vaoi_station.stitching.matching.evidence import Task
-
-
-@dataclass(frozen=True)
-class LongJob(SteppedJob):
-    """A job in steps, of which none is performed here."""
-
-    def steps(self, frame: Callable[[int], Any]) -> Steps[None]:
-        yield
 
 
 def queued(job: Job, deaths: int = 0) -> Queued:
@@ -73,48 +61,11 @@ def hall(ring_board: RingBoard) -> Hall:
     return Hall(ring_board, 3)
 
 
-def test_each_camera_has_one_worker(hall: Hall) -> None:
-    hall.add(*(hall.link(camera) for camera in (0, 1, 2)))
-    assert [hall.choose(k) for k in (2, 1, 0)] == [hall.link(2), hall.link(1), hall.link(0)]
-
-
-def test_one_waiting_job_is_left_to_its_worker_and_a_second_one_is_not(hall: Hall) -> None:
-    hall.add(hall.link(0, 0))
-    assert hall.choose(1) is None
-    hall.add(hall.link(0, 1))
-    assert hall.choose(1) == hall.link(0, 0)
-
-
-def test_a_conclusion_goes_to_the_worker_with_the_evidence(hall: Hall) -> None:
-    hall.add(hall.board.conclusion())
-    assert hall.choose(0) is None
-    assert isinstance(hall.choose(2), ConcludeJob)
-
-
 @pytest.mark.parametrize("busy_with", ["picture", "check"])
 def test_a_conclusion_does_not_wait_for_a_picture_or_a_check(hall: Hall, busy_with: str) -> None:
     hall.workers[2].jobs = deque([queued(hall.picture() if busy_with == "picture" else CHECK)])
     hall.add(hall.board.conclusion())
     assert isinstance(hall.choose(0), ConcludeJob)
-
-
-def test_links_of_the_next_board_do_not_wait_for_a_check(hall: Hall) -> None:
-    hall.workers[2].jobs = deque([queued(CHECK)])
-    hall.add(hall.link(2, 0))
-    assert hall.queues.next_link(hall.workers[2]) is None
-    assert hall.choose(0) == hall.link(2, 0)
-
-
-def test_a_busy_worker_gets_its_next_link_if_the_run_is_open_there(hall: Hall) -> None:
-    worker = hall.workers[0]
-    worker.jobs.append(queued(hall.link(0)))
-    hall.add(hall.link(0, 1))
-    assert hall.queues.next_link(worker) is None
-    worker.opened.add("r1")
-    found = hall.queues.next_link(worker)
-    assert found is not None
-    assert found.job == hall.link(0, 1)
-    assert hall.queues.next_link(worker) is None
 
 
 def test_closing_a_run_drops_its_links_and_keeps_its_check_and_pictures(hall: Hall) -> None:
@@ -123,14 +74,6 @@ def test_closing_a_run_drops_its_links_and_keeps_its_check_and_pictures(hall: Ha
     hall.queues.forget("r1")
     assert [q.job for q in hall.queues.emptied()] == [hall.link(0, run="r2"), CHECK, hall.picture()]
     assert set(hall.queues.runs) == {"r2"}
-
-
-def test_a_job_of_a_closed_run_is_not_put_back(hall: Hall) -> None:
-    """The worker died after the run was closed: nothing needs the job, and its set-up is gone."""
-    job = hall.link(0, 0)
-    hall.queues.forget(job.run)
-    hall.queues.put_back(queued(job, deaths=1))
-    assert hall.queues.emptied() == []
 
 
 @settings(max_examples=60, deadline=None)
@@ -153,26 +96,6 @@ def test_every_job_is_given_out_exactly_once(
         hall.workers[worker].jobs.clear()
     assert sorted(map(repr, chosen)) == sorted(map(repr, [*jobs, hall.picture()]))
     assert {job.priority for job in chosen} <= {Priority.LINK, Priority.RENDER}
-
-
-def test_the_last_frame_of_a_board_does_not_wait_for_a_large_picture(hall: Hall) -> None:
-    hall.add(hall.picture())
-    assert hall.choose(0) == hall.picture()
-    hall.add(hall.link(0))
-    assert hall.choose(1) == hall.link(0)
-
-
-def test_the_only_sound_worker_renders_too(ring_board: RingBoard) -> None:
-    alone = Hall(ring_board, 2)
-    alone.workers[1].ready = False
-    long = replace(alone.picture(), priority=Priority.HEIGHTS)
-    alone.add(long)
-    assert alone.choose(0) is None, "it takes seconds, and a run is open"
-    alone.add(alone.picture())
-    assert isinstance(alone.choose(0), RenderJob)
-    alone.workers[0].jobs.clear()
-    alone.queues.runs.clear()
-    assert alone.choose(0) is long
 
 
 @settings(max_examples=60, deadline=None)
@@ -216,24 +139,6 @@ def test_a_job_in_spare_time_is_as_urgent_as_pictures_while_a_caller_waits_for_i
     assert chosen == [spare, later, other]
 
 
-def test_spare_time_begins_no_job_while_a_caller_waits(ring_board: RingBoard) -> None:
-    """The second of two workers is to go on with a job of seconds, for which the first one must be free of pictures."""
-    hall = Hall(ring_board, 2)
-    hall.queues.runs.clear()
-    long = LongJob("r1", 0, 1)
-    hall.queues.pause(queued(long), hall.workers[1])
-    spare = [replace(hall.picture(), priority=p) for p in (Priority.HEIGHTS, Priority.OVERVIEW, Priority.IDENTITY)]
-    hall.add(*spare)
-    assert hall.choose(0) is None
-    assert hall.choose(1) == long
-    hall.workers[1].jobs.clear()
-    chosen = []
-    for _ in spare:
-        chosen.append(hall.choose(0))
-        hall.workers[0].jobs.clear()
-    assert chosen == spare[::-1], "codes, then the overview, then heights"
-
-
 def part_of_a_batch() -> BatchJob:
     return BatchJob("r0", 0, 1, b"", (), {})
 
@@ -243,18 +148,6 @@ def test_parts_of_batches_come_after_pictures_and_take_every_worker_while_no_run
     hall.add(part_of_a_batch(), part_of_a_batch(), part_of_a_batch(), hall.picture())
     assert hall.choose(0) == hall.picture()
     assert [hall.choose(k) for k in (1, 2)] == [part_of_a_batch()] * 2
-
-
-def test_a_check_goes_to_the_worker_that_has_concluded_and_leaves_another_one_free(hall: Hall) -> None:
-    hall.queues.concluded("r1", hall.workers[1])
-    hall.add(CHECK, hall.picture())
-    assert [hall.choose(k) for k in (0, 2)] == [None, None], "no picture is begun before it"
-    assert hall.choose(1) == CHECK
-    assert hall.choose(0) == hall.picture()
-    hall.workers[1].jobs.clear()
-    hall.workers[2].jobs.append(queued(hall.picture()))
-    hall.add(CHECK)
-    assert hall.choose(1) is None
 
 
 def test_no_picture_is_begun_beside_a_conclusion_unless_another_worker_is_free(ring_board: RingBoard) -> None:

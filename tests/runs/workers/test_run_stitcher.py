@@ -57,23 +57,6 @@ def stitching(progress: Progress) -> Stitching:
     return Stitching(progress)
 
 
-def test_a_task_is_requested_once_both_of_its_frames_are_there(stitching: Stitching) -> None:
-    stitching.pulse(0, 1)
-    stitching.settle(0, 0)
-    assert all(task.b is None for task in stitching.tasks)
-    stitching.settle(0, 1)
-    assert ("rows", (0, 0), (0, 1)) in [(t.kind, t.a, t.b) for t in stitching.tasks]
-    assert len(stitching.tasks) == len({*stitching.tasks})
-
-
-def test_frames_that_are_not_whole_or_have_no_pulse_are_not_linked(stitching: Stitching) -> None:
-    stitching.settle(0, 0)
-    stitching.pulse(0)
-    stitching.settle(1, 0, Verdict.INCOMPLETE)
-    assert stitching.tasks == []
-    assert stitching.stitcher.present == ((0, 0),)
-
-
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(order=st.permutations(KEYS))
 def test_what_the_result_needs_does_not_depend_on_the_order_of_arrival(
@@ -128,16 +111,3 @@ def test_a_link_that_killed_workers_ends_the_run_without_a_result_and_later_repl
     for job in rest:
         stitching.workers.answer(job)
     assert (stitching.conclusions, len(stitching.answers)) == ([], 1)
-
-
-def test_links_of_rows_that_are_missing_in_the_end_are_not_awaited(stitching: Stitching, make_head: Any) -> None:
-    stitching.pulse(*range(ROWS))
-    for key in KEYS:
-        stitching.settle(*key)
-    stitching.stitcher.film(make_head(2), [frame for frame in stitching.stitcher.frames.values() if frame.row < 2])
-    for job in stitching.workers.of(LinkJob):
-        if any(task.a[1] < 2 for task in job.tasks):
-            stitching.workers.answer(job)
-    [conclusion] = stitching.conclusions
-    left_out = {*stitching.tasks} - {*conclusion.tasks}
-    assert left_out == {task for task in stitching.tasks if 2 in (task.a[1], (task.b or task.a)[1])} != set()

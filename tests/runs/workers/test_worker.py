@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pytest
 
 from tests.rendering.computed import compute_views
@@ -140,18 +138,6 @@ def test_a_check_equals_one_made_offline(runtime: WorkerRuntime, ring_board: Rin
     assert all(camera.links > 0 for camera in checked.cameras)
 
 
-def test_frames_that_were_overwritten_give_no_brightness(
-    runtime: WorkerRuntime, ring_board: RingBoard, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def gone(*_: Any) -> None:
-        raise GoneError("a later run has this memory.")
-
-    only(runtime, ring_board.conclusion())
-    monkeypatch.setattr(module, "measure_lamps", gone)
-    checked = only(runtime, CHECK).value
-    assert (checked.lamps, bool(checked.cameras)) == ((), True)
-
-
 def test_a_job_that_fails_is_an_internal_error_and_one_of_a_later_board_is_gone(
     runtime: WorkerRuntime, ring_board: RingBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,16 +173,3 @@ def test_a_picture_from_a_recording_equals_that_from_the_ring(
     assert only(runtime, kept).value == only(runtime, job).value
     (tmp_path / "frame.tiff").unlink()
     assert isinstance(only(runtime, kept).error, GoneError)
-
-
-def test_a_difference_is_made_from_two_slots(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
-    a, b = render_jobs(runtime, ring_board)[:2]
-    same = dataclasses.replace(a, minus=a)
-
-    def decoded(content: bytes) -> Any:
-        return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-
-    assert (decoded(only(runtime, same).value) == 128).all()
-    pictures = [decoded(only(runtime, job).value).astype(float) for job in (a, b)]
-    halved = decoded(only(runtime, dataclasses.replace(a, minus=b, ratio=0.5)).value)
-    assert np.abs(halved - (128 + (pictures[0] - 0.5 * pictures[1]) / 2)).max() <= 0.5

@@ -17,7 +17,6 @@ from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
 from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
-    Arrival,
     CameraBack,
     CameraEvent,
     CameraExposure,
@@ -176,31 +175,6 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     bench.camera.close()
 
 
-def test_frames_are_reported_by_the_camera_s_clock_and_counted(bench: Bench) -> None:
-    bench.camera.start(bench.events)
-    bench.connection.on_slot(SlotResult(SLOTS[1], True, 65400, 7_500_000_000, 12.0))
-    assert bench.next(Arrival) == Arrival(0, 1, True, 65400, 2.5, 12.0, "")
-    bench.connection.on_slot(SlotResult(SLOTS[2], False, None, None, 13.0, "packets were lost"))
-    assert bench.next(Arrival) == Arrival(0, 2, False, None, None, 13.0, "packets were lost")
-    health = bench.camera.health()
-    assert (health.delivered, health.incomplete, health.last_frame_s) == (1, 1, 12.0)
-    assert health.counters == (("n_losses", 0), ("n_underruns", 3))
-
-
-def test_a_lost_camera_is_reported_with_its_reason_and_opened_again(bench: Bench) -> None:
-    bench.camera.start(bench.events)
-    first = bench.connection
-    lost = bench.lose()
-    assert (lost.camera, lost.why) == (0, "does not report its time")
-    assert lost.since_s <= time.monotonic()
-    back = bench.next(CameraBack)
-    assert back.reading.device_s == 0.0
-    bench.wait(lambda: bench.camera.health().connected)
-    assert first.closed == [True], "without access to the absent camera"
-    assert bench.connection.where == "USB-2", "found by its serial number"
-    assert ("n_losses", 1) in bench.camera.health().counters
-
-
 def test_slots_wait_for_the_camera_in_their_order(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(StandInConnection, "refusal", DeviceError("is absent", code="camera-absent"))
     bench.camera.start(bench.events)
@@ -215,49 +189,12 @@ def test_slots_wait_for_the_camera_in_their_order(bench: Bench, monkeypatch: pyt
     assert bench.connection.stream.queued == SLOTS
 
 
-def test_a_lost_camera_has_a_reason_an_action_and_no_clock(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    refusal = DeviceError("camera c0: refuses its settings.", action="Update its firmware.", code="setting-refused")
-    monkeypatch.setattr(StandInConnection, "refusal", refusal)
-    bench.camera.start(bench.events)
-    bench.lose()
-    bench.wait(lambda: bench.camera.health().message == refusal.message)
-    health = bench.camera.health()
-    assert (health.connected, health.action, health.temperature_c) == (False, "Update its firmware.", None)
-    with pytest.raises(DeviceError, match="refuses its settings"):
-        bench.camera.read_clock()
-    bench.wait(lambda: len(StandInConnection.made) > 2)
-    assert all(connection.closed for connection in StandInConnection.made[:-1]), "refused connections are closed"
-
-
 def test_another_camera_in_its_place_is_not_taken(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(StandInConnection, "serial", "S9")
     bench.camera.start(bench.events)
     bench.lose()
     bench.wait(lambda: "'S9'" in bench.camera.health().message)
     assert not bench.camera.health().connected
-
-
-def test_a_camera_that_another_program_has_taken_is_lost(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Aravis reports it up to a heartbeat later, so the loss is dated back by that."""
-    bench.camera.start(bench.events)
-    taken_s = time.monotonic()
-    bench.connection.controlled = False
-    lost = bench.next(CameraLost)
-    assert lost.error.code == "camera-lost"
-    assert "no longer controlled by this station" in lost.why
-    assert lost.since_s <= taken_s
-    bench.next(CameraBack)
-
-
-def test_exposure_is_set_now_or_when_the_camera_is_back(bench: Bench) -> None:
-    bench.camera.set_exposure(CameraExposure((80.0,), 6.0))
-    assert (bench.connection.config.exposure_us, bench.connection.config.gain_db) == (80.0, 6.0)
-    bench.camera.start(bench.events)
-    bench.lose()
-    bench.camera.set_exposure(CameraExposure((120.0, 60.0), 0.0, by_trigger=True))
-    bench.next(CameraBack)
-    bench.wait(lambda: bench.connection.config.exposure_us == 120.0)
-    assert bench.connection.config.exposure_by == "trigger-width"
 
 
 def test_an_exposure_that_is_set_while_the_camera_is_opened_comes_before_its_slots(
@@ -303,14 +240,6 @@ def test_the_supervisor_does_not_write_an_exposure_that_is_being_written(bench: 
     wait_for_the_supervisor()
     wait_for_the_supervisor()
     assert bench.connection.n_exposures == 1
-
-
-def test_a_refused_exposure_leaves_the_one_before(bench: Bench) -> None:
-    bench.connection.exposure_refusal = DeviceError("camera c0: ignores a setting.")
-    before = bench.camera.config
-    with pytest.raises(DeviceError, match="ignores"):
-        bench.camera.set_exposure(CameraExposure((1.0,), 0.0))
-    assert bench.camera.config == before
 
 
 def test_a_sequence_is_set_now_or_when_the_camera_is_back_and_begins_anew(bench: Bench) -> None:

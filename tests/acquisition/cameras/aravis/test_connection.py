@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from queue import SimpleQueue
-from types import SimpleNamespace
 
 import pytest
 
@@ -15,18 +14,11 @@ from vaoi_station.acquisition.cameras.aravis import network
 from vaoi_station.acquisition.cameras.aravis.connection import (
     Connection,
     PortShare,
-    check_silence,
     find_clock,
 )
 from vaoi_station.acquisition.cameras.aravis.network import FoundCamera
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.errors import DeviceError, InputError
-
-
-def test_the_time_is_latched_before_it_is_read() -> None:
-    camera = StandInCamera()
-    assert find_clock(camera, "camera c0")() == 5_000_000_000
-    assert camera.device.commands == ["TimestampLatch"]
 
 
 @pytest.mark.parametrize(("hertz", "wanted_ns"), [(125_000_000, 8_000), (1_000_000_000, 1_000), (0, 1_000)])
@@ -77,44 +69,6 @@ def test_a_serial_number_must_be_that_of_one_camera(
         connection_module.locate([absent])
 
 
-def library(monkeypatch: pytest.MonkeyPatch, **functions: object) -> None:
-    monkeypatch.setattr(connection_module, "aravis", lambda: SimpleNamespace(**functions))
-
-
-def test_gige_cameras_are_searched_by_our_datagrams_and_usb_cameras_by_aravis(monkeypatch: pytest.MonkeyPatch) -> None:
-    listed = [("GigEVision", "listed twice", "G"), ("USB3Vision", "S3", "USB-1"), ("USB3Vision", None, "USB-2")]
-    library(
-        monkeypatch,
-        update_device_list=lambda: None,
-        get_n_devices=lambda: len(listed),
-        get_device_protocol=lambda k: listed[k][0],
-        get_device_serial_nbr=lambda k: listed[k][1],
-        get_device_id=lambda k: listed[k][2],
-    )
-    monkeypatch.setattr(network, "discover", lambda: (FoundCamera("S1", "10.0.0.1"),))
-    assert connection_module.search() == (FOUND[0], FOUND[2], FoundCamera("", "USB-2"))
-
-
-def test_an_opened_camera_is_controlled_by_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    camera = StandInCamera(is_gige=True)
-    library(monkeypatch, Camera=SimpleNamespace(new=lambda _address: camera))
-    assert connection_module.open_device(camera_config(), "10.0.0.1") is camera
-    camera.device.controlled = False
-    with pytest.raises(DeviceError, match=r"another program controls the camera at 10\.0\.0\.1") as refused:
-        connection_module.open_device(camera_config(), "10.0.0.1")
-    assert refused.value.code == "camera-in-use"
-
-
-def test_a_camera_that_cannot_be_opened_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_address: str) -> None:
-        raise StandInError("Can't connect.")
-
-    library(monkeypatch, Camera=SimpleNamespace(new=fail))
-    with pytest.raises(DeviceError, match=r"there is no camera at 10\.0\.0\.1 \(Can't connect\)") as refused:
-        connection_module.open_device(camera_config(), "10.0.0.1")
-    assert refused.value.code == "camera-absent"
-
-
 RESULTS: SimpleQueue[SlotResult] = SimpleQueue()
 
 
@@ -131,16 +85,6 @@ def connection(camera: StandInCamera) -> Iterator[Connection]:
     connection = Connection(camera_config(), "USB-1")
     yield connection
     connection.close()
-
-
-def test_a_configured_and_started_camera_runs_until_it_is_closed(camera: StandInCamera, connection: Connection) -> None:
-    connection.configure()
-    running = [camera.running]
-    connection.start(RESULTS.put)
-    running.append(camera.running)
-    connection.close()
-    assert [*running, camera.running] == [False, True, False], "settings are locked while it runs"
-    assert connection.counters() == {}
 
 
 def test_a_camera_that_is_gone_is_released_without_access_to_it(camera: StandInCamera, connection: Connection) -> None:
@@ -172,29 +116,6 @@ def test_frames_of_another_size_than_the_slots_are_refused(camera: StandInCamera
     assert refused.value.code == "frame-size"
 
 
-def test_a_clock_that_fails_names_the_camera(camera: StandInCamera, connection: Connection) -> None:
-    assert connection.read_clock(1_000_000_000).device_s == 4.0
-    camera.device.refused.add("TimestampLatch")
-    with pytest.raises(DeviceError, match=r"camera c0: does not report its time \(TimestampLatch is locked\)") as lost:
-        connection.read_clock(0)
-    assert lost.value.code == "camera-lost"
-
-
-def test_a_temperature_is_read_where_there_is_a_thermometer(camera: StandInCamera, connection: Connection) -> None:
-    assert connection.temperature_c() is None
-    camera.device.features["DeviceTemperature"] = 41.5
-    second = Connection(camera_config(), "USB-1")
-    assert second.temperature_c() == 41.5
-    second.close()
-
-
-def test_an_old_aravis_is_warned_of_with_usb(connection: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection_module, "version", lambda: (0, 8, 26))
-    assert connection.warning() == "Aravis 0.8.26 is unreliable with USB3."
-    monkeypatch.setattr(connection_module, "version", lambda: (0, 8, 30))
-    assert connection.warning() == ""
-
-
 @pytest.fixture
 def gige(camera: StandInCamera, monkeypatch: pytest.MonkeyPatch) -> Iterator[Connection]:
     """A GigE camera on a port with an MTU of 1500; its address is not looked up on this computer."""
@@ -204,13 +125,6 @@ def gige(camera: StandInCamera, monkeypatch: pytest.MonkeyPatch) -> Iterator[Con
     monkeypatch.setattr(network, "widen_receive_buffer", lambda _port, wanted: min(wanted, 1_000_000))
     yield connection
     connection.close()
-
-
-def test_packets_fit_the_port_and_leave_room_for_other_cameras(camera: StandInCamera, gige: Connection) -> None:
-    gige.share = PortShare(cameras=3, link_mbit_s=1000.0)
-    gige.configure()
-    assert gige.packet_bytes == camera.device.features["GevSCPSPacketSize"] == 1500
-    assert camera.device.features["GevSCPD"] == network.packet_delay_ns(1500, 3, 1000.0)
 
 
 def test_a_receive_buffer_that_is_too_small_is_warned_of(camera: StandInCamera, gige: Connection) -> None:
@@ -229,15 +143,3 @@ def test_packets_that_were_sent_again_are_warned_of(camera: StandInCamera, gige:
     assert gige.warning() == "", "twelve may be of one disturbance"
     camera.stream.counters |= {"n_received_packets": 10_000, "n_resent_packets": 120}
     assert gige.warning().startswith("1.2% of its packets were lost on the way and sent again")
-
-
-def test_a_camera_that_sends_without_a_trigger_is_refused(
-    camera: StandInCamera, connection: Connection, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    connection.start(RESULTS.put)
-    check_silence([connection], latched_s=0.0, silence_s=0.0)
-    counts = iter([5, 6])
-    monkeypatch.setattr(connection, "counters", lambda: {"n_received_packets": next(counts)})
-    with pytest.raises(DeviceError, match="camera c0: sends frames although no trigger was fired") as refused:
-        check_silence([connection], latched_s=0.0, silence_s=0.0)
-    assert refused.value.code == "camera-free-running"

@@ -11,25 +11,6 @@ import pytest
 from vaoi_station.acquisition.cameras.aravis import library
 from vaoi_station.errors import DeviceError
 
-LOAD = """
-import sys
-from vaoi_station.acquisition.cameras.aravis import library
-from vaoi_station.acquisition.cameras.aravis.library import aravis, version
-before = list(sys.path)
-assert aravis().Camera and aravis().GvFakeCamera
-assert version() >= (0, 8, 26)
-assert sys.path == before
-system = str(library.SYSTEM_PACKAGES)
-loaded = [name for name, module in sys.modules.items() if system in str(getattr(module, "__file__", ""))]
-assert loaded and all(name.split(".")[0] == "gi" for name in loaded), loaded
-"""
-
-
-@pytest.mark.aravis
-def test_only_gi_is_taken_from_the_distribution() -> None:
-    done = subprocess.run([sys.executable, "-W", "error", "-c", LOAD], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
 
 @pytest.mark.parametrize(
     ("files", "sentence"),

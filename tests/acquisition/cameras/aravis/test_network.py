@@ -77,37 +77,6 @@ def test_two_ports_in_one_network_are_told_apart_by_their_address_and_named(monk
     assert network.route_trouble("Vendor-1234") == "", "a USB camera has no route"
 
 
-def test_loopback_takes_large_packets_and_has_no_speed() -> None:
-    assert network.mtu_to("127.0.0.1") >= 1500
-    assert network.interface_of("127.0.0.1") == "lo"
-    assert "127.0.0.1" in network.local_addresses()
-    assert network.route_trouble("127.0.0.9") == ""
-    assert network.interface_of("127.3.4.5") == "lo"
-    assert network.interface_of("203.0.113.9") == "203.0.113.9"
-    assert network.link_mbit_s("lo") is None
-    assert network.packet_delay_ns(9000, 12, None) == 0
-
-
-def test_a_socket_is_found_by_its_port_and_the_granted_size_is_returned() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
-        ours.bind(("127.0.0.1", 0))
-        port = ours.getsockname()[1]
-        before = ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        granted = network.widen_receive_buffer(port, 150_000)
-        assert granted == ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2 == 150_000 != before // 2
-        assert network.widen_receive_buffer(port, 2**30) < 2**30
-    assert network.widen_receive_buffer(port, 150_000) == 0
-
-
-def test_only_the_reply_to_this_request_counts() -> None:
-    assert network.command(0x80, 77, bytes(4)) == bytes.fromhex("42 01 0080 0004 004d 00000000")
-    assert network.is_reply(bytes.fromhex("0000 0081 0004 004d 00010002"), 0x80, 77)
-    assert network.is_reply(bytes.fromhex("8006 0081 0000 004d"), 0x80, 77), "a refusal proves its presence"
-    assert not network.is_reply(bytes.fromhex("0000 0081 0004 004e 00010002"), 0x80, 77)
-    assert not network.is_reply(bytes.fromhex("0000 0083 0004 004d 00010002"), 0x80, 77)
-    assert not network.is_reply(b"\x00\x00", 0x80, 77)
-
-
 @pytest.mark.parametrize(
     ("answer", "control"),
     [
@@ -134,19 +103,6 @@ def test_a_camera_is_free_only_if_it_reports_so(
         assert result.result() is control
 
 
-def test_a_serial_number_ends_with_a_zero_or_after_16_bytes() -> None:
-    registers = bytearray(struct.pack(">HHHH", 0, 3, 248, 1) + bytes(248))
-    registers[8 + 0x24 : 8 + 0x28] = bytes([192, 168, 7, 31])
-    registers[8 + 0xD8 : 8 + 0xE8] = b"21433566\0garbage"
-    assert network.discovered(bytes(registers), 1) == network.FoundCamera("21433566", "192.168.7.31")
-    assert network.discovered(bytes(registers), 2) is None, "the reply to another request"
-    assert network.discovered(bytes(registers[:-1]), 1) is None
-    registers[8 + 0xD8 : 8 + 0xE8] = b"0123456789ABCDEF"
-    found = network.discovered(bytes(registers), 1)
-    assert found is not None
-    assert found.serial == "0123456789ABCDEF"
-
-
 @pytest.fixture
 def camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
     """A socket in place of a camera; the port of the protocol is its port."""
@@ -155,16 +111,6 @@ def camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
         camera.bind(("127.0.0.1", 0))
         monkeypatch.setattr(network, "CONTROL_PORT", camera.getsockname()[1])
         yield camera
-
-
-def test_a_late_reply_to_an_earlier_request_is_passed_over(camera: socket.socket) -> None:
-    with ThreadPoolExecutor(1) as caller:
-        result = caller.submit(network.is_reachable, "127.0.0.1", timeout_s=20, tries=1)
-        request, client = camera.recvfrom(1024)
-        request_id = int.from_bytes(request[6:8], "big")
-        for number in (request_id - 1, request_id):
-            camera.sendto(struct.pack(">HHHH", 0, 0x81, 4, number % 0x10000) + bytes(4), client)
-        assert result.result()
 
 
 def test_cameras_that_reply_to_the_broadcast_are_listed_by_address(

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
 from vaoi_station.acquisition.cameras.aravis import settings
-from vaoi_station.acquisition.cameras.aravis.settings import MAKES, Make, Setting, Value, make_of
+from vaoi_station.acquisition.cameras.aravis.settings import MAKES, Setting, Value, make_of
 from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader
 from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.errors import DeviceError
@@ -33,49 +31,11 @@ def test_a_make_is_found_whatever_follows_its_name(vendor: str, make: str, line:
     assert make_of(vendor).line == line
 
 
-def test_of_two_beginnings_of_a_name_the_longer_one_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(MAKES, "teledyne dalsa", Make("Line4"))
-    assert make_of("Teledyne DALSA Inc.").line == "Line4"
-    assert make_of("Teledyne FLIR").line == "Line0"
-
-
 pytestmark = pytest.mark.usefixtures("_stand_in")
 
 
 def setting(wanted: Value, tolerance: float = 0.0) -> Setting:
     return Setting("Feature", wanted, tolerance)
-
-
-@given(st.floats(1.0, 1e6), st.floats(0.0, 100.0), st.floats(0.0, 0.99))
-def test_numbers_match_within_their_tolerance(wanted: float, tolerance: float, share: float) -> None:
-    assert setting(wanted, tolerance).matches(wanted + share * tolerance)
-    assert not setting(wanted, tolerance).matches(wanted + 1.01 * tolerance + 1e-5 * wanted)
-
-
-def test_everything_is_on_the_camera_afterwards() -> None:
-    camera = StandInCamera()
-    settings.apply(camera, camera_config(offset_px=(2, 6), gain_db=3.0))
-    assert (
-        camera.device.features
-        | {
-            "PixelFormat": "Mono8",
-            "Region": (2, 6, 16, 16),
-            "ExposureTime": 250.0,
-            "Gain": 3.0,
-            "BinningHorizontal": 1,
-            "ExposureAuto": "Off",
-            "GammaEnable": False,
-            "ChunkModeActive": False,
-            "PtpEnable": False,
-            "GevIEEE1588": False,
-            "AcquisitionMode": "Continuous",
-            "TriggerSelector": "FrameStart",
-            "TriggerMode": "On",
-            "TriggerSource": "Line0",
-            "TriggerActivation": "RisingEdge",
-        }
-        == camera.device.features
-    )
 
 
 @pytest.mark.parametrize(("vendor", "while_changing"), [("Basler", "On"), ("FLIR", "Off"), ("Acme", "Off")])
@@ -87,30 +47,6 @@ def test_the_mode_while_the_source_changes_is_that_of_the_recipe(vendor: str, wh
     assert written[source - 1] == ("TriggerMode", while_changing)
     assert written[-1] == ("TriggerMode", "On")
     assert ("TriggerSelector", "AcquisitionStart") in written[:source], "the other trigger is switched off"
-
-
-def test_named_features_are_written_in_their_order_and_by_their_type() -> None:
-    camera = StandInCamera()
-    camera.device.features |= {"LineDebouncer": 1.0, "Counter": 0, "Inverter": False}
-    settings.apply(camera, camera_config(features={"Inverter": True, "LineDebouncer": 5, "Counter": 2}))
-    written = [(f, v) for f, v in camera.device.written if f in ("Inverter", "LineDebouncer", "Counter")]
-    assert written == [("Inverter", True), ("LineDebouncer", 5.0), ("Counter", 2)]
-    assert isinstance(camera.device.features["LineDebouncer"], float)
-
-
-def test_a_camera_without_a_usable_trigger_is_refused() -> None:
-    camera = StandInCamera()
-    camera.triggers = ["LineStart"]
-    with pytest.raises(DeviceError, match="camera c0: can be triggered by LineStart only"):
-        settings.apply(camera, camera_config())
-
-
-def test_an_ignored_setting_is_named_with_both_values() -> None:
-    camera = StandInCamera()
-    camera.device.ignored.add("ExposureTime")
-    with pytest.raises(DeviceError, match=r"camera c0: .*ExposureTime was set to 250\.0, but reads 10000") as refused:
-        settings.apply(camera, camera_config())
-    assert refused.value.code == "setting-ignored"
 
 
 def test_a_refused_setting_is_named() -> None:
@@ -219,12 +155,6 @@ def test_every_set_is_saved_with_its_exposure_gain_and_next_set() -> None:
     assert device.features["SequencerConfigurationMode"] == "Off"
 
 
-def test_a_set_that_was_not_saved_is_noticed() -> None:
-    error = refusal(sequenced())
-    assert error.code == "setting-ignored"
-    assert "ExposureTime was set to 300.0, but reads 90.0" in error.message
-
-
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
@@ -244,28 +174,6 @@ def test_what_the_sequencer_cannot_hold_is_refused_with_numbers(
     assert words in error.message
 
 
-def test_a_camera_without_a_sequencer_or_its_signal_is_refused() -> None:
-    bare = StandInCamera()
-    assert settings.missing_features(bare) == settings.SEQUENCER
-    assert (refusal(bare).code, "3 different steps" in refusal(bare).message) == ("sequencer-absent", True)
-    camera = sequenced()
-    camera.choices["SequencerTriggerSource"] = ["Off", "Line1"]
-    assert "its sequencer advances by Off, Line1, not once per frame" in refusal(camera).message
-    camera = sequenced()
-    del camera.device.features["Gain"]
-    assert "it has no gain to set" in refusal(camera).message
-
-
-def test_it_is_switched_off_after_its_configuration_and_only_if_it_is_on() -> None:
-    camera = sequenced(SequencerConfigurationMode="On")
-    for _ in range(2):
-        settings.switch_sequencer_off(camera, CONFIG)
-    assert camera.device.written == [("SequencerConfigurationMode", "Off"), ("SequencerMode", "Off")]
-
-
-CHUNK_CONFIG = camera_config(exposure_by="sequencer")
-
-
 class StandInParser:
     """A parser that knows the exposure only, or both."""
 
@@ -276,30 +184,6 @@ class StandInParser:
         if name not in self.values:
             raise StandInError(f"node {name} is not found")
         return self.values[name]
-
-
-def test_exposure_and_gain_are_switched_on() -> None:
-    camera = StandInCamera()
-    camera.device.features |= {"ChunkSelector": "Image", "ChunkEnable": False}
-    camera.choices["ChunkSelector"] = ["Image", "Gain", "ExposureTime"]
-    settings.switch_chunks_on(camera, CHUNK_CONFIG)
-    assert camera.device.written == [
-        ("ChunkModeActive", True),
-        ("ChunkSelector", "ExposureTime"),
-        ("ChunkEnable", True),
-        ("ChunkSelector", "Gain"),
-        ("ChunkEnable", True),
-    ]
-
-
-def test_a_camera_that_cannot_state_its_exposure_is_refused() -> None:
-    camera = StandInCamera()
-    for offered, words in (([], "ChunkSelector offers nothing"), (["Gain"], "cannot state ExposureTime as chunk data")):
-        camera.device.features["ChunkSelector"] = "Image"
-        camera.choices["ChunkSelector"] = offered
-        with pytest.raises(DeviceError, match=words) as caught:
-            settings.switch_chunks_on(camera, CHUNK_CONFIG)
-        assert caught.value.code == "sequencer-absent"
 
 
 def test_what_a_frame_states_is_read_or_not_known() -> None:

@@ -100,38 +100,6 @@ def bench(_stand_in: None) -> Iterator[Bench]:
     bench.slots.close()
 
 
-def test_a_whole_frame_has_its_id_and_time(bench: Bench) -> None:
-    bench.slots.queue(SLOTS[0])
-    result = bench.fill(id=65400, time_ns=123_456)
-    assert (result.slot, result.whole, result.frame_id, result.time_ns) == (SLOTS[0], True, 65400, 123_456)
-    assert result.fault == ""
-
-
-@pytest.mark.parametrize(
-    ("status", "words"),
-    [
-        (BufferStatus.MISSING_PACKETS, "packets of the frame were lost"),
-        (BufferStatus.NEW_ONE, "calls the frame 'new-one'"),
-    ],
-)
-def test_a_failed_frame_has_neither(bench: Bench, status: BufferStatus, words: str) -> None:
-    """Aravis writes them with the leader, so they may be those of an older frame."""
-    bench.slots.queue(SLOTS[0])
-    result = bench.fill(status)
-    assert (result.whole, result.frame_id, result.time_ns) == (False, None, None)
-    assert words in result.fault
-
-
-def test_unused_slots_are_taken_back_once(bench: Bench) -> None:
-    for slot in SLOTS:
-        bench.slots.queue(slot)
-    bench.fill(k=0)
-    assert bench.slots.take_back() == SLOTS[1:]
-    assert bench.slots.take_back() == []
-    assert bench.aravis_stream.running, "it can receive again"
-    assert bench.results.empty()
-
-
 def test_a_frame_under_way_gets_time_to_end(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream_module, "FILLING_S", 10.0)
     bench.slots.queue(SLOTS[0])
@@ -167,23 +135,6 @@ def test_a_frame_that_does_not_end_is_broken_off(bench: Bench, monkeypatch: pyte
     result = bench.results.get(timeout=10)
     assert (result.slot, result.whole) == (SLOTS[0], False)
     assert "broken off" in result.fault
-
-
-def test_a_buffer_that_was_taken_back_is_not_reported_again(bench: Bench) -> None:
-    bench.slots.queue(SLOTS[0])
-    old: StandInBuffer = bench.aravis_stream.pushed[0]
-    assert bench.slots.take_back() == [SLOTS[0]]
-    bench.slots.queue(SLOTS[1])
-    bench.aravis_stream.filled.append(old)
-    assert bench.fill(k=1).slot == SLOTS[1]
-    assert bench.results.empty()
-
-
-def test_closing_ends_the_thread_and_returns_the_unused_slots(bench: Bench) -> None:
-    bench.slots.queue(SLOTS[2])
-    assert bench.slots.close() == [SLOTS[2]]
-    assert bench.slots.close() == []
-    assert "test-frames" not in {thread.name for thread in threading.enumerate()}
 
 
 class StandInReader:

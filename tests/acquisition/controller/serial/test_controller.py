@@ -21,7 +21,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.acquisition.controller.serial.fake_firmware import FakeFirmware
-from tests.hw.emulated.line import TIMING, ms
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.controller.interface import (
@@ -44,53 +43,18 @@ from vaoi_station.acquisition.controller.protocol import (
     Kind,
     Message,
     Nak,
-    Pacing,
     Reason,
     RunEnd,
     State,
-    Status,
     Suppressed,
     Type,
     encode,
 )
-from vaoi_station.acquisition.controller.serial import SerialController, exchange
-from vaoi_station.acquisition.controller.serial.controller import EncoderWatch, EventTranslator
+from vaoi_station.acquisition.controller.serial import SerialController
+from vaoi_station.acquisition.controller.serial.controller import EventTranslator
 from vaoi_station.acquisition.controller.serial.exchange import RefusalError
 from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import DeviceError, InputError, StateError
-
-BELT = replace(TIMING, pacing=Pacing.DISTANCE)
-RUNNING = replace(Status.unpack(bytes(48)), state=State.RUNNING, run=3, position=(1 << 32) - 50)
-
-
-def codes(*steps: tuple[float, int], timing: object = BELT, **changes: int) -> list[str]:
-    """Times in s and counts since the first status, each as a status; what was reported."""
-    watch, found = EncoderWatch(), []
-    for seconds, counts in steps:
-        tick = ms(1000 * seconds) % (1 << 32)
-        status = replace(RUNNING, tick=tick, position=(RUNNING.position + counts) % (1 << 32), **changes)
-        error = watch.check(timing, status)  # type: ignore[arg-type]
-        found += [error.code] if error is not None else []
-    return found
-
-
-def test_counts_that_arrive_are_no_fault() -> None:
-    assert codes((0, 0), (4, 10), (8, 90), (12, 400)) == [], "also over the wrap of the counter"
-    assert codes((0, 0), (4.9, 0), (5.0, 3), (9.0, 3)) == [], "a belt may stop for a while"
-
-
-@pytest.mark.parametrize(("steps", "code"), [(((0, 0), (6, 0), (9, -3)), "silent"), (((0, 0), (1, -30)), "backwards")])
-def test_a_fault_is_reported_once_in_a_run(steps: tuple[tuple[float, int], ...], code: str) -> None:
-    assert codes(*steps, (20, steps[-1][1])) == [f"encoder-{code}"]
-
-
-def test_the_next_run_begins_anew() -> None:
-    watch = EncoderWatch()
-    assert watch.check(BELT, RUNNING) is None
-    assert watch.check(BELT, replace(RUNNING, run=4, tick=ms(9000))) is None
-    error = watch.check(BELT, replace(RUNNING, run=4, tick=ms(15000)))
-    assert error is not None
-    assert "not counted for 6.0 s" in error.message
 
 
 class Recorder:
@@ -128,14 +92,6 @@ def test_rows_left_out_are_rows_of_the_run() -> None:
     assert (end.pulses, end.reason) == (3, "clear")
     assert isinstance(events[2], PulseFired)
     assert (events[2].light, events[2].on_us) == ("light 1 of 101", 300.0)
-
-
-def test_a_single_pulse_is_a_run_of_its_own() -> None:
-    pulse, end = Recorder().receive((Kind.PULSE, 1, ROW_NONE, 600))
-    assert isinstance(pulse, PulseFired)
-    assert (pulse.index, pulse.light) == (0, "single light")
-    assert isinstance(end, RunEnded)
-    assert (end.pulses, end.reason) == (1, "single")
 
 
 def test_boards_too_close_and_faults_are_reported() -> None:
@@ -216,12 +172,6 @@ def replies_ident(ident: bytes) -> Callable[[bytes], bytes]:
     return answer
 
 
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No bootloader has to be waited for."""
-    monkeypatch.setattr(exchange, "IDENTIFY_S", 0.01)
-
-
 def refusal(port: str) -> DeviceError:
     with pytest.raises(DeviceError) as refused:
         SerialController(ControllerConfig(backend="serial", port=port))
@@ -244,20 +194,6 @@ def test_another_version_or_make(ident: bytes, code: str, words: str) -> None:
         error = refusal(port)
     assert error.code == code
     assert re.search(words, error.message)
-
-
-@pytest.mark.usefixtures("impatient")
-def test_a_device_with_another_protocol() -> None:
-    with terminal(lambda data: b"$GPGGA,123519,4807.038,N\r\n" * 3) as port:
-        error = refusal(port)
-    assert error.code == "foreign-device"
-    assert "no message of the trigger controller's protocol" in error.message
-
-
-@pytest.mark.usefixtures("impatient")
-def test_a_device_that_is_silent() -> None:
-    with terminal(lambda data: b"") as port:
-        assert refusal(port).code == "controller-silent"
 
 
 @pytest.fixture
@@ -292,16 +228,6 @@ def test_the_thread_at_the_port_is_supervised_until_the_end(
     beats = threading.Semaphore(0)
     monkeypatch.setattr(thread, "beat", beats.release)
     assert beats.acquire(timeout=20), "it shows that it is alive while nothing happens"
-
-
-def test_arming_sends_the_configuration_once(controller: SerialController, events: EventQueue, device: Device) -> None:
-    assert controller.health().startswith("serial: idle, firmware 1.2.3, start 1, clock ±")
-    controller.arm(PLAN)
-    assert device[1].in_state(State.ARMED)
-    assert controller.health().startswith("serial: armed")
-    controller.disarm()
-    controller.arm(PLAN)
-    assert device[1].requests.count(Type.COMMIT) == 1, "the checksum shows that it is active already"
 
 
 def test_after_its_guard_tripped_it_stays_disarmed(
@@ -340,12 +266,6 @@ def test_a_pulse_that_must_wait_is_no_fault(
     device[1].refuse.clear()
     controller.fire_one()
     assert until(events, PulseFired).light == "top"
-
-
-def test_a_clock_can_be_read_from_several_threads(controller: SerialController, events: EventQueue) -> None:
-    with ThreadPoolExecutor(4) as pool:
-        readings = list(pool.map(lambda _: controller.read_clock(), range(40)))
-    assert all(reading.bound_s >= 0 for reading in readings)
 
 
 def test_a_refused_job_does_not_end_the_connection(
@@ -421,23 +341,3 @@ def test_a_permit_reaches_an_armed_controller(device: Device) -> None:
         assert device[1].permits[-1] == bytes([1, 0, 0, 0])
     finally:
         controller.close()
-
-
-def test_without_an_interlock_no_permit_is_sent(
-    controller: SerialController, events: EventQueue, device: Device
-) -> None:
-    controller.permit_board(Permit(1, time.monotonic() + 1e3))
-    controller.arm(PLAN)
-    assert Type.READY not in device[1].requests
-    assert controller.line_output() is None
-    assert controller.is_watching()
-
-
-def test_firmware_without_the_output_is_used_unless_an_interlock_is_demanded(device: Device) -> None:
-    device[1].ident = replace(IDENT, minor=1, ready_longest_ms=0)
-    controller = SerialController(ControllerConfig(backend="serial", port=device[0]))
-    assert "no output 'line ready'" in controller.health()
-    controller.close()
-    with pytest.raises(DeviceError, match="which has no output 'line ready'") as refused:
-        SerialController(ControllerConfig(backend="serial", port=device[0], interlock="on"))
-    assert refused.value.code == "interlock-missing"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.hw.emulated.vectors import IDENT
 from vaoi_station.acquisition.controller.interface import BeltPacing, TriggerPlan
 from vaoi_station.acquisition.controller.protocol import Ident, Nak, Reason, Step, Type
-from vaoi_station.acquisition.controller.serial.device_program import DARK, explain_refusal, make_program
+from vaoi_station.acquisition.controller.serial.device_program import explain_refusal, make_program
 from vaoi_station.config import ControllerConfig, LightConfig
 from vaoi_station.errors import InputError
 from vaoi_station.model import ProgramRow
@@ -30,12 +30,6 @@ def test_times_are_ticks_and_lights_are_steps_in_turn() -> None:
     assert (t.max_rows, t.steps, t.trigger_width, t.pacing) == (40, 3, 200, 0)
     assert program.steps == (Step(0b1000, 123), Step(0b0011, 600), Step(0b1000, 123))
     assert [program.light(row) for row in range(4)] == ["low", "top", "low", "low"]
-
-
-def test_without_lights_only_cameras_are_fired() -> None:
-    program = make_program(PLAN, ControllerConfig(backend="serial"), IDENT)
-    assert program.steps == (DARK,)
-    assert program.light(3) == ""
 
 
 @given(st.floats(0, 1e9), st.floats(1e-9, 1e9), st.integers(1, 10**9))
@@ -61,12 +55,6 @@ def test_a_refusal_in_the_terms_of_the_file(nak: Nak, words: str) -> None:
     error = explain_refusal(nak, make_program(PLAN, ControllerConfig(backend="serial", lights=LIGHTS), IDENT))
     assert error is not None
     assert words in error.message
-
-
-def test_a_program_gives_each_step_its_on_time() -> None:
-    rows = (ProgramRow("low", (200.0,), (0.0,), 100.0), ProgramRow("top", (200.0,), (0.0,), 300.0))
-    program = make_program(replace(PLAN, program=rows, lights=("low", "top")), SERIAL, IDENT)
-    assert program.steps == (Step(0b1000, 200), Step(0b0011, 600))
 
 
 def test_a_program_beyond_the_firmware_is_refused_with_its_numbers() -> None:
@@ -100,13 +88,6 @@ BY_WIDTH = replace(
 )
 
 
-def test_exposures_are_widths_of_the_trigger() -> None:
-    program = make_program(BY_WIDTH, SERIAL, IDENT)
-    assert program.widths == (200, 801)
-    assert sum(request.type == Type.WIDTH for request in program.requests()) == 1, "the other is that of the timing"
-    assert program.crc != make_program(replace(BY_WIDTH, by_trigger=()), SERIAL, IDENT).crc
-
-
 @pytest.mark.parametrize(
     ("period_s", "us", "ident", "words"),
     [
@@ -133,10 +114,3 @@ def test_exposures_that_the_trigger_cannot_make_are_refused(
     plan = replace(BY_WIDTH, period_s=period_s, program=rows, lights=("low",))
     with pytest.raises(InputError, match=words):
         make_program(plan, SERIAL, ident)
-
-
-def test_what_was_lit_is_named() -> None:
-    program = make_program(PLAN, SERIAL, IDENT)
-    assert [program.lit(row, bits) for row, bits in ((0, 0b0011), (0, 0b1000), (0, 0b0101), (0, 0))] == [
-        "top", "low", "LED channels 0+2", "",
-    ]  # fmt: skip

@@ -25,7 +25,6 @@ from vaoi_station.acquisition.controller.protocol import (
     ClockReply,
     EventReceived,
     EventsLost,
-    Kind,
     Link,
     Request,
     Type,
@@ -37,12 +36,9 @@ from vaoi_station.acquisition.controller.serial.exchange import (
     Exchange,
     Port,
     PortLostError,
-    ResetError,
-    SilentError,
     Timebase,
     Waker,
 )
-from vaoi_station.config import ControllerConfig
 from vaoi_station.errors import DeviceError
 
 TURN_S = 2**32 * TICK_S
@@ -129,13 +125,6 @@ def waker() -> Iterator[Waker]:
         yield waker
 
 
-def test_a_wake_up_before_the_read_ends_it_too(terminal: tuple[int, str], waker: Waker) -> None:
-    with closing(Port(terminal[1], 250_000, waker)) as port:
-        for _ in range(100_000):  # more than the pipe holds
-            waker.wake()
-        assert port.read(60.0) == b""
-
-
 def test_a_device_that_hangs_up_is_an_error(waker: Waker) -> None:
     ours, theirs = os.openpty()
     tty.setraw(theirs)
@@ -147,26 +136,11 @@ def test_a_device_that_hangs_up_is_an_error(waker: Waker) -> None:
             port.read(5.0)
 
 
-def test_a_port_that_takes_no_bytes_is_an_error(
-    terminal: tuple[int, str], waker: Waker, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(exchange_module, "WRITE_S", 0.01)
-    with closing(Port(terminal[1], 250_000, waker)) as port, pytest.raises(OSError, match="takes no bytes"):
-        port.write(bytes(1 << 20))  # more than a terminal's buffer holds
-
-
 def test_a_port_that_is_not_there(tmp_path: Path, waker: Waker) -> None:
     with pytest.raises(DeviceError) as refused:
         Port(str(tmp_path / "vaoi-trigger"), 250_000, waker)
     assert refused.value.code == "port-absent"
     assert "71-vaoi-controller.rules" in refused.value.action
-
-
-def test_a_file_is_no_port(tmp_path: Path, waker: Waker) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DeviceError) as refused:
-        Port(str(tmp_path / "file"), 250_000, waker)
-    assert refused.value.code == "port-unusable"
 
 
 def test_a_port_in_use(terminal: tuple[int, str], waker: Waker) -> None:
@@ -202,14 +176,6 @@ def test_closing_a_port_does_not_reset_the_board_behind_it(terminal: tuple[int, 
     os.close(handle)
 
 
-def test_the_udev_rule_makes_the_name_that_is_opened_by_default() -> None:
-    rules = (Path(__file__).resolve().parents[4] / "deploy" / "71-vaoi-controller.rules").read_text()
-    name = ControllerConfig().port.removeprefix("/dev/")
-    assert f'SYMLINK+="{name}"' in rules
-    assert 'ATTR{latency_timer}="1"' in rules
-    assert 'ENV{ID_MM_DEVICE_IGNORE}="1"' in rules
-
-
 Device = tuple[str, FakeFirmware]
 
 
@@ -228,13 +194,6 @@ def bench(device: Device) -> Iterator[Bench]:
         bench = Bench(device[0], waker)
         yield bench
         bench.port.close()
-
-
-def test_a_controller_that_does_not_reply(bench: Bench, device: Device) -> None:
-    device[1].mute = True
-    with pytest.raises(SilentError, match="does not answer"):
-        bench.exchange.request(Request(Type.SAFE))
-    assert device[1].requests == [Type.SAFE] * 10
 
 
 def test_a_reply_that_waits_in_the_port_is_not_missed(
@@ -258,23 +217,6 @@ def test_a_reply_that_waits_in_the_port_is_not_missed(
     monkeypatch.setattr(exchange_module, "time", clock)
     replied = bench.exchange.request(number_request(Type.CLOCK, 77))
     assert ClockReply.unpack(replied.payload).nonce == 77
-
-
-def test_a_status_comes_after_all_events_before_it(bench: Bench, device: Device) -> None:
-    bench.exchange.read_status()
-    for row in range(5):
-        device[1].emit(Kind.PULSE, 1, row)
-    status = bench.exchange.read_status()
-    assert status.events_next == 5
-    assert [e.event.index for e in bench.events if isinstance(e, EventReceived)] == list(range(5))
-
-
-def test_a_reset_is_an_error_for_the_request_under_way(bench: Bench, device: Device) -> None:
-    bench.exchange.read_status()
-    device[1].reset()
-    with pytest.raises(ResetError, match="start number 2"):
-        bench.exchange.request(Request(Type.STATUS))
-    assert bench.exchange.request(Request(Type.STATUS))
 
 
 @pytest.mark.parametrize("failing", ["read", "write"])

@@ -150,16 +150,6 @@ def test_an_array_without_nominal_values_is_calibrated_by_what_is_entered(
     expect(page.get_by_role("heading", name="4. Judge it")).to_be_visible(timeout=FITTED_MS)
 
 
-def test_the_layout_of_another_board_is_chosen_and_left_again(page: Page, admin: str) -> None:
-    page.goto(f"{admin}/#/setup/calibration")
-    page.set_input_files("#layout-file", {"name": "layout.json", "mimeType": "application/json", "buffer": b"{}"})
-    expect(page.locator("#layout-name")).to_have_text("layout.json")
-    page.get_by_role("button", name="Without this file").click()
-    expect(page.locator("#layout-name")).to_be_empty()
-    page.set_input_files("#layout-file", {"name": "notes.txt", "mimeType": "text/plain", "buffer": b"nonsense"})
-    expect(page.locator(".answer.refused")).to_contain_text("notes.txt is not JSON")
-
-
 def artwork(page: Page, pitch_mm: float, px_per_mm: float) -> Any:
     query = f"tolerance_mm=1.5&pitch_mm={pitch_mm}&px_per_mm={px_per_mm}"
     return page.evaluate("query => fetch(`/api/v1/calibration/layout?${query}`).then((r) => r.json())", query)

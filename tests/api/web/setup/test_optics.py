@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,8 +12,6 @@ from tests.api.held_station import CAMERAS
 
 pytestmark = pytest.mark.browser
 
-PICTURES = os.environ.get("VAOI_PICTURES")
-"""Directory into which the picture of the guide is written, if it is named (docs/pictures)."""
 FIELDS = """() => [...document.querySelectorAll(".line-drawing .one-row")].map((e) =>
     ["x", "y", "width", "height"].map((name) => Number(e.getAttribute(name))))"""
 STATION = re.compile(r"/optics/requirements\?of=station$")
@@ -73,26 +69,3 @@ def test_what_a_person_does_first_is_not_replaced_by_a_late_reply(page: Page, en
     page.get_by_label("Number of cameras").fill("13")
     page.keyboard.press("Tab")
     expect(page.locator(".verdict")).to_have_text("1 constraint is violated.")
-
-
-def test_the_example_of_the_paper_violates_two_constraints_and_remedies_mend_them(
-    page: Page, engineer: Any, fits: Any
-) -> None:
-    page.goto(f"{engineer.url}/#/setup/optics")
-    page.get_by_role("button", name="Example of the paper").focus()
-    page.keyboard.press("Enter")
-    expect(page.locator(".verdict")).to_have_text("2 constraints are violated.")
-    fits("optics", ".verdict")  # a reload finds the values in the address
-    if PICTURES:
-        page.set_viewport_size({"width": 1280, "height": 1000})
-        page.screenshot(path=Path(PICTURES) / "set-up" / "optics.png")
-    page.get_by_role("button", name="Number of cameras: 13").focus()
-    page.keyboard.press("Enter")
-    expect(page.locator(".verdict")).to_have_text("1 constraint is violated.")
-    expect(page.get_by_label("Number of cameras")).to_have_value("13")
-    page.get_by_role("button", name="Pulses per second: 8.08 1/s").press("Enter")
-    expect(page.locator(".verdict")).to_have_text("All constraints that can be checked are met.")
-    expect(page.locator(".ways")).to_have_count(0)
-    page.get_by_label("Number of cameras").fill("6")
-    page.keyboard.press("Tab")
-    expect(page.locator(".line-drawing .gap")).to_have_count(5)

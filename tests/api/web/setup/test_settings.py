@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.api.held.setup_files import CAMERA
 from vaoi_station.config import read_config
 
 pytestmark = pytest.mark.browser
@@ -71,22 +70,6 @@ def test_a_changed_setting_is_checked_shown_and_saved(
     expect(page.locator(".answer.done")).to_contain_text("Written")
     assert "workers = 3" in path.read_text()
     assert "# another person" in path.read_text()
-
-
-def test_a_fault_is_shown_at_its_table_when_several_before_it_are_removed(
-    page: Page, engineer: Any, admin: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "station.toml"
-    more = "".join(CAMERA.format(n=n, width=320, height=240) for n in range(3, 12))
-    path.write_text(path.read_text() + more)
-    page.goto(f"{admin}/#/setup/settings")
-    for n in (2, 10):
-        _open(page, f"[[cameras]] {n}: cam{n}").get_by_role("button", name="Remove this table").click()
-    last = _open(page, "[[cameras]] 11: cam11")
-    last.get_by_label("width").fill("-1")
-    page.keyboard.press("Tab")
-    expect(page.locator(".settings-side .faults button")).to_have_count(1)
-    expect(last.locator(".fault:visible")).to_have_count(1)
 
 
 def test_tables_are_added_and_removed_and_a_protected_file_is_taken(

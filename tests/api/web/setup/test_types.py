@@ -28,19 +28,6 @@ def choose_file(page: Page, field: str, name: str, text: str) -> None:
     page.locator(field).set_input_files({"name": name, "mimeType": "text/plain", "buffer": text.encode()})
 
 
-def test_remarks_of_an_import_are_in_the_language_of_the_page(page: Page, engineer: Any) -> None:
-    page.goto(f"{engineer.url}/#/setup")
-    page.evaluate("localStorage.setItem('vaoi-language', 'de')")
-    page.reload()
-    choose_file(page, "#board-file", "places.csv", TABLE)
-    choose_file(page, "#join-file", "board.kicad_pcb", samples.KICAD)
-    remarks = page.locator("details", has_text="Bemerkungen des Imports").locator("> ul > li")
-    expect(remarks.filter(has_text="Über 3 Bezeichner verbunden")).to_contain_text("stimmen auf 0 µm überein.")
-    expect(remarks.filter(has_text="nur in der ersten Datei, ohne Körper: TP2.")).to_have_count(1)
-    expect(page.locator("details li > [lang=en]")).to_have_count(0)  # the station's sentence is behind each
-    assert "undefined" not in " ".join(remarks.all_text_contents())
-
-
 def test_a_table_that_is_refused_is_read_with_the_columns_that_the_message_asks_for(page: Page, engineer: Any) -> None:
     page.goto(f"{engineer.url}/#/setup")
     table = "Ref,X (mm),Y (mm),Ugol\nR1,110,10,0\nJ1,130,20,90\nTP2,140,5,0\n"
@@ -249,29 +236,3 @@ def test_a_run_is_taught_as_reference(page: Page, engineer: Any) -> None:
     expect(page.get_by_text(re.compile(f"Run {run}, taught"))).to_be_visible()
     page.get_by_role("button", name="Delete the reference").click()
     expect(page.get_by_text("None. Boards are placed by their fiducials.")).to_be_visible()
-
-
-def test_moves_by_hand_are_those_of_the_station(page: Page, engineer: Any) -> None:
-    """The page and the correction by the station move data alike, whatever the axes and units."""
-    page.goto(engineer.url)
-    for unit, y_axis in (("mm", "up"), ("inch", "down")):
-        board = engineer.station.types["demo-board"].model_copy(update={"unit": unit, "y_axis": y_axis})
-        expected = moved_by_station(board, x=0.3, y=-0.2, degrees=30.0)
-        made = page.evaluate(
-            """async ([type, move]) => (await import("/web/setup/geometry.js")).moved(type, move, true)""",
-            [board.model_dump(exclude_none=True, mode="json"), {"x": 0.3, "y": -0.2, "turn": 30}],
-        )
-        for part, wanted in zip(made["components"], expected.components, strict=True):
-            assert part["center"] == pytest.approx(wanted.center, abs=2e-4)
-            assert part["rotation"] == pytest.approx(wanted.rotation)
-        assert [tuple(p) for p in made["outline"]] == [pytest.approx(p, abs=2e-4) for p in expected.outline or ()]
-
-
-def moved_by_station(board: Any, x: float, y: float, degrees: float) -> Any:
-    from vaoi_station.board_check.correction import Move, moved_board_type
-
-    centers = [c.center for c in board.components]
-    flip = -1 if board.y_axis == "down" else 1
-    middle = [(min(c[k] for c in centers) + max(c[k] for c in centers)) / 2 * board.mm_per_unit for k in (0, 1)]
-    move = Move(False, degrees, 1.0, (middle[0], flip * middle[1]), (x, y))
-    return moved_board_type(board.model_copy(update={"fiducials": ()}), move, ("components", "outline"))
