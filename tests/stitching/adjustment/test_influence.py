@@ -17,6 +17,7 @@ from vaoi_station.stitching.adjustment.influence import Assembly, few_places, gr
 from vaoi_station.stitching.adjustment.problem import (
     FIXTURE,
     REFERENCE,
+    USED,
     AdjustmentResult,
     FiducialPoints,
     Influence,
@@ -97,20 +98,22 @@ def test_equations_without_a_group_are_those_of_the_rest(bench: Any, monkeypatch
     assembly, held = assembly_of(problem, monkeypatch)
     model = assembly.model
 
-    def without_part(part: tuple[NormalEquations, HeightEquations]) -> Array:
-        whole = assembly.whole()
-        return assembly.solve(whole[0].less(part[0]), whole[1].less(part[1]), held)[0]
+    def solution(normal: NormalEquations, heights: HeightEquations) -> Array:
+        return assembly.solve(assembly.without_heights(normal, heights), held)[0]
 
-    cluster = number_clusters(assembly.links, assembly.state.robust, (0.0, 0.0))
+    whole, used = assembly.whole(), np.flatnonzero(assembly.state.robust > USED)
+    cluster, _ = number_clusters(assembly.links, assembly.state.b_mm, used, (0.0, 0.0))
     for number in range(0, cluster.max() + 1, 9):
-        at, rest = np.flatnonzero(cluster == number), np.flatnonzero(cluster != number)
+        at = used[cluster == number]
+        rest = np.setdiff1d(np.arange(len(assembly.links.p)), at)
         others = replace(
             assembly,
             links=LinkArrays._make(values[rest] for values in assembly.links),
             state=LinkState._make(values[rest] for values in assembly.state),
             model=model._replace(basis=model.basis[rest], component=model.component[rest]),
         )
-        without, direct = without_part(assembly.part(at)), others.solve(*others.whole(), held)[0]
+        part = assembly.part(at)
+        without, direct = solution(whole[0].less(part[0]), whole[1].less(part[1])), solution(*others.whole())
         assert without == pytest.approx(direct, rel=1e-6, abs=1e-9)
         assert without[held] == pytest.approx(0.0, abs=1e-9)
     assert problem.fiducials is not None
@@ -118,14 +121,16 @@ def test_equations_without_a_group_are_those_of_the_rest(bench: Any, monkeypatch
         rest = np.setdiff1d(np.arange(len(problem.fiducials.row)), at)
         detections = (assembly.priors[1][0][rest], assembly.priors[1][1][rest], assembly.priors[1][2][rest])
         others = replace(assembly, priors=[assembly.priors[0], detections, *assembly.priors[2:]])
-        without, direct = without_part(assembly.part_of_marks(at)), others.solve(*others.whole(), held)[0]
+        rest_of_all = assembly.without_heights(*whole).less(assembly.part_of_marks(at))
+        without, direct = assembly.solve(rest_of_all, held)[0], solution(*others.whole())
         assert without == pytest.approx(direct, rel=1e-6, abs=1e-9)
 
 
 def test_changes_without_links_are_those_of_an_adjustment_without_them(bench: Any, wide: None) -> None:
     problem = few_links_after(bench(3), 0)
     found, of = examined(problem)
-    places = few_places(problem.links.arrays, found.weight, 6)
+    state = LinkState.of(problem.links.arrays, movable=False)._replace(robust=found.weight)
+    places = few_places(problem.links.arrays, state, 6)
     assert (~of.of_marks).sum() == len(places)
     shift_px = np.abs(of.change[:, 1, 1:3]).max(1) * PX_PER_MM
     for number in np.argsort(shift_px[~of.of_marks])[-2:].tolist():

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.robust import huber_weights
-from vaoi_station.geometry.similarity import apply_similarity, similarity_jacobian
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.envelope import NormalEquations
 from vaoi_station.stitching.adjustment.motion import Motion, MotionArrays
@@ -54,24 +53,29 @@ def fiducial_residuals(
     `c` is the similarity C as (a, b, x, y); `basis` (s, f) has the values of the surface's basis functions, f ≥ 0, and
     `surface_mm` (f,) its coefficients.
     """
-    lean, arm = motion.turned(points.row, points.lean), motion.turned(points.row, points.ground_mm - motion.pivot)
-    board = motion.board(points.row, points.ground_mm) + lean * (basis @ surface_mm)[:, None]
-    one, nil = np.ones(len(arm)), np.zeros(len(arm))
-    by_row = np.stack([np.stack([-arm[:, 1], one, nil], -1), np.stack([arm[:, 0], nil, one], -1)], 1)
-    jacobian = [by_row, -similarity_jacobian(points.cad), lean[:, :, None] * basis[:, None, :]]
-    return board - apply_similarity(c, points.cad), np.concatenate(jacobian, 2)
+    # Places and directions as complex numbers x + iy: a rotation is then a product.
+    turn, cad = np.exp(1j * motion.angle[points.row]), points.cad @ (1, 1j)
+    lean, arm = turn * (points.lean @ (1, 1j)), turn * ((points.ground_mm - motion.pivot) @ (1, 1j))
+    board = arm + (motion.pivot + motion.shift[points.row]) @ (1, 1j) + lean * (basis @ surface_mm)
+    a, b, x, y = c.tolist()
+    off, slopes = board - complex(a, b) * cad - complex(x, y), np.empty((len(arm), 7 + len(surface_mm)), np.complex128)
+    slopes[:, 0], slopes[:, 1:3], slopes[:, 5:7] = 1j * arm, (1, 1j), (-1, -1j)
+    slopes[:, 3], slopes[:, 4], slopes[:, 7:] = -cad, -1j * cad, lean[:, None] * basis
+    return np.stack([off.real, off.imag], -1), np.stack([slopes.real, slopes.imag], 1)
 
 
-def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floats, others: Ints) -> Equations:
+def detection_equations(
+    points: FiducialPoints, sigma_mm: Floats, residual: Floats, jacobian: Floats, columns: Ints
+) -> Equations:
     """Return the robustly weighted, whitened equations of s detections.
 
     Args:
+        sigma_mm: (s,) `detection_sigma_mm`.
         residual: (s, 2) residuals, mm.
-        jacobian: (s, 2, 3 + u) their derivatives by the row of each detection and by u other unknowns.
-        others: (s, u) columns of the other unknowns of each detection: C, the surface, and the camera.
+        jacobian: (s, 2, u) their derivatives by u unknowns.
+        columns: (s, u) columns of these unknowns.
     """
-    sigma = detection_sigma_mm(points)
-    chi = np.sqrt((residual**2).sum(1) / 2) / sigma
+    chi, sigma = np.sqrt((residual**2).sum(1) / 2) / sigma_mm, sigma_mm
     many = points.which < 0
     if many.any():
         # While the rows have only their nominal motion, all these points have large residuals without being outliers.
@@ -80,7 +84,6 @@ def detection_equations(points: FiducialPoints, residual: Floats, jacobian: Floa
         chi, sigma = np.where(many, chi / scale, chi), np.where(many, sigma * scale, sigma)
     robust = np.where(many & (chi > _CUT), 0.0, huber_weights(chi, _KNEE))
     weight = (np.sqrt(robust) / sigma)[:, None]
-    columns = np.concatenate([3 * points.row[:, None] + np.arange(3), others], 1)
     return columns, weight[:, :, None] * jacobian, weight * residual
 
 

@@ -16,7 +16,6 @@ seam does to them is not examined.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -87,19 +86,25 @@ class Assembly:
         add_links(self.links._replace(**read), self.motion, own, self.state._replace(**of_links), heights, normal)
         return normal, heights
 
-    def part_of_marks(self, at: Ints) -> tuple[NormalEquations, HeightEquations]:
-        """Return the same equations of the points `at` of `Problem.fiducials` alone."""
+    def part_of_marks(self, at: Ints) -> NormalEquations:
+        """Return the same equations of the points `at` of `Problem.fiducials` alone, which do not show heights."""
         normal = self.normal.zeros()
         columns, slopes, rest = self.priors[1]
         add_equations(columns[at], slopes[at], rest[at], normal)
-        return normal, self.heights.zeros()
+        return normal
 
-    def solve(self, normal: NormalEquations, heights: HeightEquations, held: Ints) -> tuple[Floats, NormalEquations]:
-        """Return the solution (n,) of equations, which are changed in place, and their factor.
+    def without_heights(self, normal: NormalEquations, heights: HeightEquations) -> NormalEquations:
+        """Return equations from which the component heights are eliminated."""
+        out = normal._replace(values=normal.values.copy(), right=normal.right.copy())
+        eliminate_heights(self.model.coupling, heights, out)
+        return out
+
+    @staticmethod
+    def solve(normal: NormalEquations, held: Ints) -> tuple[Floats, NormalEquations]:
+        """Return the solution (n,) of equations without heights, which are changed in place, and their factor.
 
         The unknowns in the columns `held` do not change.
         """
-        eliminate_heights(self.model.coupling, heights, normal)
         hold_first_row(normal)
         normal.values[normal.at[held] + held] += _HELD
         normal.right[held] = 0.0
@@ -116,35 +121,36 @@ def examine_influence(assembly: Assembly, points: FiducialPoints, shared: int, h
         held: columns of the unknowns that are taken as exact: the displacements of the cameras.
     """
     links, rows = assembly.links, len(assembly.motion.angle)
-    places, marks = few_places(links, assembly.state.robust, rows), groups_of_marks(points)
+    places, marks = few_places(links, assembly.state, rows), groups_of_marks(points)
     if not places and not marks:
         return None
     whole, u = assembly.whole(), 3 + shared
-    parts = chain((assembly.part(place.links) for place in places), map(assembly.part_of_marks, marks))
-    solved = [assembly.solve(whole[0].less(normal), whole[1].less(heights), held) for normal, heights in parts]
-    every, factor = assembly.solve(*whole, held)
-    deltas = np.array([solution for solution, _ in solved]) - every
+    parts = [assembly.part(place.links) for place in places]
+    every = assembly.without_heights(*whole)
+    of_places = [assembly.without_heights(whole[0].less(normal), whole[1].less(heights)) for normal, heights in parts]
+    of_marks = [every.less(assembly.part_of_marks(at)) for at in marks]
+    solved = [assembly.solve(normal, held) for normal in (*of_places, *of_marks, every)]
+    solutions = np.array([solution for solution, _ in solved])
+    deltas = solutions[:-1] - solutions[-1]
     own, of_all = deltas[:, : 3 * rows].reshape(-1, rows, 3), deltas[:, None, 3 * rows : 3 * rows + shared]
     changes = np.concatenate([own, np.broadcast_to(of_all, (len(deltas), rows, shared))], 2)
     least_mm = _LEAST_PX / float(np.median(points.px_per_mm))
     # in this form, because a change that is no number must not be left out
-    kept = np.flatnonzero(~(_extents_mm(changes, links, points, assembly.motion.pivot) <= least_mm)).tolist()
+    kept = np.flatnonzero(~(_extents_mm(changes, assembly, points) <= least_mm)).tolist()
     if not kept:
         return None
-    covariance, *grown = (f.row_blocks(inverse(f))[:, :u, :u] for f in (factor, *(solved[n][1] for n in kept)))
-    grids = np.array(
-        [
-            [n in found for n in range(len(_GRIDS))]
-            for found in (*(place.grids for place in places), *([()] * len(marks)))
-        ]
-    )
+    covariance, *grown = (f.row_blocks(inverse(f))[:, :u, :u] for f in (every, *(solved[n][1] for n in kept)))
+    grids = np.zeros((len(solved) - 1, len(_GRIDS)), np.bool_)
+    for number, place in enumerate(places):
+        grids[number, list(place.grids)] = True
     return Influence(changes[kept], np.array(grown) - covariance, grids[kept], len(marks))
 
 
-def _extents_mm(changes: Floats, links: LinkArrays, points: FiducialPoints, pivot: Floats) -> Floats:
+def _extents_mm(changes: Floats, assembly: Assembly, points: FiducialPoints) -> Floats:
     """Return roughly by how much each of c changes (c, m, u) of the unknowns moves points of the board at most."""
-    reach_mm = np.abs(np.concatenate([links.b_mm, points.ground_mm]) - pivot).max()
-    lean = np.hypot(*np.concatenate([links.b_lean, points.lean]).T).max()
+    seen, leans = (assembly.state.b_mm, points.ground_mm), (assembly.links.b_lean, points.lean)
+    reach_mm = max(float(np.abs(mm - assembly.motion.pivot).max(initial=0.0)) for mm in seen)
+    lean = max(float(np.square(of).sum(1).max(initial=0.0)) for of in leans) ** 0.5
     rows = np.hypot(changes[:, :, 1], changes[:, :, 2]) + np.abs(changes[:, :, 0]) * reach_mm
     by_c = np.hypot(*np.moveaxis(changes[:, 0, 3:7] @ similarity_jacobian(points.cad).swapaxes(1, 2), -1, 0))
     return np.asarray(np.max([rows.max(1), by_c.max(0), np.abs(changes[:, 0, 7:]).sum(1) * lean], axis=0))
@@ -157,17 +163,22 @@ class Place(NamedTuple):
     grids: set[int]
 
 
-def few_places(links: LinkArrays, robust: Floats, rows: int) -> list[Place]:
-    """Return the clusters of links with robust weights (k,) that are left out, each once."""
+def few_places(links: LinkArrays, state: LinkState, rows: int) -> list[Place]:
+    """Return the clusters of links that are left out, each once."""
     found: dict[bytes, Place] = {}
+    used = np.flatnonzero(state.robust > USED)
+    # Each pair of frames with used links has at least one cluster.
+    pair = used[np.flatnonzero(np.diff(links.group[used], prepend=-1))]
+    if not _of_few(links, pair, rows).any():
+        return []
     for grid, offset in enumerate(_GRIDS):
-        cluster = number_clusters(links, robust, offset)
-        few = np.flatnonzero(_of_few(links, cluster, rows))
+        cluster, one_of = number_clusters(links, state.b_mm, used, offset)
+        few = np.flatnonzero(_of_few(links, one_of, rows))
         # The grids hardly differ in their number of clusters.
         if not len(few):
             break
         for number in few.tolist():
-            at = np.flatnonzero(cluster == number)
+            at = used[cluster == number]
             found.setdefault(at.tobytes(), Place(at, set())).grids.add(grid)
     return list(found.values())
 
@@ -185,23 +196,20 @@ def groups_of_marks(points: FiducialPoints) -> list[Ints]:
     return [np.flatnonzero(which == mark) for mark, enough in zip(marks, places, strict=True) if enough]
 
 
-def number_clusters(links: LinkArrays, robust: Floats, offset: tuple[float, float]) -> Ints:
-    """Return the number (k,) of the cluster of each link; −1 for links that are not used.
+def number_clusters(links: LinkArrays, b_mm: Floats, used: Ints, offset: tuple[float, float]) -> tuple[Ints, Ints]:
+    """Return the number of the cluster of each of the links `used` (u,), and of each cluster the index of one link.
 
-    `offset` displaces the grid, in sides of a square.
+    `b_mm` (k, 2) are the second points of all links; `offset` displaces the grid, in sides of a square.
     """
-    used, out = np.flatnonzero(robust > USED), np.full(len(robust), -1)
-    x, y = np.floor(links.b_mm[used] / _SQUARE_MM + offset).astype(np.int_).T
+    x, y = np.floor(b_mm[used] / _SQUARE_MM + offset).astype(np.int_).T
     x, y = x - x.min(initial=0), y - y.min(initial=0)
     square = (links.group[used] * (x.max(initial=0) + 1) + x) * (y.max(initial=0) + 1) + y
-    out[used] = np.unique(square, return_inverse=True)[1]
-    return out
+    _, first, cluster = np.unique(square, return_index=True, return_inverse=True)
+    return cluster.ravel(), used[first]
 
 
-def _of_few(links: LinkArrays, cluster: Ints, rows: int) -> NDArray[np.bool_]:
-    """Return of each cluster whether it is one of few that connect the rows beside a gap, or two cameras."""
-    used = np.flatnonzero(cluster >= 0)
-    at = used[np.unique(cluster[used], return_index=True)[1]]
+def _of_few(links: LinkArrays, at: Ints, rows: int) -> NDArray[np.bool_]:
+    """Return whether each cluster is one of few beside a gap, or between two cameras; `at` holds one link of each."""
     if not len(at):
         return np.zeros(0, np.bool_)
     p, q = links.p[at], links.q[at]

@@ -260,8 +260,10 @@ class Problem:
     """(m,) number of the light of each row; empty if all rows have one light."""
 
     def select(self, at: Ints) -> Problem:
-        """Return the problem with the links of these indices only, for a problem whose components are not placed."""
-        return replace(self, links=self.links.select(at), component=self.component[at])
+        """Return the problem with the links of these indices only."""
+        near = self.near[at] if len(self.near) else self.near
+        surface = self.surface and replace(self.surface, at_links=self.surface.at_links[at])
+        return replace(self, links=self.links.select(at), component=self.component[at], near=near, surface=surface)
 
     @property
     def reaches_component(self) -> NDArray[np.bool_]:

@@ -34,6 +34,7 @@ from vaoi_station.stitching.adjustment.equations import (
     compute_residuals,
     compute_weights,
     detection_equations,
+    detection_sigma_mm,
     eliminate_heights,
     fiducial_residuals,
     scale_equation,
@@ -84,7 +85,10 @@ class NoiseFloors:
         self.kind = np.where(links.p == links.q, 1 + links.camera_a, 0)
         self._seams = max(int(self.kind.max(initial=0)), 1)
         self.kind[problem.of_two_lights] = 1 + self._seams
-        bare = [np.flatnonzero((problem.component < 0) & (self.kind == k)) for k in range(1 + self._seams + 1)]
+        on_board = np.flatnonzero(problem.component < 0)
+        kinds = self.kind[on_board].astype(np.int16)  # short numbers are sorted in time proportional to their number
+        ends = np.cumsum(np.bincount(kinds, minlength=self._seams + 2))[:-1]
+        bare = np.split(on_board[np.argsort(kinds, kind="stable")], ends)
         # near components only if the others are too few
         surely = [at[~raised[at]] for at in bare]
         surely = [own if len(own) >= _MIN_LINKS else at for own, at in zip(surely, bare, strict=True)]
@@ -174,6 +178,9 @@ CONVERGED_MM = 5e-5
 so that an error of about a tenth of this limit remains."""
 _SAMPLE_PER_ROW, _SAMPLE_CONVERGED_MM = 100, 3e-3
 """For a solution from a subsample of the links: number of links per row, and the value used as `CONVERGED_MM`."""
+_SAMPLE_LINKS, _PER_ROW, _COARSE_MM = 8000, 250, 1e-3
+"""If there are at least twice as many links, all unknowns are first estimated from a sample: its least number of links,
+of links per row, and the value used as `CONVERGED_MM`. All links then need two or three steps."""
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
 _PAIR_SIGMA_PX, _PAIR_SHARE, _NOISE_SHARE = (0.001, 0.011), 0.25, 0.5
@@ -210,9 +217,24 @@ def adjust(
         similarity: C to start from; needed if the problem has fiducials.
         converged_mm: the adjustment ends after a step that moves no row by more; about a tenth of it remains.
     """
-    solver = _Solver(problem, start, similarity)
+    solver, every = (
+        _Solver(problem, start, similarity),
+        len(problem.links) // max(_SAMPLE_LINKS, _PER_ROW * len(start.angle)),
+    )
+    if similarity is not None and every >= 2:
+        coarse = _Solver(sample_of(problem, every), start, similarity)
+        coarse.run(_COARSE_MM, reconsider=False)
+        solver.start_from(coarse)
     solver.run(converged_mm)
     return solver.result()
+
+
+def sample_of(problem: Problem, every: int) -> Problem:
+    """Return the problem with every n-th link of each pair of frames, so that each pair keeps some."""
+    group = problem.links.group
+    begins = np.flatnonzero(np.diff(group, prepend=-1))
+    in_pair = np.arange(len(group)) - np.repeat(begins, np.diff(begins, append=len(group)))
+    return problem.select(np.flatnonzero(in_pair % every == 0))
 
 
 def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
@@ -220,10 +242,7 @@ def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
     every = len(problem.links) // (_SAMPLE_PER_ROW * len(start.angle))
     if every < 2:
         return None
-    # Every n-th link of each pair of frames is taken, not every n-th of all links, so that each pair keeps some links.
-    group = problem.links.group
-    in_pair = np.arange(len(group)) - np.searchsorted(group, group)
-    solver = _Solver(problem.select(np.flatnonzero(in_pair % every == 0)), start, None)
+    solver = _Solver(sample_of(problem, every), start, None)
     solver.run(_SAMPLE_CONVERGED_MM)
     return solver.motion
 
@@ -272,13 +291,27 @@ class _Solver:
         self.scatter = HeightScatter(problem, self.component, self.n_parts)
         self.floors = NoiseFloors(problem, self.raised)
         self.steps = 0
+        # of the detections: columns of their unknowns, and standard deviations
+        self._columns: Ints | None = None
+        self._detection_mm = np.zeros(0)
 
-    def run(self, converged_mm: float) -> None:
-        """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`."""
+    def start_from(self, other: _Solver) -> None:
+        """Continue where the solver of a sample of the links ended: with its unknowns, after the first free steps."""
+        self.steps, self.motion, self.similarity = _FREE_STEPS, other.motion, other.similarity
+        self.surface_mm = other.surface_mm
+        # The sample may have no link on the last components.
+        self.heights_mm.reshape(2, -1)[:, : other.n_parts] = other.heights_mm.reshape(2, -1)
+        self.cameras.start_from(other.cameras)
+
+    def run(self, converged_mm: float, *, reconsider: bool = True) -> None:
+        """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`.
+
+        With `reconsider`, other displacements of the cameras are tried in the end.
+        """
         for _ in range(_MAX_STEPS):
             # As long as their prior is wide, cameras may seem displaced: the first steps do not count.
             still = self.step() < converged_mm and self.steps > _FREE_STEPS
-            if still and self.cameras.settled and not self.cameras.reconsider():
+            if still and self.cameras.settled and not (reconsider and self.cameras.reconsider()):
                 break
 
     def step(self) -> float:
@@ -342,13 +375,16 @@ class _Solver:
         if points is None or c is None:
             return []
         residual, jacobian = self._fiducial_residuals(c)
-        others = np.broadcast_to(self.shared, (len(points.row), len(self.shared)))
         if self.cameras.unknowns:
             turn = row_changes[points.camera, points.row]
             jacobian = np.concatenate([jacobian, jacobian[:, :, :3] @ turn], 2)
-            of_camera = self.cameras.first_column + 3 * points.camera[:, None] + np.arange(3)
-            others = np.concatenate([others, of_camera], 1)
-        detections = detection_equations(points, residual, jacobian, others)
+        if self._columns is None:
+            others = np.broadcast_to(self.shared, (len(points.row), len(self.shared)))
+            columns = [3 * points.row[:, None] + np.arange(3), others]
+            if self.cameras.unknowns:
+                columns.append(self.cameras.first_column + 3 * points.camera[:, None] + np.arange(3))
+            self._columns, self._detection_mm = np.concatenate(columns, 1), detection_sigma_mm(points)
+        detections = detection_equations(points, self._detection_mm, residual, jacobian, self._columns)
         return [detections, scale_equation(c, self.problem.nominal_scale, self.shared[:2])]
 
     def _fiducial_residuals(self, c: Floats) -> tuple[Floats, Floats]:
