@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
-from vaoi_station.geometry.homographies import of_part, to_part
-from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.geometry.resampling import resampled, resampled_in_tiles
 from vaoi_station.rendering.views import Tile, View, ViewTable
-
-_FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-_EXACT_PX = 64
-"""Longest side of the parts in which frames of 16 bit are resampled.
-
-OpenCV computes places in single precision. At 2000 px from the origin, their error is 0.0001 px, which moves an edge of
-65535 grey levels by more than one. In a part with its own origin, the error is 30 times as small."""
 
 
 def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
@@ -30,49 +22,38 @@ def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
     black. If lens distortion matters in this view, the image is made in tiles, with an error of at most 0.004 px for
     the lenses of such an array.
     """
-    return _resampled(frame, (view.width, view.height), view.matrix, view.tiles)
+    if view.tiles:
+        return _of_tiles(frame, view.tiles)
+    return resampled(frame, view.matrix[None], np.array([(view.width, view.height)]))[0]
 
 
 def render_all(views: ViewTable, frame: Callable[[int, int], NDArray[Any] | None]) -> list[NDArray[Any] | None]:
     """Render the temporary images of many views, each as `render` does, in the order of the table.
 
-    `frame` returns the pixels of a camera and row, and is called once for each; images of a missing frame are None.
+    `frame` returns the pixels of a camera and row, and is called once for each; images of a missing frame are None. The
+    images of one frame are parts of one array.
     """
     made: list[NDArray[Any] | None] = [None] * len(views.key)
-    sizes, keys = views.crops.size.astype(int)[views.component].tolist(), list(map(tuple, views.key.tolist()))
-    of_frame: tuple[int, int] | None = None
-    pixels: NDArray[Any] | None = None
-    for n in np.lexsort(views.key.T).tolist():
-        if keys[n] != of_frame:
-            of_frame, pixels = keys[n], frame(*keys[n])
-        if pixels is not None:
-            made[n] = _resampled(pixels, sizes[n], views.matrix[n], views.tiles.get(n, ()))
+    order, tiled = np.lexsort(views.key.T), np.isin(np.arange(len(views.key)), list(views.tiles))
+    keys, sizes = views.key[order], views.crops.size.astype(int)[views.component]
+    # Where another frame begins.
+    ends = [*np.flatnonzero((np.diff(keys, axis=0, prepend=-1) != 0).any(1)).tolist(), len(order)]
+    for begin, end in pairwise(ends):
+        pixels, mine = frame(*keys[begin].tolist()), order[begin:end]
+        if pixels is None:
+            continue
+        straight = mine[~tiled[mine]]
+        images = resampled(pixels, views.matrix[straight], sizes[straight]) if len(straight) else []
+        for n, image in zip(straight.tolist(), images, strict=True):
+            made[n] = image
+        for n in mine[tiled[mine]].tolist():
+            made[n] = _of_tiles(pixels, views.tiles[n])
     return made
 
 
-def _resampled(frame: NDArray[Any], size: tuple[int, int], matrix: Floats, tiles: tuple[Tile, ...]) -> NDArray[Any]:
-    """Resample a frame into a picture of this width and height by its matrix, or tile by tile if it has tiles."""
-    picture = np.empty((size[1], size[0], *frame.shape[2:]), dtype=frame.dtype)
-    for x0, y0, x1, y1, own in tiles or ((0, 0, *size, matrix),):
-        # OpenCV writes into the picture itself. WARP_INVERSE_MAP: a matrix maps the picture to the frame already.
-        if frame.dtype != np.uint16:
-            cv2.warpPerspective(frame, own, (x1 - x0, y1 - y0), dst=picture[y0:y1, x0:x1], flags=_FLAGS)
-            continue
-        for top in range(y0, y1, _EXACT_PX):
-            for left in range(x0, x1, _EXACT_PX):
-                part = picture[top : min(top + _EXACT_PX, y1), left : min(left + _EXACT_PX, x1)]
-                _warp_exactly(frame, of_part(own, left - x0, top - y0), part)
-    return picture
-
-
-def _warp_exactly(frame: NDArray[Any], matrix: Floats, out: NDArray[Any]) -> None:
-    """Resample from the part of the frame that a small picture shows, with its own origin."""
-    (h, w), limits = out.shape[:2], np.array(frame.shape[1::-1])
-    raw = apply(matrix, np.array([(0, 0), (w - 1, 0), (w - 1, h - 1), (0, h - 1)], np.float64))
-    low = np.clip(np.floor(raw.min(0)) - 1, 0, limits - 1).astype(int)
-    high = np.clip(np.ceil(raw.max(0)) + 2, low + 1, limits).astype(int)
-    part = frame[low[1] : high[1], low[0] : high[0]]
-    cv2.warpPerspective(part, to_part(matrix, *low.tolist()), (w, h), dst=out, flags=_FLAGS)
+def _of_tiles(frame: NDArray[Any], tiles: Sequence[Tile]) -> NDArray[Any]:
+    matrices = np.array([tile.matrix for tile in tiles])
+    return resampled_in_tiles(frame, matrices, np.array([tile[:4] for tile in tiles]))
 
 
 def subtract(image: NDArray[Any], other: NDArray[Any], ratio: float = 1.0) -> NDArray[Any]:

@@ -19,6 +19,7 @@ from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
+from vaoi_station.rendering import ViewCalculator, render_all
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.frames import resample
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -63,7 +64,9 @@ def warm_up_from_the_end() -> None:
 def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.uint8]) -> list[Callable[[], object]]:
     board_type = setup.board_type
     assert board_type is not None, "the synthetic board has a board type"
+    views = ViewCalculator(board_type, stitch, setup.cameras)
     return [
+        lambda: render_all(views.compute_all(board_type.components), partial(_frame, picture)),
         partial(_plan, setup, board_type, stitch, picture),
         partial(measure_heights, board_type, stitch, setup.cameras, partial(_frame, picture)),
     ]
@@ -138,4 +141,4 @@ def _picture() -> NDArray[np.uint8]:
 def _frame(picture: NDArray[np.uint8], camera: int, row: int) -> NDArray[np.uint8]:
     # The conveyor moves the board by `_STEP_MM` per row, so the cut-out moves up in the picture by this step.
     x, y = round(_PITCH_MM * camera * _PX_PER_MM), round(_STEP_MM * (_ROWS - 1 - row) * _PX_PER_MM)
-    return picture[y : y + _HEIGHT_PX, x : x + _WIDTH_PX]
+    return np.ascontiguousarray(picture[y : y + _HEIGHT_PX, x : x + _WIDTH_PX])
