@@ -66,13 +66,23 @@ class FootprintViews:
         """Camera and row of each of the k views."""
         return list(zip(self.camera.tolist(), self.row.tolist(), strict=True))
 
+    @property
+    def seen_in(self) -> frozenset[FrameKey]:
+        """The frames that have a view."""
+        there = _table(self.camera, self.row)
+        return frozenset((i, j) for i, j in np.argwhere(there).tolist())
+
     def without_rows(self, rows: Sequence[int]) -> FootprintViews:
         """Return the views in all rows except the given ones."""
         return self._where(~np.isin(self.row, rows)) if rows else self
 
     def without_frames(self, frames: Collection[FrameKey]) -> FootprintViews:
         """Return the views in all frames except the given ones."""
-        return self._where(np.array([key not in frames for key in self.frames], np.bool_)) if frames else self
+        if not frames or not len(self.point):
+            return self
+        camera, row = np.array([*frames], np.int_).T
+        keep = ~_table(camera, row, int(self.camera.max()), int(self.row.max()))
+        return self._where(keep[self.camera, self.row])
 
     def without_points(self, points: Sequence[int]) -> FootprintViews:
         """Return the views of all points except the given ones."""
@@ -87,6 +97,14 @@ class FootprintViews:
         every = list(zip(self.camera.tolist(), self.row.tolist(), x, y, strict=True))
         ends = [0, *np.cumsum(np.bincount(self.point, minlength=len(addresses))).tolist()]
         return {address: tuple(every[a:b]) for address, (a, b) in zip(addresses, pairwise(ends), strict=True)}
+
+
+def _table(camera: Ints, row: Ints, last_camera: int = -1, last_row: int = -1) -> NDArray[np.bool_]:
+    """Return a table of cameras and rows, at least up to the last ones, that is true for the given frames."""
+    shape = max(int(camera.max(initial=-1)), last_camera) + 1, max(int(row.max(initial=-1)), last_row) + 1
+    out = np.zeros(shape, np.bool_)
+    out[camera, row] = True
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,41 +245,30 @@ class FrameIndex:
 
     def views(self, cad: Floats) -> FootprintViews:
         """Return the views of points (n, 2) in CAD coordinates in the frames of all cameras and rows."""
-        height = self._height_mm(cad)
-        # First, one box around all cameras' views is tested: in most rows no camera sees a given point.
-        between = float(height.min(initial=0.0)), float(height.max(initial=0.0))
-        boxes = np.array([camera.view_mm(-_BEYOND_PX, between) for camera in self.cameras])
-        board = apply(self.tester_from_cad, cad)
-        row, point, place = _points_in_box(self.row_from_tester, board, boxes[:, 0].min(0), boxes[:, 1].max(0))
-        found = []
-        for i, (camera, (low, high)) in enumerate(zip(self.cameras, boxes, strict=True)):
-            near = np.flatnonzero(((place >= low) & (place <= high)).all(1))
-            px = camera.project(place[near], height[point[near]])
-            seen = camera.sees(px, -_BEYOND_PX)
-            at = near[seen]
-            found.append((point[at], np.full(len(at), i), row[at], place[at], px[seen]))
-        point, *others = (np.concatenate(of_cameras) for of_cameras in zip(*found, strict=True))
-        # Views were found camera by camera; the stable sort orders them by point and keeps cameras and rows.
-        order = np.argsort(point, kind="stable")
-        return FootprintViews(point[order], *(values[order] for values in others))
+        board = np.ascontiguousarray(apply(self.tester_from_cad, cad)).reshape(-1, 2)
+        found = _views(board, self._height_mm(cad), self._poses)
+        point, camera, row = found[:, :3].T.astype(np.int_)
+        return FootprintViews(point, camera, row, found[:, 3:5].copy(), found[:, 5:].copy())
 
-    def coverage(self, corners: Floats, *, count_views: bool = True) -> Coverage:
-        """Compute how much of every footprint with corners (n, 4, 2), going round, the frames show.
+    def coverage(
+        self, corners: Floats, present: Collection[FrameKey] | None = None, *, count_views: bool = True
+    ) -> Coverage:
+        """Compute how much of every footprint with corners (n, 4, 2), going round, the frames `present` show.
 
-        Without `count_views`, a count may be too low. The footprint lies at the height of the board's surface at its
-        centre. It is divided into quarters until each part lies inside one frame, or outside all frames, or is smaller
-        than 1/128 of the footprint's sides.
+        They are all frames that count if `present` is None. Without `count_views`, a count may be too low. The
+        footprint lies at the height of the board's surface at its centre. It is divided into quarters until each part
+        lies inside one frame, or outside all frames, or is smaller than 1/128 of the footprint's sides.
         """
         n = len(corners)
         there = np.zeros((len(self.row_from_tester), len(self.cameras)), np.bool_)
-        there[self.key[:, 1], self.key[:, 0]] = True
+        key = self.key if present is None else np.array([*present], np.int_).reshape(-1, 2)
+        there[key[:, 1], key[:, 0]] = True
         coverage = Coverage(np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.bool_))
         if corners.size and len(there):
             height = self._height_mm(corners.mean(1))
             board = np.ascontiguousarray(apply(self.tester_from_cad, corners))
-            poses = self._poses_between((float(height.min()), float(height.max())))
             seen = _Seen(coverage.share, coverage.views, coverage.in_one_frame)
-            _cover(board, height, there, poses, count_views, seen)
+            _cover(board, height, there, self._poses, count_views, seen)
         return coverage
 
     def nearest(self, board_mm: Floats) -> Ints:
@@ -309,13 +316,25 @@ class FrameIndex:
 
     @cached_property
     def _poses(self) -> _Poses:
-        return self._poses_between((0.0, 0.0))
-
-    def _poses_between(self, heights_mm: tuple[float, float]) -> _Poses:
         sizes = [(c.width_px, c.height_px, _MARGIN_MM * c.px_per_mm) for c in self.cameras]
-        view_mm = np.array([np.concatenate(c.view_mm(0.0, heights_mm)) for c in self.cameras])
         rows = np.ascontiguousarray(self.row_from_tester)
-        return _Poses(rows, self.arrays, np.array(sizes, dtype=np.float64), view_mm)
+        return _Poses(rows, self.arrays, np.array(sizes, dtype=np.float64), self._view_mm)
+
+    @property
+    def _view_mm(self) -> Floats:
+        """(c, 4) box around what each camera sees of the board's surface, lowest x and y first, row coordinates.
+
+        It is a little larger, since it only saves the projection of places that no frame shows.
+        """
+        box = np.array([c.view_mm() for c in self.cameras])
+        if self.surface is not None:
+            # What is seen at a height lies between the place on the calibrated plane and the foot of the camera.
+            *foot, inverse = np.array([c.viewpoint for c in self.cameras]).T
+            share = (np.array(self.surface.bounds_mm)[:, None] * inverse)[:, :, None, None]
+            raised = box + share * (np.array(foot).T[:, None] - box)
+            box = np.stack([raised[:, :, 0].min(0), raised[:, :, 1].max(0)], 1)
+        beyond_mm = 2 * _BEYOND_PX / np.array([c.px_per_mm for c in self.cameras])[:, None]
+        return np.concatenate([box[:, 0] - beyond_mm, box[:, 1] + beyond_mm], 1)
 
 
 def _corners(camera: Camera, beyond_px: float) -> Floats:
@@ -338,32 +357,6 @@ def _from_rectangle(target: Floats, width: float, height: float) -> Floats:
             [g / width, h / height, 1.0],
         ]
     )
-
-
-@compiled
-def _points_in_box(rows: Floats, board_mm: Floats, low: Floats, high: Floats) -> tuple[Ints, Ints, Floats]:
-    """Find in which rows which points of the board lie inside a box on the conveyor's plane.
-
-    Args:
-        board_mm: (k, 2) points of the board in tester coordinates.
-        low: (2,) the corner of the box with the smallest x and y, in row coordinates.
-        high: (2,) the corner with the largest x and y.
-
-    Returns:
-        For each of v hits, row by row: the row (v,), the index of the point (v,), its row coordinates (v, 2).
-    """
-    most = len(rows) * len(board_mm)
-    row, point, place = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 2))
-    count = 0
-    for j in range(len(rows)):
-        d = rows[j]
-        for n in range(len(board_mm)):
-            x = d[0, 0] * board_mm[n, 0] + d[0, 1] * board_mm[n, 1] + d[0, 2]
-            y = d[1, 0] * board_mm[n, 0] + d[1, 1] * board_mm[n, 1] + d[1, 2]
-            if low[0] <= x <= high[0] and low[1] <= y <= high[1]:
-                row[count], point[count], place[count, 0], place[count, 1] = j, n, x, y
-                count += 1
-    return row[:count].copy(), point[:count].copy(), place[:count].copy()
 
 
 class _Poses(NamedTuple):
@@ -391,6 +384,43 @@ def _to_pixel(x: float, y: float, height: float, i: int, j: int, poses: _Poses) 
     u = (d[0, 0] * x + d[0, 1] * y + d[0, 2] - share * eye[0]) / (1 - share)
     v = (d[1, 0] * x + d[1, 1] * y + d[1, 2] - share * eye[1]) / (1 - share)
     return ground_to_raw(u, v, i, poses.cameras)
+
+
+@compiled
+def _views(board_mm: Floats, height: Floats, poses: _Poses) -> Floats:
+    """Find the v views of board points (k, 2) at heights (k,), ordered as in `FootprintViews`.
+
+    Returns:
+        (v, 7): number of the point, camera, row, place x and y on the conveyor's plane, raw pixels x and y.
+    """
+    box, rows, cameras = poses.view_mm, poses.rows, len(poses.view_mm)
+    outer = np.array([box[:, 0].min(), box[:, 1].min(), box[:, 2].max(), box[:, 3].max()])
+    near, place, out, count = np.empty(len(rows), np.int64), np.empty((len(rows), 2)), np.empty((0, 7)), 0
+    for n in range(len(board_mm)):
+        x, y, found = board_mm[n, 0], board_mm[n, 1], 0
+        for j in range(len(rows)):
+            d = rows[j]
+            u, v = d[0, 0] * x + d[0, 1] * y + d[0, 2], d[1, 0] * x + d[1, 1] * y + d[1, 2]
+            # In most rows no camera sees a given point: one box around all views rules these rows out.
+            if outer[0] <= u <= outer[2] and outer[1] <= v <= outer[3]:
+                near[found], place[found, 0], place[found, 1] = j, u, v
+                found += 1
+        if count + found * cameras > len(out):
+            longer = np.empty((2 * len(out) + len(board_mm) + found * cameras, 7))
+            longer[:count] = out[:count]
+            out = longer
+        for i in range(cameras):
+            right, bottom = poses.size_px[i, 0] - 1 + _BEYOND_PX, poses.size_px[i, 1] - 1 + _BEYOND_PX
+            for k in range(found):
+                u, v = place[k, 0], place[k, 1]
+                if not (box[i, 0] <= u <= box[i, 2] and box[i, 1] <= v <= box[i, 3]):
+                    continue
+                a, b = _to_pixel(x, y, height[n], i, near[k], poses)
+                if -_BEYOND_PX <= a <= right and -_BEYOND_PX <= b <= bottom:
+                    out[count, 0], out[count, 1], out[count, 2] = n, i, near[k]
+                    out[count, 3], out[count, 4], out[count, 5], out[count, 6] = u, v, a, b
+                    count += 1
+    return out[:count]
 
 
 @compiled

@@ -95,27 +95,16 @@ class Camera:
         ground_to_image(place, height, self.arrays, out.reshape(-1, 2))
         return out
 
-    def view_mm(self, margin_px: float = 0.0, heights_mm: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
-        """Return the lowest and the highest corner, mm, of a box that contains all points visible in a frame.
-
-        Args:
-            margin_px: width of the strip along the border of the frame that is left out.
-            heights_mm: the lowest and the highest considered height above the calibrated plane.
-        """
-        # Most callers need the whole frame at height 0, so that box is cached.
-        whole = margin_px == 0 and heights_mm == (0.0, 0.0)
-        return self._view_mm if whole else self._seen_mm(margin_px, heights_mm)
+    def view_mm(self) -> tuple[Floats, Floats]:
+        """Return the lowest and the highest corner, mm, of a box on the calibrated plane around what a frame shows."""
+        return self._view_mm
 
     @cached_property
     def _view_mm(self) -> tuple[Floats, Floats]:
-        return self._seen_mm(0.0, (0.0, 0.0))
-
-    def _seen_mm(self, margin_px: float, heights_mm: tuple[float, float]) -> tuple[Floats, Floats]:
-        x = np.linspace(margin_px, self.width_px - 1 - margin_px, _BORDER_POINTS)
-        y = np.linspace(margin_px, self.height_px - 1 - margin_px, _BORDER_POINTS)
+        x, y = (np.linspace(0, size - 1, _BORDER_POINTS) for size in (self.width_px, self.height_px))
         border = [np.column_stack([x, np.full_like(x, end)]) for end in (y[0], y[-1])]
         border += [np.column_stack([np.full_like(y, end), y]) for end in (x[0], x[-1])]
-        seen = np.concatenate([self.ground(np.concatenate(border), height) for height in heights_mm])
+        seen = self.ground(np.concatenate(border))
         extra = _BOX_MARGIN * np.ptp(seen, axis=0)
         return np.asarray(seen.min(0) - extra), np.asarray(seen.max(0) + extra)
 

@@ -47,6 +47,12 @@ class Surface(FrozenModel):
         (a, b), (c, d, e) = self.tilt_mm, self.bow_mm
         return np.asarray(self.lift_mm + a * u + b * v + c * u * u + d * u * v + e * v * v)
 
+    @property
+    def bounds_mm(self) -> tuple[float, float]:
+        """Two heights between which the surface lies everywhere."""
+        most = sum(abs(v) * 1.2 for v in self.tilt_mm) + sum(abs(v) * 1.2**2 for v in self.bow_mm)
+        return self.lift_mm - most, self.lift_mm + most
+
 
 class Stitch(FrozenModel):
     """The result of stitching: M_ij, C, D_j, surface, verdict and quality figures."""

@@ -72,6 +72,8 @@ class ComponentIndex:
 
     def moved(self, moves: Mapping[str, Floats]) -> ComponentIndex:
         """Return an index with some components displaced and turned, by (3, 3) matrices in CAD coordinates."""
+        if not moves:
+            return self
         center, angle = self.center.copy(), self.angle_rad.copy()
         at = [n for n, address in enumerate(self.addresses) if address in moves]
         if at:

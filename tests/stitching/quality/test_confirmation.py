@@ -40,10 +40,12 @@ def observed(*pairs: tuple[Task, Floats]) -> Observations:
     group = np.repeat(np.arange(len(pairs)), count)
     p = np.array([task.a[1] for task, _ in pairs])[group]
     q = np.array([(task.b or task.a)[1] for task, _ in pairs])[group]
+    camera_a = np.array([task.a[0] for task, _ in pairs])[group]
+    camera_b = np.array([(task.b or task.a)[0] for task, _ in pairs])[group]
     zero = np.zeros_like(a_mm)
     empty = tuple(Links.empty(task, "") for task, _ in pairs)
     noise, ones = np.zeros((len(a_mm), 2, 2)), np.ones(len(a_mm))
-    return Observations(p, q, 0 * p, 0 * p, group, a_mm, a_mm + way_mm, zero, zero, noise, ones, ones, empty)
+    return Observations(p, q, camera_a, camera_b, group, a_mm, a_mm + way_mm, zero, zero, noise, ones, ones, empty)
 
 
 def ways(*mm: float) -> Floats:

@@ -52,8 +52,8 @@ def connected_rows(links: Observations, rows: int, used: np.ndarray) -> list[np.
     fewer always fit some motion, so that false ones would connect the rows.
     """
     label = np.arange(rows)
-    pairs, count = np.unique(links.p[used] * rows + links.q[used], return_counts=True)
-    for pair in pairs[count >= _LEAST_LINKS]:
+    count = np.bincount(links.p[used] * rows + links.q[used])
+    for pair in np.flatnonzero(count >= _LEAST_LINKS):
         a, b = label[pair // rows], label[pair % rows]
         label[label == max(a, b)] = min(a, b)
     return [np.flatnonzero(label == k) for k in np.unique(label)]

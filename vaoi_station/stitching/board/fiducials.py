@@ -371,8 +371,9 @@ def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
         return 0.0
     low, high = board_type.extent()
     margin = _TEXTURE_MARGIN_MM / board_type.mm_per_unit
-    cad = apply(np.linalg.inv(plane.matrix(c)), texture_mm)
-    return float(((cad < low - margin) | (cad > high + margin)).any(1).mean())
+    x, y = apply(np.linalg.inv(plane.matrix(c)), texture_mm).T
+    (x0, y0), (x1, y1) = low - margin, high + margin
+    return float(((x < x0) | (x > x1) | (y < y0) | (y > y1)).mean())
 
 
 def assign_fiducials(

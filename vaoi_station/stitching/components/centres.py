@@ -87,19 +87,18 @@ def central_views(
     order = use[np.lexsort((np.hypot(*(views.px[use] - centre).T), views.point[use]))]
     each = order[np.flatnonzero(np.diff(views.point[order], prepend=-1))]
     best = each[np.unique(np.linspace(0, len(each) - 1, min(len(each), _MOST)).round().astype(np.int_))]
-    half_mm = np.ptp(apply(cad_matrix, plane.components.corners[views.point[best]]), axis=1) / 2
-    found = []
     # frame by frame, so that each frame is fetched only once
-    for n in np.lexsort((views.row[best], views.camera[best])).tolist():
-        view = best[n]
-        i, j, px = int(views.camera[view]), int(views.row[view]), views.px[view]
-        camera = scene.cameras[i]
-        # A footprint's extent in the picture: camera and board may be turned by quarters against one another.
-        across = camera.ground(np.array([px, px + (1, 0)]))
-        way = np.abs(motion.turned(np.array([j]), np.diff(across, axis=0))[0])
-        half = half_mm[n] if way[0] >= way[1] else half_mm[n][::-1]
-        found.append(PartView(int(views.point[view]), (i, j), px, half * camera.px_per_mm))
-    return found
+    best = best[np.lexsort((views.row[best], views.camera[best]))]
+    part, camera, row, px = views.point[best], views.camera[best], views.row[best], views.px[best]
+    # A footprint's extent in the picture: camera and board may be turned by quarters against one another.
+    middles = [np.array([c.center_px, c.center_px]) + ((0, 0), (1, 0)) for c in scene.cameras]
+    across = np.array([np.diff(c.row_from_image(px), axis=0)[0] for c, px in zip(scene.cameras, middles, strict=True)])
+    way = np.abs(motion.turned(row, across[camera]))
+    half_mm = np.ptp(apply(cad_matrix, plane.components.take(part).corners), axis=1) / 2
+    half_mm = np.where((way[:, :1] >= way[:, 1:]), half_mm, half_mm[:, ::-1])
+    half_px = half_mm * np.array([c.px_per_mm for c in scene.cameras])[camera, None]
+    frames = zip(camera.tolist(), row.tolist(), strict=True)
+    return [PartView(*view) for view in zip(part.tolist(), frames, px, half_px, strict=True)]
 
 
 def reduced_patch(
@@ -136,7 +135,7 @@ def centre_of_symmetry(
     if patch is None:
         return None
     turned = np.ascontiguousarray(patch[::-1, ::-1][reach:-reach, reach:-reach])
-    if turned.std() < _LEAST_CONTRAST:
+    if cv2.meanStdDev(turned)[1][0, 0] < _LEAST_CONTRAST:
         return None
     score = cv2.matchTemplate(patch, turned, cv2.TM_CCOEFF_NORMED)
     row, column = divmod(int(score.argmax()), score.shape[1])
@@ -191,19 +190,26 @@ def measure_component_shift(
     if len(views) < _LEAST:
         return None
     part = np.array([view.part for view in views])
-    off_mm, lean_mm = np.full((len(views), 2), np.nan), np.zeros((len(views), 2))
-    for n, (_, (i, j), px, half_px) in enumerate(views):
-        camera, grey = scene.cameras[i], scene.prepared((i, j)).grey
-        off = centre_of_symmetry(grey, px, half_px, camera.px_per_mm)
+    off_px = np.full((len(views), 2), np.nan)
+    for n, (_, key, px, half_px) in enumerate(views):
+        off = centre_of_symmetry(scene.prepared(key).grey, px, half_px, scene.cameras[key[0]].px_per_mm)
         if off is not None:
-            ends = camera.ground(np.array([px, px + off]))
-            off_mm[n] = motion.turned(np.array([j]), np.diff(ends, axis=0))[0]
-            # a raised point is seen away from its real position, so the offset is the negative of the parallax
-            lean_mm[n] = -motion.turned(np.array([j]), camera.parallax(ends[:1]))[0]
-    found = np.isfinite(off_mm).all(1)
-    if found.sum() < _LEAST:
+            off_px[n] = off
+    found = np.flatnonzero(np.isfinite(off_px[:, 0]))
+    if len(found) < _LEAST:
         return None
-    part, off_mm, lean_mm = part[found], off_mm[found], lean_mm[found]
+    camera, row = np.array([view.frame for view in views])[found].T
+    px, ends, lean_mm = (
+        np.array([view.px for view in views])[found],
+        np.empty((2, len(found), 2)),
+        np.empty((len(found), 2)),
+    )
+    for i in np.unique(camera).tolist():
+        mine = camera == i
+        ends[:, mine] = scene.cameras[i].ground(np.stack([px[mine], px[mine] + off_px[found[mine]]]))
+        # a raised point is seen away from its real position, so the offset is the negative of the parallax
+        lean_mm[mine] = -scene.cameras[i].parallax(ends[0, mine])
+    part, off_mm, lean_mm = part[found], motion.turned(row, ends[1] - ends[0]), motion.turned(row, lean_mm)
     parts, prior = plane.components.take(part), _HEIGHT_MM
     stated = [plane.board_type.components[n].body_height for n in part.tolist()]
     known = np.array([height for height in stated if height is not None])
@@ -243,11 +249,13 @@ def _fitted(
     covariance, solved = np.eye(j.shape[2]), expected
     for _ in range(_ROUNDS):
         precision[of_kinds] = np.repeat(trust, 2) / kind_mm**2
-        normal = np.einsum("k,kia,kib->ab", weight, j, j) / scatter**2
-        if np.linalg.cond(normal[:4, :4]) > 1e8:
+        weighted = (j * (weight / scatter**2)[:, None, None]).reshape(-1, j.shape[2])
+        normal = weighted.T @ j.reshape(-1, j.shape[2])
+        low, *_, high = np.linalg.eigvalsh(normal[:4, :4]).tolist()
+        if low * 1e8 < high:
             return None
         covariance = np.linalg.inv(normal + np.diag(precision))
-        vector = np.einsum("k,kia,ki->a", weight, j, off_mm) / scatter**2
+        vector = off_mm.ravel() @ weighted
         solved = covariance @ (vector + precision * expected)
         variance = covariance.diagonal()
         # Few centres show their scatter badly, since they determine unknowns too, as far as the priors do not.

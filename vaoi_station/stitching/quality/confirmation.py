@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import Reason, ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE, USED, AdjustmentResult, FiducialPoints, Observations
+from vaoi_station.stitching.adjustment.problem import (
+    REFERENCE,
+    USED,
+    AdjustmentResult,
+    FiducialPoints,
+    Ints,
+    Observations,
+)
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.outline import (
     HALF_PATCH_PX,
@@ -73,32 +80,45 @@ class CheckedFrames(NamedTuple):
     """Refuted frames that show the moment of the frame before, in other pixels."""
 
 
-class Fits:
-    """For each frame that has any, the number of its links or points, and of those that fit the board's motion."""
+class Fits(NamedTuple):
+    """For each frame, the number of its links or points, and of those that fit the board's motion."""
 
-    def __init__(self, seen: Iterable[tuple[FrameKey, int, int]]) -> None:
-        """Add up a frame, its links and the fitting ones of several entries."""
-        self.frames: dict[FrameKey, tuple[int, int]] = {}
-        for key, own, fits in seen:
-            n, fitting = self.frames.get(key, (0, 0))
-            self.frames[key] = n + own, fitting + fits
+    every: Ints
+    """(cameras, rows)."""
+    fitting: Ints
+
+    @staticmethod
+    def of(camera: Ints, row: Ints, every: Ints, fitting: Ints) -> Fits:
+        """Add up the numbers (k,) of links or points in frames (k,), and of the fitting ones."""
+        shape = int(camera.max(initial=-1)) + 1, int(row.max(initial=-1)) + 1
+        at, size = camera * shape[1] + row, shape[0] * shape[1]
+        each = (np.bincount(at, counts, size).astype(np.int_).reshape(shape) for counts in (every, fitting))
+        return Fits(*each)
 
     @staticmethod
     def of_links(links: Observations, fit: NDArray[np.bool_]) -> Fits:
         """Count the links of every frame, and those that `fit` (k,)."""
-        count = len(links.groups)
-        every, fitting = np.bincount(links.group, minlength=count), np.bincount(links.group[fit], minlength=count)
-        each = zip(links.groups, every.tolist(), fitting.tolist(), strict=True)
-        return Fits((key, n, fits) for e, n, fits in each for key in (e.task.a, e.task.b) if key is not None)
+        if not len(links):
+            return Fits(np.zeros((0, 0), np.int_), np.zeros((0, 0), np.int_))
+        first = np.flatnonzero(np.diff(links.group, prepend=-1))
+        camera, row = np.concatenate(
+            [[links.camera_a[first], links.p[first]], [links.camera_b[first], links.q[first]]], 1
+        )
+        every, fitting = np.diff(first, append=len(links)), np.add.reduceat(fit.astype(np.int_), first)
+        return Fits.of(camera, row, np.tile(every, 2), np.tile(fitting, 2))
 
     def enough(self, least: int = _LEAST_FITTING, share: float = _LEAST_SHARE) -> set[FrameKey]:
         """Return the frames of which enough links or points fit."""
-        return {key for key, (n, fit) in self.frames.items() if fit >= least and fit >= share * n}
+        return _frames((self.fitting >= least) & (self.fitting >= share * self.every))
 
     @property
     def decided(self) -> set[FrameKey]:
         """The frames whose number of links or points is large enough to decide."""
-        return {key for key, (n, _) in self.frames.items() if n >= _DECIDING}
+        return _frames(self.every >= _DECIDING)
+
+
+def _frames(there: NDArray[np.bool_]) -> set[FrameKey]:
+    return {(i, j) for i, j in np.argwhere(there).tolist()}
 
 
 def check_frames(
@@ -134,10 +154,10 @@ def confirmed_by_points(points: FiducialPoints, residual_px: Floats) -> tuple[se
 
     One mark of the board confirms a frame. Parts at equal distances let single points of the reference fit by chance.
     """
-    each = zip(points.camera.tolist(), points.row.tolist(), inliers(points, residual_px).tolist(), strict=True)
-    seen = [((i, j), fit) for i, j, fit in each]
-    of_reference = Fits((key, 1, fit) for (key, fit), n in zip(seen, points.which, strict=True) if n == REFERENCE)
-    marked = {key for (key, fit), n in zip(seen, points.which, strict=True) if n != REFERENCE and fit}
+    fit, referred = inliers(points, residual_px), points.which == REFERENCE
+    camera, row = points.camera[referred], points.row[referred]
+    of_reference = Fits.of(camera, row, np.ones_like(camera), fit[referred].astype(np.int_))
+    marked = {(i, j) for i, j in np.stack([points.camera, points.row], 1)[fit & ~referred].tolist()}
     return marked | of_reference.enough(), of_reference.decided
 
 
@@ -157,8 +177,9 @@ def confirmed_beside(beside: Observations, motion: Motion) -> set[FrameKey]:
 
 def linked_to_before(links: Observations, weight: Floats) -> set[FrameKey]:
     """Return the frames of which a used link leads to the frame before; `weight` (k,) are the links' robust weights."""
-    used = {links.groups[n].task for n in np.unique(links.group[weight > USED]).tolist()}
-    return {t.b for t in used if t.b is not None and t.kind == "rows" and t.b == (t.a[0], t.a[1] + 1)}
+    used = (weight > USED) & (links.camera_a == links.camera_b) & (links.q == links.p + 1)
+    pairs = np.unique(links.group[used], return_index=True)[1]
+    return {(i, j) for i, j in np.stack([links.camera_b[used], links.q[used]], 1)[pairs].tolist()}
 
 
 def frames_with_edge(

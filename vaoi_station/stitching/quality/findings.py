@@ -46,7 +46,6 @@ from vaoi_station.stitching.quality.pictures import LensError, lens_errors, posi
 from vaoi_station.stitching.quality.seams import LIFT_LIMIT_MM, Lift, agreeing_links, measure_lift, row_offset, seam_px
 from vaoi_station.stitching.quality.uncertainty import (
     PredictedSigma,
-    largest_sigma,
     predict_sigma,
     reference_share,
     seam_sigma_px,
@@ -260,7 +259,7 @@ class Findings:
     @cached_property
     def _seen(self) -> frozenset[FrameKey]:
         """The good frames that should show a component; empty without C."""
-        return frozenset(self._every_view.frames if self._every_view else ()).intersection(self.scene.present)
+        return (self._every_view.seen_in if self._every_view else frozenset()).intersection(self.scene.present)
 
     @cached_property
     def unconfirmed(self) -> tuple[FrameKey, ...]:
@@ -276,7 +275,8 @@ class Findings:
         parts = placed_parts(b.plane, b.matrix, self.own_places.matrices)
         filmed = FilmedBoard(parts, self._frames)
         required = required_visibility(b.plane.board_type, self.visibility)
-        unseen = find_unseen(filmed, self.checked.confirmed, self.problem.velocity_mm_s, required)
+        views = self._every_view if required else None
+        unseen = find_unseen(filmed, self.checked.confirmed, self.problem.velocity_mm_s, required, views)
         return tuple(part for part in unseen if part.address not in self.skipped_parts)
 
     @cached_property
@@ -330,9 +330,10 @@ class Findings:
         groups = [set(g.tolist()) for g in self.connected_groups]
         unknown = {row for g in groups if not main & g and not with_points & g for row in g}
         o, used = self.problem.links, self._used_between_rows
-        loose = set(np.append(o.p[used], o.q[used]).tolist()) - with_points
+        rows = np.bincount(o.p[used], minlength=self.rows) + np.bincount(o.q[used], minlength=self.rows)
+        loose = set(np.flatnonzero(rows).tolist()) - with_points
         unknown |= loose.difference(*groups)
-        vague = largest_sigma(self.sigma.covariance_px2) > _PLACED_SIGMA_PX
+        vague = self.sigma.length_px > _PLACED_SIGMA_PX
         unknown |= set(self.sigma.seen_in[vague, 1].tolist()) - main
         return tuple(sorted(unknown & {row for _, row in self.scene.present}))
 
@@ -350,7 +351,9 @@ class Findings:
     @cached_property
     def seams_px(self) -> dict[tuple[int, int], float]:
         """For each pair of neighbouring cameras, the length of the median residual of their links, px (`seam_px`)."""
-        every = (np.flatnonzero(self.problem.links.seam == i) for i in range(len(self.scene.cameras) - 1))
+        seam = self.problem.links.seam
+        at = np.flatnonzero(seam >= 0)
+        every = (at[seam[at] == i] for i in range(len(self.scene.cameras) - 1))
         found = (seam_px(self.problem, self.adjusted, mine, _SEAM_LINKS) for mine in every)
         return {(i, i + 1): px for i, px in enumerate(found) if px is not None}
 

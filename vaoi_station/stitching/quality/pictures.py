@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks.blur import BLUR_LIMIT_PX, measure_blur_px
 from vaoi_station.model import Reason, ReasonCode
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Problem
+from vaoi_station.stitching.adjustment.problem import AdjustmentResult, FiducialPoints, Ints, Problem
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.matching.frames import Scene
 
@@ -55,30 +56,29 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
     use = np.flatnonzero((o.p != o.q) & (adjusted.weight > _LEAST_WEIGHT))
     if not len(use):
         return {}
-    _, first, pair = np.unique(o.group[use], return_index=True, return_inverse=True)
-    camera = o.camera_a[use]
-    centre_mm = np.array([c.ground(np.array([c.center_px]))[0] for c in cameras])[camera]
-    radius_mm = np.array([float(np.hypot(*c.center_px)) / c.px_per_mm for c in cameras])[camera, None]
-    a, b = (o.a_mm[use] - centre_mm) / radius_mm, (o.b_mm[use] - centre_mm) / radius_mm
-    off, lean = o.a_mm[use] - o.a_mm[use][first][pair], o.b_lean[use] - o.a_lean[use]
-    # Derivatives (k, 2, 6) by shift x and y, turn, tilt along x and y, and the error at the corner.
-    j = np.zeros((len(use), 2, 6))
-    j[:, 0, 0] = j[:, 1, 1] = 1.0
-    j[:, 0, 2], j[:, 1, 2], j[:, :, 3:5] = -off[:, 1], off[:, 0], lean[:, :, None] * off[:, None]
-    j[:, :, 5] = b * (b**2).sum(1)[:, None] - a * (a**2).sum(1)[:, None]
-    weight = adjusted.weight[use][:, None, None] * o.inverse_noise(use, adjusted.floor_px)
-    # On a component, the residual along the lean is explained by its height.
-    raised = (problem.reaches_component | (problem.component >= 0))[use]
-    pull = (weight @ lean[:, :, None])[:, :, 0]
-    along = (pull * lean).sum(1)
-    weight -= np.where(raised & (along > 0), 1 / np.where(along > 0, along, 1.0), 0.0)[:, None, None] * (
-        pull[:, :, None] * pull[:, None]
-    )
-    weighted, residual_mm = weight @ j, (adjusted.link_px / o.px_per_mm[:, None])[use]
-    square = np.add.reduceat(j.swapaxes(1, 2) @ weighted, first)
-    product = np.add.reduceat((residual_mm[:, None] @ weighted)[:, 0], first)
+    # Links of one pair of frames are adjacent.
+    first = np.flatnonzero(np.diff(o.group[use], prepend=-1))
+    camera, many = o.camera_a[use], np.diff(first, append=len(use))
+    centre_mm = np.array([c.ground(c.center_px) for c in cameras]).T[:, camera]
+    radius_mm = np.array([float(np.hypot(*c.center_px)) / c.px_per_mm for c in cameras])[camera]
+    a_mm, b_mm, a_lean, b_lean = (np.ascontiguousarray(v[use].T) for v in (o.a_mm, o.b_mm, o.a_lean, o.b_lean))
+    a, b, lean = (a_mm - centre_mm) / radius_mm, (b_mm - centre_mm) / radius_mm, b_lean - a_lean
+    off = a_mm - np.repeat(a_mm[:, first], many, axis=1)
+    # Derivatives (7, 2, k) by shift x and y, turn, tilt along x and y, and the error at the corner; last the residual.
+    j = np.zeros((7, 2, len(use)))
+    j[0, 0] = j[1, 1] = 1.0
+    j[2, 0], j[2, 1], j[3:5] = -off[1], off[0], lean * off[:, None]
+    j[5], j[6] = b * (b**2).sum(0) - a * (a**2).sum(0), adjusted.link_px[use].T / o.px_per_mm[use]
+    xx, xy, yy = _weights(problem, adjusted, use, lean)
+    square = np.zeros((len(first), 7, 7))
+    for m, (x, y) in enumerate(j):
+        weighted_x, weighted_y = xx * x + xy * y, xy * x + yy * y
+        for n in range(m + 1):
+            product = np.add.reduceat(weighted_x * j[n, 0] + weighted_y * j[n, 1], first)
+            square[:, m, n] = square[:, n, m] = product
+    product = square[:, 6]
     own = square[:, :5, :5] + _STABLE * np.trace(square[:, :5, :5], axis1=1, axis2=2)[:, None, None] * np.eye(5)
-    follow = np.linalg.solve(own, square[:, :5, 5:])[:, :, 0]
+    follow = np.linalg.solve(own, square[:, :5, 5:6])[:, :, 0]
     by_pair = square[:, 5, 5] - (follow * square[:, :5, 5]).sum(1), product[:, 5] - (follow * product[:, :5]).sum(1)
     information, estimate = (np.bincount(camera[first], values, len(cameras)) for values in by_pair)
     count = np.bincount(camera, minlength=len(cameras))
@@ -87,6 +87,27 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
         for i, c in enumerate(cameras)
         if count[i] >= _LEAST_LINKS and information[i] > 0
     }
+
+
+def _weights(problem: Problem, adjusted: AdjustmentResult, use: Ints, lean: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the weights (k,) xx, xy, yy of the residuals of the links `use`, mm⁻², by noise and robust weight.
+
+    On a component, the residual along the `lean` (2, k) is explained by its height: it has no weight there.
+    """
+    o = problem.links
+    noise, floor_mm2 = o.noise_mm2[use], (adjusted.floor_px / o.px_per_mm[use]) ** 2
+    xx, xy, yy = noise[:, 1, 1] + floor_mm2, -noise[:, 0, 1], noise[:, 0, 0] + floor_mm2
+    share = adjusted.weight[use] / (xx * yy - xy**2)
+    xx, xy, yy = xx * share, xy * share, yy * share
+    at = np.flatnonzero((problem.reaches_component | (problem.component >= 0))[use])
+    x, y = lean[:, at]
+    pull_x, pull_y = xx[at] * x + xy[at] * y, xy[at] * x + yy[at] * y
+    along = pull_x * x + pull_y * y
+    inverse = np.divide(1.0, along, out=np.zeros_like(along), where=along > 0)
+    xx[at] -= inverse * pull_x**2
+    xy[at] -= inverse * pull_x * pull_y
+    yy[at] -= inverse * pull_y**2
+    return xx, xy, yy
 
 
 def position_errors_px(errors: Mapping[int, LensError], cameras: int) -> dict[int, float]:
@@ -118,10 +139,15 @@ def lens_reasons(errors: Mapping[int, LensError]) -> Iterator[Reason]:
 
 
 def camera_blurs(plane: BoardPlane, scene: Scene, points: FiducialPoints) -> dict[int, float]:
-    """Return for each camera that shows a fiducial the blur of the sharpest one, px (standard deviation of an edge)."""
+    """Return for each camera that shows a fiducial the blur of one, px (standard deviation of an edge).
+
+    It is the first one within the limit, or the sharpest.
+    """
     blurs, board = dict[int, float](), plane.board_type
     for n in np.flatnonzero(points.which >= 0).tolist():
         key = (int(points.camera[n]), int(points.row[n]))
+        if blurs.get(key[0], np.inf) <= BLUR_LIMIT_PX:
+            continue
         camera = scene.cameras[key[0]]
         size_px = board.fiducials[points.which[n]].diameter * board.mm_per_unit * camera.px_per_mm
         blur = measure_blur_px(scene.prepared(key).grey, camera.project(points.ground_mm[n : n + 1]), size_px)

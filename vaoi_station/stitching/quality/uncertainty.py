@@ -61,10 +61,15 @@ class PredictedSigma:
         return out
 
     @cached_property
+    def length_px(self) -> Floats:
+        """(k,) largest standard deviation of each view."""
+        return largest_sigma(self.covariance_px2)
+
+    @cached_property
     def of_components(self) -> dict[str, float]:
         """The largest standard deviation over the views of each component, by address, rounded to four decimals."""
         worst = np.zeros(len(self.names))
-        np.maximum.at(worst, self.part, largest_sigma(self.covariance_px2))
+        np.maximum.at(worst, self.part, self.length_px)
         each = zip(self.names, np.round(worst, _DIGITS).tolist(), (worst > 0).tolist(), strict=True)
         return {name: px for name, px, seen in each if seen}
 
@@ -112,13 +117,12 @@ def predict_sigma(
     inside = (views.px >= 0).all(1) & (views.px <= last).all(1) & whole[views.camera, views.row]
     part, camera, row = (numbers[inside] for numbers in (views.point, views.camera, views.row))
     place, (names, cad) = views.place_mm[inside], landmarks(plane)
-    lean = np.empty(place.shape)
-    for i in np.unique(camera).tolist():
-        lean[camera == i] = cameras[i].parallax(place[camera == i])
+    *foot, inverse = np.array([c.viewpoint for c in cameras])[camera].T
+    lean = (np.array(foot).T - place) * inverse[:, None]
     functions = basis(plane.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0))
     heights = motion.turned(row, lean)[:, :, None] * functions[part, None]
     j = jacobians(motion.angle[row], place - motion.pivot, plane.flat(cad)[part], heights)
-    covariance = _carried(j, row, adjusted.covariance) + _by_displacements(j, scene, adjusted, camera, row)
+    covariance = _views_covariance(j, adjusted, cameras, camera, row)
     covariance = covariance + _unexplained_influence(j, row, adjusted, covariance)
     px_per_mm = np.array([c.px_per_mm for c in cameras])[camera]
     # The adjustment takes artwork and calibrated camera shapes as exact: their errors are added here.
@@ -143,34 +147,48 @@ def jacobians(angle: Floats, arm: Floats, flat: Floats, heights: Floats) -> Floa
         heights: (k, 2, f) derivatives by the surface.
     """
     (cos, sin), (x, y), (u, v) = (np.cos(angle), np.sin(angle)), arm.T, flat.T
-    j, one, none = np.empty((len(angle), 2, 7)), np.ones(len(angle)), np.zeros(len(angle))
-    j[:, 0] = np.stack([-sin * x - cos * y, one, none, -u, v, -one, none], 1)
-    j[:, 1] = np.stack([cos * x - sin * y, none, one, -v, -u, none, -one], 1)
-    return np.concatenate([j, heights], 2)
+    j = np.zeros((len(angle), 2, 7 + heights.shape[2]))
+    j[:, 0, 0], j[:, 1, 0] = -sin * x - cos * y, cos * x - sin * y
+    j[:, 0, 1] = j[:, 1, 2] = 1.0
+    j[:, 0, 3], j[:, 0, 4], j[:, 1, 3], j[:, 1, 4] = -u, v, -v, -u
+    j[:, 0, 5] = j[:, 1, 6] = -1.0
+    j[:, :, 7:] = heights
+    return j
 
 
-def _carried(j: Floats, row: Ints, covariance: Floats) -> Floats:
-    """Return the covariances (k, 2, 2) of views in rows (k,), from those of the unknowns of all rows (m, u, u)."""
-    half = np.empty_like(j)
-    for r in np.unique(row).tolist():
-        mine = row == r
-        half[mine] = (j[mine].reshape(-1, j.shape[2]) @ covariance[r]).reshape(-1, *j.shape[1:])
-    return np.asarray(half @ j.swapaxes(1, 2))
+def _carried(j: Floats, number: Ints, covariance: Floats) -> Floats:
+    """Return the covariances (k, 2, 2) of views, from those (c, u, u) of the unknowns with their numbers (k,)."""
+    order, many = np.argsort(number, kind="stable"), np.bincount(number)
+    present, u = np.flatnonzero(many), j.shape[2]
+    together, ends = j[order].reshape(-1, u), [0, *np.cumsum(2 * many[present]).tolist()]
+    half = np.empty_like(together)
+    for n, first, end in zip(present.tolist(), ends, ends[1:], strict=False):
+        np.matmul(together[first:end], covariance[n], out=half[first:end])
+    out = np.empty((len(j), 2, 2))
+    out[order] = half.reshape(-1, 2, u) @ together.reshape(-1, 2, u).swapaxes(1, 2)
+    return out
 
 
-def _by_displacements(j: Floats, scene: Scene, adjusted: AdjustmentResult, camera: Ints, row: Ints) -> Floats:
+def _views_covariance(
+    j: Floats, adjusted: AdjustmentResult, cameras: Sequence[Camera], camera: Ints, row: Ints
+) -> Floats:
+    """Return the covariances (k, 2, 2) of views in frames (k,) by the adjustment, displacements of cameras included.
+
+    Those of the unknowns of a row grow by what a displacement of the camera does to the row (`CameraEffects`).
+    """
     estimate, motion = adjusted.cameras, adjusted.motion
     if estimate is None:
-        return np.zeros((len(j), 2, 2))
-    effects = CameraEffects.of(CameraMatrices.of(scene.cameras), np.zeros_like(estimate.displacement_px))
-    by_camera = j[:, :, :3] @ effects.row_changes(motion.angle, motion.pivot)[camera, row]
-    out = np.empty((len(j), 2, 2))
-    for i in np.unique(camera).tolist():
-        at, own = np.flatnonzero(camera == i), slice(3 * i, 3 * i + 3)
-        of_camera = by_camera[at].swapaxes(1, 2)
-        mixed = j[at] @ estimate.cross[:, :, own][row[at]] @ of_camera
-        out[at] = mixed + mixed.swapaxes(1, 2) + by_camera[at] @ estimate.covariance[own, own] @ of_camera
-    return out
+        return _carried(j, row, adjusted.covariance)
+    effects = CameraEffects.of(CameraMatrices.of(cameras), np.zeros_like(estimate.displacement_px))
+    n, m, u = len(cameras), *adjusted.covariance.shape[:2]
+    moved = np.zeros((n, m, u, PARAMETERS))
+    moved[:, :, :3] = effects.row_changes(motion.angle, motion.pivot)
+    # (n, m, u, 3) covariance of the unknowns of each row with the displacement of each camera
+    cross = estimate.cross.reshape(m, u, n, PARAMETERS).transpose(2, 0, 1, 3)
+    own = np.array([estimate.covariance[i : i + PARAMETERS, i : i + PARAMETERS] for i in range(0, 3 * n, PARAMETERS)])
+    mixed = (cross + moved @ (own / 2)[:, None]) @ moved.swapaxes(2, 3)
+    whole = adjusted.covariance + mixed + mixed.swapaxes(2, 3)
+    return _carried(j, camera * m + row, whole.reshape(-1, u, u))
 
 
 def _unexplained_influence(j: Floats, row: Ints, adjusted: AdjustmentResult, covariance: Floats) -> Floats:

@@ -199,11 +199,13 @@ def _repeated_rows(f: Findings) -> Iterator[Reason]:
 def scattered_links(f: Findings) -> Iterator[Reason]:
     """Yield a reason if the links between rows scatter by more than noise explains."""
     links, floor = f.problem.links, f.adjusted.floor_px
+    if floor <= _UNEXPLAINED_PX:
+        return
     noise = links.median_noise_px(np.flatnonzero((f.adjusted.weight > USED) & (links.p != links.q)))
     if floor > _FLOOR_LIMIT_PX:
         scatter = f"links scatter by {floor:.2f} px (limit {_FLOOR_LIMIT_PX})"
         yield Reason(ReasonCode.LINKS_SCATTER, f"{scatter}: the board is not rigid or flat")
-    elif floor > max(_UNEXPLAINED_PX, _UNEXPLAINED * noise):
+    elif floor > _UNEXPLAINED * noise:
         yield Reason(
             ReasonCode.LINKS_SCATTER,
             f"links scatter by {floor:.2f} px, of which image noise explains {noise:.2f} px (limit {_UNEXPLAINED_PX}): "

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.frame_index import Coverage, FrameIndex
+from vaoi_station.frame_index import Coverage, FootprintViews, FrameIndex
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, BoardType, Reason, ReasonCode, Visibility
 from vaoi_station.model.board_type import UnseenCause
@@ -73,8 +73,22 @@ class FilmedBoard(NamedTuple):
 
     def coverage(self, present: Collection[FrameKey], *, count_views: bool = True) -> Coverage:
         """Compute how much of every component the frames `present` show."""
-        frames = replace(self.frames, present=tuple(present))
-        return frames.coverage(self.parts.corners, count_views=count_views)
+        return self.frames.coverage(self.parts.corners, present, count_views=count_views)
+
+    def seen_wholly(self, present: Collection[FrameKey], views: FootprintViews) -> NDArray[np.bool_]:
+        """Return which components one of the frames `present` surely shows wholly, by the views of their centres."""
+        cameras = self.frames.cameras
+        px_per_mm, size_px = (np.array(v)[views.camera] for v in (
+            [c.px_per_mm for c in cameras], [(c.width_px - 1, c.height_px - 1) for c in cameras]
+        ))  # fmt: skip
+        reach_px = np.hypot(*self.parts.size.T)[views.point] / 2 * self.parts.mm_per_unit * px_per_mm
+        border_px = np.minimum(views.px, size_px - views.px).min(1)
+        there = np.zeros((len(cameras), len(self.frames.row_from_tester)), np.bool_)
+        there[tuple(np.array([*present], np.int_).reshape(-1, 2).T)] = True
+        out = np.zeros(len(self.parts.addresses), np.bool_)
+        # Tilted cameras and lenses enlarge a part of the picture a little.
+        out[views.point[there[views.camera, views.row] & (border_px > 1 + 1.2 * reach_px)]] = True
+        return out
 
     def complete(self) -> Coverage:
         """Compute how much of every component the frames of all cameras and rows would show."""
@@ -101,16 +115,30 @@ def required_visibility(board_type: BoardType, station: Visibility) -> tuple[Vis
 
 
 def find_unseen(
-    board: FilmedBoard, confirmed: Collection[FrameKey], velocity_mm_s: Floats, required: Sequence[Visibility]
+    board: FilmedBoard,
+    confirmed: Collection[FrameKey],
+    velocity_mm_s: Floats,
+    required: Sequence[Visibility],
+    views: FootprintViews | None = None,
 ) -> tuple[UnseenComponent, ...]:
-    """Find the components of which the frames show less than is `required` of each, in the board type's order."""
-    asked = np.array([(r.coverage, r.views, r.in_one_frame) for r in required], np.float64).reshape(-1, 3)
+    """Find the components of which the frames show less than is `required` of each, in the board type's order.
+
+    `views` are those of their centres, as far as known: a component far from the border of a frame is seen wholly.
+    """
+    # Most components ask for the same.
+    kinds = {id(r): r for r in required}
+    number = {kind: n for n, kind in enumerate(kinds)}
+    limits = np.array([(r.coverage, r.views, r.in_one_frame) for r in kinds.values()], np.float64).reshape(-1, 3)
+    asked = limits[np.array([number[id(r)] for r in required], np.int_)]
 
     def met(c: Coverage, asked: Floats) -> NDArray[np.bool_]:
         return (c.share >= asked[:, 0] - _SLACK) & (c.views >= asked[:, 1]) & (c.in_one_frame >= asked[:, 2])
 
+    at, counted = np.arange(len(required)), bool(asked[:, 1].any())
+    if views is not None and not counted:
+        at = np.flatnonzero(~board.seen_wholly(confirmed, views))
     # Counting all views takes most of the time, and few board types ask for a number of views.
-    at = np.flatnonzero(~met(board.coverage(confirmed, count_views=bool(asked[:, 1].any())), asked))
+    at = at[~met(board._replace(parts=board.parts.take(at)).coverage(confirmed, count_views=counted), asked[at])]
     if not len(at):
         return ()
     few, asked = board._replace(parts=board.parts.take(at)), asked[at]
