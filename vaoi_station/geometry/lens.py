@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 
 from vaoi_station.geometry.transforms import Floats
 
+_MAX_NEWTON_STEPS = 30
+_CONVERGED = 1e-14
 _NEGLIGIBLE = 1e-12
 """Roots 1 / ρ² below this are ignored: such a turning point lies a million radii away, where no point is projected."""
 
@@ -33,7 +35,12 @@ class Lens:
 
     def undistort(self, raw_px: ArrayLike) -> Floats:
         """Convert raw pixels (..., 2) to undistorted pixels (..., 2)."""
-        return self._converted(raw_px, "undistort_points")
+        raw = np.asarray(raw_px, dtype=np.float64)
+        if self.ideal:
+            return raw
+        out = raw - self.center_px
+        out *= self._polynomial((out * out).sum(-1) / self.radius_px**2)[0][..., None]
+        return np.asarray(out + self.center_px)
 
     def distort(self, undistorted_px: ArrayLike) -> Floats:
         """Convert undistorted pixels (..., 2) to raw pixels (..., 2) by Newton's method, to 1e-9 px.
@@ -41,18 +48,32 @@ class Lens:
         Beyond the turning point of the polynomial a point has no raw pixel. Such a point is mapped beyond the
         turning radius, monotonically, so that it never lands inside the frame.
         """
-        return self._converted(undistorted_px, "distort_points")
-
-    def _converted(self, px: ArrayLike, kernel: str) -> Floats:
-        p = np.asarray(px, dtype=np.float64)
+        points = np.asarray(undistorted_px, dtype=np.float64)
         if self.ideal:
-            return p
-        # Imported here: Numba takes a moment to load, and an ideal lens needs no compiled code.
-        from vaoi_station.geometry import projection_kernels
+            return points
+        out = points - self.center_px
+        reach = np.sqrt((out * out).sum(-1)) / self.radius_px
+        *_, edge, furthest = self.shape
+        # A point beyond the turning point has no solution: solve for the turning point and add the excess afterwards.
+        inside = np.minimum(reach, furthest)
+        rho = inside
+        for _ in range(_MAX_NEWTON_STEPS):
+            factor, slope = self._polynomial(rho * rho)
+            # The slope vanishes at the turning point. Its lower limit keeps the step finite, and the limits of rho keep
+            # it in range.
+            step = (rho * factor - inside) / np.maximum(slope, 1e-12)
+            rho = np.clip(rho - step, 0.0, edge)
+            if (np.abs(step) <= _CONVERGED * (1 + rho)).all():
+                break
+        out *= np.divide(rho + reach - inside, reach, out=np.ones_like(reach), where=reach > 0)[..., None]
+        return np.asarray(out + self.center_px)
 
-        out = np.empty(p.shape)
-        getattr(projection_kernels, kernel)(p.reshape(-1, 2), self.coefficients, self.shape, out.reshape(-1, 2))
-        return out
+    def _polynomial(self, rho2: Floats) -> tuple[Floats, Floats]:
+        """Return the distortion factor 1 + a1·ρ² + … and the derivative of ρ·factor by ρ, for given ρ² (`rho2`)."""
+        factor, slope = np.zeros_like(rho2), np.zeros_like(rho2)
+        for k, a in reversed([*enumerate((1.0, *self.radial))]):
+            factor, slope = factor * rho2 + a, slope * rho2 + (2 * k + 1) * a
+        return factor, slope
 
     @cached_property
     def coefficients(self) -> Floats:

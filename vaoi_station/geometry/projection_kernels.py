@@ -65,20 +65,6 @@ def transfer_points(raw: Floats, a: CameraArrays, b: CameraArrays, shift_mm: Flo
     return out
 
 
-@compiled
-def undistort_points(raw: Floats, radial: Floats, lens: LensShape, out: Floats) -> None:
-    """Convert raw pixels (k, 2) to undistorted pixels, which are written to `out` (k, 2)."""
-    for i in range(len(raw)):
-        out[i, 0], out[i, 1] = undistort_point(raw[i, 0], raw[i, 1], radial, lens)
-
-
-@compiled
-def distort_points(points: Floats, radial: Floats, lens: LensShape, out: Floats) -> None:
-    """Convert undistorted pixels (k, 2) to raw pixels, which are written to `out` (k, 2)."""
-    for i in range(len(points)):
-        out[i, 0], out[i, 1] = distort_point(points[i, 0], points[i, 1], radial, lens)
-
-
 @inlined
 def raw_to_ground(x: float, y: float, i: int, cameras: CameraArrays) -> tuple[float, float, float, float]:
     """Return the point of the calibrated plane that a raw pixel of camera i shows, and its undistorted pixel."""

@@ -237,7 +237,7 @@ def _render_board(passage: Passage, directory: Path) -> None:
         counts_s=() if passage.encoder is None else tuple(passage.encoder.steps_s.round(9).tolist()),
         lights=tuple(pulse.light for pulse in pulses),
         lost=tuple((c, r) for r in range(len(pulses)) for c in range(cameras) if passage.faults.lost(c, r)),
-        views=views(twin.scene, passage.pinholes, [passage.pose(pulse.time_s) for pulse in pulses]),
+        views=views(twin.scenario.board, twin.parts, passage.pinholes, [passage.pose(p.time_s) for p in pulses]),
     )
     # Written last: its presence marks the board as complete.
     write_json(directory / _METADATA, metadata.model_dump(mode="json"))

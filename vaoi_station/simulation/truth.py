@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 
 from vaoi_station.geometry.transforms import Floats, apply
-from vaoi_station.simulation.board.layout import board_from_cad
+from vaoi_station.simulation.board.layout import Part, board_from_cad, surface_z
 from vaoi_station.simulation.board.panel import moves
 from vaoi_station.simulation.imaging.pinholes import Pinhole
-from vaoi_station.simulation.imaging.scene import Scene
+from vaoi_station.simulation.scenario import BoardSection
 
 
 def passage_truth(
-    scene: Scene, pinholes: tuple[Pinhole, ...], poses: list[Floats], absent: Collection[str]
+    section: BoardSection,
+    parts: tuple[Part, ...],
+    pinholes: tuple[Pinhole, ...],
+    poses: list[Floats],
+    absent: Collection[str],
 ) -> dict[str, Any]:
     """Return matrices, component heights, and the pixels of all footprints, given tester_from_board E_j of each row.
 
@@ -24,25 +28,26 @@ def passage_truth(
     planes = [p.plane() for p in pinholes]
     first = np.linalg.inv(poses[0])
     motions = [e @ first for e in poses]
-    board, panel = board_from_cad(scene.section), scene.section.panel
+    board, panel = board_from_cad(section), section.panel
     truth = {
         "image_matrices": [[(n @ d).tolist() for d in motions] for n in planes],
         "cad_matrix": (poses[0] @ board).tolist(),
         "row_motion": [d.tolist() for d in motions],
-        "heights": {p.ref: 0.0 if p.ref in absent else p.body_height_mm for p in scene.artwork.parts},
-        "views": views(scene, pinholes, poses),
+        "heights": {p.ref: 0.0 if p.ref in absent else p.body_height_mm for p in parts},
+        "views": views(section, parts, pinholes, poses),
     }
     if panel is not None:
         truth["board_matrices"] = {name: (poses[0] @ move @ board).tolist() for name, move in moves(panel).items()}
     return truth
 
 
-def views(scene: Scene, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> dict[str, list[list[float]]]:
+def views(
+    section: BoardSection, parts: tuple[Part, ...], pinholes: tuple[Pinhole, ...], poses: list[Floats]
+) -> dict[str, list[list[float]]]:
     """Return where the centre of each footprint, which lies on the board's surface, appears in the frames.
 
     The keys are the names of parts. Each entry is [camera, row, x, y] in raw pixels.
     """
-    parts = scene.artwork.parts
     if not parts:
         return {}
     places = np.array([p.place for p in parts])
@@ -50,7 +55,7 @@ def views(scene: Scene, pinholes: tuple[Pinhole, ...], poses: list[Floats]) -> d
     for i, pinhole in enumerate(pinholes):
         limit = (pinhole.width_px - 1, pinhole.height_px - 1)
         for j, pose in enumerate(poses):
-            pixels = pinhole.project(apply(pose, places), scene.surface_z(places))
+            pixels = pinhole.project(apply(pose, places), surface_z(section, places))
             # A body may hide the centre of a footprint. The truth describes the geometry only and ignores this.
             for k in np.flatnonzero(((pixels > 0) & (pixels < limit)).all(1)):
                 u, v = pixels[k]

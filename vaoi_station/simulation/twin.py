@@ -22,7 +22,7 @@ from vaoi_station.model.recording import row_of
 from vaoi_station.simulation.board.artwork import Artwork, draw
 from vaoi_station.simulation.board.bodies import Body
 from vaoi_station.simulation.board.canvas import Plane
-from vaoi_station.simulation.board.layout import Part, board_type
+from vaoi_station.simulation.board.layout import Part, board_type, place_parts
 from vaoi_station.simulation.board.printed_code import code_text, draw_label, identity_of
 from vaoi_station.simulation.imaging.pinholes import Pinhole, mount_cameras
 from vaoi_station.simulation.imaging.scene import LitTextures, Placement, Scene
@@ -112,8 +112,8 @@ class Twin:
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """The parts of the board type."""
-        return self.artwork.parts
+        """The parts of the board type; they are known without drawing the board."""
+        return place_parts(self.scenario.board)
 
     @cached_property
     def board_type(self) -> BoardType:
@@ -291,7 +291,8 @@ class Passage:
     def truth(self) -> dict[str, Any]:
         """Return the truth of this passage in the format of truth.json."""
         absent = {ref for ref, placement in self.placements.items() if placement is None}
-        return passage_truth(self.twin.scene, self.pinholes, [self.pose(t) for t in self.pulse_times_s], absent)
+        poses = [self.pose(t) for t in self.pulse_times_s]
+        return passage_truth(self.twin.scenario.board, self.twin.parts, self.pinholes, poses, absent)
 
     def _motion_px(self, camera: int, t_s: float, exposure_us: float) -> Floats:
         """Return the motion (2,), px, of the board's image at the centre of a frame during one exposure."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -127,6 +128,14 @@ def board_type(section: BoardSection, parts: tuple[Part, ...], identity: BoardId
     )
 
 
+def surface_z(section: BoardSection, board_mm: Floats) -> Floats:
+    """Return the height (k,), mm, of the board's surface above the calibrated plane at board coordinates (k, 2)."""
+    u, v = (board_mm / (section.width_mm, section.length_mm) * 2 - 1).T
+    bow = section.bow_mm * (1 - (0.4 * u * u + 0.6 * v * v))
+    return np.asarray(section.lift_mm + section.tilt_mm[0] * u + section.tilt_mm[1] * v + bow)
+
+
+@lru_cache(maxsize=4)
 def place_parts(section: BoardSection) -> tuple[Part, ...]:
     """Place parts at random free positions: large parts first, small parts last and in aligned groups.
 

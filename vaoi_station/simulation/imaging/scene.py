@@ -17,6 +17,7 @@ from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.simulation.board.artwork import Artwork
 from vaoi_station.simulation.board.bodies import Body
 from vaoi_station.simulation.board.canvas import Bytes, Plane, to_bytes
+from vaoi_station.simulation.board.layout import surface_z
 from vaoi_station.simulation.imaging.lattice import OVERSAMPLING, Lattice
 from vaoi_station.simulation.imaging.pinholes import Pinhole
 from vaoi_station.simulation.imaging.surroundings import Surroundings
@@ -99,10 +100,7 @@ class Scene:
 
     def surface_z(self, board_mm: Floats) -> Floats:
         """Return the height (k,), mm, of the board's surface above the calibrated plane at board coordinates (k, 2)."""
-        s = self.section
-        u, v = (board_mm / (s.width_mm, s.length_mm) * 2 - 1).T
-        bow = s.bow_mm * (1 - (0.4 * u * u + 0.6 * v * v))
-        return np.asarray(s.lift_mm + s.tilt_mm[0] * u + s.tilt_mm[1] * v + bow)
+        return surface_z(self.section, board_mm)
 
     def view(
         self,
