@@ -7,10 +7,9 @@ import gc
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial, update_wrapper
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
-
-import numba
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -19,12 +18,42 @@ _ALLOWED = {"reassoc", "contract", "arcp", "nsz"}
 """Fast-math flags of LLVM that the compiler may use.
 
 They allow it to reorder sums, so that sums run in vector registers. NaN and ∞ keep their meaning."""
-_functions: list[Any] = []
+_functions: list[_Deferred] = []
 """The compiled functions of all modules that were imported."""
 _LOCK = "vaoi-station.lock"
 """Name of the lock file, in the directory where Numba caches the machine code."""
+_in_this_process = threading.RLock()
 _before_compiling: list[Callable[[], object]] = []
 """What this process calls before it compiles for the first time."""
+
+
+class _Deferred:
+    """A function that Numba takes over when it is first called: a process that calls none does not load Numba."""
+
+    def __init__(self, function: Callable[..., Any], make: Callable[[Callable[..., Any]], Any]) -> None:
+        update_wrapper(self, function)
+        self._function, self._make = function, make
+        self._dispatcher: Any = None
+        self.made: Any = None
+        """What Numba has made of the function; None before the first call."""
+
+    def __call__(self, *values: Any) -> Any:
+        return (self.made or self._resolved())(*values)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._resolved(), name)
+
+    def _resolved(self) -> Any:
+        with _in_this_process:
+            if self._dispatcher is None:
+                self._dispatcher = self._make(self._function)
+                # Numba looks up what the function calls among the globals of its module.
+                names = self._function.__globals__
+                for name, value in [*names.items()]:
+                    if isinstance(value, _Deferred):
+                        names[name] = value._resolved()
+                self.made = self._dispatcher
+            return self._dispatcher
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -34,20 +63,40 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     same in all processes of one machine and may differ in the last digits between machines. A function of many arrays
     takes them as fields of a `typing.NamedTuple`.
     """
+    deferred = _Deferred(function, _cached)
+    _functions.append(deferred)
+    return cast("Callable[P, R]", deferred)
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """Inline a function into each compiled function of its module that calls it.
+
+    Its machine code would else exist twice, alone and within its caller. The two may round differently, so that the
+    last digits of a result would depend on which of them the cache has.
+    """
+    return cast("Callable[P, R]", _Deferred(function, partial(_jit, inline="always")))
+
+
+def _jit(function: Callable[..., Any], **options: Any) -> Any:
+    import numba
+
+    return numba.njit(function, nogil=True, fastmath=_ALLOWED, error_model="numpy", **options)
+
+
+def _cached(function: Callable[..., Any]) -> Any:
     try:
-        made: Any = numba.njit(cache=True, nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
+        made = _jit(function, cache=True)
     except RuntimeError:
         # Numba found no writable directory for its cache: every process compiles for itself
-        return cast("Callable[P, R]", numba.njit(nogil=True, fastmath=_ALLOWED, error_model="numpy")(function))
+        return _jit(function)
     # Numba calls `compile` for each new combination of argument types
     made.compile = _alone(made)
-    _functions.append(made)
-    return cast("Callable[P, R]", made)
+    return made
 
 
 def progress() -> tuple[int, int]:
     """Return how many functions this process has compiled or loaded from the cache, and how many there are."""
-    return sum(bool(made.signatures) for made in _functions), len(_functions)
+    return sum(bool(f.made and f.made.signatures) for f in _functions), len(_functions)
 
 
 @contextmanager
@@ -63,20 +112,8 @@ def when_compiling(act: Callable[[], object]) -> Iterator[None]:
 
 def signatures() -> set[tuple[str, str]]:
     """Return the name of each compiled function and types of arguments for which this process has its machine code."""
-    return {
-        (f"{made.py_func.__module__}.{made.py_func.__name__}", str(s)) for made in _functions for s in made.signatures
-    }
-
-
-def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """Inline a function into each compiled function of its module that calls it.
-
-    Its machine code would else exist twice, alone and within its caller. The two may round differently, so that the
-    last digits of a result would depend on which of them the cache has.
-    """
-    return cast(
-        "Callable[P, R]", numba.njit(inline="always", nogil=True, fastmath=_ALLOWED, error_model="numpy")(function)
-    )
+    made = [f.made for f in _functions if f.made is not None]
+    return {(f"{m.py_func.__module__}.{m.py_func.__name__}", str(s)) for m in made for s in m.signatures}
 
 
 def _alone(made: Any) -> Callable[[Any], Any]:
@@ -119,7 +156,6 @@ def _without_collections() -> Iterator[None]:
             gc.enable()
 
 
-_in_this_process = threading.RLock()
 _depth = 0
 
 
