@@ -30,7 +30,8 @@ def test_compiled_code_computes_what_the_source_states() -> None:
 def test_a_process_that_calls_no_compiled_function_does_not_load_numba() -> None:
     """The station process and the acquisition process call none: Numba takes a second and 60 MB."""
     program = "import sys, vaoi_station.station, vaoi_station.acquisition.simulated; print('numba' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "False\n"
+    done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=True)
+    assert done.stdout == "False\n"
 
 
 def test_a_function_without_a_file_is_compiled_without_a_cache() -> None:

@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from tests.project.test_formats_doc import EXAMPLES
+from tests.runs.peer import Peer
+from vaoi_station.acquisition.process.messages import Ready
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.files import write_calibration
 from vaoi_station.line_config import Line
 from vaoi_station.model import Calibration
+from vaoi_station.runs.control import acquisition_link
 from vaoi_station.runs.host.service import PASSING
-from vaoi_station.runs.states.schemas import StationSnapshot
+from vaoi_station.runs.states.schemas import WAITING, StationSnapshot
 from vaoi_station.runs.workers.fork_server_link import ForkServerLink
 from vaoi_station.station import DATABASE, Station
 
@@ -114,7 +118,6 @@ def test_missing_recordings_leave_the_station_faulted_with_the_reason(config: St
     with Station(config) as station:
         seen, troubles = 0, list[str]()
         while not troubles or station.coordinator.snapshot().state != "faulted":
-            # Devices are opened when the workers are ready, which on a loaded machine takes minutes.
             records = station.coordinator.events(seen, COMPILED_S)
             assert records
             seen = records[-1].number
@@ -138,34 +141,26 @@ def until(started: Station, holds: Callable[[StationSnapshot], bool]) -> Station
 
 
 @pytest.mark.timeout(2 * COMPILED_S)
-def test_cameras_are_opened_when_the_workers_are_ready_and_requests_are_answered_before(
-    config: StationConfig,
-) -> None:
-    """After an installation the workers compile first; the service replies meanwhile."""
-    with Station(config) as started:
-        first = started.coordinator.snapshot()
-        assert (first.state, first.processes[0].restarts) == ("starting", 0)
-        [warning] = first.warnings
-        assert warning.code == "workers-starting"
-        assert warning.message.startswith("Cameras are not opened yet, and boards are not filmed: ")
-        until(started, lambda snapshot: snapshot.state != "starting")
-        reported = [event for event in started.coordinator.events() if event.code != "ring-not-locked"]
-        assert reported[0].message == "The workers are ready: results come at once.", "cameras were opened afterwards"
-        assert started.coordinator.snapshot().warnings == ()
-
-
-@pytest.mark.timeout(2 * COMPILED_S)
-def test_without_ready_workers_no_camera_is_opened_and_no_board_accepted(
+def test_no_board_is_accepted_before_the_workers_are_ready_and_requests_are_answered_before(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However long the workers take: ready means that boards are filmed and stitched at once."""
+    """However long the workers take, as after an installation: ready means that boards are stitched at once."""
+    peer = Peer()
+    monkeypatch.setattr(acquisition_link, "HEARTBEAT_LIMIT_S", COMPILED_S)
     with monkeypatch.context() as held:
         held.setattr(ForkServerLink, "_start", lambda link: link._backoff.record_failure())
-        with Station(config) as started:
-            started.coordinator.events(started.coordinator.snapshot().last_event, 1.0)
-            waiting = started.coordinator.snapshot()
-            assert (waiting.state, waiting.processes[0].pid) == ("starting", None)
-            assert [warning.code for warning in waiting.warnings] == ["workers-starting"]
+        with ExitStack() as parts:
+            started = parts.enter_context(Station(config, peer.launch))
+            parts.callback(peer.close)
+            peer.wait_for_start(1)
+            peer.report(Ready(2))
+            waiting = until(started, lambda snapshot: snapshot.processes[0].doing == WAITING)
+            assert waiting.state == "starting"
+            [warning] = waiting.warnings
+            assert warning.code == "workers-starting"
+            assert warning.message.startswith("No board is filmed yet: ")
             held.undo()
             until(started, lambda snapshot: snapshot.state != "starting")
+            reported = [event for event in started.coordinator.events() if event.code != "ring-not-locked"]
+            assert reported[0].message == "The workers are ready: results come at once."
             assert started.coordinator.snapshot().warnings == ()

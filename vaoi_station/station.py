@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from vaoi_station.acquisition.process.backends import row_lights
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
@@ -44,6 +44,9 @@ from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 from vaoi_station.supervised_thread import SupervisedThread, ThreadFault
+
+if TYPE_CHECKING:
+    from vaoi_station.api.routes.waiting_page import WaitingPage
 
 _log = logging.getLogger(__name__)
 
@@ -282,12 +285,7 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
     `port` replaces the configured port; `file` is the station.toml, to examine the station or set it up.
     """
     with no_collections():
-        from vaoi_station.api.access import AccessControl
-        from vaoi_station.api.app import create_app
-        from vaoi_station.api.audit import AuditLog
         from vaoi_station.api.certificate import CertificateFiles
-        from vaoi_station.api.routes.waiting_page import WaitingPage
-        from vaoi_station.api.setup.station_files import StationFiles
         from vaoi_station.api.web_server import WebServer, open_listener
 
     api, keys = config.api, KeyFile(config.data / KEY_FILE)
@@ -299,11 +297,26 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         if socket_ is None:
             return
         parts.enter_context(socket_)
-        with WaitingPage(socket_, names, tls, api.root_path) as page:
-            station = until_started(stop, lambda: _started(config, remount), page.report)
+        with ExitStack() as waiting:
+            pages: list[WaitingPage] = []
+
+            def report(error: VaoiError) -> None:
+                from vaoi_station.api.routes.waiting_page import WaitingPage
+
+                if not pages:
+                    pages.append(waiting.enter_context(WaitingPage(socket_, names, tls, api.root_path)))
+                pages[0].report(error)
+
+            station = until_started(stop, lambda: _started(config, remount), report)
         if station is None:
             return
         parts.callback(station.stop)
+        with no_collections():
+            # Imported only now, which takes a second: meanwhile the fork server and the acquisition process start.
+            from vaoi_station.api.access import AccessControl
+            from vaoi_station.api.app import create_app
+            from vaoi_station.api.audit import AuditLog
+            from vaoi_station.api.setup.station_files import StationFiles
         _check_keys(keys, is_open=api.open_loopback and api.host in ("127.0.0.1", "::1", "localhost"))
         audit = AuditLog(config.data / AUDIT_FILE)
         parts.callback(audit.close)  # what was noted last is written before the process ends

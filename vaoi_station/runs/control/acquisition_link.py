@@ -6,6 +6,7 @@ import atexit
 import multiprocessing
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -117,7 +118,7 @@ class AcquisitionLink:
         self._launch, self._backoff = launch, backoff or Backoff(PACE)
         self._lock = threading.Lock()
         self._attempt: _Attempt | None = None
-        self._started = False
+        self._warmed = self._holds = False
         self._restarts = 0
         self._stopping = threading.Event()
         self.thread = SupervisedThread(self._run, "acquisition-link")
@@ -128,10 +129,10 @@ class AcquisitionLink:
         on_end: Callable[[str], object],
         warm: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Start the process once `warm` returns True, that is, the workers are ready.
+        """Start the process. That it is ready is reported once `warm` returns True, that is, the workers are ready too.
 
-        Until then, however long it takes, the state of the station is "starting", and it accepts no board. `on_end`
-        gets a description of each end of the process, which is restarted.
+        Until then, however long it takes, the state of the station is "starting", and it accepts no board. The devices
+        are opened while the workers warm up. `on_end` gets a description of each end, after which it is restarted.
         """
         self._on_message, self._on_end, self._warm = on_message, on_end, warm
         # The process ignores SIGTERM (`set_up_process`), which is all that multiprocessing's exit handler sends before
@@ -149,9 +150,9 @@ class AcquisitionLink:
         """Return the state of the acquisition process, for `GET station` and the page."""
         with self._lock:
             attempt, due_s = self._attempt, self._backoff.due_s
-            doing = "" if self._started or self._stopping.is_set() else WAITING
-            if attempt is not None:
-                doing = "" if attempt.has_reported else STARTING
+            doing = STARTING if attempt is not None and not attempt.has_reported else ""
+            if self._holds:
+                doing = WAITING
             return ProcessStatus(
                 name="acquisition",
                 pid=attempt.process.pid if attempt else None,
@@ -179,8 +180,6 @@ class AcquisitionLink:
         self.thread.join(2 * EXIT_S)
 
     def _run(self) -> None:
-        while not self._warm() and not self._stopping.wait(WARM_POLL_S):
-            self.thread.beat()
         while not self._stopping.is_set():
             try:
                 attempt = self._launch_process()
@@ -210,7 +209,7 @@ class AcquisitionLink:
         self._backoff.start_attempt()
         process, connection = self._launch()
         with self._lock:
-            self._attempt, self._started = _Attempt(process, MessagePipe(connection), time.monotonic()), True
+            self._attempt = _Attempt(process, MessagePipe(connection), time.monotonic())
             # stop() may have run between the launch and this lock. It found no process then and sent no Shutdown.
             if self._stopping.is_set():
                 self._attempt.pipe.send(Shutdown())
@@ -219,9 +218,12 @@ class AcquisitionLink:
     def _listen(self, attempt: _Attempt) -> str:
         """Report the messages of the process until it ends or hangs, and return a phrase that describes its end."""
         ended = "the acquisition process ended"
+        # `Ready` and what follows it wait here for the workers.
+        pending: deque[Report] = deque()
         while True:
             self.thread.beat()
-            ready = wait_for([attempt.pipe], [attempt.process.sentinel], 0.5)
+            self._holds = bool(pending)
+            ready = wait_for([attempt.pipe], [attempt.process.sentinel], WARM_POLL_S if pending else 0.5)
             attempt.pipe.flush()
             try:
                 # The pipe is read before the sentinel is checked: the last messages of an ended process are delivered
@@ -235,17 +237,24 @@ class AcquisitionLink:
                 # counts as a first one again, with the shortest pause.
                 if attempt.ready:
                     self._backoff.record_success()
-                self._on_message(report)
+            pending += reports
+            while pending and (not isinstance(pending[0], Ready) or self._is_warm()):
+                self._on_message(pending.popleft())
             if not reports and attempt.process.sentinel in ready:
                 return ended
             if attempt.silence_s > (HEARTBEAT_LIMIT_S if attempt.has_reported else START_LIMIT_S):
                 attempt.process.kill()
                 return f"the acquisition process sent no heartbeat for {attempt.silence_s:.0f} s"
 
+    def _is_warm(self) -> bool:
+        # Only the first start waits: boards are filmed while workers are replaced.
+        self._warmed = self._warmed or self._warm()
+        return self._warmed
+
     def _collect(self, attempt: _Attempt) -> int | None:
         """Wait for the end of a process whose pipe has closed, at last kill it; return its exit code."""
         with self._lock:
-            self._attempt = None
+            self._attempt, self._holds = None, False
         # It gets time to end by itself: a killed process does not return the exit code that shows whether it crashed.
         attempt.process.join(EXIT_S)
         if attempt.process.exitcode is None:

@@ -19,7 +19,6 @@ from vaoi_station.runs.run.run_views import versions
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import (
     STARTING,
-    WAITING,
     CameraStatus,
     LineOutputStatus,
     ProcessStatus,
@@ -134,8 +133,8 @@ def _address_warnings(config: StationConfig) -> tuple[Reason, ...]:
 def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
     """Return one warning if workers are still starting, else none.
 
-    Cameras are opened when the workers are ready. Boards that are filmed while a worker is restarted may get their
-    results later.
+    No board is filmed before the workers are ready for the first time. Boards that are filmed while a worker is
+    restarted may get their results later.
     """
     workers = [process for process in processes if process.name.startswith("worker ")]
     # "starting" lasts until a worker has opened the ring and compiled its inner loops.
@@ -145,8 +144,8 @@ def worker_warnings(processes: tuple[ProcessStatus, ...]) -> tuple[Reason, ...]:
     still = f"{away} of {len(workers)} workers {'is' if away == 1 else 'are'} still starting"
     progress = next((f" ({worker.progress})" for worker in workers if worker.progress), "")
     effect = "Results of boards that pass meanwhile come late"
-    if any(process.doing == WAITING for process in processes):
-        effect = "Cameras are not opened yet, and boards are not filmed"
+    if any(process.doing for process in processes if process.name == "acquisition"):
+        effect = "No board is filmed yet"
     return (Reason(code="workers-starting", message=f"{effect}: {still}{progress}.", action=_COMPILE_NOTE),)
 
 

@@ -152,7 +152,7 @@ class CameraStatus(Strict):
 STARTING = "starting"
 """Value of `ProcessStatus.doing` for a process before its first message."""
 WAITING = "waiting for the workers"
-"""Value of `ProcessStatus.doing` for the acquisition process before its first start."""
+"""Value of `ProcessStatus.doing` for an acquisition process whose devices are open before the workers are ready."""
 
 
 class ProcessStatus(Strict):
