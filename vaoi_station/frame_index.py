@@ -126,6 +126,8 @@ class FrameIndex:
     surface: Surface | None = None  # surface of the board; None for a board in the calibrated plane
     tester_from_cad: Floats = field(default_factory=lambda: np.eye(3))  # C; the identity if places are given in mm
     prepared: Callable[[FrameKey], Pixels] | None = None  # the pixels of a frame, for those questions that read them
+    contrasts: dict[FrameKey, float] = field(default_factory=dict, repr=False)
+    """Contrasts of frames that were computed before."""
 
     @staticmethod
     def of_result(stitch: Stitch, calibrated: Sequence[Camera]) -> FrameIndex:
@@ -279,11 +281,13 @@ class FrameIndex:
         """
         assert self.prepared is not None
         points, faint = np.ascontiguousarray(board_mm), np.zeros(len(self.key), np.bool_)
-        contrast = dict[int, float]()
+        contrast, known = dict[int, float](), self.contrasts
         chosen = first = _nearest(points, self.key, self._poses, faint)
         # Only the contrast of frames that are chosen is computed: their pixels are read next in any case.
         while new := set(np.unique(chosen[chosen >= 0]).tolist()) - set(contrast):
-            contrast |= {n: self.prepared(self.present[n]).contrast for n in new}
+            for n in new:
+                key = self.present[n]
+                contrast[n] = known[key] = known[key] if key in known else self.prepared(key).contrast
             least = _FAINT * max(contrast.values())
             faint[[n for n, found in contrast.items() if found < least]] = True
             better = _nearest(points, self.key, self._poses, faint) if faint.any() else first

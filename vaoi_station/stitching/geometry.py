@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -38,6 +38,8 @@ class ComponentIndex:
     stands_out: NDArray[np.bool_]
     """(n,) whether the component stands above the board; true too if its height is unknown."""
     mm_per_unit: float
+    _wider: dict[float, ComponentIndex] = field(default_factory=dict, repr=False)
+    """What `widened` has made, by the margin."""
 
     @staticmethod
     def of(board_type: BoardType) -> ComponentIndex:
@@ -62,7 +64,10 @@ class ComponentIndex:
 
     def widened(self, by_mm: float) -> ComponentIndex:
         """Return an index of the same components with footprints that are larger by `by_mm` on all sides."""
-        return replace(self, size=self.size + 2 * by_mm / self.mm_per_unit)
+        # Every board needs the same few, whose search grids take milliseconds with thousands of components.
+        if by_mm not in self._wider:
+            self._wider[by_mm] = replace(self, size=self.size + 2 * by_mm / self.mm_per_unit, _wider={})
+        return self._wider[by_mm]
 
     def take(self, at: Ints) -> ComponentIndex:
         """Return an index of only the components with the numbers `at`."""
@@ -80,7 +85,7 @@ class ComponentIndex:
             move = np.array([moves[self.addresses[n]] for n in at])
             center[at] = (move[:, :2, :2] @ center[at, :, None])[:, :, 0] + move[:, :2, 2]
             angle[at] += np.arctan2(move[:, 1, 0], move[:, 0, 0])
-        return replace(self, center=center, angle_rad=angle)
+        return replace(self, center=center, angle_rad=angle, _wider={})
 
     def find(self, cad_from_board: Floats, board_mm: Floats) -> Ints:
         """Return for each of k board points (k, 2) the number of the component on which it lies, or −1 for none: (k,).

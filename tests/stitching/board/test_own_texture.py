@@ -12,7 +12,7 @@ from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import Problem, to_observations
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.outline import beside, outline_confirmed, without_links_beside
+from vaoi_station.stitching.board.outline import beside, link_depths_mm, outline_confirmed, without_links_beside
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -106,10 +106,11 @@ def test_links_between_cameras_beside_the_board_are_left_out(workshop: Any) -> N
     problem = Problem(times, velocity, to_observations(found, cameras), np.full(8, -1))
     motion = Motion(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
     plane = plane_of([[0, 0], [20, 10]])
-    kept = without_links_beside(plane, problem, motion, C, lambda: False)
+    depth_mm = link_depths_mm(plane, C, problem.links, motion)
+    kept = without_links_beside(problem, depth_mm, lambda: False)
     np.testing.assert_allclose(kept.links.a_mm, [places[0], *places], atol=1e-9)
     assert len(kept.component) == 5
-    kept = without_links_beside(plane, problem, motion, C, lambda: True)
+    kept = without_links_beside(problem, depth_mm, lambda: True)
     np.testing.assert_allclose(kept.links.a_mm, places[[0, 0]], atol=1e-9)
 
 

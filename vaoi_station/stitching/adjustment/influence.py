@@ -53,7 +53,6 @@ rows of two cameras together have 10 to 60; little depends on one of them, since
 _LEAST_PX = 0.03  # changes up to this, px, are not kept
 _PLACING_MM, _NONE = 0.1, -9
 """Fiducials with a σ from this on do not place the board: those of components, and of single boards of a panel."""
-_HELD = 1e12  # added to the diagonal entry of an unknown that must not change, px⁻²
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,61 +85,64 @@ class Assembly:
         add_links(self.links._replace(**read), self.motion, own, self.state._replace(**of_links), heights, normal)
         return normal, heights
 
-    def part_of_marks(self, at: Ints) -> NormalEquations:
-        """Return the same equations of the points `at` of `Problem.fiducials` alone, which do not show heights."""
+    def part_of_marks(self, at: Ints, count: int) -> NormalEquations:
+        """Return the same equations of the points `at` of `Problem.fiducials` alone, which do not show heights.
+
+        Only the first `count` unknowns are kept.
+        """
         normal = self.normal.zeros()
         columns, slopes, rest = self.priors[1]
         add_equations(columns[at], slopes[at], rest[at], normal)
-        return normal
+        return leading(normal, count)
 
-    def without_heights(self, normal: NormalEquations, heights: HeightEquations) -> NormalEquations:
-        """Return equations from which the component heights are eliminated."""
+    def without_heights(self, normal: NormalEquations, heights: HeightEquations, count: int) -> NormalEquations:
+        """Return equations of the first `count` unknowns, from which the component heights are eliminated."""
         out = normal._replace(values=normal.values.copy(), right=normal.right.copy())
         eliminate_heights(self.model.coupling, heights, out)
-        return out
-
-    @staticmethod
-    def solve(normal: NormalEquations, held: Ints) -> tuple[Floats, NormalEquations]:
-        """Return the solution (n,) of equations without heights, which are changed in place, and their factor.
-
-        The unknowns in the columns `held` do not change.
-        """
-        hold_first_row(normal)
-        normal.values[normal.at[held] + held] += _HELD
-        normal.right[held] = 0.0
-        factorise(normal)
-        return solve_backward(normal, solve_forward(normal)), normal
+        return leading(out, count)
 
 
-def examine_influence(assembly: Assembly, points: FiducialPoints, shared: int, held: Ints) -> Influence | None:
+def leading(normal: NormalEquations, count: int) -> NormalEquations:
+    """Return the equations of the first `count` unknowns, with all others held at their values."""
+    end = normal.at[count - 1] + count
+    return NormalEquations(
+        normal.first[:count], normal.at[:count], normal.values[:end], normal.right[:count], normal.rows
+    )
+
+
+def solve(normal: NormalEquations) -> Floats:
+    """Return the solution (n,) of equations without heights, which are replaced by their factor."""
+    hold_first_row(normal)
+    factorise(normal)
+    return solve_backward(normal, solve_forward(normal))
+
+
+def examine_influence(assembly: Assembly, points: FiducialPoints, shared: int) -> Influence | None:
     """Leave out each cluster of weakly connected rows and cameras, and each mark; return None if little changes.
 
     Args:
         points: the points of `Problem.fiducials`, at least one.
-        shared: number of unknowns that all rows share, without cameras.
-        held: columns of the unknowns that are taken as exact: the displacements of the cameras.
+        shared: number of unknowns that all rows share, without the displacements of cameras, which are held.
     """
     links, rows = assembly.links, len(assembly.motion.angle)
     places, marks = few_places(links, assembly.state, rows), groups_of_marks(points)
     if not places and not marks:
         return None
-    whole, u = assembly.whole(), 3 + shared
+    whole, count = assembly.whole(), 3 * rows + shared
     parts = [assembly.part(place.links) for place in places]
-    every = assembly.without_heights(*whole)
-    of_places = [assembly.without_heights(whole[0].less(normal), whole[1].less(heights)) for normal, heights in parts]
-    of_marks = [every.less(assembly.part_of_marks(at)) for at in marks]
-    solved = [assembly.solve(normal, held) for normal in (*of_places, *of_marks, every)]
-    solutions = np.array([solution for solution, _ in solved])
-    deltas = solutions[:-1] - solutions[-1]
-    own, of_all = deltas[:, : 3 * rows].reshape(-1, rows, 3), deltas[:, None, 3 * rows : 3 * rows + shared]
+    every = assembly.without_heights(*whole, count)
+    without = [assembly.without_heights(whole[0].less(normal), whole[1].less(own), count) for normal, own in parts]
+    without += [every.less(assembly.part_of_marks(at, count)) for at in marks]
+    deltas = np.array([solve(normal) for normal in without]) - solve(every)
+    own, of_all = deltas[:, : 3 * rows].reshape(-1, rows, 3), deltas[:, None, 3 * rows :]
     changes = np.concatenate([own, np.broadcast_to(of_all, (len(deltas), rows, shared))], 2)
     least_mm = _LEAST_PX / float(np.median(points.px_per_mm))
     # in this form, because a change that is no number must not be left out
     kept = np.flatnonzero(~(_extents_mm(changes, assembly, points) <= least_mm)).tolist()
     if not kept:
         return None
-    covariance, *grown = (f.row_blocks(inverse(f))[:, :u, :u] for f in (every, *(solved[n][1] for n in kept)))
-    grids = np.zeros((len(solved) - 1, len(_GRIDS)), np.bool_)
+    covariance, *grown = (f.row_blocks(inverse(f)) for f in (every, *(without[n] for n in kept)))
+    grids = np.zeros((len(without), len(_GRIDS)), np.bool_)
     for number, place in enumerate(places):
         grids[number, list(place.grids)] = True
     return Influence(changes[kept], np.array(grown) - covariance, grids[kept], len(marks))

@@ -436,5 +436,4 @@ class _Solver:
         """Examine the influence of single places and marks on the solution; None before C is an unknown."""
         if self.similarity is None or self.cameras.points is None or not self.steps:
             return None
-        held = np.arange(len(self.empty.first) - self.cameras.unknowns, len(self.empty.first))
-        return examine_influence(self._assembly(), self.cameras.points, len(self.shared), held)
+        return examine_influence(self._assembly(), self.cameras.points, len(self.shared))

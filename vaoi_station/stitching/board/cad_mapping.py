@@ -46,6 +46,7 @@ from vaoi_station.stitching.board.outline import (
     OutlineContrast,
     OutlineShift,
     compare_orientations,
+    link_depths_mm,
     links_on_board,
     measure_outline_contrast,
     measure_outline_shift,
@@ -146,7 +147,10 @@ def map_cad(
     if known.reference is not None and known.method.reference:
         referred = cad_points(known.reference_links, scene.cameras, plane, known.reference)
     first = _find_first_c(plane, scene, moved, known, referred)
-    apart = _apart_from_surroundings(plane, scene, problem, moved, known, first)
+    depth_mm = np.zeros(0)
+    if isinstance(first.guess, Hypothesis):
+        depth_mm = link_depths_mm(plane, first.guess.c, problem.links, moved.motion)
+    apart = _apart_from_surroundings(plane, scene, problem, moved, known, first, depth_mm)
     if apart is not None:
         problem, moved, first = apart[:3]
     guess, motion = first.guess, moved.motion
@@ -154,7 +158,7 @@ def map_cad(
         return guess
     if apart is None:
         confirmed = partial(outline_confirmed, plane, plane.matrix(guess.c), scene, motion)
-        problem = without_links_beside(plane, problem, motion, guess.c, confirmed)
+        problem = without_links_beside(problem, depth_mm, confirmed)
     places = apply(plane.matrix(guess.c), plane.cad(plane.fiducials))
     if board_type.board_fiducials:
         found = merge_detections(first.detections, scene.cameras, motion)
@@ -178,9 +182,17 @@ def map_cad(
 
 
 def _apart_from_surroundings(
-    plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs, first: _FirstC
+    plane: BoardPlane,
+    scene: Scene,
+    problem: Problem,
+    moved: AdjustmentResult,
+    known: MappingInputs,
+    first: _FirstC,
+    depth_mm: Floats,
 ) -> _OwnTexture | None:
     """Leave out the links beside the board if they are many, or if no board is found with them; None to keep all.
+
+    `depth_mm` are the `link_depths_mm` at the first C, if there is one.
 
     A carrier, or a belt with texture, may move with the board or stand still, at the board's height or below it. Every
     position of the board that the detections allow is tried, and the pictures must confirm its outline.
@@ -190,7 +202,7 @@ def _apart_from_surroundings(
         return None
     rough, of_rows = [], 1.0
     if isinstance(guess, Hypothesis):
-        of_rows, of_seams = shares_beside(plane, guess.c, problem.links, moved.motion)
+        of_rows, of_seams = shares_beside(depth_mm, problem.links)
         if max(of_rows, of_seams) <= MOST_BESIDE:
             return None
         rough.append(guess)
@@ -228,7 +240,7 @@ def _without_surroundings(
     board are taken for its own. If two selections lead to each other, only the links that both contain are used.
     """
     coarsest = min(camera.px_per_mm for camera in scene.cameras)
-    share = shares_beside(plane, c, problem.links, moved.motion)[0]
+    share = shares_beside(link_depths_mm(plane, c, problem.links, moved.motion), problem.links)[0]
     motion, agreed, earlier = moved, True, list[NDArray[np.int_]]()
     while agreed:
         chosen = links_on_board(plane, c, problem.links, motion.motion, coarsest)

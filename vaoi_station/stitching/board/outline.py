@@ -397,32 +397,37 @@ def beside(plane: BoardPlane, c: Floats, board_mm: Floats, margin_mm: float = _M
 
     With a negative margin, points inside the outline and nearer to it than the margin count as outside too.
     """
-    return beside_in_cad(plane.board_type, apply(np.linalg.inv(plane.matrix(c)), board_mm), margin_mm)
+    return depths_mm(plane.board_type, apply(np.linalg.inv(plane.matrix(c)), board_mm)) < -margin_mm
 
 
-def beside_in_cad(board_type: BoardType, cad: Floats, margin_mm: float) -> NDArray[np.bool_]:
-    """Return the same as `beside` for points (k, 2) in CAD coordinates."""
+def depths_mm(board_type: BoardType, cad: Floats) -> Floats:
+    """Return how far (k,) points in CAD coordinates (k, 2) lie inside the outline, negative outside; ∞ without one."""
     polygons = outline_polygons(board_type)
     # A board type with fixture marks describes its carrier: links there are meant to be used.
     if not polygons or board_type.fixture_marks:
-        return np.zeros(len(cad), np.bool_)
+        return np.full(len(cad), np.inf)
     ends = polygons[0]
     inside, near = np.zeros(len(cad), np.bool_), np.full(len(cad), np.inf)
-    x, y = cad.T
-    for (ax, ay), (bx, by) in zip(ends, np.roll(ends, -1, 0), strict=True):
-        way = np.array([bx - ax, by - ay])
-        crosses = (ay > y) != (by > y)
+    x, y = np.ascontiguousarray(cad.T)
+    for (ax, ay), (bx, by) in zip(ends.tolist(), np.roll(ends, -1, 0).tolist(), strict=True):
+        u, v, wx, wy = x - ax, y - ay, bx - ax, by - ay
         # A ray to the right crosses the outline of a simple polygon an odd number of times from inside.
-        inside ^= crosses & (x < ax + (y - ay) * way[0] / (way[1] if way[1] else np.inf))
-        along = np.clip(((x - ax) * way[0] + (y - ay) * way[1]) / max(float(way @ way), 1e-12), 0, 1)
-        near = np.minimum(near, np.hypot(x - ax - along * way[0], y - ay - along * way[1]))
-    depth = np.where(inside, near, -near) * board_type.mm_per_unit
-    return np.asarray(depth < -margin_mm)
+        inside ^= ((ay > y) != (by > y)) & (u < v * (wx / wy if wy else 0.0))
+        along = np.clip((u * wx + v * wy) / max(wx * wx + wy * wy, 1e-12), 0, 1)
+        u -= along * wx
+        v -= along * wy
+        near = np.minimum(near, u * u + v * v)
+    return np.asarray(np.where(inside, 1, -1) * np.sqrt(near) * board_type.mm_per_unit)
 
 
-def shares_beside(plane: BoardPlane, c: Floats, links: Observations, motion: Motion) -> tuple[float, float]:
+def link_depths_mm(plane: BoardPlane, c: Floats, links: Observations, motion: Motion) -> Floats:
+    """Return how far (k,) the first points of links lie inside the outline of a board at position `c`: `depths_mm`."""
+    return depths_mm(plane.board_type, apply(np.linalg.inv(plane.matrix(c)), motion.board(links.p, links.a_mm)))
+
+
+def shares_beside(depth_mm: Floats, links: Observations) -> tuple[float, float]:
     """Return the share of the links between rows that lie beside the board, and that of the links between cameras."""
-    off, between = beside(plane, c, motion.board(links.p, links.a_mm)), links.p == links.q
+    off, between = depth_mm < -_MARGIN_MM, links.p == links.q
     return float(off[~between].sum() / max((~between).sum(), 1)), float(off[between].sum() / max(between.sum(), 1))
 
 
@@ -430,13 +435,11 @@ def links_on_board(
     plane: BoardPlane, c: Floats, links: Observations, motion: Motion, px_per_mm: float
 ) -> NDArray[np.int_]:
     """Return the indices of the links whose patches lie wholly on the board."""
-    return np.flatnonzero(~beside(plane, c, motion.board(links.p, links.a_mm), -HALF_PATCH_PX / px_per_mm))
+    return np.flatnonzero(link_depths_mm(plane, c, links, motion) >= HALF_PATCH_PX / px_per_mm)
 
 
-def without_links_beside(
-    plane: BoardPlane, problem: Problem, motion: Motion, c: Floats, confirmed: Callable[[], bool]
-) -> Problem:
-    """Return a problem without those links beside a board at position `c` that may be left out in any case.
+def without_links_beside(problem: Problem, depth_mm: Floats, confirmed: Callable[[], bool]) -> Problem:
+    """Return a problem without those links beside the board (`link_depths_mm`) that may be left out in any case.
 
     Links between cameras there, at another height than the board, would bend its surface or show a displaced camera
     (seed 100346). Between rows, links outside the outline are left out if they are more than `_MOST_AT_EDGE` of a pair
@@ -444,7 +447,9 @@ def without_links_beside(
     where the texture of a bed is (seed 102577).
     """
     links = problem.links
-    off = beside(plane, c, motion.board(links.p, links.a_mm), 0.0)
+    off = depth_mm < 0
+    if not off.any():
+        return problem
     share = np.bincount(links.group, off) / np.maximum(np.bincount(links.group), 1)
     between = links.p == links.q
     at_edge = off & ~between & (share[links.group] > _MOST_AT_EDGE)

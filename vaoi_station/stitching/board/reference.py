@@ -24,7 +24,7 @@ from vaoi_station.model import BoardType, ReasonCode, Stitch
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Ints
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.outline import HALF_PATCH_PX, beside_in_cad
+from vaoi_station.stitching.board.outline import HALF_PATCH_PX, depths_mm
 from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 from vaoi_station.stitching.matching.frames import Scene
 
@@ -88,7 +88,7 @@ def _points_of(e: Links, camera: Camera, plane: BoardPlane, reference: Reference
     (i, row), key = e.task.a, e.task.b
     assert key is not None
     there = _on_board(e.b_px, camera, reference.stitch, key)
-    own = np.flatnonzero(~beside_in_cad(plane.board_type, there, -HALF_PATCH_PX / camera.px_per_mm))
+    own = np.flatnonzero(depths_mm(plane.board_type, there) >= HALF_PATCH_PX / camera.px_per_mm)
     k, here = len(own), camera.ground(e.a_px[own])
     px = np.sqrt(np.maximum(np.trace(np.linalg.inv(e.information[own]), axis1=1, axis2=2) / 2, 0))
     # The mean of a frame's n links has the variance σ²/n + shared². Each link carries a part of the shared error.

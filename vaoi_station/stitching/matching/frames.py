@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -58,7 +58,7 @@ class PreparedFrame:
     @cached_property
     def contrast(self) -> float:
         """Standard deviation of the grey levels, from a sample of the pixels."""
-        return float(self.grey[::_SAMPLED_PX, ::_SAMPLED_PX].std())
+        return float(cv2.meanStdDev(np.ascontiguousarray(self.grey[::_SAMPLED_PX, ::_SAMPLED_PX]))[1][0, 0])
 
     @cached_property
     def factor(self) -> int:
@@ -213,7 +213,11 @@ class Scene:
     prepared: Callable[[FrameKey], PreparedFrame]
     """A function that returns the prepared frame of a camera and row, and raises LookupError if it is missing."""
     doubts: tuple[str, ...] = ()  # doubts about the frames that arose when they were recorded (`RecordingHead.doubts`)
+    contrasts: dict[FrameKey, float] = field(default_factory=dict, repr=False)
+    """Contrasts of frames that an index has read: a frame may have to be fetched and prepared for it."""
 
     def index(self, row_from_tester: Floats, surface: Surface | None = None) -> FrameIndex:
         """Return which frames show a place of the board, for rows with the matrices D_j (m, 3, 3)."""
-        return FrameIndex(self.cameras, row_from_tester, self.present, surface, prepared=self.prepared)
+        return FrameIndex(
+            self.cameras, row_from_tester, self.present, surface, prepared=self.prepared, contrasts=self.contrasts
+        )

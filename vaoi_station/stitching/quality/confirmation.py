@@ -203,7 +203,7 @@ def frames_with_edge(
 
     def shows_end(key: FrameKey, picture: FrameKey) -> bool:
         """Return whether a picture, taken as that of a frame, shows one of the board's two ends in its place."""
-        alone = replace(scene, present=(key,), prepared=lambda _: scene.prepared(picture))
+        alone = replace(scene, present=(key,), prepared=lambda _: scene.prepared(picture), contrasts={})
         step_mm, normal, steps = edge_profiles(board, alone, motion)
         offset = (np.arange(steps.shape[1]) - steps.shape[1] // 2) * step_mm
         known, at_edge, along = steps > 0, np.abs(offset) <= _EDGE_MM + step_mm / 2, normal @ way
