@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import cv2
@@ -20,9 +21,8 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode, Status, Stitch, Visibility
 from vaoi_station.stitching.adjustment.motion import nominal_motion
-from vaoi_station.stitching.adjustment.problem import AdjustmentResult, LinkStore, Problem
-from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links, motion_from_marks
-from vaoi_station.stitching.adjustment.solver import adjust
+from vaoi_station.stitching.adjustment.problem import LinkStore, Problem
+from vaoi_station.stitching.adjustment.row_motion import MovedRows, board_texture, motion_from_links, motion_from_marks
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
 from vaoi_station.stitching.board.reference import Reference, ReferenceScene
@@ -30,7 +30,7 @@ from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, Method, MethodName
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.link import are_copies
-from vaoi_station.stitching.matching.relinking import RowLinks, relink_rows
+from vaoi_station.stitching.matching.relinking import Relinker
 from vaoi_station.stitching.quality.confirmation import dark_lights
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.quality_document import explanation, quality_document
@@ -92,11 +92,11 @@ def sort_evidence(evidence: Sequence[Evidence]) -> SortedEvidence:
 
     Floating-point sums depend on the order of their terms. A fixed order makes the result reproducible.
     """
-    order = sorted(evidence, key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind))
+    links = [e for e in evidence if isinstance(e, Links)]
     return SortedEvidence(
-        tuple(e for e in order if isinstance(e, Links) and e.task.kind != "reference"),
-        tuple(e for e in order if isinstance(e, Links) and e.task.kind == "reference"),
-        tuple(e for e in order if isinstance(e, Detections)),
+        tuple(sorted((e for e in links if e.task.kind != "reference"), key=attrgetter("order"))),
+        tuple(sorted((e for e in links if e.task.kind == "reference"), key=attrgetter("task"))),
+        tuple(sorted((e for e in evidence if isinstance(e, Detections)), key=attrgetter("task"))),
     )
 
 
@@ -110,7 +110,9 @@ class Stitcher:
     times_s: Floats
     """(m,) time of every row's pulse."""
     link_store: LinkStore
-    """Projects links to the ground. Links that were added to it before are not projected again."""
+    """Projects links to the ground. What it has of links that are complete is not computed again."""
+    relinker: Relinker
+    """Searches links again; what it has decided of rows whose links are complete is not decided again."""
 
     def stitch(self, evidence: Sequence[Evidence]) -> tuple[Stitch, Findings]:
         """Return the result before it is `explained`, and the findings from which it and its verdict were derived.
@@ -123,7 +125,7 @@ class Stitcher:
         motion = self._motion(problem, known)
         clock_s.append(time.perf_counter())
         mapping = self._map_cad(problem, motion, known)
-        findings = self._findings(known, copies, self._refined(problem, motion, mapping), mapping)
+        findings = self._findings(known, copies, motion, mapping)
         clock_s.append(time.perf_counter())
         if self.prior.lights:
             # Before rows are left out: a dark row has no links, so nothing but the belt's nominal speed places it.
@@ -162,27 +164,20 @@ class Stitcher:
 
     def _relinked(self, known: SortedEvidence) -> tuple[SortedEvidence, Problem]:
         """Search links again between rows between which the belt moved at another speed than its nominal one."""
-        problem = self._problem(known.links)
-        if not self.prior.method.links:
-            return known, problem
-        o = problem.links
-        between = o.p != o.q
-        measured = RowLinks(o.p[between], o.q[between], o.b_mm[between] - o.a_mm[between])
-        links = relink_rows(known.links, measured, self.scene, self.prior.velocity_mm_s, self.times_s)
-        if len(links) == len(known.links) and all(new is old for new, old in zip(links, known.links, strict=True)):
-            return known, problem
-        return known._replace(links=links), self._problem(links)
+        if self.prior.method.links:
+            known = known._replace(links=self.relinker.relinked(known.links, self.scene.present, self.times_s))
+        return known, self._problem(known.links)
 
-    def _motion(self, problem: Problem, known: SortedEvidence) -> AdjustmentResult:
+    def _motion(self, problem: Problem, known: SortedEvidence) -> MovedRows:
         """Estimate the motion of the rows from links, or from detected marks if the method uses no links."""
         cameras = self.scene.cameras
         pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
         nominal = nominal_motion(self.times_s, self.prior.velocity_mm_s, pivot)
         if self.prior.method.links:
-            return motion_from_links(problem, nominal)
+            return motion_from_links(problem, nominal, self.link_store.steps(known.links))
         return motion_from_marks(problem, nominal, known.detections, cameras)
 
-    def _map_cad(self, problem: Problem, motion: AdjustmentResult, known: SortedEvidence) -> CadMapping | Failure:
+    def _map_cad(self, problem: Problem, motion: MovedRows, known: SortedEvidence) -> CadMapping | Failure:
         """Locate the board by its CAD data and adjust all unknowns together; fail without board type or board."""
         prior = self.prior
         if prior.plane is None:
@@ -192,17 +187,13 @@ class Stitcher:
         inputs = MappingInputs(prior.expectation, prior.method, known.detections, texture, *of_reference)
         return map_cad(prior.plane, self.scene, problem, motion, inputs)
 
-    def _refined(self, problem: Problem, motion: AdjustmentResult, mapping: CadMapping | Failure) -> AdjustmentResult:
-        """Iterate the motion from links to full convergence, unless a CAD mapping has already adjusted it."""
-        if isinstance(mapping, Failure):
-            return adjust(problem, motion.motion) if self.prior.method.links else motion
-        return mapping.moved or motion
-
     def _findings(
-        self, known: SortedEvidence, copies: frozenset[FrameKey], moved: AdjustmentResult, mapping: CadMapping | Failure
+        self, known: SortedEvidence, copies: frozenset[FrameKey], moved: MovedRows, mapping: CadMapping | Failure
     ) -> Findings:
         """Return the findings, with the camera displacements that the adjustment of the CAD mapping estimated."""
         prior, scene = self.prior, self.scene
+        if isinstance(mapping, CadMapping):
+            moved = mapping.moved or moved
         if isinstance(mapping, CadMapping) and mapping.adjusted.cameras is not None:
             scene = replace(scene, cameras=mapping.adjusted.problem.cameras)
         return Findings(

@@ -7,11 +7,13 @@ order as soon as their frames are present. They return the same evidence in the 
 from __future__ import annotations
 
 import pickle
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, BoardType, RecordingHead, Stitch, Visibility
+from vaoi_station.steps import Steps
 from vaoi_station.stitching.adjustment.problem import LinkStore
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.fiducials import detect_marks
@@ -30,6 +33,7 @@ from vaoi_station.stitching.matching.evidence import METHODS, Detections, Eviden
 from vaoi_station.stitching.matching.frame_pair import FramePair, overlap_share
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.link import link_neighbours, link_reference, link_rows
+from vaoi_station.stitching.matching.relinking import Relinker
 from vaoi_station.stitching.quality.findings import Findings
 
 _KEPT_ROWS, _KEPT_MORE = 3, 4
@@ -141,20 +145,46 @@ class TaskRunner:
         self._reference_frame = reference_frame
         self._prepared: OrderedDict[FrameKey, PreparedFrame] = OrderedDict()
         self._link_store = LinkStore(setup.cameras)
+        self._relinker = Relinker(setup.cameras, np.array(setup.conveyor_mm_s), self._get, self._link_store.motions_mm)
+        self._arrived: dict[tuple[int, int], list[Links]] = {}
+        self._complete: deque[list[Links]] = deque()
+        self._preparing: Steps[None] | None = None
+
+    def add_evidence(self, evidence: Evidence) -> None:
+        """Take evidence, of any process, for `prepare`."""
+        if isinstance(evidence, Links) and evidence.task.kind != "reference":
+            own = self._arrived.setdefault(evidence.rows, [])
+            own.append(evidence)
+            if len(own) == len(self._setup.cameras) - (evidence.task.kind == "neighbours"):
+                self._complete.append(self._arrived.pop(evidence.rows))
+
+    def prepare(self) -> bool:
+        """Do a part, of milliseconds, of what the conclusion of the run needs; return False if nothing is possible yet.
+
+        It is what depends on the links and frames of two rows only and for which the links of all cameras have arrived.
+        The conclusion does what is missing, with the same result.
+        """
+        if self._preparing is None:
+            if not self._complete:
+                return False
+            self._preparing = self._steps(tuple(sorted(self._complete.popleft(), key=attrgetter("order"))))
+        steps, self._preparing = self._preparing, None
+        # Without a frame that another process has linked, a step ends here.
+        with suppress(StopIteration, LookupError):
+            next(steps)
+            self._preparing = steps
+        return True
+
+    def _steps(self, links: tuple[Links, ...]) -> Steps[None]:
+        self._link_store.parts(links)
+        yield
+        if links[0].task.kind == "rows":
+            for own in (yield from self._relinker.prepare(links)):
+                self._link_store.steps(own)
+                yield
 
     def perform(self, task: Task) -> Links | Detections:
         """Perform one task and return its evidence. A task that finds nothing returns empty evidence, not an error."""
-        found = self._perform(task)
-        self.add_evidence(found)
-        return found
-
-    def add_evidence(self, evidence: Evidence) -> None:
-        """Project the links of evidence, of any process, to the ground: the conclusion of the run then need not."""
-        # links to the reference do not enter the adjustment of the rows
-        if isinstance(evidence, Links) and evidence.task.kind != "reference":
-            self._link_store.add(evidence)
-
-    def _perform(self, task: Task) -> Links | Detections:
         setup = self._setup
         if task.kind == "marks":
             fixture = METHODS[setup.method].fixture
@@ -202,6 +232,8 @@ class TaskRunner:
         `doubts` are those about the frames that arose when they were recorded (`RecordingHead.doubts`).
         """
         s = self._setup
+        self._complete.clear()
+        self._preparing = None
         velocity_mm_s = np.asarray(s.conveyor_mm_s, dtype=np.float64)
         reference_frame = self._reference if self._reference_frame is not None else None
         lights = tuple(s.light(row) for row in range(len(times_s))) if s.lights else ()
@@ -210,7 +242,7 @@ class TaskRunner:
             s.channels,
         )  # fmt: skip
         scene = Scene(s.cameras, tuple(sorted(present)), self._get, doubts)
-        stitcher = Stitcher(scene, prior, np.asarray(times_s, dtype=np.float64), self._link_store)
+        stitcher = Stitcher(scene, prior, np.asarray(times_s, dtype=np.float64), self._link_store, self._relinker)
         return stitcher.stitch(list(evidence))
 
     def _reference(self, key: FrameKey) -> PreparedFrame:

@@ -81,6 +81,23 @@ def test_a_result_does_not_depend_on_the_worker_that_found_the_evidence(
             assert matrices(only(successor, ring_board.conclusion())) == expected, "the owner has died"
 
 
+def test_a_result_does_not_depend_on_what_its_owner_prepared(ring_board: RingBoard, expected: Any) -> None:
+    """It prepares what another worker found, with frames of which it knows only by the other's log."""
+    memory, last = shared_memory(2), max(task.a[1] for task in ring_board.tasks)
+    with (
+        running(ring_board, [EvidenceLog(memory, k) for k in range(2)], 0) as helper,
+        running(ring_board, [EvidenceLog(memory, k) for k in range(2)]) as owner,
+    ):
+        only(helper, ring_board.link(*(task for task in ring_board.tasks if task.a[1] < last)))
+        assert not owner.prepare(), "nothing has arrived"
+        owner.gather()
+        steps = 0
+        while owner.prepare():
+            steps += 1
+        assert steps > last
+        assert matrices(only(owner, ring_board.conclusion())) == expected
+
+
 def test_a_new_owner_finds_again_what_was_overwritten(
     ring_board: RingBoard, expected: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,30 +116,30 @@ def test_records_of_a_log_are_read_once_and_in_order_whatever_is_overwritten(mon
     writer, reader = EvidenceLog(memory, 1), EvidenceLog(memory, 1)
     seen: list[int] = []
     for number in range(200):
-        writer.write((number % 7 * "x", number, []))
+        writer.write((number % 7 * "x", number, [], {}))
         if number % 3 == 0:
-            seen += [generation for _, generation, _ in reader.new_records()]
+            seen += [generation for _, generation, *_ in reader.new_records()]
     assert seen == list(range(199))
     for number in range(200, 400):
-        writer.write(("", number, []))
-    late = [generation for _, generation, _ in reader.new_records()]
+        writer.write(("", number, [], {}))
+    late = [generation for _, generation, *_ in reader.new_records()]
     assert late == list(range(late[0], 400)), "what a slow reader finds is whole"
     assert 200 < late[0] < 400
-    assert [generation for _, generation, _ in EvidenceLog(memory, 1).new_records()] == late
+    assert [generation for _, generation, *_ in EvidenceLog(memory, 1).new_records()] == late
     assert list(writer.new_records()) == list(reader.new_records()) == []
     assert list(EvidenceLog(memory, 0).new_records()) == [], "logs do not touch each other"
-    writer.write(("x" * 2000, 0, []))
+    writer.write(("x" * 2000, 0, [], {}))
     assert list(reader.new_records()) == [], "it is too large for the log"
 
 
 def test_a_record_that_is_not_whole_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
     memory = shared_memory(1)
     writer, reader = EvidenceLog(memory, 0), EvidenceLog(memory, 0)
-    writer.write(("broken", 1, []))
+    writer.write(("broken", 1, [], {}))
     memory[30] ^= 255
     assert list(reader.new_records()) == []
-    writer.write(("whole", 2, []))
-    assert list(reader.new_records()) == [("whole", 2, [])]
+    writer.write(("whole", 2, [], {}))
+    assert list(reader.new_records()) == [("whole", 2, [], {})]
 
 
 def test_a_check_equals_one_made_offline(runtime: WorkerRuntime, ring_board: RingBoard) -> None:

@@ -64,7 +64,7 @@ def test_noise_is_propagated_to_the_ground(workshop: Any, bend: float) -> None:
     np.testing.assert_allclose(o.b_lean[0], camera.parallax(camera.ground(px)))
 
 
-def test_links_added_one_by_one_are_the_same_in_any_requested_order(workshop: Any) -> None:
+def test_links_projected_early_are_the_same_in_any_requested_order(workshop: Any) -> None:
     cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
     chance = np.random.default_rng(2)
     found = [
@@ -75,13 +75,14 @@ def test_links_added_one_by_one_are_the_same_in_any_requested_order(workshop: An
     ]
     link_store = LinkStore(cameras)
     for k in (4, 1, 5):
-        link_store.add(found[k])
+        link_store.parts([found[k]])
     for asked in (found, found[::-1], found[2:], []):
         once = to_observations(asked, cameras)
         again = link_store.observations(asked)
         for name in once.arrays._fields:
             assert np.array_equal(getattr(once, name), getattr(again, name)), name
         assert again.groups == once.groups
+        assert again.begins.tolist() == np.cumsum([0, *(len(e.a_px) for e in again.groups)]).tolist()
     other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
     both = link_store.observations([found[0], other])
     np.testing.assert_allclose(both.a_mm, cameras[0].ground(np.concatenate([found[0].a_px, other.a_px])))

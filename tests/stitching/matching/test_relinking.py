@@ -15,14 +15,14 @@ from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.model import Status
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.scenario import Scenario, SpeedChange
+from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.relinking import (
-    RowLinks,
+    Relinker,
     candidate_motions,
     possible_motions,
-    relink_rows,
 )
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
@@ -42,7 +42,7 @@ def pair_of(workshop: Any, motion: tuple[float, float], seed: int = 0) -> FrameP
 @pytest.mark.parametrize("motion", [(0.0, 0.0), (0.3, 4.0), (0.0, 10.0), (-0.4, 14.5)])
 def test_a_motion_from_none_to_one_and_a_half_is_found(workshop: Any, motion: tuple[float, float]) -> None:
     pairs = [pair_of(workshop, motion, seed) for seed in (1, 2)]
-    assert np.hypot(*(candidate_motions(pairs)[0] - motion)) < 0.5
+    assert np.hypot(*(completed(candidate_motions(pairs))[0] - motion)) < 0.5
 
 
 def verdict_on(board: dict[str, Any], **more: dict[str, Any]) -> tuple[Outcome, tuple[str, ...]]:
@@ -106,8 +106,8 @@ def test_texture_that_stands_still_does_not_hide_what_moves(workshop: Any) -> No
         frame[:, 240:] = board.seen_by(camera, lambda at, by=by: at - np.array([0.0, by]))[:, 240:]
         frames.append(PreparedFrame(frame))
     pair = FramePair(frames[0], frames[1], camera, camera, NOMINAL)
-    assert np.hypot(*candidate_motions([pair])[0]) < 0.5
-    assert np.hypot(*(candidate_motions([pair], moving=True)[0] - (0.0, 9.0))) < 0.5
+    assert np.hypot(*completed(candidate_motions([pair]))[0]) < 0.5
+    assert np.hypot(*(completed(candidate_motions([pair], moving=True))[0] - (0.0, 9.0))) < 0.5
 
 
 def filmed_on(belt: dict[str, Any], **array: Any) -> tuple[Any, Any, Any]:
@@ -174,8 +174,8 @@ def test_static_structure_in_the_scene_is_no_stop(workshop: Any) -> None:
         frame[100:] = board.seen_by(camera, lambda at, j=j: at - np.array([0.0, 3.0 * j]))[100:]
     prepared = {(0, j): PreparedFrame(frame) for j, frame in enumerate(frames)}
     scene = Scene((camera,), tuple(sorted(prepared)), prepared.__getitem__)
-    none = RowLinks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
-    links = relink_rows((), none, scene, np.array([0.0, 100.0]), np.array([0.0, 0.1, 0.2, 0.3]))
+    relinker = Relinker((camera,), np.array([0.0, 100.0]), scene.prepared, lambda links: [])
+    links = relinker.relinked((), scene.present, np.array([0.0, 0.1, 0.2, 0.3]))
     moved = {e.task.b[1]: np.median((camera.ground(e.b_px) - camera.ground(e.a_px))[:, 1]) for e in links if e.task.b}
     assert moved == pytest.approx({1: 3.0, 2: 3.0, 3: 3.0}, abs=0.05)
 
@@ -192,8 +192,8 @@ def test_a_bed_with_more_texture_than_the_board_is_no_stop(workshop: Any, rows: 
         frame = seen if j not in rows else np.where(np.arange(320) >= 230, seen, bed)
         frames.append(PreparedFrame(workshop.digitised(frame + noise.normal(0, 1, frame.shape))))
     scene = Scene((camera,), tuple((0, j) for j in range(4)), lambda key: frames[key[1]])
-    none = RowLinks(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
-    links = relink_rows((), none, scene, np.array([0.0, 100.0]), np.array([0.0, 0.1, 0.2, 0.3]))
+    relinker = Relinker((camera,), np.array([0.0, 100.0]), scene.prepared, lambda links: [])
+    links = relinker.relinked((), scene.present, np.array([0.0, 0.1, 0.2, 0.3]))
     moved = {e.task.b[1]: np.median((camera.ground(e.b_px) - camera.ground(e.a_px))[:, 1]) for e in links if e.task.b}
     assert moved[rows[1]] == pytest.approx(9.0, abs=0.05)
 
@@ -205,3 +205,61 @@ def test_links_at_the_nominal_motion_stay_as_they_are(filmed: Any) -> None:
     _, findings = runner.conclude_with_findings(filmed.times_s, filmed.present, evidence)
     found = {e.task: e for e in evidence if isinstance(e, Links)}
     assert all(e is found[e.task] for e in findings.links)
+
+
+@pytest.mark.parametrize("belt", BELTS.values(), ids=BELTS)
+def test_what_is_decided_while_the_board_passes_is_the_same_as_at_its_end(belt: dict[str, Any]) -> None:
+    """The evidence arrives in any order, and the preparation stops anywhere."""
+    head, setup, passage = filmed_on(belt)
+    frames, times, g = passage.render_all(), head.row_times_s(), np.random.default_rng(3)
+    late = TaskRunner(setup, lambda i, j: frames.get((i, j)))
+    evidence = [late.perform(task) for task in all_tasks(frames, dict(enumerate(times)), setup)]
+    at_end = late.conclude(times, tuple(frames), evidence)
+    for steps in (12, 10_000):
+        early = TaskRunner(setup, lambda i, j: frames.get((i, j)))
+        for n in g.permutation(len(evidence)):
+            early.add_evidence(evidence[n])
+        made = 0
+        while made < steps and early.prepare():
+            made += 1
+        assert made >= 12
+        found = early.conclude(times, tuple(frames), evidence)
+        for field in ("image_matrices", "cad_matrix", "row_motion"):
+            assert all(np.array_equal(a, b) for a, b in zip(flat(found, field), flat(at_end, field), strict=True))
+
+
+def flat(stitch: Any, name: str) -> list[Any]:
+    """Return a field of a result as a list of matrices."""
+    value = getattr(stitch, name)
+    return [m for row in value for m in row if m is not None] if name == "image_matrices" else list(value)
+
+
+def test_a_camera_that_sees_a_pattern_is_outvoted_only_by_cameras_that_agree(workshop: Any) -> None:
+    """Two cameras of which one has a rival; then both have one; then they found different motions."""
+    present, at = tuple((i, j) for i in range(2) for j in range(2)), np.full((30, 2), 20.0)
+
+    def decided(rivals: tuple[Any, Any], motions: tuple[float, float]) -> bool:
+        """Return whether the step is decided without a look at the frames."""
+        links = tuple(
+            Links(
+                Task("rows", (i, 0), (i, 1), 0.1), at, at + (0.0, 100.0), np.zeros((30, 2, 2)),
+                np.ones(30), coarse_px=(0.0, 0.0), tried=32, rival_px=rivals[i],
+            )
+            for i in range(2)
+        )  # fmt: skip
+        each = [np.tile([0.0, motion], (30, 1)) for motion in motions]
+
+        def prepared(key: Any) -> Any:
+            raise LookupError
+
+        cameras = (workshop.camera(), workshop.camera((15, 0)))
+        relinker = Relinker(cameras, np.array([0.0, 100.0]), prepared, lambda _: each)
+        try:
+            return relinker.relinked(links, present, np.array([0.0, 0.1])) == links
+        except LookupError:
+            return False
+
+    assert decided((None, None), (10.0, 10.0))
+    assert decided((None, (0.0, 4.0)), (10.0, 10.0))
+    assert not decided(((0.0, 4.0), (0.0, 4.0)), (10.0, 10.0))
+    assert not decided((None, (0.0, 4.0)), (10.0, 14.0))

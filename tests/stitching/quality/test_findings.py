@@ -23,8 +23,8 @@ def findings_of(filmed: Any, frames: dict[tuple[int, int], Any] | None = None, *
 def test_without_a_board_the_solution_is_that_of_the_links(filmed: Any) -> None:
     found = findings_of(filmed, board_type=None)
     assert isinstance(found.found, Failure)
-    assert found.adjusted is found.moved
-    assert found.problem is found.moved.problem
+    assert found.adjusted is found.moved.result
+    assert found.problem is found.moved.result.problem
     assert (found.mapping, found.cad_matrix, found.views, found.surface, found.heights) == (None, None, None, None, {})
 
 

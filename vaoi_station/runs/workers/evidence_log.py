@@ -13,18 +13,18 @@ import os
 import pickle
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from vaoi_station.stitching.matching.evidence import Evidence
+from vaoi_station.stitching.matching.evidence import Evidence, FrameKey
 
 LOG_BYTES = 16 << 20
 """Room of one log: the evidence of several boards of 420 frames. Only pages that were written use memory."""
 _HEAD_BYTES, _RECORD = 16, struct.Struct("<II")
 
-Found = tuple[str, int, list[Evidence]]
-"""A record: run, generation of its bay, and the evidence of one job."""
+Found = tuple[str, int, list[Evidence], Mapping[FrameKey, int]]
+"""A record: run, generation of its bay, the evidence of one job, and the slots of its frames."""
 
 
 def shared_memory(workers: int, file: int = -1) -> mmap.mmap:

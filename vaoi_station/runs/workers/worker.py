@@ -70,8 +70,10 @@ def run_worker(connection: Connection[Any, Any], ring_path: str, index: int, log
         try:
             connection.send(WorkerReady(os.getpid()))
             while True:
-                while runtime.owns_runs and not connection.poll(GATHER_S):
+                busy = False
+                while runtime.owns_runs and not connection.poll(0.0 if busy else GATHER_S):
                     runtime.gather()
+                    busy = runtime.prepare()
                 if (message := connection.recv()) is None:
                     return
                 if (reply := runtime.reply(message)) is not None:
@@ -158,11 +160,25 @@ class WorkerRuntime:
     def gather(self) -> None:
         """Take over what the other workers have found for the open runs."""
         for log in self._logs:
-            for run, generation, found in log.new_records():
+            for run, generation, found, slots in log.new_records():
                 opened = self._runs.get(run)
                 if opened is not None and opened.opening.context.generation == generation:
+                    opened.slots.update(slots)
                     for evidence in found:
                         opened.add(evidence)
+
+    def prepare(self) -> bool:
+        """Do for some ms what the conclusion of an own run will need; return False if nothing is possible yet."""
+        for opened in self._runs.values():
+            if opened.opening.owned:
+                try:
+                    if self._guarded(opened.opening.context, opened.runner.prepare):
+                        return True
+                except GoneError:
+                    continue  # the memory of its frames has a later run: it cannot be concluded either
+                except Exception:  # noqa: BLE001  the conclusion does the same and reports what fails
+                    _log.exception("preparing the conclusion of run %s failed", opened.opening.context.run)
+        return False
 
     def _open(self, opening: OpenRun) -> None:
         if opening.context.run in self._runs:
@@ -215,9 +231,10 @@ class WorkerRuntime:
             return found
 
         found = self._guarded(job.context, perform)
-        opened.evidence.update((evidence.task, evidence) for evidence in found)
+        for evidence in found:
+            opened.add(evidence)
         # Also what the owner itself finds: another worker needs it if the owner dies.
-        self._log.write((job.run, job.context.generation, found))
+        self._log.write((job.run, job.context.generation, found, job.slots))
         if opened.opening.owned:
             self.gather()
         return tuple(times_s)

@@ -8,6 +8,8 @@ centre c of the camera array and a shift s_j. With this centre, angle and shift 
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -73,6 +75,63 @@ class Motion:
     def arrays(self) -> MotionArrays:
         """The motion as compiled functions take it."""
         return MotionArrays(self.angle, self.shift, self.pivot)
+
+
+class RowStep(NamedTuple):
+    """The motion of the board from row p to row q, as links of these rows show it: a turn, and one point in both rows.
+
+    The point is the weighted mean of the links. There, errors of shift and turn are uncorrelated.
+    """
+
+    p: int
+    q: int
+    a_mm: complex  # the point on the ground of row p, as x + i·y
+    b_mm: complex  # the same point on the ground of row q
+    turn: float  # φ_q − φ_p, rad
+    weight: float  # inverse variance of the point per axis, mm⁻²
+    turn_weight: float  # inverse variance of the turn, rad⁻²
+    floor_mm: float  # how much links scatter per axis beyond their noise
+    px_per_mm: float
+
+
+_ROUNDS, _SETTLED_MM = 8, 1e-4
+"""The motion of a step is estimated again with new robust weights until it changes by less than this, or this often."""
+_MEDIAN = 2 * math.log(2)  # median of the χ² distribution with two degrees of freedom
+_KNEE, _CUT = 2.0, 6.0
+"""Links beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
+_LEAST_PX, _FEW, _FEW_PX = 0.003, 20, 0.05
+"""Least scatter per axis beyond the noise: generally, and where less than `_FEW` links show it."""
+
+
+def measure_step(
+    p: int, q: int, a_mm: Floats, b_mm: Floats, noise_mm2: Floats, px_per_mm: Floats, overlap: Floats
+) -> RowStep:
+    """Estimate the motion from row p to row q from k ≥ 1 links; see `LinkArrays` for their columns."""
+    median_mm = np.median(b_mm - a_mm, axis=0)
+    a, b = (np.ascontiguousarray(v).view(np.complex128)[:, 0] for v in (a_mm, b_mm))
+    middle, resolution = len(a) // 2, float(px_per_mm.mean())
+    variance = (noise_mm2[:, 0, 0] + noise_mm2[:, 1, 1]) / 2
+    noise = float(np.partition(variance, middle)[middle])
+    least = ((_LEAST_PX if len(a) >= _FEW else _FEW_PX) / resolution) ** 2
+    off, turn = a - b + complex(*median_mm), 0.0
+    for _ in range(_ROUNDS):
+        square = off.real**2 + off.imag**2
+        floor = max(float(np.partition(square, middle)[middle]) / _MEDIAN - noise, least)
+        sigma2 = variance + floor
+        chi2 = square / (2 * sigma2)
+        weight = np.where(chi2 <= _CUT**2, np.minimum(_KNEE / np.sqrt(np.maximum(chi2, 1e-9)), 1.0), 0.0) / (
+            sigma2 * overlap
+        )
+        whole = float(weight.sum())
+        about = complex(weight @ a) / whole, complex(weight @ b) / whole
+        of_a, of_b = a - about[0], b - about[1]
+        weighted = weight * of_b.conj()
+        cross, spread = complex(weighted @ of_a), float((weighted @ of_b).real)
+        turn = math.atan2(cross.imag, cross.real + 1 / YAW_RAD**2)
+        before, off = off, of_a - cmath.exp(1j * turn) * of_b
+        if float(np.abs(off - before).max()) < _SETTLED_MM:
+            break
+    return RowStep(p, q, *about, turn, whole, spread, math.sqrt(floor), resolution)
 
 
 @compiled

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import groupby
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +19,11 @@ from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.projection_kernels import CameraArrays, raw_to_ground
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Surface
-from vaoi_station.stitching.adjustment.motion import Motion
+from vaoi_station.stitching.adjustment.motion import Motion, RowStep, measure_step
 from vaoi_station.stitching.matching.evidence import Links
 from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
 Ints = NDArray[np.int_]
-
-_INITIAL_CAPACITY = 4096  # number of links for which a new link store allocates memory
 
 
 class LinkArrays(NamedTuple):
@@ -65,6 +65,11 @@ class Observations:
         return len(self.p)
 
     @cached_property
+    def begins(self) -> Ints:
+        """(g + 1,) index of the first link of each pair of frames, and the number of links."""
+        return np.searchsorted(self.group, np.arange(len(self.groups) + 1))
+
+    @cached_property
     def arrays(self) -> LinkArrays:
         """The same links for compiled functions."""
         return LinkArrays._make(getattr(self, name) for name in LinkArrays._fields)
@@ -89,48 +94,69 @@ class Observations:
         return float(np.median(sigma_mm * self.px_per_mm[at])) if len(at) else 0.0
 
 
-class LinkStore:
-    """Memory for the links of a run: each link is projected to the ground as it arrives, and kept for the conclusion.
+@dataclass(frozen=True, eq=False)
+class RowPair:
+    """The links of two rows p and q of all cameras, on the ground; if p = q, those of neighbouring cameras."""
 
-    The evidence of a large board consists of about a thousand small arrays, which arrive over several seconds. At the
-    end of the run they are no longer in the processor's cache, so that collecting them then would take longer than the
-    adjustment itself.
+    links: tuple[Links, ...]  # the evidence of those pairs of frames that have links
+    columns: tuple[Floats, ...]  # those of `LinkArrays` from `a_mm` on
+
+    @cached_property
+    def step(self) -> RowStep:
+        """What the links show of the motion from row p to row q."""
+        return measure_step(*self.links[0].rows, *self.columns[:2], *self.columns[4:])
+
+
+class LinkStore:
+    """The links of a run on the ground, in parts of two rows each.
+
+    A part depends on its links alone. It is made when they are complete, while the board passes, and used again in the
+    conclusion, however the links arrived.
     """
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
         self._cameras = camera_arrays(cameras)
-        self._begins: dict[Links, int] = {}  # index in `_columns` of the first link of each pair of frames
-        self._size = 0
-        # the arrays of `_project_links` for all links together, with spare capacity
-        self._columns = [np.empty((0, 2)) for _ in range(4)] + [np.empty((0, 2, 2)), np.empty(0), np.empty(0)]
+        self._parts: dict[tuple[int, int], RowPair] = {}  # the last part that was made of each pair of rows
 
-    def add(self, links: Links) -> None:
-        """Project the links of a pair of frames to the ground and store them, unless they are stored already."""
-        count = len(links.a_px)
-        if links in self._begins or not count:
-            return
-        if self._size + count > len(self._columns[0]):
-            # doubling keeps the number of copies logarithmic in the number of links
-            more = max(_INITIAL_CAPACITY, self._size + count)
-            self._columns = [np.concatenate([c, np.empty((more, *c.shape[1:]))]) for c in self._columns]
-        a, b = links.task.a, links.task.b or links.task.a
-        projected = _project_links(links.a_px, links.b_px, links.information, a[0], b[0], self._cameras)
-        for column, values in zip(self._columns, projected, strict=True):
-            column[self._size : self._size + count] = values
-        self._begins[links] = self._size
-        self._size += count
+    def parts(self, links: Iterable[Links]) -> list[RowPair]:
+        """Return the parts of links, of which those of the same two rows follow one another."""
+        out = []
+        for rows, each in groupby((e for e in links if len(e.a_px)), attrgetter("rows")):
+            known, own = self._parts.get(rows), tuple(each)
+            if known is None or known.links != own:
+                known = self._parts[rows] = self._projected(own)
+            out.append(known)
+        return out
+
+    def _projected(self, links: tuple[Links, ...]) -> RowPair:
+        ends = np.cumsum([len(e.a_px) for e in links])
+        cameras = np.array([(e.task.a[0], (e.task.b or e.task.a)[0]) for e in links])
+        a_px, b_px, information = (
+            np.concatenate([getattr(e, name) for e in links]) for name in ("a_px", "b_px", "information")
+        )
+        return RowPair(links, _project_links(a_px, b_px, information, ends, cameras, self._cameras))
+
+    def motions_mm(self, links: Sequence[Links]) -> list[Floats]:
+        """Return the motions (k, 2) on the conveyor's plane that links between two rows measure, by pair of frames."""
+        (part,) = self.parts(links)
+        return np.split(part.columns[1] - part.columns[0], np.cumsum([len(e.a_px) for e in part.links])[:-1])
+
+    def steps(self, links: Sequence[Links]) -> list[RowStep]:
+        """Return what links show of the motion between rows, for all pairs of rows that they link."""
+        return [part.step for part in self.parts(e for e in links if e.task.kind == "rows")]
 
     def observations(self, links: Sequence[Links]) -> Observations:
-        """Return the links of the given pairs of frames, in the given order; add those that are not stored yet."""
-        used = tuple(e for e in links if len(e.a_px))
-        for e in used:
-            self.add(e)
-        each = [(*e.task.a, *(e.task.b or e.task.a), len(e.a_px), self._begins[e]) for e in used]
-        camera_a, p, camera_b, q, count, begin = np.array(each, dtype=np.int_).reshape(-1, 6).T
-        group = np.repeat(np.arange(len(used)), count)
-        at = (begin - np.cumsum(count) + count)[group] + np.arange(len(group))
-        arrays = *(v[group] for v in (p, q, camera_a, camera_b)), group, *(column[at] for column in self._columns)
-        return Observations(**dict(zip(LinkArrays._fields, arrays, strict=True)), groups=used)
+        """Return the links of pairs of frames, in the order of these, as observations."""
+        parts = self.parts(links)
+        used = tuple(e for part in parts for e in part.links)
+        each = [(*e.task.a, *(e.task.b or e.task.a), len(e.a_px)) for e in used]
+        camera_a, p, camera_b, q, count = np.array(each, dtype=np.int_).reshape(-1, 5).T
+        of_links = *(np.repeat(v, count) for v in (p, q, camera_a, camera_b)), np.repeat(np.arange(len(used)), count)
+        columns = [np.concatenate(own) for own in zip(*(part.columns for part in parts), strict=True)] or _NO_LINKS
+        return Observations(**dict(zip(LinkArrays._fields, (*of_links, *columns), strict=True)), groups=used)
+
+
+_NO_LINKS = [*np.zeros((4, 0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0)]
 
 
 def to_observations(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
@@ -140,15 +166,21 @@ def to_observations(links: Sequence[Links], cameras: Sequence[Camera]) -> Observ
 
 @compiled
 def _project_links(
-    a_px: Floats, b_px: Floats, information: Floats, camera_a: int, camera_b: int, cameras: CameraArrays
+    a_px: Floats, b_px: Floats, information: Floats, ends: Ints, pairs: Ints, cameras: CameraArrays
 ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Project the k links of a pair of frames to the ground; return the columns of `LinkArrays` from `a_mm` on.
+    """Project k links to the ground; return the columns of `LinkArrays` from `a_mm` on.
 
-    `information` (k, 2, 2) is the inverse covariance of the points in the second image, px⁻².
+    `information` (k, 2, 2) is the inverse covariance of the points in the second image, px⁻². The links of pair n of
+    frames end before `ends[n]`; `pairs` (n, 2) are its cameras.
     """
     points, leans, eye = np.empty((2, len(a_px), 2)), np.empty((2, len(a_px), 2)), cameras.viewpoint
-    covariance, resolution = np.empty_like(information), np.empty(len(a_px))
+    covariance, resolution, overlap, n = np.empty_like(information), np.empty(len(a_px)), np.empty(len(a_px)), 0
     for k in range(len(a_px)):
+        if k == ends[n]:
+            n += 1
+        if k == 0 or k == ends[n - 1]:
+            overlap[k : ends[n]] = patch_overlap(a_px[k : ends[n]], WINDOW_PX)
+        camera_a, camera_b = pairs[n]
         u = v = 0.0
         for end in range(2):
             i, px = (camera_a, a_px[k]) if end == 0 else (camera_b, b_px[k])
@@ -156,10 +188,10 @@ def _project_links(
             points[end, k, 0], points[end, k, 1] = x, y
             leans[end, k, 0], leans[end, k, 1] = (eye[i, 0] - x) * eye[i, 2], (eye[i, 1] - y) * eye[i, 2]
         # After this loop, u and v are pixels of the second image, in which the information matrix is stated.
-        n, x, y = cameras.image_from_row[camera_b], points[1, k, 0], points[1, k, 1]
-        w = x * n[2, 0] + y * n[2, 1] + n[2, 2]
-        a, b = (n[0, 0] - u * n[2, 0]) / w, (n[0, 1] - u * n[2, 1]) / w
-        c, d = (n[1, 0] - v * n[2, 0]) / w, (n[1, 1] - v * n[2, 1]) / w
+        m, x, y = cameras.image_from_row[camera_b], points[1, k, 0], points[1, k, 1]
+        w = x * m[2, 0] + y * m[2, 1] + m[2, 2]
+        a, b = (m[0, 0] - u * m[2, 0]) / w, (m[0, 1] - u * m[2, 1]) / w
+        c, d = (m[1, 0] - v * m[2, 0]) / w, (m[1, 1] - v * m[2, 1]) / w
         slope = a * d - b * c
         p, q, r = information[k, 0, 0], information[k, 0, 1], information[k, 1, 1]
         # J⁻¹·I⁻¹·J⁻ᵀ is the inverse of Jᵀ·I·J, where J is the Jacobian (a, b; c, d) of the image by the ground
@@ -170,7 +202,7 @@ def _project_links(
         covariance[k, 0, 0], covariance[k, 1, 1] = yy / det, xx / det
         covariance[k, 0, 1] = covariance[k, 1, 0] = -xy / det
         resolution[k] = np.sqrt(abs(slope))
-    return points[0], points[1], leans[0], leans[1], covariance, resolution, patch_overlap(a_px, WINDOW_PX)
+    return points[0], points[1], leans[0], leans[1], covariance, resolution, overlap
 
 
 @inlined

@@ -176,8 +176,6 @@ _MAX_STEPS = 15
 CONVERGED_MM = 5e-5
 """The adjustment ends after a step that moves no row by more than this. Each step is about a tenth of the step before,
 so that an error of about a tenth of this limit remains."""
-_SAMPLE_PER_ROW, _SAMPLE_CONVERGED_MM = 100, 3e-3
-"""For a solution from a subsample of the links: number of links per row, and the value used as `CONVERGED_MM`."""
 _SAMPLE_LINKS, _PER_ROW, _COARSE_MM = 8000, 250, 1e-3
 """If there are at least twice as many links, all unknowns are first estimated from a sample: its least number of links,
 of links per row, and the value used as `CONVERGED_MM`. All links then need two or three steps."""
@@ -235,21 +233,6 @@ def sample_of(problem: Problem, every: int) -> Problem:
     begins = np.flatnonzero(np.diff(group, prepend=-1))
     in_pair = np.arange(len(group)) - np.repeat(begins, np.diff(begins, append=len(group)))
     return problem.select(np.flatnonzero(in_pair % every == 0))
-
-
-def solve_subsampled(problem: Problem, start: Motion) -> Motion | None:
-    """Estimate the motion to a thousandth of a millimetre from a subsample of the links; None if they are too few."""
-    every = len(problem.links) // (_SAMPLE_PER_ROW * len(start.angle))
-    if every < 2:
-        return None
-    solver = _Solver(sample_of(problem, every), start, None)
-    solver.run(_SAMPLE_CONVERGED_MM)
-    return solver.motion
-
-
-def evaluate_at(problem: Problem, motion: Motion) -> AdjustmentResult:
-    """Return residuals and weights of all links at a given motion; the covariance is 0."""
-    return _Solver(problem, motion, None).result()
 
 
 def linked_steps(problem: Problem) -> NDArray[np.bool_]:

@@ -27,7 +27,7 @@ from vaoi_station.stitching.adjustment.problem import (
     SurfaceBasis,
     basis_at_board,
 )
-from vaoi_station.stitching.adjustment.row_motion import board_texture, motion_from_links
+from vaoi_station.stitching.adjustment.row_motion import MovedRows, board_texture, motion_from_links
 from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.board.board_plane import BoardPlane, component_at, expected_angle, typical_camera
 from vaoi_station.stitching.board.fiducials import (
@@ -92,7 +92,7 @@ class CadMapping:
     """Whether the board may equally well be turned by 180°, because neither fiducials nor pictures decide."""
     shift: OutlineShift | None = None
     """Measured shift of the outline against the adjusted C; None if too little of the outline shows an edge."""
-    moved: AdjustmentResult | None = None
+    moved: MovedRows | None = None
     """The motion of the rows from links on the board alone; None if no links beside the board were left out."""
     left_out: LeftOut | None = None
 
@@ -126,7 +126,7 @@ class _OwnTexture(NamedTuple):
     """A run without the links beside the board: its problem, the solution, and the first C found with it."""
 
     problem: Problem
-    moved: AdjustmentResult
+    moved: MovedRows
     first: _FirstC
     left_out: LeftOut
 
@@ -140,7 +140,7 @@ class _OwnTexture(NamedTuple):
 
 
 def map_cad(
-    plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs
+    plane: BoardPlane, scene: Scene, problem: Problem, moved: MovedRows, known: MappingInputs
 ) -> CadMapping | Failure:
     """Find the board, locate its fiducials again where a first C predicts them, and adjust all unknowns together."""
     referred, board_type = FiducialPoints.empty(), plane.board_type
@@ -185,7 +185,7 @@ def _apart_from_surroundings(
     plane: BoardPlane,
     scene: Scene,
     problem: Problem,
-    moved: AdjustmentResult,
+    moved: MovedRows,
     known: MappingInputs,
     first: _FirstC,
     depth_mm: Floats,
@@ -232,7 +232,7 @@ def _apart_from_surroundings(
 
 
 def _without_surroundings(
-    plane: BoardPlane, scene: Scene, problem: Problem, moved: AdjustmentResult, known: MappingInputs, c: Floats
+    plane: BoardPlane, scene: Scene, problem: Problem, moved: MovedRows, known: MappingInputs, c: Floats
 ) -> _OwnTexture | None:
     """Estimate the motion from the links on a board at position `c`, and find C with it; None if no C is found.
 
@@ -266,7 +266,7 @@ def _without_surroundings(
 
 
 def _find_first_c(
-    plane: BoardPlane, scene: Scene, moved: AdjustmentResult, known: MappingInputs, referred: FiducialPoints
+    plane: BoardPlane, scene: Scene, moved: MovedRows, known: MappingInputs, referred: FiducialPoints
 ) -> _FirstC:
     guess, detections = _c_from_detections(plane, scene, moved, known), known.detections
     outline = _outline(plane, scene, moved, guess)
@@ -287,17 +287,13 @@ def _find_first_c(
     return _FirstC(guess, detections, outline)
 
 
-def _outline(
-    plane: BoardPlane, scene: Scene, moved: AdjustmentResult, guess: Hypothesis | Failure
-) -> OutlineContrast | None:
+def _outline(plane: BoardPlane, scene: Scene, moved: MovedRows, guess: Hypothesis | Failure) -> OutlineContrast | None:
     if isinstance(guess, Failure):
         return None
     return measure_outline_contrast(plane.board_type, plane.matrix(guess.c), scene, moved.motion)
 
 
-def _c_from_detections(
-    plane: BoardPlane, scene: Scene, moved: AdjustmentResult, known: MappingInputs
-) -> Hypothesis | Failure:
+def _c_from_detections(plane: BoardPlane, scene: Scene, moved: MovedRows, known: MappingInputs) -> Hypothesis | Failure:
     """Find C from the detections; fail if the pictures show that the board is turned by 180°."""
     if not known.method.marks:
         return Failure("no point of the run was found again in the reference", ReasonCode.REFERENCE_NOT_FOUND)

@@ -53,6 +53,17 @@ class Links:
     """Whether frame b equals frame a in every pixel: the camera sent one frame twice, and frame b does not show its
     row."""
 
+    @property
+    def rows(self) -> tuple[int, int]:
+        """The rows of the two frames: twice the same between two cameras."""
+        return self.task.a[1], (self.task.b or self.task.a)[1]
+
+    @property
+    def order(self) -> tuple[int, int, int]:
+        """The place of the links in a run: those of the same two rows follow one another, by camera."""
+        p, q = self.rows
+        return q, p, self.task.a[0]
+
     @staticmethod
     def empty(task: Task, note: str, tried: int = 0) -> Links:
         """Return the evidence of a task that found no link among the corners it tried."""

@@ -13,9 +13,10 @@ they see one motion. `possible_motions` lists them, so that all cameras together
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from typing import NamedTuple
 
 import cv2
@@ -24,9 +25,10 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.matching.evidence import Links, Task
+from vaoi_station.steps import Steps, completed
+from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
 from vaoi_station.stitching.matching.frame_pair import FramePair, predict
-from vaoi_station.stitching.matching.frames import Scene
+from vaoi_station.stitching.matching.frames import PreparedFrame
 from vaoi_station.stitching.matching.link import (
     STATIC_PX,
     Small,
@@ -70,7 +72,8 @@ _FEW, _MOST = 8, 0.6
 """The same where an overlap has few corners: at least `_FEW` links, and at least the share `_MOST` of the corners.
 
 Links near the nominal motion need no search if they reach this number and share. Pins of components and other periodic
-texture reached a share of 0.3 at a wrong motion; the correct motion reached 0.9."""
+texture reached a share of 0.3 at a wrong motion (`_BY_CHANCE`); the correct motion reached 0.9."""
+_BY_CHANCE = 0.3
 _BETTER = 2.0  # least ratio of the agreeing links around a new motion to those around the nominal motion
 _REST_MM = 1.0  # the board counts as at rest at a motion up to this; texture that stands still is then removed
 _NEAR_PX, _CONTINUES = 4.0, 0.2
@@ -80,8 +83,10 @@ A patch continues if it appears within `_NEAR_PX` px of its place after the moti
 `_CONTINUES` of the patches must do so."""
 
 
-def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> list[Floats]:
+def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> Steps[list[Floats]]:
     """Return motions (2,) in mm of the board from rows p to q that fit their pictures, the most likely first.
+
+    Yield after each camera.
 
     Args:
         pairs: the frames of rows p and q of each camera; `shift_mm` is the nominal motion, which gives direction and
@@ -101,7 +106,10 @@ def candidate_motions(pairs: Sequence[FramePair], *, moving: bool = False) -> li
     u = np.arange(-math.ceil(_BACK_MM / cell) - 1, math.ceil(FASTEST * way / cell) + 2) * cell
     v = np.arange(-math.ceil(_ACROSS_MM / cell), math.ceil(_ACROSS_MM / cell) + 1) * cell
     motion = u[None, :, None] * along + v[:, None, None] * across
-    sums = np.sum([_correlated(a, b, _shifts(pair, motion)) for pair, a, b in textured], axis=0)
+    sums = np.zeros((4, len(v), len(u)))
+    for pair, a, b in textured:
+        sums += _correlated(a, b, _shifts(pair, motion))
+        yield
     products, energy_a, energy_b, overlap = sums
     energy = np.sqrt(np.maximum(energy_a * energy_b, 0.0))
     whole = max(float(energy.max()), 1e-9)
@@ -185,14 +193,6 @@ def possible_motions(links: Sequence[Links], cameras: Sequence[Camera], nominal_
     return [one for n, one in enumerate(near) if all(np.hypot(*(one - other)) > APART_MM for other in near[:n])]
 
 
-class RowLinks(NamedTuple):
-    """The k links between rows near the nominal motion: their rows, and the motion that each of them measures."""
-
-    p: np.ndarray  # (k,) row of the first frame
-    q: np.ndarray  # (k,) row of the second frame
-    motion_mm: Floats  # (k, 2) motion of the board from row p to row q on the conveyor's plane
-
-
 @dataclass(frozen=True, eq=False)
 class _Found:
     """A motion between two rows that was tried, with the links of all cameras found near it."""
@@ -215,216 +215,290 @@ class _Found:
         return float(np.hypot(*self.motion_mm)) < _REST_MM
 
 
-@dataclass(frozen=True, eq=False)
-class _Relinker:
-    """The frames of a run, and the motion between its rows as far as it is known."""
+class _Decision(NamedTuple):
+    """What the links of two consecutive rows near the nominal motion, and further searches, show of their step."""
 
-    scene: Scene
-    velocity_mm_s: Floats
-    times_s: Floats
-    step_mm: dict[Step, Floats] = field(default_factory=dict)
-    """Motion between consecutive rows with frames: the one found, else that of links near the nominal motion, else the
-    nominal one."""
+    step_mm: Floats  # (2,) motion by the links near the nominal one, or the nominal one itself
+    found: list[_Found]  # other motions that links confirm, the most likely first
 
     @property
-    def rows(self) -> list[int]:
-        return sorted({row for _, row in self.scene.present})
+    def motion_mm(self) -> Floats:
+        return self.found[0].motion_mm if self.found else self.step_mm
 
-    def nominal(self, p: int, q: int) -> Floats:
-        return np.asarray(self.velocity_mm_s * (self.times_s[q] - self.times_s[p]))
 
-    def pairs(self, p: int, q: int, motion_mm: Floats) -> list[tuple[Task, FramePair]]:
-        """Return the tasks that link rows p and q, camera by camera, with their frames."""
-        dt_s = round(float(self.times_s[q] - self.times_s[p]), 6)
-        present = set(self.scene.present)
-        there = [i for i in range(len(self.scene.cameras)) if {(i, p), (i, q)} <= present]
-        return [(Task("rows", (i, p), (i, q), dt_s), self.pair((i, p), (i, q), motion_mm)) for i in there]
+class Relinker:
+    """Links the rows of a run again where the motion differs from the nominal one.
 
-    def pair(self, a: tuple[int, int], b: tuple[int, int], motion_mm: Floats) -> FramePair:
+    Each decision depends on the links and frames of two rows only. It is made once, in the conclusion of the run or as
+    soon as these links are complete, and is the same in both cases.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        velocity_mm_s: Floats,
+        prepared: Callable[[FrameKey], PreparedFrame],
+        motions_mm: Callable[[Sequence[Links]], list[Floats]],
+    ) -> None:
+        """Create the relinker of one run.
+
+        Args:
+            cameras: the cameras of the run.
+            velocity_mm_s: (2,) nominal velocity of the belt.
+            prepared: returns a frame of the run.
+            motions_mm: returns the motions (k, 2) on the conveyor's plane that links of two rows measure, of each pair
+                of frames that has links.
+        """
+        self._cameras, self._velocity_mm_s = cameras, np.asarray(velocity_mm_s, dtype=np.float64)
+        self._prepared, self._motions_mm = prepared, motions_mm
+        self._decided: dict[Step, tuple[tuple[object, ...], _Decision]] = {}
+        self._again: dict[Links, tuple[tuple[float, ...], Links]] = {}
+        self._spans: list[tuple[Links, ...]] = []
+
+    def prepare(self, links: tuple[Links, ...]) -> Steps[list[Sequence[Links]]]:
+        """Do early what `relinked` will need of the links of two rows, in which all cameras delivered their frames.
+
+        Return the links that are most likely used, of these rows and of others that were waiting for them.
+        """
+        (p, q), out = links[0].rows, list[Sequence[Links]]()
+        if q - p > 1:
+            self._spans.append(links)
+        else:
+            decision = yield from self._decide((p, q), tuple(e.task for e in links), links)
+            out.append(decision.found[0].links if decision.found else links)
+        for span in tuple(self._spans):
+            p, q = span[0].rows
+            within = [self._decided[r, r + 1][1] for r in range(p, q) if (r, r + 1) in self._decided]
+            if len(within) == q - p:
+                self._spans.remove(span)
+                out.append((yield from self._along(span, within)) or span)
+        return out
+
+    def relinked(self, links: Sequence[Links], present: Sequence[FrameKey], times_s: Floats) -> tuple[Links, ...]:
+        """Return the links of a run, sorted, searched again between rows where the motion is not the nominal one.
+
+        `links` are all links of the run near the nominal motion; those between cameras are not changed.
+        """
+        frames, rows, of_rows = set(present), sorted({row for _, row in present}), dict[Step, list[Links]]()
+        for e in links:
+            if e.task.kind == "rows":
+                of_rows.setdefault(e.rows, []).append(e)
+        decided = dict[Step, _Decision]()
+        for p, q in pairwise(rows):
+            dt_s, there = round(float(times_s[q] - times_s[p]), 6), range(len(self._cameras))
+            tasks = tuple(Task("rows", (i, p), (i, q), dt_s) for i in there if (i, p) in frames and (i, q) in frames)
+            own = tuple(sorted(of_rows.get((p, q), ()), key=attrgetter("order")))
+            decided[p, q] = completed(self._decide((p, q), tasks, own, dt_s))
+        found = {step: one.found[0] for step, one in decided.items() if one.found}
+        if found:
+            self._exclude_static(decided, found, frames)
+        if not found:
+            return tuple(links)
+        new = {e.task[:3]: e for one in found.values() for e in one.links}
+        for (p, q), each in of_rows.items():
+            within = [step for step in decided if p <= step[0] and step[1] <= q]
+            if len(within) > 1 and any(step in found for step in within):
+                chosen = [decided[s]._replace(found=[found[s]] if s in found else []) for s in within]
+                new |= {e.task[:3]: e for e in completed(self._along(each, chosen))}
+        kept = [e for e in links if e.task[:3] not in new]
+        return tuple(sorted((*kept, *new.values()), key=attrgetter("order")))
+
+    def _along(self, links: Sequence[Links], steps: Sequence[_Decision]) -> Steps[list[Links]]:
+        """Search the links of two rows with others between them at the motion of these steps, if one is not nominal."""
+        out = []
+        # With a repeated pattern, a coarse search would find another place again.
+        repeated = any(one.found and one.found[0].repeated for one in steps)
+        motion_mm = np.sum([one.motion_mm for one in steps], axis=0)
+        key = *motion_mm.tolist(), float(repeated)
+        for e in links if any(one.found for one in steps) else ():
+            known = self._again.get(e)
+            if known is None or known[0] != key:
+                pair = self._pair(e.task.a, e.task.b or e.task.a, motion_mm)
+                known = self._again[e] = key, (link_in_place if repeated else link_rows)(e.task, pair)
+                yield
+            out.append(known[1])
+        return out
+
+    def _decide(
+        self, step: Step, tasks: tuple[Task, ...], links: tuple[Links, ...], dt_s: float | None = None
+    ) -> Steps[_Decision]:
+        """Decide at which motions the rows of a step are linked; `links` are those near the nominal motion."""
+        dt_s = tasks[0].dt_s if dt_s is None else dt_s
+        key = tasks, links, dt_s
+        if step in self._decided and self._decided[step][0] == key:
+            return self._decided[step][1]
+        nominal = self._velocity_mm_s * dt_s
+        each = self._motions_mm(links) if any(len(e.a_px) for e in links) else []
+        motions, settled, found = np.concatenate([np.zeros((0, 2)), *each]), None, list[_Found]()
+        agreeing = _agreeing(motions)
+        if any(e.rival_px is not None for e in links) and not _outvoted(links, each, agreeing):
+            settled = yield from self._settle(tasks, links, nominal)
+        if settled is not None and settled.certain:
+            found = [settled]
+        elif agreeing < max(_FEW, _MOST * sum(e.tried for e in links)):
+            found = yield from self._search(tasks, nominal, agreeing)
+        decision = _Decision(np.median(motions, axis=0) if agreeing else nominal, found)
+        self._decided[step] = key, decision
+        return decision
+
+    def _pairs(self, tasks: Sequence[Task], motion_mm: Floats) -> list[tuple[Task, FramePair]]:
+        return [(task, self._pair(task.a, task.b or task.a, motion_mm)) for task in tasks]
+
+    def _pair(self, a: FrameKey, b: FrameKey, motion_mm: Floats) -> FramePair:
         """Return two frames of one camera between which the board moved by this."""
-        camera = self.scene.cameras[a[0]]
-        return FramePair(self.scene.prepared(a), self.scene.prepared(b), camera, camera, motion_mm)
+        camera = self._cameras[a[0]]
+        return FramePair(self._prepared(a), self._prepared(b), camera, camera, motion_mm)
 
-    def counted(self, motion_mm: Floats, links: tuple[Links, ...]) -> _Found:
+    def _counted(self, motion_mm: Floats, links: tuple[Links, ...]) -> _Found:
         """Return the motion that links measure (their median), with the count of links that agree with it.
 
         Without links it is the motion that was tried, `motion_mm` (2,).
         """
-        cameras = self.scene.cameras
+        cameras = self._cameras
         each = [cameras[e.task.a[0]].ground(e.b_px) - cameras[e.task.a[0]].ground(e.a_px) for e in links if len(e.a_px)]
         if not each:
             return _Found(motion_mm, links, 0)
         measured = np.concatenate(each)
         return _Found(np.median(measured, axis=0), links, _agreeing(measured))
 
-    def settle(self, links: Sequence[Links], p: int, q: int) -> _Found | None:
-        """Return the links of rows p and q around the most likely motion among those that a repeated pattern allows.
+    def _linked(
+        self, tasks: Sequence[Task], motion_mm: Floats, link: Callable[[Task, FramePair], Links] = link_in_place
+    ) -> Steps[_Found]:
+        """Link two rows around a motion, camera by camera."""
+        out = []
+        for task in tasks:
+            out.append(link(task, self._pair(task.a, task.b or task.a, motion_mm)))
+            yield
+        return self._counted(motion_mm, tuple(out))
+
+    def _settle(self, tasks: Sequence[Task], links: Sequence[Links], nominal_mm: Floats) -> Steps[_Found | None]:
+        """Return the links of two rows around the most likely motion among those that a repeated pattern allows.
 
         It is the motion nearest to the nominal one among those with similarly many links. Return None if only one
         motion fits and all cameras have found it.
         """
-        nominal, options = self.nominal(p, q), list[_Found]()
-        for motion in possible_motions(links, self.scene.cameras, nominal):
-            exact = tuple(link_in_place(task, pair) for task, pair in self.pairs(p, q, motion))
-            options.append(self.counted(motion, exact))
+        options = list[_Found]()
+        for motion in possible_motions(links, self._cameras, nominal_mm):
+            options.append((yield from self._linked(tasks, motion)))
         most = max((one.agreeing for one in options), default=0)
         if not most:
             return None
         fitting = [one for one in options if one.agreeing >= SIMILAR * most]
-        nearest = min(fitting, key=lambda one: _distance(one.motion_mm, nominal))
+        nearest = min(fitting, key=lambda one: _distance(one.motion_mm, nominal_mm))
         if any(_distance(one.motion_mm, nearest.motion_mm) > APART_MM for one in fitting):
             marked = tuple(replace(e, ambiguous=True) for e in nearest.links)
             return replace(nearest, links=marked, ambiguous=True, repeated=True)
-        known = self.counted(nominal, tuple(links))
+        known = self._counted(nominal_mm, tuple(links))
         if known.agreeing >= nearest.agreeing and _distance(known.motion_mm, nearest.motion_mm) <= APART_MM:
             return None
         return replace(nearest, repeated=True)
 
-    def search(self, p: int, q: int, before: int) -> list[_Found]:
-        """Search the motion from row p to row q in its whole range; return those that links confirm, most links first.
+    def _search(self, tasks: Sequence[Task], nominal_mm: Floats, before: int) -> Steps[list[_Found]]:
+        """Search the motion of a step in its whole range; return those that links confirm, most links first.
 
         `before` is the number of agreeing links around the nominal motion.
         """
-        frames = [pair for _, pair in self.pairs(p, q, self.nominal(p, q))]
-        found = []
-        for motion in candidate_motions(frames):
-            found.append(self.counted(motion, tuple(link_rows(*both) for both in self.pairs(p, q, motion))))
+        frames, found = [pair for _, pair in self._pairs(tasks, nominal_mm)], list[_Found]()
+        for motion in (yield from candidate_motions(frames)):
+            found.append((yield from self._linked(tasks, motion, link_rows)))
         found = [one for one in found if one.certain and one.agreeing >= _BETTER * before]
         if any(one.at_rest for one in found):
             # Texture that stands still may belong to the belt or its frame. It may outweigh a board that moves. A
             # separate search for each camera would find the texture that stands still.
-            for motion in candidate_motions(frames, moving=True):
-                here = self.pairs(p, q, motion)
-                still = sum(static_corners(pair) for _, pair in here)
-                one = replace(self.counted(motion, tuple(link_in_place(*both) for both in here)), still=still)
+            for motion in (yield from candidate_motions(frames, moving=True)):
+                still = sum(static_corners(pair) for _, pair in self._pairs(tasks, motion))
+                one = replace((yield from self._linked(tasks, motion)), still=still)
                 if one.certain and not one.at_rest and one.agreeing >= _BETTER * before:
                     found.append(one)
         return sorted(found, key=lambda one: -one.agreeing)
 
-    def continues(self, group: Sequence[Step]) -> bool | None:
+    def _exclude_static(
+        self, decided: Mapping[Step, _Decision], found: dict[Step, _Found], present: Collection[FrameKey]
+    ) -> None:
+        """Remove links of texture that stands still from rows at rest; the others decide whether the board rests.
+
+        The belt's frame, a bed with texture, and reflections of the LEDs are at the same place in every row. The
+        texture of a board moves on before or after the rest. A board that rests from the first row to the last cannot
+        be distinguished from them: its texture is taken as that of a board, unless something else in these rows moves.
+        """
+        steps, rests = list(decided), list[list[int]]()
+        for n, step in enumerate(steps):
+            if step in found and found[step].at_rest:
+                if rests and rests[-1][-1] == n - 1:
+                    rests[-1].append(n)
+                else:
+                    rests.append([n])
+        for group in rests:
+            before, after = steps[max(group[0] - 1, 0) : group[0]], steps[group[-1] + 1 : group[-1] + 2]
+            outside = [*(p for p, _ in before), *(q for _, q in after)]
+            others = {n: [one for one in decided[steps[n]].found if not one.at_rest] for n in group}
+            continues = self._continues(steps[group[0]], steps[group[-1]], (before, after), decided, present)
+            if continues is None and not outside:
+                continues = not any(others.values())
+            for n in group:
+                moving = self._without_static(found[steps[n]], outside, present)
+                if moving.certain and continues is not False:
+                    found[steps[n]] = moving
+                elif others[n]:
+                    found[steps[n]] = others[n][0]
+                else:
+                    del found[steps[n]]
+
+    def _continues(
+        self,
+        first: Step,
+        last: Step,
+        beside: tuple[list[Step], list[Step]],
+        decided: Mapping[Step, _Decision],
+        present: Collection[FrameKey],
+    ) -> bool | None:
         """Return whether texture at rest moves on before or after the rest, as the texture of a board does.
 
         Texture of the belt's frame does not move; meanwhile the board may cover it. Return None if too little of it is
         in view.
         """
-        rows, present = self.rows, set(self.scene.present)
-        first, last = rows.index(group[0][0]), rows.index(group[-1][1])
         tested = shown = 0
-        for at, to in ((first, first - 1), (last, last + 1)):
-            if not 0 <= to < len(rows):
-                continue
-            row, other = rows[at], rows[to]
-            motion = -self.step_mm[other, row] if to < at else self.step_mm[row, other]
-            if float(np.hypot(*motion)) < _REST_MM:
-                continue
-            step = (row, rows[at + 1]) if to < at else (rows[at - 1], row)
-            for task, pair in self.pairs(*step, np.zeros(2)):
-                links, i = link_in_place(task, pair), task.a[0]
-                px = links.a_px if to < at else links.b_px
-                if len(px) and (i, other) in present:
-                    on = self.pair((i, row), (i, other), motion)
-                    shows, inside = shows_patches(on.a.grey, on.b.grey, px, on.predict(px), _NEAR_PX)
-                    shown, tested = shown + int(shows.sum()), tested + int(inside.sum())
+        for at, (step, way) in enumerate(zip((first, last), beside, strict=True)):
+            for moved in way:
+                row, other = step[at], moved[at]
+                motion = decided[moved].step_mm if at else -decided[moved].step_mm
+                if float(np.hypot(*motion)) < _REST_MM:
+                    continue
+                both = [i for i in range(len(self._cameras)) if {(i, step[0]), (i, step[1])} <= set(present)]
+                for i in both:
+                    task = Task("rows", (i, step[0]), (i, step[1]))
+                    links = link_in_place(task, self._pair((i, step[0]), (i, step[1]), np.zeros(2)))
+                    px = links.b_px if at else links.a_px
+                    if len(px) and (i, other) in present:
+                        on = self._pair((i, row), (i, other), motion)
+                        shows, inside = shows_patches(on.a.grey, on.b.grey, px, on.predict(px), _NEAR_PX)
+                        shown, tested = shown + int(shows.sum()), tested + int(inside.sum())
         return None if tested < _FEW else shown >= max(_FEW / 2, _CONTINUES * tested)
 
-    def without_static(self, one: _Found, outside: Sequence[int]) -> _Found:
+    def _without_static(self, one: _Found, outside: Sequence[int], present: Collection[FrameKey]) -> _Found:
         """Remove links of texture that has the same place in a row of `outside`: such texture is not on the board."""
-        present, kept = set(self.scene.present), []
+        kept = []
         for e in one.links:
             moving = np.ones(len(e.a_px), dtype=np.bool_)
-            a = self.scene.prepared(e.task.a).grey
+            a = self._prepared(e.task.a).grey
             for row in outside:
                 if (e.task.a[0], row) in present and len(e.a_px):
-                    other = self.scene.prepared((e.task.a[0], row)).grey
+                    other = self._prepared((e.task.a[0], row)).grey
                     moving &= ~shows_patches(a, other, e.a_px, e.a_px, STATIC_PX)[0]
             kept.append(_selected(e, moving))
-        return self.counted(one.motion_mm, tuple(kept))
+        return self._counted(one.motion_mm, tuple(kept))
 
 
-def relink_rows(
-    links: Sequence[Links], measured: RowLinks, scene: Scene, velocity_mm_s: Floats, times_s: Floats
-) -> tuple[Links, ...]:
-    """Return the links of a run, searched again between rows between which the motion differs from the nominal one.
+def _outvoted(links: Sequence[Links], each_mm: Sequence[Floats], agreeing: int) -> bool:
+    """Return whether all cameras found one motion, and those that see a pattern cannot make another as likely.
 
-    Args:
-        links: all links of the run near the nominal motion, sorted by task; those between cameras are not changed.
-        measured: the same links between rows, as motions on the conveyor's plane.
+    `each_mm` are the motions (k, 2) by the links of each camera, of which `agreeing` agree with the median of all.
+    Cameras without a rival have few links at other motions.
     """
-    run = _Relinker(scene, velocity_mm_s, times_s)
-    found = _find_steps(run, links, measured)
-    if not found:
-        return tuple(links)
-    new = {e.task[:3]: e for one in found.values() for e in one.links}
-    for e in links:
-        if e.task.kind == "rows" and e.task[:3] not in new and e.task.b is not None:
-            steps = [(p, q) for p, q in pairwise(run.rows) if e.task.a[1] <= p and q <= e.task.b[1]]
-            if any(step in found for step in steps):
-                pair = run.pair(e.task.a, e.task.b, np.sum([run.step_mm[step] for step in steps], axis=0))
-                # With a repeated pattern, a coarse search would find another place again.
-                repeated = any(step in found and found[step].repeated for step in steps)
-                new[e.task[:3]] = (link_in_place if repeated else link_rows)(e.task, pair)
-    kept = [e for e in links if e.task[:3] not in new]
-    return tuple(sorted((*kept, *new.values()), key=lambda e: (e.task.a, e.task.b or (-1, -1), e.task.kind)))
-
-
-def _find_steps(run: _Relinker, links: Sequence[Links], measured: RowLinks) -> dict[Step, _Found]:
-    """Find the steps whose motion was not the nominal one, with the motion and its links.
-
-    The motion of all steps is written to `run.step_mm`.
-    """
-    candidates: dict[Step, list[_Found]] = {}
-    settled: dict[Step, _Found] = {}
-    of_step: dict[Step, list[Links]] = {}
-    for e in links:
-        if e.task.kind == "rows" and e.task.b is not None:
-            of_step.setdefault((e.task.a[1], e.task.b[1]), []).append(e)
-    for p, q in pairwise(run.rows):
-        between = of_step.get((p, q), [])
-        motions = measured.motion_mm[(measured.p == p) & (measured.q == q)]
-        agreeing = _agreeing(motions)
-        run.step_mm[p, q] = np.median(motions, axis=0) if agreeing else run.nominal(p, q)
-        one = run.settle(between, p, q) if any(e.rival_px is not None for e in between) else None
-        if one is not None and one.certain:
-            settled[p, q] = one
-        elif agreeing < max(_FEW, _MOST * sum(e.tried for e in between)):
-            candidates[p, q] = run.search(p, q, agreeing)
-    found = settled | {step: each[0] for step, each in candidates.items() if each}
-    rests: list[list[Step]] = []
-    for step in (step for step in pairwise(run.rows) if step in found and found[step].at_rest):
-        if rests and rests[-1][-1][1] == step[0]:
-            rests[-1].append(step)
-        else:
-            rests.append([step])
-    for group in rests:
-        _exclude_static(run, group, found, candidates)
-    run.step_mm.update({step: one.motion_mm for step, one in found.items()})
-    return found
-
-
-def _exclude_static(
-    run: _Relinker, group: Sequence[Step], found: dict[Step, _Found], candidates: Mapping[Step, list[_Found]]
-) -> None:
-    """Remove links of texture that stands still from rows at rest; the remaining links decide whether the board rests.
-
-    The belt's frame, a bed with texture, and reflections of the LEDs are at the same place in every row. The texture of
-    a board moves on before or after the rest. A board that rests from the first row to the last cannot be distinguished
-    from them: its texture is taken as that of a board, unless something else in these rows moves.
-    """
-    rows = run.rows
-    first, last = rows.index(group[0][0]), rows.index(group[-1][1])
-    outside = [*rows[max(first - 1, 0) : first], *rows[last + 1 : last + 2]]
-    continues = run.continues(group)
-    if continues is None and not outside:
-        continues = not any(not one.at_rest for step in group for one in candidates.get(step, ()))
-    for step in group:
-        moving = run.without_static(found[step], outside)
-        others = [one for one in candidates.get(step, ()) if not one.at_rest]
-        if moving.certain and continues is not False:
-            found[step] = moving
-        elif others:
-            found[step] = others[0]
-        else:
-            del found[step]
+    own = [np.median(motions, axis=0) for motions in each_mm]
+    if any(_distance(one, own[0]) > APART_MM for one in own[1:]):
+        return False
+    return sum(e.tried * (_BY_CHANCE if e.rival_px is None else 1.0) for e in links) < SIMILAR * agreeing
 
 
 def _agreeing(motion_mm: Floats) -> int:

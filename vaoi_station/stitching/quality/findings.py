@@ -16,7 +16,7 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, Surface, Visibility
 from vaoi_station.stitching.adjustment.problem import USED, AdjustmentResult, FiducialPoints, Problem, to_surface
-from vaoi_station.stitching.adjustment.row_motion import connected_rows
+from vaoi_station.stitching.adjustment.row_motion import MovedRows, connected_rows
 from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping
 from vaoi_station.stitching.board.reference import ReferenceScene
@@ -85,8 +85,8 @@ class Findings:
     scene: Scene
     method: Method
     links: tuple[Links, ...]
-    moved: AdjustmentResult
-    """The solution of the adjustment of the links alone, without CAD data."""
+    moved: MovedRows
+    """The motion of the rows by the links alone, without CAD data."""
     calibrated: tuple[Camera, ...]
     """The cameras as calibrated. The cameras in `scene` include the displacements that the adjustment estimated."""
     found: CadMapping | Failure
@@ -109,7 +109,7 @@ class Findings:
     @property
     def adjusted(self) -> AdjustmentResult:
         """The final solution: that of the CAD mapping if the board was found, otherwise that of the links alone."""
-        return self.found.adjusted if isinstance(self.found, CadMapping) else self.moved
+        return self.found.adjusted if isinstance(self.found, CadMapping) else self.moved.result
 
     @property
     def problem(self) -> Problem:
