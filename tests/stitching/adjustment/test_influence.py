@@ -77,7 +77,7 @@ def assembly_of(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> tuple[Asse
 
     monkeypatch.setattr(solver, "examine_influence", take)
     solved(problem)
-    ((assembly, _, shared),) = taken
+    ((assembly, *_, shared),) = taken
     return assembly, 3 * len(assembly.motion.angle) + shared
 
 

@@ -16,6 +16,7 @@ from vaoi_station.stitching.adjustment.equations import (
     LinkModel,
     LinkState,
     NoiseModel,
+    PointHeights,
     add_links,
     compute_residuals,
     compute_weights,
@@ -71,7 +72,7 @@ class Scene:
     def evaluate(self, unknowns: Array) -> LinkState:
         """The compiled residuals at these unknowns."""
         heights = np.append(unknowns[SIZE:], 0.0)
-        height = self.basis @ unknowns[3 * ROWS : AT_CAMERAS] + heights[self.component]
+        height = PointHeights(self.basis, unknowns[3 * ROWS : AT_CAMERAS], self.component, heights)
         state = LinkState.of(self.links, movable=False)
         compute_residuals(self.links, self.motion(unknowns), np.zeros((0, 3, 3)), height, state)
         return state

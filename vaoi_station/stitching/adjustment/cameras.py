@@ -312,12 +312,6 @@ class MovingCameras:
         self.effects, self._effects_at = CameraEffects.of(self._matrices, self.displacement_px), self.displacement_px
         self._rotation = self.effects.rotation_of_all() if self.unknowns else np.zeros(0)
 
-    def start_from(self, other: MovingCameras) -> None:
-        """Take over the displacements and the width of the prior of another adjustment of the same cameras."""
-        self.displacement_px, self._still_px = other.displacement_px, other._still_px
-        self.effects, self._effects_at, self._rotation = other.effects, other._effects_at, other._rotation
-        self.changes, self.points = other.changes, other.points
-
     @property
     def settled(self) -> bool:
         """Whether the prior had its final width in the last step."""

@@ -54,6 +54,10 @@ class NormalEquations(NamedTuple):
         """Return equations of the same envelope without any observation."""
         return self._replace(values=np.zeros_like(self.values), right=np.zeros_like(self.right))
 
+    def copy(self) -> NormalEquations:
+        """Return the same equations in arrays of their own."""
+        return self._replace(values=self.values.copy(), right=self.right.copy())
+
     def less(self, part: NormalEquations) -> NormalEquations:
         """Return the equations without a part of their observations."""
         return self._replace(values=self.values - part.values, right=self.right - part.right)

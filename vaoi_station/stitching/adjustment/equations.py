@@ -218,14 +218,15 @@ class Coupling(NamedTuple):
             surface: number of coefficients of the surface.
             columns: column of the first of them, and of the first displacement of a camera; −1 for exact cameras.
         """
-        low, high, on = np.minimum(links.p, links.q), np.maximum(links.p, links.q), component >= 0
+        low, high, on = np.minimum(links.p, links.q), np.maximum(links.p, links.q), np.flatnonzero(component >= 0)
         row, left = (np.full(heights, most) for most in (rows, 1 << 30))
         last, right = np.full(heights, -1), np.full(heights, -1)
+        of = component[on]
         for grow, ends, values in (
             (np.minimum, row, low), (np.minimum, left, links.camera_a),
             (np.maximum, last, high), (np.maximum, right, links.camera_b),
         ):  # fmt: skip
-            grow.at(ends, component[on], values[on])
+            grow.at(ends, of, values[on])
         seen, surface_column, camera_column = last >= 0, *columns
         of_rows = np.where(seen, 3 * (last - row + 1), 0)
         of_cameras = np.where(seen, 3 * (right - left + 1), 0) if camera_column >= 0 else np.zeros(heights, np.int_)
@@ -312,11 +313,20 @@ class NoiseModel(NamedTuple):
     plainly: float  # height above the bare board from which on a point loses weight; infinite for none
 
 
+class PointHeights(NamedTuple):
+    """The heights of k links' points above the calibrated plane: that of the surface plus that of a component."""
+
+    basis: Floats  # (k, f) values of the surface's f basis functions
+    surface_mm: Floats  # (f,) coefficients of the surface
+    component: Ints  # (k,) index of the component height, −1 for the last one, which is 0
+    component_mm: Floats  # (c + 1,)
+
+
 @compiled
 def compute_residuals(
-    links: LinkArrays, motion: MotionArrays, changes: Floats, height_mm: Floats, state: LinkState
+    links: LinkArrays, motion: MotionArrays, changes: Floats, points: PointHeights, state: LinkState
 ) -> None:
-    """Write to `state` residual and lean of every link, for points at heights (k,) above the calibrated plane.
+    """Write to `state` residual and lean of every link, for points at their heights above the calibrated plane.
 
     The homographies `changes` (n, 3, 3) of n displaced cameras move the ground points first; 0 cameras are exact.
     """
@@ -343,7 +353,10 @@ def compute_residuals(
         ly = sin[j] * b_lean[n, 0] + cos[j] * b_lean[n, 1] - sin[i] * a_lean[n, 0] - cos[i] * a_lean[n, 1]
         dx = cos[j] * bx - sin[j] * by + shift[j, 0] - cos[i] * ax + sin[i] * ay - shift[i, 0]
         dy = sin[j] * bx + cos[j] * by + shift[j, 1] - sin[i] * ax - cos[i] * ay - shift[i, 1]
-        residual[n, 0], residual[n, 1] = dx + lx * height_mm[n], dy + ly * height_mm[n]
+        height = points.component_mm[points.component[n]]
+        for k in range(len(points.surface_mm)):
+            height += points.basis[n, k] * points.surface_mm[k]
+        residual[n, 0], residual[n, 1] = dx + lx * height, dy + ly * height
         lean[n, 0], lean[n, 1] = lx, ly
 
 

@@ -97,7 +97,7 @@ class Assembly:
 
     def without_heights(self, normal: NormalEquations, heights: HeightEquations, count: int) -> NormalEquations:
         """Return equations of the first `count` unknowns, from which the component heights are eliminated."""
-        out = normal._replace(values=normal.values.copy(), right=normal.right.copy())
+        out = normal.copy()
         eliminate_heights(self.model.coupling, heights, out)
         return leading(out, count)
 
@@ -117,10 +117,14 @@ def solve(normal: NormalEquations) -> Floats:
     return solve_backward(normal, solve_forward(normal))
 
 
-def examine_influence(assembly: Assembly, points: FiducialPoints, shared: int) -> Influence | None:
+def examine_influence(
+    assembly: Assembly, whole: NormalEquations, heights: HeightEquations, points: FiducialPoints, shared: int
+) -> Influence | None:
     """Leave out each cluster of weakly connected rows and cameras, and each mark; return None if little changes.
 
     Args:
+        whole: the sum of all equations (`Assembly.whole`).
+        heights: those of the component heights.
         points: the points of `Problem.fiducials`, at least one.
         shared: number of unknowns that all rows share, without the displacements of cameras, which are held.
     """
@@ -128,10 +132,10 @@ def examine_influence(assembly: Assembly, points: FiducialPoints, shared: int) -
     places, marks = few_places(links, assembly.state, rows), groups_of_marks(points)
     if not places and not marks:
         return None
-    whole, count = assembly.whole(), 3 * rows + shared
+    count = 3 * rows + shared
     parts = [assembly.part(place.links) for place in places]
-    every = assembly.without_heights(*whole, count)
-    without = [assembly.without_heights(whole[0].less(normal), whole[1].less(own), count) for normal, own in parts]
+    every = assembly.without_heights(whole, heights, count)
+    without = [assembly.without_heights(whole.less(normal), heights.less(own), count) for normal, own in parts]
     without += [every.less(assembly.part_of_marks(at, count)) for at in marks]
     deltas = np.array([solve(normal) for normal in without]) - solve(every)
     own, of_all = deltas[:, : 3 * rows].reshape(-1, rows, 3), deltas[:, None, 3 * rows :]

@@ -27,10 +27,12 @@ from vaoi_station.stitching.adjustment.envelope import (
 from vaoi_station.stitching.adjustment.equations import (
     Coupling,
     Equations,
+    HeightEquations,
     HeightScatter,
     LinkModel,
     LinkState,
     NoiseModel,
+    PointHeights,
     compute_residuals,
     compute_weights,
     detection_equations,
@@ -176,9 +178,8 @@ _MAX_STEPS = 15
 CONVERGED_MM = 5e-5
 """The adjustment ends after a step that moves no row by more than this. Each step is about a tenth of the step before,
 so that an error of about a tenth of this limit remains."""
-_SAMPLE_LINKS, _PER_ROW, _COARSE_MM = 8000, 250, 1e-3
-"""If there are at least twice as many links, all unknowns are first estimated from a sample: its least number of links,
-of links per row, and the value used as `CONVERGED_MM`. All links then need two or three steps."""
+_SAMPLE_LINKS, _PER_ROW = 8000, 250
+"""If there are at least twice as many links, the first steps use a sample of at least so many, and so many a row."""
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
 _PAIR_SIGMA_PX, _PAIR_SHARE, _NOISE_SHARE = (0.001, 0.011), 0.25, 0.5
@@ -215,23 +216,18 @@ def adjust(
         similarity: C to start from; needed if the problem has fiducials.
         converged_mm: the adjustment ends after a step that moves no row by more; about a tenth of it remains.
     """
-    solver, every = (
-        _Solver(problem, start, similarity),
-        len(problem.links) // max(_SAMPLE_LINKS, _PER_ROW * len(start.angle)),
-    )
+    solver = _Solver(problem, start, similarity)
+    every = len(problem.links) // max(_SAMPLE_LINKS, _PER_ROW * len(start.angle))
     if similarity is not None and every >= 2:
-        coarse = _Solver(sample_of(problem, every), start, similarity)
-        coarse.run(_COARSE_MM, reconsider=False)
-        solver.start_from(coarse)
+        solver.approach(every)
     solver.run(converged_mm)
     return solver.result()
 
 
 def sample_of(problem: Problem, every: int) -> Problem:
     """Return the problem with every n-th link of each pair of frames, so that each pair keeps some."""
-    group = problem.links.group
-    begins = np.flatnonzero(np.diff(group, prepend=-1))
-    in_pair = np.arange(len(group)) - np.repeat(begins, np.diff(begins, append=len(group)))
+    begins = problem.links.begins
+    in_pair = np.arange(begins[-1]) - np.repeat(begins[:-1], np.diff(begins))
     return problem.select(np.flatnonzero(in_pair % every == 0))
 
 
@@ -242,59 +238,64 @@ def linked_steps(problem: Problem) -> NDArray[np.bool_]:
     return np.asarray(np.cumsum(change)[:-1] > 0)
 
 
+class _UsedLinks:
+    """The links that the steps of an adjustment use, all or a sample, with what follows from where they lie."""
+
+    def __init__(self, problem: Problem, parts: int) -> None:
+        links, surface = problem.links, problem.surface
+        self.arrays, self.count = links.arrays, len(links)
+        self.basis = surface.at_links if surface else np.zeros((self.count, 0))
+        # A component has two heights, one for each kind of link. Two cameras see its top, while links from row to row
+        # may lie on its leads or on the board between them. With a single unknown, the difference would lift the whole
+        # board.
+        bare = problem.of_two_lights | (problem.component < 0)
+        self.component = np.where(bare, -1, problem.component + parts * (links.p == links.q))
+        self.raised = (problem.component < 0) & problem.reaches_component
+        self.scatter = HeightScatter(problem, self.component, parts)
+        self.floors = NoiseFloors(problem, self.raised)
+        self.state = LinkState.of(self.arrays, movable=bool(problem.cameras))
+
+
 class _Solver:
     """The state of one adjustment: its current unknowns, and the arrays that its steps reuse."""
 
     def __init__(self, problem: Problem, start: Motion, similarity: Floats | None) -> None:
         self.problem, self.motion, self.similarity = problem, start, similarity
-        links, surface, self.rows = problem.links, problem.surface, len(start.angle)
-        self.basis = surface.at_links if surface else np.zeros((len(links), 0))
-        self.n_surface = self.basis.shape[1]
-        self.surface_mm = np.zeros(self.n_surface)
-        # A component has two heights, one for each kind of link. Two cameras see its top, while links from row to row
-        # may lie on its leads or on the board between them. With a single unknown, the difference would lift the whole
-        # board.
-        self.n_parts = int(problem.component.max(initial=-1)) + 1
-        bare = problem.of_two_lights | (problem.component < 0)
-        self.component = np.where(bare, -1, problem.component + self.n_parts * (links.p == links.q))
-        self.heights_mm = np.zeros(2 * self.n_parts)
+        self.rows, self.n_parts = len(start.angle), int(problem.component.max(initial=-1)) + 1
+        self.every = self.used = _UsedLinks(problem, self.n_parts)
+        self.n_surface = self.every.basis.shape[1]
+        self.surface_mm, self.heights_mm = np.zeros(self.n_surface), np.zeros(2 * self.n_parts)
         # C and the surface stand after the rows, the cameras last.
         first, shared = 3 * self.rows, (4 if problem.fiducials else 0) + self.n_surface
         self.shared = np.arange(first, first + shared)
         self.cameras = MovingCameras(problem, first + shared)
         columns = first + shared - self.n_surface, self.cameras.first_column
         self.coupling = Coupling.of(
-            self.component, len(self.heights_mm), links.arrays, self.rows, self.n_surface, columns
+            self.every.component, len(self.heights_mm), self.every.arrays, self.rows, self.n_surface, columns
         )
         self.empty = NormalEquations.of(self.coupling.furthest, shared + self.cameras.unknowns)
-        self.factor: NormalEquations | None = None
-        self.state = LinkState.of(links.arrays, movable=bool(problem.cameras))
         self.linked_steps = linked_steps(problem)
-        self.raised = (problem.component < 0) & problem.reaches_component
-        self.scatter = HeightScatter(problem, self.component, self.n_parts)
-        self.floors = NoiseFloors(problem, self.raised)
         self.steps = 0
+        # of the last step: the factor of its equations, their parts, and their sum before anything was eliminated
+        self.factor: NormalEquations | None = None
+        self.summed: tuple[Assembly, NormalEquations, HeightEquations] | None = None
         # of the detections: columns of their unknowns, and standard deviations
         self._columns: Ints | None = None
         self._detection_mm = np.zeros(0)
 
-    def start_from(self, other: _Solver) -> None:
-        """Continue where the solver of a sample of the links ended: with its unknowns, after the first free steps."""
-        self.steps, self.motion, self.similarity = _FREE_STEPS, other.motion, other.similarity
-        self.surface_mm = other.surface_mm
-        # The sample may have no link on the last components.
-        self.heights_mm.reshape(2, -1)[:, : other.n_parts] = other.heights_mm.reshape(2, -1)
-        self.cameras.start_from(other.cameras)
+    def approach(self, every: int) -> None:
+        """Make the free steps and one more with every n-th link of each pair of frames."""
+        self.used = _UsedLinks(sample_of(self.problem, every), self.n_parts)
+        for _ in range(_FREE_STEPS + 1):
+            self.step()
+        self.used, self.steps = self.every, _FREE_STEPS
 
-    def run(self, converged_mm: float, *, reconsider: bool = True) -> None:
-        """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`.
-
-        With `reconsider`, other displacements of the cameras are tried in the end.
-        """
+    def run(self, converged_mm: float) -> None:
+        """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`."""
         for _ in range(_MAX_STEPS):
             # As long as their prior is wide, cameras may seem displaced: the first steps do not count.
             still = self.step() < converged_mm and self.steps > _FREE_STEPS
-            if still and self.cameras.settled and not (reconsider and self.cameras.reconsider()):
+            if still and self.cameras.settled and not self.cameras.reconsider():
                 break
 
     def step(self) -> float:
@@ -303,9 +304,11 @@ class _Solver:
         self._compute_residuals()
         # in this order: the noise floor depends on the residuals, and the weights depend on the noise floor
         if self.steps <= _FLOOR_STEPS:
-            self.floors.update(self.state.residual, displaceable=bool(self.cameras.unknowns))
+            self.used.floors.update(self.used.state.residual, displaceable=bool(self.cameras.unknowns))
         self._compute_weights()
-        normal, heights = self._assembly().whole()
+        assembly = self._assembly()
+        whole, heights = assembly.whole()
+        self.summed, normal = (assembly, whole, heights), whole.copy()
         eliminate_heights(self.coupling, heights, normal)
         hold_first_row(normal)
         self.cameras.regularise(normal)
@@ -335,22 +338,23 @@ class _Solver:
         sunk_mm = _HEIGHT_SIGMA_MM if self.steps <= _FREE_STEPS else _SUNK_MM
         heights = self.coupling.equations(self.heights_mm, _HEIGHT_SIGMA_MM, sunk_mm)
         row_changes = self.cameras.effects.row_changes(motion.angle, motion.pivot)
-        model = LinkModel(self.basis, self.component, self.coupling, row_changes)
+        used, model = self.used, LinkModel(self.used.basis, self.used.component, self.coupling, row_changes)
         priors = [belt, *self._fiducials(row_changes), surface]
-        return Assembly(priors, problem.links.arrays, motion.arrays, model, self.state, self.empty, heights)
+        return Assembly(priors, used.arrays, motion.arrays, model, used.state, self.empty, heights)
 
     def _compute_residuals(self) -> None:
-        height = self.basis @ self.surface_mm + np.append(self.heights_mm, 0.0)[self.component]
-        compute_residuals(self.problem.links.arrays, self.motion.arrays, self.cameras.changes, height, self.state)
+        used, heights = self.used, np.append(self.heights_mm, 0.0)
+        points = PointHeights(used.basis, self.surface_mm, used.component, heights)
+        compute_residuals(used.arrays, self.motion.arrays, self.cameras.changes, points, used.state)
 
     def _compute_weights(self) -> None:
-        free, floors = self.steps <= _FREE_STEPS, self.floors
-        raised = np.zeros_like(self.raised) if free else self.raised
+        used, free, floors = self.used, self.steps <= _FREE_STEPS, self.used.floors
+        raised = np.zeros_like(used.raised) if free else used.raised
         plainly = np.inf if free or not self.n_surface or not self.n_parts else _PLAINLY
-        scatter_mm, common_mm = self.scatter.at(self.heights_mm.reshape(2, -1))
+        scatter_mm, common_mm = used.scatter.at(self.heights_mm.reshape(2, -1))
         limits = floors.kind, floors.px, floors.shared_px(), _KNEE, _CUT
-        noise = NoiseModel(*limits, raised, scatter_mm, self.scatter.cell, common_mm, plainly)
-        compute_weights(self.problem.links.arrays, noise, self.state)
+        noise = NoiseModel(*limits, raised, scatter_mm, used.scatter.cell, common_mm, plainly)
+        compute_weights(used.arrays, noise, used.state)
 
     def _fiducials(self, row_changes: Floats) -> list[Equations]:
         """Return the equations of the detections and of the scale of C; none if the problem has no fiducials."""
@@ -378,9 +382,10 @@ class _Solver:
 
     def result(self) -> AdjustmentResult:
         """Return the current unknowns, their covariance, and the residuals and weights of all links at them."""
+        influence = self._influence()
         self._compute_residuals()
         self._compute_weights()
-        links, state, points = self.problem.links, self.state, self.problem.fiducials
+        links, state, points = self.problem.links, self.used.state, self.problem.fiducials
         sigma0 = 1.0
         if len(links):
             # This lower bound avoids a division by zero where no link has any weight.
@@ -395,8 +400,8 @@ class _Solver:
             # The gauge fixes row 0: the lines of row 0 in the inverse are those of the identity, not a covariance.
             covariance[0, :3] = covariance[0, :, :3] = 0
         covariance = self.cameras.widen(covariance, u)
-        on = self.component >= 0
-        used = np.bincount(self.component[on], state.robust[on] > USED, minlength=len(self.heights_mm))
+        on = np.flatnonzero((self.used.component >= 0) & (state.robust > USED))
+        used = np.bincount(self.used.component[on], minlength=len(self.heights_mm))
         heights_mm = np.where(used >= _HEIGHT_MIN_LINKS, self.heights_mm, np.nan).reshape(2, self.n_parts)
         return AdjustmentResult(
             self.motion,
@@ -408,15 +413,15 @@ class _Solver:
             state.residual * links.px_per_mm[:, None],
             state.robust,
             fiducial_px,
-            float(self.floors.px[0]),
+            float(self.used.floors.px[0]),
             sigma0,
             self.cameras.displaced_problem(state),
             self.cameras.estimate(covariance, u),
-            self._influence(),
+            influence,
         )
 
     def _influence(self) -> Influence | None:
-        """Examine the influence of single places and marks on the solution; None before C is an unknown."""
-        if self.similarity is None or self.cameras.points is None or not self.steps:
+        """Examine the influence of single places and marks on the last step; None before C is an unknown."""
+        if self.similarity is None or self.cameras.points is None or self.summed is None:
             return None
-        return examine_influence(self._assembly(), self.cameras.points, len(self.shared))
+        return examine_influence(*self.summed, self.cameras.points, len(self.shared))
