@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -28,13 +29,16 @@ def test_exit_code_of_one_board_and_its_document(
     calls: list[tuple[object, ...]] = []
     filmed = SimpleNamespace(ok=ok, model_dump_json=lambda indent: json.dumps({"ok": ok}, indent=indent))
 
-    def film(*arguments: object) -> object:
-        calls.append(arguments)
+    def film(*arguments: Any) -> object:
+        *given, say = arguments
+        calls.append(tuple(given))
+        say("a stage")
         return filmed
 
     monkeypatch.setattr(boards, "film_single_board", film)
     monkeypatch.setattr(report, "as_text", lambda _: "the report as text")
-    assert vaoi("demo", "--once", "--scenario", "small").out == "the report as text\n"
+    done = vaoi("demo", "--once", "--scenario", "small")
+    assert (done.out, done.err) == ("the report as text\n", "a stage\n")
     done = vaoi("demo", "--once", "--scenario", "small", "--json", "--out", "x", "--port", "7")
     assert (done.code, json.loads(done.out)) == (code, {"ok": ok})
     assert calls == [(scenario_path("small"), Path("vaoi-demo"), 0), (scenario_path("small"), Path("x"), 7)]

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
 import socket
+import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from vaoi_station.config import ApiConfig
 from vaoi_station.demo import boards
-from vaoi_station.demo.boards import PICTURES, REPORT, SHEET, fetch_component_images, prepare_output
+from vaoi_station.demo.boards import PICTURES, REPORT, SHEET, describe_run, fetch_component_images, prepare_output
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files.contact_sheet import contact_sheet
@@ -21,24 +22,33 @@ from vaoi_station.files.images import encode_png, read_image
 from vaoi_station.model import Status
 from vaoi_station.simulation import scenario_path
 
-VIEWS = [{"k": k, "camera": 1, "row": 3 + k, "url": f"/api/v1/image/{k}"} for k in range(2)]
+VIEWS = [{"k": k, "camera": 1, "row": 3 + k} for k in range(2)]
 RUN = {"id": "r1", "verdict": "ok"}
 
 
 class Station(Client):
-    """Client with two scripted components; the first has two views, the second none."""
+    """Client with two scripted components; the first has no view, the second two. The batch has them in this order."""
+
+    end: ClassVar[dict[str, Any]] = {"complete": True}
 
     def __init__(self) -> None:
         super().__init__("http://station")
 
     def get(self, path: str, **_: Any) -> Any:
-        if path == "/runs/r1/components":
-            return {"components": [{"address": a, "url": f"/views/{a}"} for a in ("2/U1", "R1")]}
-        return {"views": VIEWS if path.endswith("U1") else []}
+        assert path == "/runs/r1/components"
+        return {"components": [{"address": address} for address in ("2/U1", "R1")]}
 
-    def picture(self, path: str) -> tuple[bytes, NDArray[Any]]:
-        pixels = np.full((4, 6), int(path[-1]) + 1, np.uint8)
-        return encode_png(pixels), pixels
+    def content(self, path: str, **query: Any) -> bytes:
+        assert (path, query) == ("/runs/r1/images", {"container": "zip"})
+        files, shown = io.BytesIO(), [{**view, "file": f"components/2/U1/{view['k']}.png"} for view in VIEWS]
+        with zipfile.ZipFile(files, "w") as made:
+            made.writestr("run.json", json.dumps(RUN))
+            made.writestr("components/R1/views.json", json.dumps({"address": "R1", "views": []}))
+            made.writestr("components/2/U1/views.json", json.dumps({"address": "2/U1", "views": shown}))
+            for view in shown:
+                made.writestr(str(view["file"]), encode_png(np.full((4, 6), int(str(view["k"])) + 1, np.uint8)))
+            made.writestr("end.json", json.dumps(self.end))
+        return files.getvalue()
 
 
 def test_images_and_matrices_are_written_per_component_and_the_best_is_shown(tmp_path: Path) -> None:
@@ -51,6 +61,20 @@ def test_images_and_matrices_are_written_per_component_and_the_best_is_shown(tmp
     assert sorted(p.name for p in (tmp_path / "2_U1").glob("*.png")) == ["00_c01_r003.png", "01_c01_r004.png"]
     assert json.loads((tmp_path / "2_U1" / "views.json").read_text()) == VIEWS
     assert json.loads((tmp_path / "R1" / "views.json").read_text()) == []
+
+
+def test_components_of_a_failed_run_are_listed_without_images(tmp_path: Path) -> None:
+    tiles, pictures = fetch_component_images(Station(), RUN | {"verdict": "failed"}, tmp_path)
+    assert ([tile.picture for tile in tiles], pictures) == ([None, None], 0)
+
+
+def test_an_incomplete_answer_of_the_station_ends_the_demo(tmp_path: Path) -> None:
+    class Released(Station):
+        end: ClassVar = {"complete": False, "error": {"message": "The frames are released.", "action": "Hold the run."}}
+
+    with pytest.raises(DeviceError, match="released") as refusal:
+        fetch_component_images(Released(), RUN, tmp_path)
+    assert refusal.value.action == "Hold the run."
 
 
 def test_only_the_output_of_an_earlier_demo_is_deleted(tmp_path: Path) -> None:
@@ -70,6 +94,16 @@ def test_the_picture_of_the_readme_is_a_small_contact_sheet() -> None:
     assert path.stat().st_size <= 400_000
     assert read_image(path).shape[1] == contact_sheet([], "demo", Status.OK, []).shape[1]
     assert f"docs/pictures/{SHEET}" in (path.parents[2] / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_run_is_described_in_one_line() -> None:
+    run = {
+        "verdict": "ok", "rows": 6, "cameras": 2, "counts": {"ok": 12}, "reasons": [],
+        "belt": {"ratio": 1.00704}, "timings": {"ready_after_last_frame_ms": 61.05},
+    }  # fmt: skip
+    assert describe_run(3, run) == "board 3: ok, 12 of 12 frames, belt +0.70 %, matrices 61 ms after the last frame"
+    failed = run | {"verdict": "failed", "belt": None, "timings": {}, "reasons": [{"message": "It lies turned round."}]}
+    assert describe_run(4, failed) == "board 4: failed, 12 of 12 frames, It lies turned round."
 
 
 def test_a_port_in_use_is_refused_before_the_board_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from pathlib import Path
 from typing import Annotated
@@ -57,6 +58,7 @@ def _once(scenario: Path, out: Path, port: int | None, as_json: bool) -> int:
     from vaoi_station.demo.boards import film_single_board
     from vaoi_station.demo.report import as_text
 
-    report = film_single_board(scenario, out, port or 0)
+    # The lines of progress are no part of the report: stdout may be one JSON document.
+    report = film_single_board(scenario, out, port or 0, lambda line: print(line, file=sys.stderr, flush=True))
     print(report.model_dump_json(indent=1) if as_json else as_text(report))
     return 0 if report.ok else 1

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import json
 import shlex
 import shutil
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,39 +19,47 @@ from vaoi_station.demo.report import DemoReport, evaluate, headline
 from vaoi_station.demo.service import Service, refuse_taken_port
 from vaoi_station.demo.station_files import write_station_files
 from vaoi_station.demo.waiting import poll, wait_for_run, wait_until_idle
-from vaoi_station.errors import InputError, NotFoundError
+from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files.contact_sheet import Tile, contact_sheet
 from vaoi_station.files.documents import write_json
-from vaoi_station.files.images import write_image
+from vaoi_station.files.images import decode, write_image
 from vaoi_station.model import Status
 
 REPORT, SHEET, PICTURES, MATRICES = "report.json", "contact-sheet.png", "components", "matrices.json"
-PARALLEL_REQUESTS = 4
-"""Number of components requested at the same time, so that all workers of the station render."""
 
 
-def film_single_board(scenario: Path, out: Path, port: int = 0) -> DemoReport:
+def film_single_board(
+    scenario: Path, out: Path, port: int = 0, say: Callable[[str], object] = lambda _: None
+) -> DemoReport:
     """Film one board and write report, matrices, component images and contact sheet to `out`.
 
     Args:
         scenario: file of the twin's scenario.
         out: a new or empty directory, or the output of an earlier demo.
         port: port of the service; 0 for any free one.
+        say: is called with one line per stage.
 
     Raises:
         InputError: `out` holds other files.
         DeviceError: the port is in use, the service does not start, or it films nothing.
     """
     started_s = time.monotonic()
+
+    def stage(text: str) -> None:
+        say(f"{time.monotonic() - started_s:5.1f} s  {text}")
+
     refuse_taken_port(port)
     prepare_output(out)
     with tempfile.TemporaryDirectory(prefix="vaoi-demo-") as folder:
         config, twin = write_station_files(scenario, Path(folder), boards=1)
+        stage("The station starts; its line renders the frames of the first board meanwhile.")
         with Service(config, port) as service:
             client = Client(service.address)
-            wait_until_idle(client)
+            wait_until_idle(client, stage)
             client.post("/station/arm", board_type=twin.board_type.name, board_id="1", job_id="demo", runs=1)
+            stage("The station is ready and armed; the board comes when its frames are rendered.")
             run = wait_for_run(client, None)
+            stage(f"The board is filmed and stitched: {run['verdict']}.")
             try:
                 matrices = client.get(f"/runs/{run['id']}/matrices")
             except NotFoundError:  # the run has failed early
@@ -57,23 +67,26 @@ def film_single_board(scenario: Path, out: Path, port: int = 0) -> DemoReport:
             concluded_s = time.monotonic()
             tiles, pictures = fetch_component_images(client, run, out / PICTURES)
             pictures_s = time.monotonic() - concluded_s
-    report = evaluate(
-        scenario.stem,
-        run,
-        matrices,
-        twin.passage(0),
-        components=len(tiles),
-        pictures=pictures,
-        pictures_s=round(pictures_s, 3),
-        total_s=round(time.monotonic() - started_s, 3),
-        out=str(out),
-        contact_sheet=str(out / SHEET),
-    )
-    title, status = f"Board type {run['board_type']}", Status(run["verdict"])
-    write_image(out / SHEET, contact_sheet(tiles, title, status, headline(report)), level=9)
-    write_json(out / MATRICES, matrices)
-    # The report comes last: `prepare_output` takes it as the sign that a demo wrote this directory completely.
-    write_json(out / REPORT, report.model_dump(mode="json"))
+            stage(f"The pictures of the board are there: {out / PICTURES}")
+            service.request_end()  # it ends while the report is written
+            report = evaluate(
+                scenario.stem,
+                run,
+                matrices,
+                twin.passage(0),
+                components=len(tiles),
+                pictures=pictures,
+                pictures_s=round(pictures_s, 3),
+                total_s=round(time.monotonic() - started_s, 3),
+                out=str(out),
+                contact_sheet=str(out / SHEET),
+            )
+            title, status = f"Board type {run['board_type']}", Status(run["verdict"])
+            write_image(out / SHEET, contact_sheet(tiles, title, status, headline(report)))
+            write_json(out / MATRICES, matrices)
+            # The report comes last: `prepare_output` takes it as the sign that a demo wrote this directory completely.
+            write_json(out / REPORT, report.model_dump(mode="json"))
+            stage(f"All of them are on one sheet: {out / SHEET}")
     return report
 
 
@@ -100,33 +113,40 @@ def fetch_component_images(client: Client, run: dict[str, Any], folder: Path) ->
     Returns:
         The best image of every component, in the order of the board type, and the number of images. A failed run has
         no images, because it has no positions.
+
+    Raises:
+        DeviceError: the station could not send all images.
     """
-    components = client.get(f"/runs/{run['id']}/components")["components"]
+    addresses = [component["address"] for component in client.get(f"/runs/{run['id']}/components")["components"]]
     if run["verdict"] == Status.FAILED:
-        return [Tile(None, component["address"], "not seen") for component in components], 0
-    pool = ThreadPoolExecutor(PARALLEL_REQUESTS, thread_name_prefix="pictures")
-    try:
-        fetched = list(pool.map(lambda component: _fetch(client, component, folder), components))
-    finally:
-        # After an error or Ctrl-C the remaining components are not requested.
-        pool.shutdown(cancel_futures=True)
-    return [tile for tile, _ in fetched], sum(count for _, count in fetched)
+        return [Tile(None, address, "not seen") for address in addresses], 0
+    path, tiles, pictures = f"/runs/{run['id']}/images", dict[str, Tile](), 0
+    with zipfile.ZipFile(io.BytesIO(client.content(path, container="zip"))) as files:
+        end = json.loads(files.read("end.json"))
+        if not end["complete"]:
+            raise DeviceError(f"{client.url(path)}: {end['error']['message']}", action=end["error"]["action"])
+        for name in files.namelist():
+            if name.endswith("/views.json"):
+                component = json.loads(files.read(name))
+                tiles[component["address"]] = _written(files, component, folder)
+                pictures += len(component["views"])
+    return [tiles[address] for address in addresses], pictures
 
 
-def _fetch(client: Client, component: dict[str, Any], folder: Path) -> tuple[Tile, int]:
-    address = component["address"]
-    views = client.get(component["url"])["views"]
+def _written(files: zipfile.ZipFile, component: dict[str, Any], folder: Path) -> Tile:
+    """Write the images of one component, and return the best of them as a tile."""
+    address, views = component["address"], component["views"]
     # On a panel the address is panel/ref. In a file name the slash would create a folder.
     place = folder / address.replace("/", "_")
     place.mkdir(parents=True, exist_ok=True)
-    tile = Tile(None, address, "not seen")
-    for view in views:
-        content, pixels = client.picture(view["url"])
+    contents = [files.read(view.pop("file")) for view in views]
+    for view, content in zip(views, contents, strict=True):
         (place / f"{view['k']:02d}_c{view['camera']:02d}_r{view['row']:03d}.png").write_bytes(content)
-        if view["k"] == 0:  # views are sorted by quality
-            tile = Tile(pixels, address, f"c{view['camera']} r{view['row']}")
     write_json(place / "views.json", views)
-    return tile, len(views)
+    if not views:
+        return Tile(None, address, "not seen")
+    # views are sorted by quality
+    return Tile(decode(contents[0]), address, f"c{views[0]['camera']} r{views[0]['row']}")
 
 
 def run_continuously(scenario: Path, port: int | None, report: Callable[[str], None]) -> NoReturn:

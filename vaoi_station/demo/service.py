@@ -39,6 +39,7 @@ class Service:
         self._process: subprocess.Popen[str] | None = None
         self._reader: threading.Thread | None = None
         self.address = ""
+        self._ending = False
 
     @property
     def pid(self) -> int:
@@ -58,6 +59,13 @@ class Service:
             self._end()
             raise
         return self
+
+    def request_end(self) -> None:
+        """Send SIGTERM without waiting: the service ends while the caller goes on, and the block waits for its end."""
+        assert self._process is not None
+        if not self._ending:
+            self._ending = True
+            self._process.send_signal(signal.SIGTERM)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         code = self._end()
@@ -105,7 +113,7 @@ class Service:
         process = self._process
         if process is None:
             return 0
-        process.send_signal(signal.SIGTERM)
+        self.request_end()
         try:
             process.wait(END_S)
         except subprocess.TimeoutExpired:
@@ -123,6 +131,8 @@ class Service:
 
 def refuse_taken_port(port: int) -> None:
     """Raise DeviceError if another program listens at a port of the demo's service. Port 0 is always free."""
+    if port == 0:
+        return
     # Checked here before the board is drawn, which takes seconds; the service itself refuses a port taken meanwhile.
     host = ApiConfig().host
     # Imported here: the package of the web server imports the whole station, which only the service's process needs.

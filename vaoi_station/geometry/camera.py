@@ -104,7 +104,8 @@ class Camera:
         x, y = (np.linspace(0, size - 1, _BORDER_POINTS) for size in (self.width_px, self.height_px))
         border = [np.column_stack([x, np.full_like(x, end)]) for end in (y[0], y[-1])]
         border += [np.column_stack([np.full_like(y, end), y]) for end in (x[0], x[-1])]
-        seen = self.ground(np.concatenate(border))
+        # Not `ground`: a process that only chooses pictures, as the station's own, needs no machine code then.
+        seen = self.row_from_image(self.lens.undistort(np.concatenate(border)))
         extra = _BOX_MARGIN * np.ptp(seen, axis=0)
         return np.asarray(seen.min(0) - extra), np.asarray(seen.max(0) + extra)
 

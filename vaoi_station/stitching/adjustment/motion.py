@@ -52,11 +52,14 @@ class Motion:
 
     def board(self, row: np.ndarray, ground_mm: Floats) -> Floats:
         """Transform ground points (k, 2), mm, seen in rows (k,), to points (k, 2) in tester coordinates."""
-        return _moved(row, np.ascontiguousarray(ground_mm), self.angle, self.pivot, self.pivot + self.shift)
+        return _moved(
+            np.ascontiguousarray(row), np.ascontiguousarray(ground_mm), self.angle, self.pivot, self.pivot + self.shift
+        )
 
     def turned(self, row: np.ndarray, arrow: Floats) -> Floats:
         """Rotate directions (k, 2) from the coordinates of rows (k,) to tester coordinates."""
-        return _moved(row, np.ascontiguousarray(arrow), self.angle, np.zeros(2), np.zeros_like(self.shift))
+        origin, rows = np.zeros_like(self.shift), np.ascontiguousarray(row)
+        return _moved(rows, np.ascontiguousarray(arrow), self.angle, np.zeros(2), origin)
 
     def row_from_tester(self, row: int) -> Euclidean:
         """Return D_j of a row j, the rigid transform from tester to row coordinates."""
