@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -27,7 +27,17 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
 from vaoi_station.stitching.board.reference import Reference, ReferenceScene
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, Method, MethodName
+from vaoi_station.stitching.matching.evidence import (
+    METHODS,
+    Detections,
+    Evidence,
+    FrameKey,
+    Links,
+    Method,
+    MethodName,
+    RowsLinks,
+    by_rows,
+)
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.link import are_copies
 from vaoi_station.stitching.matching.relinking import Relinker
@@ -80,24 +90,32 @@ class PriorKnowledge:
 
 
 class SortedEvidence(NamedTuple):
-    """The evidence of a run, separated by kind and sorted by task, so that the order of arrival has no influence."""
+    """The evidence of a run, separated by kind and sorted, so that the order of arrival has no influence."""
 
-    links: tuple[Links, ...]
+    of_rows: RowsLinks
     reference_links: tuple[Links, ...]
     detections: tuple[Detections, ...]
 
+    @property
+    def links(self) -> tuple[Links, ...]:
+        """All links but those to a reference."""
+        return tuple(chain.from_iterable(self.of_rows.values()))
+
 
 def sort_evidence(evidence: Sequence[Evidence]) -> SortedEvidence:
-    """Separate evidence by kind and sort each kind by task.
+    """Separate evidence by kind and sort each kind.
 
     Floating-point sums depend on the order of their terms. A fixed order makes the result reproducible.
     """
-    links = [e for e in evidence if isinstance(e, Links)]
-    return SortedEvidence(
-        tuple(sorted((e for e in links if e.task.kind != "reference"), key=attrgetter("order"))),
-        tuple(sorted((e for e in links if e.task.kind == "reference"), key=attrgetter("task"))),
-        tuple(sorted((e for e in evidence if isinstance(e, Detections)), key=attrgetter("task"))),
-    )
+    links, others, detections = list[Links](), list[Links](), list[Detections]()
+    for e in evidence:
+        if isinstance(e, Detections):
+            detections.append(e)
+        else:
+            (others if e.task.kind == "reference" else links).append(e)
+    others.sort(key=attrgetter("task"))
+    detections.sort(key=attrgetter("task"))
+    return SortedEvidence(by_rows(links), tuple(others), tuple(detections))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +169,12 @@ class Stitcher:
         pairs = [((camera, row - 1), (camera, row)) for camera, row in scene.present if (camera, row - 1) in there]
         return frozenset(b for a, b in pairs if are_copies(scene.prepared(a).grey, scene.prepared(b).grey))
 
-    def _problem(self, links: Sequence[Links]) -> Problem:
+    def _problem(self, links: RowsLinks) -> Problem:
         """Return the adjustment problem of the row motion with links alone.
 
         All links count as links on the bare board (−1), because the components are not located before the CAD mapping.
         """
-        prior, observed = self.prior, self.link_store.observations(links)
+        prior, observed = self.prior, self.link_store.observations(links.values())
         light = (
             np.unique(prior.lights, return_inverse=True)[1] if prior.lights else np.zeros(len(self.times_s), np.int_)
         )
@@ -165,8 +183,8 @@ class Stitcher:
     def _relinked(self, known: SortedEvidence) -> tuple[SortedEvidence, Problem]:
         """Search links again between rows between which the belt moved at another speed than its nominal one."""
         if self.prior.method.links:
-            known = known._replace(links=self.relinker.relinked(known.links, self.scene.present, self.times_s))
-        return known, self._problem(known.links)
+            known = known._replace(of_rows=self.relinker.relinked(known.of_rows, self.scene.present, self.times_s))
+        return known, self._problem(known.of_rows)
 
     def _motion(self, problem: Problem, known: SortedEvidence) -> MovedRows:
         """Estimate the motion of the rows from links, or from detected marks if the method uses no links."""
@@ -174,7 +192,8 @@ class Stitcher:
         pivot = np.mean([c.row_from_image(c.center_px) for c in cameras], axis=0)
         nominal = nominal_motion(self.times_s, self.prior.velocity_mm_s, pivot)
         if self.prior.method.links:
-            return motion_from_links(problem, nominal, self.link_store.steps(known.links))
+            parts = (self.link_store.part(own) for (p, q), own in known.of_rows.items() if p != q)
+            return motion_from_links(problem, nominal, [part.step for part in parts if part.used])
         return motion_from_marks(problem, nominal, known.detections, cameras)
 
     def _map_cad(self, problem: Problem, motion: MovedRows, known: SortedEvidence) -> CadMapping | Failure:

@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -167,7 +166,7 @@ class TaskRunner:
         if self._preparing is None:
             if not self._complete:
                 return False
-            self._preparing = self._steps(tuple(sorted(self._complete.popleft(), key=attrgetter("order"))))
+            self._preparing = self._steps(tuple(sorted(self._complete.popleft(), key=lambda e: e.task.a)))
         steps, self._preparing = self._preparing, None
         # Without a frame that another process has linked, a step ends here.
         with suppress(StopIteration, LookupError):
@@ -176,12 +175,15 @@ class TaskRunner:
         return True
 
     def _steps(self, links: tuple[Links, ...]) -> Steps[None]:
-        self._link_store.parts(links)
+        self._link_store.part(links)
         yield
         if links[0].task.kind == "rows":
             for own in (yield from self._relinker.prepare(links)):
-                self._link_store.steps(own)
+                part = self._link_store.part(own)
+                _ = part.used and part.step
                 yield
+        # What has arrived of later rows may still change.
+        self._link_store.lay(links[0].rows[1] - 1)
 
     def perform(self, task: Task) -> Links | Detections:
         """Perform one task and return its evidence. A task that finds nothing returns empty evidence, not an error."""

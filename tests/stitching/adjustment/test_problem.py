@@ -75,17 +75,21 @@ def test_links_projected_early_are_the_same_in_any_requested_order(workshop: Any
     ]
     link_store = LinkStore(cameras)
     for k in (4, 1, 5):
-        link_store.parts([found[k]])
+        link_store.part((found[k],))
+    link_store.lay(2)
+    first = link_store.observations([(e,) for e in found])
+    a_mm = first.a_mm.copy()
     for asked in (found, found[::-1], found[2:], []):
         once = to_observations(asked, cameras)
-        again = link_store.observations(asked)
+        again = link_store.observations([(e,) for e in asked])
         for name in once.arrays._fields:
             assert np.array_equal(getattr(once, name), getattr(again, name)), name
         assert again.groups == once.groups
         assert again.begins.tolist() == np.cumsum([0, *(len(e.a_px) for e in again.groups)]).tolist()
     other = links(found[0].task, [[50.0, 60.0]], [[70.0, 80.0]])
-    both = link_store.observations([found[0], other])
+    both = link_store.observations([(found[0], other)])
     np.testing.assert_allclose(both.a_mm, cameras[0].ground(np.concatenate([found[0].a_px, other.a_px])))
+    assert np.array_equal(first.a_mm, a_mm), "what is laid later does not change observations"
 
 
 def test_only_patches_of_the_same_frames_overlap(workshop: Any) -> None:

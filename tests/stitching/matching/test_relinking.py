@@ -174,8 +174,9 @@ def test_static_structure_in_the_scene_is_no_stop(workshop: Any) -> None:
         frame[100:] = board.seen_by(camera, lambda at, j=j: at - np.array([0.0, 3.0 * j]))[100:]
     prepared = {(0, j): PreparedFrame(frame) for j, frame in enumerate(frames)}
     scene = Scene((camera,), tuple(sorted(prepared)), prepared.__getitem__)
-    relinker = Relinker((camera,), np.array([0.0, 100.0]), scene.prepared, lambda links: [])
-    links = relinker.relinked((), scene.present, np.array([0.0, 0.1, 0.2, 0.3]))
+    relinker = Relinker((camera,), np.array([0.0, 100.0]), scene.prepared, lambda links: pytest.fail("there are none"))
+    found = relinker.relinked({}, scene.present, np.array([0.0, 0.1, 0.2, 0.3]))
+    links = [e for own in found.values() for e in own]
     moved = {e.task.b[1]: np.median((camera.ground(e.b_px) - camera.ground(e.a_px))[:, 1]) for e in links if e.task.b}
     assert moved == pytest.approx({1: 3.0, 2: 3.0, 3: 3.0}, abs=0.05)
 
@@ -192,8 +193,9 @@ def test_a_bed_with_more_texture_than_the_board_is_no_stop(workshop: Any, rows: 
         frame = seen if j not in rows else np.where(np.arange(320) >= 230, seen, bed)
         frames.append(PreparedFrame(workshop.digitised(frame + noise.normal(0, 1, frame.shape))))
     scene = Scene((camera,), tuple((0, j) for j in range(4)), lambda key: frames[key[1]])
-    relinker = Relinker((camera,), np.array([0.0, 100.0]), scene.prepared, lambda links: [])
-    links = relinker.relinked((), scene.present, np.array([0.0, 0.1, 0.2, 0.3]))
+    relinker = Relinker((camera,), np.array([0.0, 100.0]), scene.prepared, lambda links: pytest.fail("there are none"))
+    found = relinker.relinked({}, scene.present, np.array([0.0, 0.1, 0.2, 0.3]))
+    links = [e for own in found.values() for e in own]
     moved = {e.task.b[1]: np.median((camera.ground(e.b_px) - camera.ground(e.a_px))[:, 1]) for e in links if e.task.b}
     assert moved[rows[1]] == pytest.approx(9.0, abs=0.05)
 
@@ -247,7 +249,7 @@ def test_a_camera_that_sees_a_pattern_is_outvoted_only_by_cameras_that_agree(wor
             )
             for i in range(2)
         )  # fmt: skip
-        each = [np.tile([0.0, motion], (30, 1)) for motion in motions]
+        each = np.repeat([(0.0, motion) for motion in motions], 30, axis=0), np.repeat([0, 1], 30)
 
         def prepared(key: Any) -> Any:
             raise LookupError
@@ -255,7 +257,7 @@ def test_a_camera_that_sees_a_pattern_is_outvoted_only_by_cameras_that_agree(wor
         cameras = (workshop.camera(), workshop.camera((15, 0)))
         relinker = Relinker(cameras, np.array([0.0, 100.0]), prepared, lambda _: each)
         try:
-            return relinker.relinked(links, present, np.array([0.0, 0.1])) == links
+            return relinker.relinked({(0, 1): links}, present, np.array([0.0, 0.1])) == {(0, 1): links}
         except LookupError:
             return False
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,70 +98,109 @@ class Observations:
 class RowPair:
     """The links of two rows p and q of all cameras, on the ground; if p = q, those of neighbouring cameras."""
 
-    links: tuple[Links, ...]  # the evidence of those pairs of frames that have links
-    columns: tuple[Floats, ...]  # those of `LinkArrays` from `a_mm` on
+    links: tuple[Links, ...]
+    used: tuple[Links, ...]  # those that are not empty
+    arrays: LinkArrays  # `group` counts from 0
 
     @cached_property
     def step(self) -> RowStep:
         """What the links show of the motion from row p to row q."""
-        return measure_step(*self.links[0].rows, *self.columns[:2], *self.columns[4:])
+        v = self.arrays
+        return measure_step(*self.links[0].rows, v.a_mm, v.b_mm, v.noise_mm2, v.px_per_mm, v.overlap)
 
 
 class LinkStore:
     """The links of a run on the ground, in parts of two rows each.
 
     A part depends on its links alone. It is made when they are complete, while the board passes, and used again in the
-    conclusion, however the links arrived.
+    conclusion, however the links arrived. So are the arrays in which the parts of a run follow one another.
     """
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
         self._cameras = camera_arrays(cameras)
         self._parts: dict[tuple[int, int], RowPair] = {}  # the last part that was made of each pair of rows
+        self._laid: list[RowPair] = []
+        self._ends, self._groups = [0], [0]  # number of links, and of pairs of frames, up to each of `_laid`
+        self._arrays = _NO_LINKS
+        self._read = 0  # number of parts in `_arrays` that observations refer to
 
-    def parts(self, links: Iterable[Links]) -> list[RowPair]:
-        """Return the parts of links, of which those of the same two rows follow one another."""
-        out = []
-        for rows, each in groupby((e for e in links if len(e.a_px)), attrgetter("rows")):
-            known, own = self._parts.get(rows), tuple(each)
-            if known is None or known.links != own:
-                known = self._parts[rows] = self._projected(own)
-            out.append(known)
-        return out
+    def part(self, links: tuple[Links, ...]) -> RowPair:
+        """Return the part of these links of two rows; it is made if the last one of these rows had others."""
+        rows = links[0].rows
+        known = self._parts.get(rows)
+        if known is None or known.links != links:
+            known = self._parts[rows] = self._projected(links)
+        return known
 
     def _projected(self, links: tuple[Links, ...]) -> RowPair:
-        ends = np.cumsum([len(e.a_px) for e in links])
-        cameras = np.array([(e.task.a[0], (e.task.b or e.task.a)[0]) for e in links])
+        used = tuple(e for e in links if len(e.a_px))
+        if not used:
+            return RowPair(links, used, _NO_LINKS)
+        counts, (p, q) = np.array([len(e.a_px) for e in used]), links[0].rows
+        pairs = np.array([(e.task.a[0], (e.task.b or e.task.a)[0]) for e in used])
         a_px, b_px, information = (
-            np.concatenate([getattr(e, name) for e in links]) for name in ("a_px", "b_px", "information")
+            np.concatenate([getattr(e, name) for e in used]) for name in ("a_px", "b_px", "information")
         )
-        return RowPair(links, _project_links(a_px, b_px, information, ends, cameras, self._cameras))
+        columns = _project_links(a_px, b_px, information, np.cumsum(counts), pairs, self._cameras)
+        group = np.repeat(np.arange(len(used)), counts)
+        rows = np.full(len(group), p), np.full(len(group), q)
+        return RowPair(links, used, LinkArrays._make([*rows, *pairs[group].T, group, *columns]))
 
-    def motions_mm(self, links: Sequence[Links]) -> list[Floats]:
-        """Return the motions (k, 2) on the conveyor's plane that links between two rows measure, by pair of frames."""
-        (part,) = self.parts(links)
-        return np.split(part.columns[1] - part.columns[0], np.cumsum([len(e.a_px) for e in part.links])[:-1])
+    def motions_mm(self, links: tuple[Links, ...]) -> tuple[Floats, Ints]:
+        """Return the motions (k, 2) on the conveyor's plane that links of two rows measure.
 
-    def steps(self, links: Sequence[Links]) -> list[RowStep]:
-        """Return what links show of the motion between rows, for all pairs of rows that they link."""
-        return [part.step for part in self.parts(e for e in links if e.task.kind == "rows")]
+        The second array (k,) numbers the pairs of frames, of those that have links.
+        """
+        arrays = self.part(links).arrays
+        return arrays.b_mm - arrays.a_mm, arrays.group
 
-    def observations(self, links: Sequence[Links]) -> Observations:
-        """Return the links of pairs of frames, in the order of these, as observations."""
-        parts = self.parts(links)
-        used = tuple(e for part in parts for e in part.links)
-        each = [(*e.task.a, *(e.task.b or e.task.a), len(e.a_px)) for e in used]
-        camera_a, p, camera_b, q, count = np.array(each, dtype=np.int_).reshape(-1, 5).T
-        of_links = *(np.repeat(v, count) for v in (p, q, camera_a, camera_b)), np.repeat(np.arange(len(used)), count)
-        columns = [np.concatenate(own) for own in zip(*(part.columns for part in parts), strict=True)] or _NO_LINKS
-        return Observations(**dict(zip(LinkArrays._fields, (*of_links, *columns), strict=True)), groups=used)
+    def lay(self, last: int | None = None) -> None:
+        """Bring the parts that were made into the order of a run: those of rows up to `last`."""
+        ordered = sorted((q, p) for p, q in self._parts if last is None or q <= last)
+        self._lay([self._parts[p, q] for q, p in ordered])
+
+    def _lay(self, parts: Sequence[RowPair]) -> None:
+        """Make `_arrays` begin with these parts, one after the other."""
+        same = 0
+        while same < min(len(parts), len(self._laid)) and parts[same] is self._laid[same]:
+            same += 1
+        size = self._ends[same] + sum(len(part.arrays.p) for part in parts[same:])
+        if same < self._read or size > len(self._arrays.p):
+            # With twice the room, few copies are made. What observations refer to is never changed.
+            begin = self._ends[same]
+            self._arrays = LinkArrays._make(_enlarged(v, begin, 2 * size) for v in self._arrays)
+            self._read = 0
+        del self._laid[same:], self._ends[same + 1 :], self._groups[same + 1 :]
+        for part in parts[same:]:
+            begin, end = self._ends[-1], self._ends[-1] + len(part.arrays.p)
+            for column, values in zip(self._arrays, part.arrays, strict=True):
+                column[begin:end] = values
+            self._arrays.group[begin:end] += self._groups[-1]
+            self._laid.append(part)
+            self._ends.append(end)
+            self._groups.append(self._groups[-1] + len(part.used))
+
+    def observations(self, links: Iterable[tuple[Links, ...]]) -> Observations:
+        """Return the links of pairs of rows, in the given order, as observations."""
+        parts = [self.part(own) for own in links]
+        self._lay(parts)
+        self._read = max(self._read, len(parts))
+        arrays = {name: v[: self._ends[-1]] for name, v in self._arrays._asdict().items()}
+        return Observations(**arrays, groups=tuple(e for part in parts for e in part.used))
 
 
-_NO_LINKS = [*np.zeros((4, 0, 2)), np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0)]
+def _enlarged(values: NDArray[Any], kept: int, size: int) -> NDArray[Any]:
+    out = np.empty((size, *values.shape[1:]), values.dtype)
+    out[:kept] = values[:kept]
+    return out
+
+
+_NO_LINKS = LinkArrays._make([*np.zeros((5, 0), np.int_), *np.zeros((4, 0, 2)), np.zeros((0, 2, 2)), *np.zeros((2, 0))])
 
 
 def to_observations(links: Sequence[Links], cameras: Sequence[Camera]) -> Observations:
-    """Project the links of pairs of frames to the ground and return them as observations."""
-    return LinkStore(cameras).observations(links)
+    """Project the links of pairs of frames to the ground and return them as observations, in the same order."""
+    return LinkStore(cameras).observations([tuple(own) for _, own in groupby(links, attrgetter("rows"))])
 
 
 @compiled

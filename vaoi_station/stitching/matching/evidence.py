@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -58,12 +59,6 @@ class Links:
         """The rows of the two frames: twice the same between two cameras."""
         return self.task.a[1], (self.task.b or self.task.a)[1]
 
-    @property
-    def order(self) -> tuple[int, int, int]:
-        """The place of the links in a run: those of the same two rows follow one another, by camera."""
-        p, q = self.rows
-        return q, p, self.task.a[0]
-
     @staticmethod
     def empty(task: Task, note: str, tried: int = 0) -> Links:
         """Return the evidence of a task that found no link among the corners it tried."""
@@ -82,6 +77,20 @@ class Detections:
 
 
 Evidence = Links | Detections
+RowsLinks = Mapping[tuple[int, int], tuple[Links, ...]]
+"""The links of a run by their rows p and q, ordered by q, then by p, and those of two rows by camera."""
+
+
+def by_rows(links: Iterable[Links]) -> RowsLinks:
+    """Arrange the links of a run by their rows."""
+    out: dict[tuple[int, int], list[Links]] = {}
+    for e in links:
+        (_, q), (_, p) = e.task.b or e.task.a, e.task.a
+        if (q, p) in out:
+            out[q, p].append(e)
+        else:
+            out[q, p] = [e]
+    return {(p, q): tuple(sorted(out[q, p], key=lambda e: e.task.a)) for q, p in sorted(out)}
 
 
 __all__ = ["METHODS", "Method", "MethodName"]

@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from operator import attrgetter
 from typing import NamedTuple
 
 import cv2
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.steps import Steps, completed
-from vaoi_station.stitching.matching.evidence import FrameKey, Links, Task
+from vaoi_station.stitching.matching.evidence import FrameKey, Links, RowsLinks, Task, by_rows
 from vaoi_station.stitching.matching.frame_pair import FramePair, predict
 from vaoi_station.stitching.matching.frames import PreparedFrame
 from vaoi_station.stitching.matching.link import (
@@ -238,7 +237,7 @@ class Relinker:
         cameras: Sequence[Camera],
         velocity_mm_s: Floats,
         prepared: Callable[[FrameKey], PreparedFrame],
-        motions_mm: Callable[[Sequence[Links]], list[Floats]],
+        motions_mm: Callable[[tuple[Links, ...]], tuple[Floats, Ints]],
     ) -> None:
         """Create the relinker of one run.
 
@@ -246,8 +245,8 @@ class Relinker:
             cameras: the cameras of the run.
             velocity_mm_s: (2,) nominal velocity of the belt.
             prepared: returns a frame of the run.
-            motions_mm: returns the motions (k, 2) on the conveyor's plane that links of two rows measure, of each pair
-                of frames that has links.
+            motions_mm: returns the motions (k, 2) on the conveyor's plane that links of two rows measure, and numbers
+                (k,) of their pairs of frames, from 0 on.
         """
         self._cameras, self._velocity_mm_s = cameras, np.asarray(velocity_mm_s, dtype=np.float64)
         self._prepared, self._motions_mm = prepared, motions_mm
@@ -255,53 +254,51 @@ class Relinker:
         self._again: dict[Links, tuple[tuple[float, ...], Links]] = {}
         self._spans: list[tuple[Links, ...]] = []
 
-    def prepare(self, links: tuple[Links, ...]) -> Steps[list[Sequence[Links]]]:
+    def prepare(self, links: tuple[Links, ...]) -> Steps[list[tuple[Links, ...]]]:
         """Do early what `relinked` will need of the links of two rows, in which all cameras delivered their frames.
 
         Return the links that are most likely used, of these rows and of others that were waiting for them.
         """
-        (p, q), out = links[0].rows, list[Sequence[Links]]()
+        (p, q), out = links[0].rows, list[tuple[Links, ...]]()
         if q - p > 1:
             self._spans.append(links)
         else:
-            decision = yield from self._decide((p, q), tuple(e.task for e in links), links)
+            cameras = tuple(e.task.a[0] for e in links)
+            decision = yield from self._decide((p, q), cameras, links, links[0].task.dt_s)
             out.append(decision.found[0].links if decision.found else links)
         for span in tuple(self._spans):
             p, q = span[0].rows
             within = [self._decided[r, r + 1][1] for r in range(p, q) if (r, r + 1) in self._decided]
             if len(within) == q - p:
                 self._spans.remove(span)
-                out.append((yield from self._along(span, within)) or span)
+                out.append(tuple((yield from self._along(span, within))) or span)
         return out
 
-    def relinked(self, links: Sequence[Links], present: Sequence[FrameKey], times_s: Floats) -> tuple[Links, ...]:
-        """Return the links of a run, sorted, searched again between rows where the motion is not the nominal one.
+    def relinked(self, links: RowsLinks, present: Collection[FrameKey], times_s: Floats) -> RowsLinks:
+        """Return the links of a run, searched again between rows where the motion is not the nominal one.
 
         `links` are all links of the run near the nominal motion; those between cameras are not changed.
         """
-        frames, rows, of_rows = set(present), sorted({row for _, row in present}), dict[Step, list[Links]]()
-        for e in links:
-            if e.task.kind == "rows":
-                of_rows.setdefault(e.rows, []).append(e)
+        of_row: dict[int, set[int]] = {}
+        for camera, row in present:
+            of_row.setdefault(row, set()).add(camera)
         decided = dict[Step, _Decision]()
-        for p, q in pairwise(rows):
-            dt_s, there = round(float(times_s[q] - times_s[p]), 6), range(len(self._cameras))
-            tasks = tuple(Task("rows", (i, p), (i, q), dt_s) for i in there if (i, p) in frames and (i, q) in frames)
-            own = tuple(sorted(of_rows.get((p, q), ()), key=attrgetter("order")))
-            decided[p, q] = completed(self._decide((p, q), tasks, own, dt_s))
+        for p, q in pairwise(sorted(of_row)):
+            dt_s, both = round(float(times_s[q] - times_s[p]), 6), tuple(sorted(of_row[p] & of_row[q]))
+            decided[p, q] = completed(self._decide((p, q), both, links.get((p, q), ()), dt_s))
         found = {step: one.found[0] for step, one in decided.items() if one.found}
         if found:
-            self._exclude_static(decided, found, frames)
+            self._exclude_static(decided, found, present)
         if not found:
-            return tuple(links)
+            return links
         new = {e.task[:3]: e for one in found.values() for e in one.links}
-        for (p, q), each in of_rows.items():
+        for (p, q), each in links.items():
             within = [step for step in decided if p <= step[0] and step[1] <= q]
             if len(within) > 1 and any(step in found for step in within):
                 chosen = [decided[s]._replace(found=[found[s]] if s in found else []) for s in within]
                 new |= {e.task[:3]: e for e in completed(self._along(each, chosen))}
-        kept = [e for e in links if e.task[:3] not in new]
-        return tuple(sorted((*kept, *new.values()), key=attrgetter("order")))
+        kept = (e for each in links.values() for e in each if e.task[:3] not in new)
+        return by_rows((*kept, *new.values()))
 
     def _along(self, links: Sequence[Links], steps: Sequence[_Decision]) -> Steps[list[Links]]:
         """Search the links of two rows with others between them at the motion of these steps, if one is not nominal."""
@@ -319,25 +316,27 @@ class Relinker:
             out.append(known[1])
         return out
 
-    def _decide(
-        self, step: Step, tasks: tuple[Task, ...], links: tuple[Links, ...], dt_s: float | None = None
-    ) -> Steps[_Decision]:
-        """Decide at which motions the rows of a step are linked; `links` are those near the nominal motion."""
-        dt_s = tasks[0].dt_s if dt_s is None else dt_s
-        key = tasks, links, dt_s
+    def _decide(self, step: Step, cameras: tuple[int, ...], links: tuple[Links, ...], dt_s: float) -> Steps[_Decision]:
+        """Decide at which motions the rows of a step are linked.
+
+        `cameras` are those that show both rows, and `links` those near the nominal motion in the time `dt_s`.
+        """
+        key = cameras, links, dt_s
         if step in self._decided and self._decided[step][0] == key:
             return self._decided[step][1]
-        nominal = self._velocity_mm_s * dt_s
-        each = self._motions_mm(links) if any(len(e.a_px) for e in links) else []
-        motions, settled, found = np.concatenate([np.zeros((0, 2)), *each]), None, list[_Found]()
-        agreeing = _agreeing(motions)
-        if any(e.rival_px is not None for e in links) and not _outvoted(links, each, agreeing):
+        nominal, found = self._velocity_mm_s * dt_s, list[_Found]()
+        motions, group = self._motions_mm(links) if links else (np.zeros((0, 2)), np.zeros(0, np.int_))
+        middle = np.median(motions, axis=0) if len(motions) else nominal
+        near = np.hypot(*(motions - middle).T) <= _AGREE_MM
+        agreeing, tasks = int(near.sum()), tuple(Task("rows", (i, step[0]), (i, step[1]), dt_s) for i in cameras)
+        settled = None
+        if any(e.rival_px is not None for e in links) and not _outvoted(links, near, group):
             settled = yield from self._settle(tasks, links, nominal)
         if settled is not None and settled.certain:
             found = [settled]
         elif agreeing < max(_FEW, _MOST * sum(e.tried for e in links)):
             found = yield from self._search(tasks, nominal, agreeing)
-        decision = _Decision(np.median(motions, axis=0) if agreeing else nominal, found)
+        decision = _Decision(middle if agreeing else nominal, found)
         self._decided[step] = key, decision
         return decision
 
@@ -489,16 +488,15 @@ class Relinker:
         return self._counted(one.motion_mm, tuple(kept))
 
 
-def _outvoted(links: Sequence[Links], each_mm: Sequence[Floats], agreeing: int) -> bool:
+def _outvoted(links: Sequence[Links], near: NDArray[np.bool_], group: Ints) -> bool:
     """Return whether all cameras found one motion, and those that see a pattern cannot make another as likely.
 
-    `each_mm` are the motions (k, 2) by the links of each camera, of which `agreeing` agree with the median of all.
-    Cameras without a rival have few links at other motions.
+    `near` (k,) are the links that agree with the median of all, `group` (k,) the numbers of their cameras. Cameras
+    without a rival have few links at other motions.
     """
-    own = [np.median(motions, axis=0) for motions in each_mm]
-    if any(_distance(one, own[0]) > APART_MM for one in own[1:]):
+    if (2 * np.bincount(group[near], minlength=int(group.max(initial=-1)) + 1) <= np.bincount(group)).any():
         return False
-    return sum(e.tried * (_BY_CHANCE if e.rival_px is None else 1.0) for e in links) < SIMILAR * agreeing
+    return sum(e.tried * (_BY_CHANCE if e.rival_px is None else 1.0) for e in links) < SIMILAR * int(near.sum())
 
 
 def _agreeing(motion_mm: Floats) -> int:
