@@ -9,6 +9,7 @@ less than half of the time of `cv2.warpPerspective`. OpenCV makes all other pict
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -93,11 +94,17 @@ def _write(frame: NDArray[Any], matrices: Floats, places: NDArray[np.int64], out
     # Numba compiles separate versions for writeable and read-only arrays, so all frames are passed as read-only.
     lines.flags.writeable = False
     values = math.prod(frame.shape[2:])
-    # All values of a pixel have its weights.
-    step = np.repeat(np.arange(int(places[:, 2].max()) + _BLOCK, dtype=np.float32), values)
+    # Few different lengths are kept.
+    step = _pixel_of_value(2 ** int(places[:, 2].max() + _BLOCK).bit_length(), values)
     done = np.zeros(len(places), np.bool_)
     _resample(lines, values, np.array(matrices, np.float64, order="C"), places, step, out, done)
     return [] if done.all() else np.flatnonzero(~done).tolist()
+
+
+@lru_cache(maxsize=32)
+def _pixel_of_value(pixels: int, channels: int) -> NDArray[np.float32]:
+    """Return the number of the pixel to which each value of a line belongs: all values of a pixel have its weights."""
+    return np.repeat(np.arange(pixels, dtype=np.float32), channels)
 
 
 def _warp(frame: NDArray[Any], matrix: Floats, picture: NDArray[Any]) -> None:
@@ -139,7 +146,7 @@ def _resample(  # noqa: PLR0912, PLR0915  (one compiled function; helpers would 
         matrices: (k, 3, 3) homographies from pixels of the pictures to those of the frame.
         places: (k, 4) first pixel in `out`, pixels from one line to the next, width and height. Pictures whose lines
             follow each other without a gap lie in this order.
-        step: number of the pixel to which each value of a line belongs, for the longest line and `_BLOCK` values more.
+        step: number of the pixel to which each value belongs, for at least the longest line and `_BLOCK` values more.
         out: the values of all pictures, and `_BLOCK` more if their lines follow each other.
         done: output.
     """

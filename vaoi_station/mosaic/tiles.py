@@ -11,6 +11,7 @@ exposure gives the value, which is a lower bound there.
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,11 +21,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled
 from vaoi_station.errors import InputError
 from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, write_pyramid
 from vaoi_station.frame_index import Box, FrameIndex
 from vaoi_station.geometry.homographies import between, of_part, to_part
 from vaoi_station.geometry.polygon import pixels_inside
+from vaoi_station.geometry.resampling import resampled
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.mosaic.gains import Floats32, ReadFrame
 from vaoi_station.mosaic.grid import MosaicGrid
@@ -56,38 +59,86 @@ def render_tile(spec: TileSpec, frames: Frames) -> NDArray[Any] | None:
 
 def _render_plain(spec: TileSpec, frames: Frames) -> NDArray[Any] | None:
     """Render grey levels: Σ weight · (grey − dark) · factor / Σ weight over the frames of a tile."""
-    total: Floats32 | None = None
-    weights = np.zeros((spec.height, spec.width), np.float32)
     formats: dict[tuple[np.dtype[Any], tuple[int, ...]], None] = {}
-    full = 255
+    full, channels = 255, 1
+    sums, across, down = np.zeros(0, np.float32), np.zeros(0), np.zeros(0)
     for part in spec.parts:
-        source = _source(part, frames)
+        source = _source(part, frames, whole=True)
         if source is None:
             continue
         formats[source.pixels.dtype, source.pixels.shape[2:]] = None
-        if total is None:
-            total = np.zeros((*weights.shape, *source.pixels.shape[2:]), np.float32)
-            full = int(np.iinfo(source.pixels.dtype).max)
+        if not sums.size:
+            full, channels = int(np.iinfo(source.pixels.dtype).max), math.prod(source.pixels.shape[2:])
+            sums = np.zeros((2, spec.height, spec.width * channels), np.float32)
+            m = spec.cells_from_tile
+            across, down = (m[n, n] * np.arange(size) + m[n, 2] for n, size in enumerate((spec.width, spec.height)))
+            across = np.repeat(across, channels)
         elif len(formats) > 1:
             raise _different_formats(list(formats))
         x0, y0, x1, y1 = part.window
-        matrix = of_part(source.matrix, x0, y0)
-        signal = cv2.warpPerspective(source.pixels, matrix, (x1 - x0, y1 - y0), flags=_LINEAR).astype(np.float32)
-        signal -= np.float32(part.dark * full / 255)
-        factor, weight = _spread(part.factor, part, spec, part.window), _weight(part, spec, part.window)
-        factor *= weight
-        signal *= factor if signal.ndim == 2 else factor[..., None]
-        total[y0:y1, x0:x1] += signal
-        weights[y0:y1, x0:x1] += weight
-    shown = weights > _LEAST_WEIGHT
-    if total is None or not shown.any():
+        size = np.array([(x1 - x0, y1 - y0)])
+        [pixels] = resampled(source.pixels, of_part(source.matrix, x0, y0)[None], size)
+        signal = pixels.astype(np.float32).reshape(y1 - y0, -1)
+        area = np.s_[:, y0:y1, x0 * channels : x1 * channels]
+        fields = np.ones((2, *part.factor.shape), np.float32)
+        fields[0] = part.factor
+        if part.mine is not None:
+            fields *= part.mine
+        places = across[x0 * channels : x1 * channels] - part.cells[0], down[y0:y1] - part.cells[1]
+        if part.wholly:
+            _blend(signal, part.dark * full / 255, fields, *places, sums[area])
+        else:
+            own = np.zeros((2, *signal.shape), np.float32)
+            _blend(signal, part.dark * full / 255, fields, *places, own)
+            sums[area] += np.where(np.repeat(_outside(part, part.window), channels, axis=1), 0, own)
+    if not formats:
         return None
-    np.maximum(weights, _LEAST_WEIGHT, out=weights)
-    total /= weights if total.ndim == 2 else weights[..., None]
+    (dtype, colours), *_ = formats
+    # Rounded and limited to the largest grey level; where there is no weight, 0 / 0 becomes 0.
+    tile = np.asarray(cv2.divide(sums[0], sums[1], dtype=cv2.CV_8U if dtype == np.uint8 else cv2.CV_16U))
     # What is shown is at least 1.
-    np.clip(np.rint(total, out=total), 1, full, out=total)
-    total[~shown] = NODATA
-    return total.astype(next(iter(formats))[0])
+    np.maximum(tile, 1, out=tile)
+    if sums[1].min() <= _LEAST_WEIGHT:
+        tile[sums[1] <= _LEAST_WEIGHT] = NODATA
+    return tile.reshape(spec.height, spec.width, *colours) if tile.any() else None
+
+
+@compiled
+def _blend(signal: Floats32, dark: float, fields: Floats32, across: Floats, down: Floats, sums: Floats32) -> None:
+    """Add a frame to the sums of a tile: of weight · (grey − dark) · factor, and of the weights.
+
+    Args:
+        signal: (h, w) grey levels, where the frame has a weight.
+        dark: dark level.
+        fields: (2, rows, columns) of the frame's cells: weight times factor, and weight.
+        across: (w,) places of the columns of the signal between the centres of the cells.
+        down: (h,) places of its lines.
+        sums: (2, h, w).
+    """
+    rows, columns = fields.shape[1], fields.shape[2]
+    height, width = signal.shape
+    black, last = np.float32(dark), -1
+    # Of both fields, a line of cells at the columns of the signal, and how much the next line of cells differs.
+    lines = np.empty((4, width), np.float32)
+    factor, factor_step, weight, weight_step = lines[0], lines[1], lines[2], lines[3]
+    for y in range(height):
+        v = min(max(down[y], 0.0), rows - 1.0)
+        top = min(int(v), max(rows - 2, 0))
+        if top != last:
+            last, below = top, min(top + 1, rows - 1)
+            for x in range(width):
+                u = min(max(across[x], 0.0), columns - 1.0)
+                left = int(u)
+                right, share = min(left + 1, columns - 1), np.float32(u - left)
+                for field in range(2):
+                    a, b = fields[field, top, left], fields[field, below, left]
+                    a += share * (fields[field, top, right] - a)
+                    b += share * (fields[field, below, right] - b)
+                    lines[2 * field, x], lines[2 * field + 1, x] = a, b - a
+        share, grey, total, weights = np.float32(v - top), signal[y], sums[0, y], sums[1, y]
+        for x in range(width):
+            total[x] += (factor[x] + share * factor_step[x]) * (grey[x] - black)
+            weights[x] += weight[x] + share * weight_step[x]
 
 
 def _different_formats(formats: Sequence[tuple[np.dtype[Any], tuple[int, ...]]]) -> InputError:
@@ -182,13 +233,18 @@ class _Source(NamedTuple):
     """The largest pixel of the frame in each of these pixels; `pixels` themselves if the frame is not reduced."""
 
 
-def _source(part: FramePart, frames: Frames) -> _Source | None:
-    """Return the part of the frame that the tile shows, reduced; None if the frame is missing or the part is empty."""
+def _source(part: FramePart, frames: Frames, whole: bool = False) -> _Source | None:
+    """Return the part of the frame that the tile shows, reduced; None if the frame is missing or the part is empty.
+
+    With `whole`, return the whole frame if it is not reduced.
+    """
     found = _picture(part, frames)
     x0, y0, x1, y1 = part.crop
     if found is None or x1 <= x0 or y1 <= y0:
         return None
     picture, unit = found
+    if whole and part.reduction == 1:
+        return _Source(picture.means, part.raw_from_tile, picture.largest)
     matrix = to_part(part.raw_from_tile, x0, y0)
     shown = picture.part((x0 // unit, y0 // unit, -(-x1 // unit), -(-y1 // unit)))
     if part.reduction == 1:
@@ -231,16 +287,22 @@ def _weight(part: FramePart, spec: TileSpec, box: Box) -> Floats32:
         weight = np.ones((height, width), np.float32)
     else:
         weight = _spread(part.mine.astype(np.float32), part, spec, box)
-    if part.wholly:
-        return weight
+    if not part.wholly:
+        weight[_outside(part, box)] = 0
+    return weight
+
+
+def _outside(part: FramePart, box: Box) -> NDArray[np.bool_]:
+    """Return which pixels of a box of the tile the frame does not show."""
     m = of_part(part.raw_from_tile, *box[:2])
-    x, y = np.arange(width), np.arange(height)[:, None]
+    x, y = np.arange(box[2] - box[0]), np.arange(box[3] - box[1])[:, None]
+    outside = np.zeros((y.size, x.size), np.bool_)
     for border, limit in enumerate(part.limits.tolist()):
         axis, sign = border % 2, 1.0 if border < 2 else -1.0
         # A pixel is inside if the nearest one of the frame is.
         a, b, c = sign * (m[axis] - (limit - 0.5 * sign) * m[2])
-        weight[a * x + b * y + c < 0] = 0
-    return weight
+        outside |= a * x + b * y + c < 0
+    return outside
 
 
 CACHE_BYTES = 128_000_000

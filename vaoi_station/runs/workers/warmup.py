@@ -18,7 +18,7 @@ from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks.subpixel_localisation import locate_mark
 from vaoi_station.model import BoardType, Status, Stitch
-from vaoi_station.mosaic import MosaicGrid, TakenFrame, choose_frames, make_plan
+from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_frames, make_plan, render_tile
 from vaoi_station.rendering import ViewCalculator, render_all
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.frames import resample
@@ -89,16 +89,18 @@ def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
 
 def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: NDArray[np.uint8]) -> None:
     taken = [TakenFrame(camera, row, 1.0) for camera in range(_CAMERAS) for row in range(_ROWS)]
-    completed(
+    base, projector = MosaicGrid.of_board(board_type, _PX_PER_MM), FrameIndex.of_result(stitch, setup.cameras)
+    plan = completed(
         make_plan(
             choose_frames(taken),
             partial(_frame, picture),
-            projector=FrameIndex.of_result(stitch, setup.cameras),
+            projector=projector,
             board_type=board_type,
             stitch=stitch,
-            base=MosaicGrid.of_board(board_type, _PX_PER_MM),
+            base=base,
         )
     )
+    render_tile(TileRenderer(plan, projector, base).spec((0, 0, base.width, base.height)), partial(_frame, picture))
 
 
 def _setup() -> StitchSetup:
