@@ -337,6 +337,9 @@ class HeldStation(StationCoordinator):
     def stitch_text(self, run: str) -> str:
         return stitch_text(self.stitch(run))
 
+    def is_complete(self, run: str) -> bool:
+        return "later" not in self.stitch(run).quality
+
     def timeline(self, run: str) -> Timeline:
         return held_timeline(CAMERAS, ROWS, self.run(run).verdict is not None)
 

@@ -49,7 +49,17 @@ from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, Job, LinkJob, OpenRun, Reply
+from vaoi_station.runs.workers.jobs import (
+    Concluded,
+    ConcludeJob,
+    Explained,
+    ExplainJob,
+    Job,
+    LinkJob,
+    OpenRun,
+    Reply,
+    WantedCheck,
+)
 from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 
@@ -127,6 +137,13 @@ def a_stitch(head: RecordingHead, status: Status = Status.OK, reasons: tuple[str
     )
 
 
+def explained(stitch: Stitch) -> Stitch:
+    """Return a result with empty tables in place of those that it names as coming later."""
+    later: dict[str, Any] = {key: {} for key in stitch.quality.get("later", ())}
+    kept = {key: value for key, value in stitch.quality.items() if key != "later"}
+    return stitch.model_copy(update={"quality": {**kept, **later}})
+
+
 @dataclass
 class ScriptedWorkers:
     """Performs jobs at once, or when the test asks for it if `keep` is set; concludes with `result`."""
@@ -139,6 +156,8 @@ class ScriptedWorkers:
     result: Callable[[RecordingHead], Stitch] = a_stitch
     displacement_px: float = 0.0
     """By which camera 1 shows itself displaced along y."""
+    answered: dict[str, Stitch] = field(default_factory=dict)
+    """The results as they were answered, by run."""
     receivers: dict[int, Done] = field(default_factory=dict)
     """What gets the reply of a job, by the identity of the job: two may be equal."""
 
@@ -159,13 +178,17 @@ class ScriptedWorkers:
                 self.answer(job, Reply((0.001,) * len(job.tasks), None, 0.001))
             case ConcludeJob():
                 stitch = self.result(job.head)
+                self.answered[job.run] = stitch
                 self.answer(job, Reply(Concluded(without_components(stitch), stitch_text(stitch)), None, 0.002))
-            case CheckJob():
-                self.answer(job, self.check_reply(job))
+            case ExplainJob():
+                verdict = {"status": job.status, "reasons": job.reasons, "reason_codes": job.reason_codes}
+                document = stitch_text(explained(self.answered[job.run]).model_copy(update=verdict))
+                check = None if job.check is None else self.check_reply(job.check)
+                self.answer(job, Reply(Explained(document, check), None, 0.003))
             case _:
                 self.answer(job, Reply(b"picture", None, 0.001))
 
-    def check_reply(self, job: CheckJob) -> Reply:
+    def check_reply(self, job: WantedCheck) -> Reply:
         return Reply(self.check(job.run), None, 0.003)
 
     def check(self, run: str) -> RunCheck:

@@ -190,10 +190,16 @@ class StationRun:
     """The reply of the station to `GET runs/{id}`."""
     _client: Client = field(repr=False)
 
-    @cached_property
+    @property
     def result(self) -> Stitch:
-        """Matrices, uncertainty and verdict of the run, fetched at the first access."""
-        return self._client.read(Stitch, self._path("matrices"))
+        """Matrices, uncertainty and verdict of the run, fetched at the first access.
+
+        Directly after the run, `quality["later"]` names entries that follow: it is then fetched again at each access.
+        """
+        known: Stitch | None = self.__dict__.get("_result")
+        if known is None or "later" in known.quality:
+            known = self.__dict__["_result"] = self._client.read(Stitch, self._path("matrices"))
+        return known
 
     @property
     def status(self) -> Status:

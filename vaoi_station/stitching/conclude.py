@@ -43,7 +43,7 @@ from vaoi_station.stitching.matching.link import are_copies
 from vaoi_station.stitching.matching.relinking import Relinker
 from vaoi_station.stitching.quality.confirmation import dark_lights
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.quality_document import explanation, quality_document
+from vaoi_station.stitching.quality.quality_document import LATER, explanation, quality_document
 from vaoi_station.stitching.quality.verdict import judge_result
 from vaoi_station.version import __version__
 
@@ -159,6 +159,7 @@ class Stitcher:
         if self.prior.reference is not None and self.prior.method.reference:
             quality["reference"] = self.prior.reference.name
         quality["opencv"] = cv2.__version__
+        quality["later"] = list(LATER)
         return build_result(findings, self.prior.method_name, status, reasons, quality), findings
 
     def _copies(self, links: Sequence[Links]) -> frozenset[FrameKey]:
@@ -232,11 +233,12 @@ class Stitcher:
 
 
 def explained(result: Stitch, findings: Findings) -> Stitch:
-    """Return a result with the entries of its `quality` that only explain its verdict."""
+    """Return a result with the entries of its `quality` that only explain its verdict, those that `later` names."""
     began_s = time.perf_counter()
     more = explanation(findings)
     spent = {"explanation": round((time.perf_counter() - began_s) * 1e3, 3)}
-    quality = {**result.quality, **more, "timings_ms": {**result.quality["timings_ms"], **spent}}
+    known = {key: value for key, value in result.quality.items() if key != "later"}
+    quality = {**known, **more, "timings_ms": {**result.quality["timings_ms"], **spent}}
     return result.model_copy(update={"quality": quality})
 
 

@@ -1,8 +1,8 @@
 """Typed access to the database: runs, results, events, and the calibrations and board types that runs have used.
 
-Documents are JSON texts, whose content the store does not use. Results never change. The frames of a run are in shared
-memory and are lost when the station ends. Therefore, after a restart, the caller marks finished runs with
-`mark_frames_gone`, and ends the runs that `unfinished` returns with a reason.
+Documents are JSON texts, whose content the store does not use. A result never changes once it is complete. The frames
+of a run are in shared memory and are lost when the station ends. Therefore, after a restart, the caller marks finished
+runs with `mark_frames_gone`, and ends the runs that `unfinished` returns with a reason.
 """
 
 from __future__ import annotations
@@ -303,6 +303,13 @@ class Store:
         # A run that begins need not survive a power failure: before its end there is nothing to announce.
         durable = row.finish_number is not None
         return self.database.write(write, patient=patient, durable=durable, size=size)
+
+    def complete_result(self, run: str, document: str) -> Future[int]:
+        """Write the complete result of a finished run in place of its first one; no effect if it was deleted."""
+        return self.database.execute(
+            "INSERT OR REPLACE INTO results SELECT run, ?, ? FROM results WHERE run = ?", (*packed(document), run),
+            patient=True, durable=False, size=len(document),
+        )  # fmt: skip
 
     def set_state(self, run: str, state: str) -> Future[int]:
         """Set the state of a finished run whose frames were released or evicted; no effect on an unfinished run."""

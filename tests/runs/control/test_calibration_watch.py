@@ -13,7 +13,7 @@ from vaoi_station.drift.checks import LampCheck
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.control import calibration_watch
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.workers.jobs import CheckJob, Reply
+from vaoi_station.runs.workers.jobs import Reply, WantedCheck
 from vaoi_station.store import RunRow, Store
 from vaoi_station.store import documents as calibration_checks
 
@@ -74,7 +74,7 @@ def test_a_dim_light_is_a_warning_until_it_is_mended(store: Store, calibration: 
         run = f"r{k:02d}"
         check = ScriptedWorkers().check(run).model_copy(update={"lamps": lamps})
         store.save_run(RunRow(run, "ready", None, board_type, kept, "{}", "{}"))
-        watch.checked(CheckJob(run, check.time, "b", watch.digest), Reply(check, None, 0.0))
+        watch.checked(WantedCheck(run, check.time, "b", watch.digest), Reply(check, None, 0.0))
 
     for k in range(10):
         pass_board(k, 60.0 if k < 7 else 30.0)
@@ -113,7 +113,7 @@ def test_a_board_type_that_pauses_keeps_its_baseline(
             check = ScriptedWorkers().check(f"r{k:02d}")
             check = check.model_copy(update={"lamps": (lamp,), "board_type": name})
             store.save_run(RunRow(check.run, "ready", None, board_type, kept, "{}", "{}"))
-            watches[-1].checked(CheckJob(check.run, check.time, name, watches[-1].digest), Reply(check, None, 0.0))
+            watches[-1].checked(WantedCheck(check.run, check.time, name, watches[-1].digest), Reply(check, None, 0.0))
 
     def restart() -> None:
         store.save_run(RunRow("r99", "ready", None, board_type, kept, "{}", "{}")).result(10)  # after the checks

@@ -6,11 +6,11 @@ import time
 
 import pytest
 
-from tests.runs.conftest import a_head, a_stitch
+from tests.runs.conftest import a_head, a_stitch, explained
 from tests.runs.doubles import Acquisition, CountingRing, Workers
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import StateError
+from vaoi_station.errors import InternalError, StateError
 from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.model import Calibration, FrameRecord, Pulse, Status, Verdict
 from vaoi_station.runs.archive.event_log import EventLog
@@ -21,7 +21,7 @@ from vaoi_station.runs.control.line_control import Completion
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import CAUSE, Progress
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.workers.jobs import CheckJob, Concluded, ConcludeJob, LinkJob
+from vaoi_station.runs.workers.jobs import Concluded, ConcludeJob, Explained, ExplainJob, LinkJob
 from vaoi_station.store import Store
 
 
@@ -75,9 +75,11 @@ class Station:
             self.workers.answer(job)
         return run
 
-    def conclude(self, run: str, status: Status = Status.OK) -> None:
+    def conclude(self, run: str, status: Status = Status.OK, later: tuple[str, ...] = ()) -> None:
         [job] = self.workers.of(ConcludeJob, run)
         stitch = a_stitch(a_head(1), status)
+        if later:
+            stitch = stitch.model_copy(update={"quality": {**stitch.quality, "later": list(later)}})
         self.workers.answer(job, Concluded(without_components(stitch), stitch_text(stitch)))
 
 
@@ -120,7 +122,54 @@ def test_a_run_ends_with_the_verdict_of_its_result_and_only_a_whole_one_is_evide
     assert station.archive.get(run).detail.state == state
     assert station.archive.get(run).result.status == ("degraded" if state == "degraded" else status)
     assert (station.core.active, station.workers.open) == ({}, [])
-    assert len(station.workers.of(CheckJob, run)) == checks
+    [job] = station.workers.of(ExplainJob, run)
+    assert (job.check is not None) == bool(checks)
+    assert job.status == station.archive.get(run).result.status, "that of the run, whose faults lower it"
+
+
+def test_a_result_is_announced_at_once_and_completed_by_its_explanation(station: Station, store: Store) -> None:
+    run = station.film()
+    station.conclude(run, later=("heights_mm",))
+    first = station.archive.get(run)
+    assert (first.detail.state, first.detail.verdict, first.complete) == ("ready", "ok", False)
+    [job] = station.workers.of(ExplainJob, run)
+    whole = explained(first.result)
+    station.workers.answer(job, Explained(stitch_text(whole), None))
+    finished = station.archive.explained(run)
+    assert finished.complete
+    store.set_state(run, "ready").result()  # writes are done in their order
+    assert finished.text == store.result(run) == stitch_text(whole)
+    assert (finished.detail.state, finished.lean.status) == ("ready", "ok")
+    [event] = [e for e in station.log.read(0, 0.0, 100) if e.code == "explained"]
+    assert (event.kind, event.state, event.run) == ("run", "ready", run)
+
+
+def test_an_explanation_that_is_lost_is_stated_and_leaves_the_verdict(
+    station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("vaoi_station.runs.archive.finished_runs.EXPLAINED_S", 0.05)
+    run = station.film()
+    station.conclude(run, later=("heights_mm",))
+    assert not station.archive.explained(run).complete, "it is not awaited for ever"
+    [job] = station.workers.of(ExplainJob, run)
+    station.workers.answer(job, None, InternalError("its worker has ended."))
+    finished = station.archive.get(run)
+    assert (finished.complete, finished.detail.state, finished.result.quality["later"]) == (
+        False, "ready", ["heights_mm"],
+    )  # fmt: skip
+    assert [e.code for e in station.log.read(0, 0.0, 100) if e.kind == "trouble"] == [
+        "explanation-lost", "calibration-not-checked",
+    ]  # fmt: skip
+
+
+def test_a_stop_waits_for_the_explanation_of_the_last_run(station: Station) -> None:
+    run, stopped = station.film(), Completion()
+    station.core.stop(stopped)
+    station.conclude(run, later=("heights_mm",))
+    assert not stopped.done()
+    [job] = station.workers.of(ExplainJob, run)
+    station.workers.answer(job, Explained(stitch_text(explained(station.archive.get(run).result)), None))
+    assert stopped.done()
 
 
 def test_an_early_result_waits_for_the_run_before_it(station: Station) -> None:

@@ -10,15 +10,16 @@ import pytest
 
 from tests.runs.workers.plant import BoardPlant, Plant
 from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout
-from vaoi_station.model import RecordingHead
-from vaoi_station.runs.workers.jobs import CheckJob, ConcludeJob, LinkJob, OpenRun, RunContext
+from vaoi_station.model import RecordingHead, Status
+from vaoi_station.runs.workers.jobs import ConcludeJob, ExplainJob, LinkJob, OpenRun, RunContext, WantedCheck
 from vaoi_station.simulation import Twin, read_scenario
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 SCENARIO = Path(__file__).parents[2] / "drift" / "three.toml"
-CHECK = CheckJob("r1", "2026-01-01T00:00:00Z", "board-type", "calibration")
+WANTED = WantedCheck("r1", "2026-01-01T00:00:00Z", "board-type", "calibration")
+CHECK = ExplainJob("r1", Status.OK, (), (), WANTED)
 
 
 @dataclass(frozen=True)

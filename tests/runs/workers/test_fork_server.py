@@ -16,11 +16,10 @@ import pytest
 from tests.runs.workers.conftest import CHECK, RingBoard
 from tests.runs.workers.served import PATIENCE_S, Served
 from vaoi_station.benchmarks.process_usage import cpu_s
-from vaoi_station.drift.checks import RunCheck
 from vaoi_station.runs.states.schemas import STARTING
 from vaoi_station.runs.workers import fork_server_link as module
 from vaoi_station.runs.workers.fork_server_link import ForkServerLink
-from vaoi_station.runs.workers.jobs import CloseRun, Concluded, Numbered, Ping, WorkerReady
+from vaoi_station.runs.workers.jobs import CloseRun, Concluded, Explained, Numbered, Ping, WorkerReady
 
 Pipe_: TypeAlias = "Connection[Any, Any]"
 
@@ -62,7 +61,7 @@ def test_two_workers_share_their_evidence_and_end_when_asked_or_with_their_pipe(
     pipe.send(CloseRun("r1"))
     pipe.send(Numbered(3, CHECK))
     assert isinstance(receive(pipe).value, Concluded)
-    assert isinstance(receive(pipe).value, RunCheck)
+    assert isinstance(receive(pipe).value, Explained)
     pipe.send(Ping())
     assert isinstance(receive(pipe), WorkerReady)
     pipe.send(None)

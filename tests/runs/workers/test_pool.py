@@ -15,12 +15,11 @@ import pytest
 from tests.runs.workers.conftest import CHECK, RingBoard
 from tests.runs.workers.plant import BoardPlant, Pending, Plant, conclusion, numbers
 from tests.runs.workers.served import few_files
-from vaoi_station.drift.checks import RunCheck
 from vaoi_station.errors import InternalError, StateError
 from vaoi_station.runs.workers import fork_server_link
 from vaoi_station.runs.workers import pool as module
 from vaoi_station.runs.workers import queues as queues_module
-from vaoi_station.runs.workers.jobs import Priority, SteppedJob
+from vaoi_station.runs.workers.jobs import Explained, Priority, SteppedJob
 from vaoi_station.steps import Steps
 
 
@@ -187,7 +186,7 @@ def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(board_plant: BoardPl
         result = board_plant.submit(ring_board.conclusion())
         assert result.get().error is None
         checked = board_plant.submit(CHECK)
-        assert isinstance(checked.get().value, RunCheck), "by the worker that has concluded"
+        assert isinstance(checked.get().value, Explained), "by the worker that has concluded"
     finally:
         with contextlib.suppress(ProcessLookupError):  # a worker that was outrun is killed after some seconds
             os.kill(victim, signal.SIGCONT)

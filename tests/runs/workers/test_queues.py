@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tests.runs.workers.conftest import CHECK, RingBoard
 from vaoi_station.runs.batches.batch_job import BatchJob
 from vaoi_station.runs.workers.jobs import (
-    CheckJob,
     ConcludeJob,
+    ExplainJob,
     Job,
     LinkJob,
     OpenRun,
@@ -122,7 +122,7 @@ def test_a_conclusion_never_waits_behind_pictures(
             hall.add(hall.link(k % 3) if step == "link" else hall.picture())
         begun = [hall.choose(worker) for worker in range(count) if hall.workers[worker].idle]
         late = [worker.job for worker in hall.workers if worker.job and worker.job.priority > Priority.LINK]
-        assert len(late) < count or not any(isinstance(job, RenderJob | CheckJob) for job in begun)
+        assert len(late) < count or not any(isinstance(job, RenderJob | ExplainJob) for job in begun)
 
 
 def test_a_job_in_spare_time_is_as_urgent_as_pictures_while_a_caller_waits_for_it(hall: Hall) -> None:

@@ -12,16 +12,18 @@ from typing import Any
 import pytest
 
 from tests.rendering.computed import compute_views
-from tests.runs.workers.conftest import CHECK, RingBoard
+from tests.runs.workers.conftest import CHECK, WANTED, RingBoard
 from vaoi_station.drift.check_run import check_run
 from vaoi_station.drift.checks import RunCheck
 from vaoi_station.drift.lamps import is_comparable
 from vaoi_station.errors import GoneError, InternalError
 from vaoi_station.files.images import write_image
+from vaoi_station.files.results import stitch_text
+from vaoi_station.model import Status
 from vaoi_station.runs.workers import evidence_log
 from vaoi_station.runs.workers import worker as module
 from vaoi_station.runs.workers.evidence_log import EvidenceLog, shared_memory
-from vaoi_station.runs.workers.jobs import CloseRun, Job, Numbered, Reply
+from vaoi_station.runs.workers.jobs import CloseRun, ExplainJob, Job, Numbered, Reply
 from vaoi_station.runs.workers.picture_jobs import RenderJob
 from vaoi_station.runs.workers.worker import WorkerRuntime
 from vaoi_station.stitching.work import TaskRunner
@@ -142,12 +144,44 @@ def test_a_record_that_is_not_whole_is_not_read(monkeypatch: pytest.MonkeyPatch)
     assert list(reader.new_records()) == [("whole", 2, [], {})]
 
 
+def test_an_answer_becomes_the_result_of_the_library_by_its_explanation(
+    runtime: WorkerRuntime, ring_board: RingBoard
+) -> None:
+    """The verdict is that of the run, whose faults may have lowered it. A worker explains a result only once."""
+    answer = only(runtime, ring_board.conclusion()).value
+    assert runtime.reply(CloseRun("r1")) is None
+    lowered = ExplainJob("r1", Status.DEGRADED, ("the belt stopped",), ("belt",))
+    explained = only(runtime, lowered).value
+    assert explained.check is None
+    texts = answer.document, explained.document, library_text(ring_board)
+    first, whole, library = (json.loads(text) for text in texts)
+    assert (whole["status"], whole["reasons"], whole["reason_codes"]) == ("degraded", ["the belt stopped"], ["belt"])
+    later = first["quality"].pop("later")
+    assert set(later) == set(whole["quality"]) - set(first["quality"])
+    for document in (first, whole, library):
+        del document["quality"]["timings_ms"]
+    assert whole["quality"] == library["quality"]
+    assert {key: whole["quality"][key] for key in first["quality"]} == first["quality"]
+    assert whole["image_matrices"] == first["image_matrices"] == library["image_matrices"]
+    error = only(runtime, lowered).error
+    assert isinstance(error, InternalError)
+    assert "the explanation of run r1 is not possible" in error.message
+
+
+def library_text(board: RingBoard) -> str:
+    runner = TaskRunner(board.setup, lambda i, j: board.ring.frame(board.ring.slot(0, i, j)))
+    evidence = [runner.perform(task) for task in board.tasks]
+    return stitch_text(runner.conclude(board.head.row_times_s(), tuple(board.slots), evidence))
+
+
 def test_a_check_equals_one_made_offline(runtime: WorkerRuntime, ring_board: RingBoard) -> None:
     only(runtime, ring_board.conclusion())
     assert runtime.reply(CloseRun("r1")) is None
-    checked = only(runtime, CHECK).value
+    reply = only(runtime, CHECK).value.check
+    assert reply is not None
+    checked = reply.value
     assert isinstance(checked, RunCheck)
-    assert checked == check_run("r1", CHECK.time, CHECK.board_type, ring_board.findings(), checked.lamps)
+    assert checked == check_run("r1", WANTED.time, WANTED.board_type, ring_board.findings(), checked.lamps)
     assert [(lamp.camera, lamp.light) for lamp in checked.lamps] == [
         (i, ring_board.head.light(0) or "") for i in range(3)
     ]
@@ -162,7 +196,9 @@ def test_a_job_that_fails_is_an_internal_error_and_one_of_a_later_board_is_gone(
     assert isinstance(only(runtime, dataclasses.replace(ring_board.conclusion(), context=later)).error, GoneError)
     only(runtime, ring_board.conclusion())
     monkeypatch.setattr(module, "check_run", lambda *_: 1 // 0)
-    error = only(runtime, CHECK).error
+    reply = only(runtime, CHECK).value.check
+    assert reply is not None
+    error = reply.error
     assert isinstance(error, InternalError)
     assert "the calibration check of run r1 failed: ZeroDivisionError" in error.message
     for _ in range(2):

@@ -10,7 +10,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel, Field
 
-from vaoi_station.api.http_caching import LIVE, REVALIDATE, json_of, json_response, require_unchanged
+from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, json_of, json_response, require_unchanged
 from vaoi_station.api.limits import caller_of
 from vaoi_station.api.parameters import IfMatch, Moment, RunId, TimeoutS, rest_router
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, PlainText, RunPage
@@ -141,8 +141,13 @@ def router(services: Services) -> APIRouter:
 
     @routes.get("/{run}/matrices", response_model=Matrices)
     async def get_matrices(request: Request, run: RunId) -> Response:
-        """Return the result of a run in the format of `docs/formats.md`. Replies 409 while there is none yet."""
-        return json_response(request, (await ask(coordinator.stitch_text, run)).encode())
+        """Return the result of a run in the format of `docs/formats.md`. Replies 409 while there is none yet.
+
+        It is there with the verdict. While `quality.later` names entries, these follow within moments: read it again,
+        or wait for the event with the code `explained`.
+        """
+        cache = IMMUTABLE if await ask(coordinator.is_complete, run) else REVALIDATE
+        return json_response(request, (await ask(coordinator.stitch_text, run)).encode(), cache)
 
     @routes.get("/{run}/heights", response_model=HeightList, dependencies=[Depends(services.picture_seats.hold)])
     async def get_heights(request: Request, run: RunId) -> Response:

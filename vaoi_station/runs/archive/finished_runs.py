@@ -2,7 +2,7 @@
 
 A finished run is announced once its result is on disk: callers that wait for it are woken, and an event is published.
 If the disk refuses the result, the run is announced from memory, its document states this (`stored`), and the result is
-written as soon as the disk accepts it.
+written as soon as the disk accepts it. What only explains the verdict is added a moment later (`Archive.explain`).
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ from vaoi_station.runs.states.schemas import RunDetail, RunSummary, Timeline
 from vaoi_station.runs.states.tables import IN_MEMORY, RUN, RunState, RunStep
 from vaoi_station.store import RunRow, Store
 
+EXPLAINED_S = 2.0
+"""Longest wait of callers that need a complete result of a run that has just ended, s."""
 CACHED_RUNS = 32
 """Number of finished runs that are kept in memory with their documents parsed."""
 
@@ -53,7 +55,7 @@ class FinishedRun:
     stitch: Stitch | None
     """The result without its tables of components; None, as `document`, if the run ended without a result."""
     document: str | None
-    """The complete result as JSON text."""
+    """The result as JSON text; complete once the run is explained."""
     timeline: Timeline
     head: RecordingHead | None
     """Head of the run's recording; None if the station ended while the board was filmed."""
@@ -72,14 +74,19 @@ class FinishedRun:
         """The result without its tables of components. Raises `NotFoundError` if the run ended without a result."""
         return self.stitch or self.result
 
+    @property
+    def complete(self) -> bool:
+        """Whether the result has all its entries."""
+        return self.stitch is None or "later" not in self.stitch.quality
+
     @cached_property
     def result(self) -> Stitch:
-        """The complete result. Raises `NotFoundError` if the run ended without a result."""
+        """The result with its tables. Raises `NotFoundError` if the run ended without a result."""
         return Stitch.model_validate_json(self.text)
 
     @property
     def text(self) -> str:
-        """The complete result as JSON text. Raises `NotFoundError` with the reasons if the run ended without result."""
+        """The result as JSON text. Raises `NotFoundError` with the reasons if the run ended without result."""
         if self.document is None:
             raise NotFoundError(
                 f"Run {self.detail.id} ended without a result: "
@@ -139,6 +146,8 @@ class Archive:
         self._changed = threading.Condition()
         self._recent: OrderedDict[str, FinishedRun] = OrderedDict()
         self._under_way: set[str] = set()
+        self._unexplained: set[str] = set()
+        """Finished runs whose result is still being completed."""
         self._unstored: dict[str, FinishedRun] = {}
         """Finished runs that are not on disk yet, oldest first."""
         self._unannounced: dict[str, int] = {}
@@ -180,6 +189,8 @@ class Archive:
             self._under_way.discard(progress.run)
             self._unstored[progress.run] = finished
             self._unannounced[progress.run] = finished.finish_number
+            if not finished.complete:
+                self._unexplained.add(progress.run)
             self._cache(finished)
         self.statistics.add(detail, finished.timeline)
         stored = detail.model_copy(update={"stored": True})
@@ -187,6 +198,39 @@ class Archive:
         saved = self.store.save_run(row, finished.timeline.model_dump_json(), finished.document)
         saved.add_done_callback(lambda future: self._written(finished, future))
         return detail
+
+    def explain(self, run: str, document: str | None) -> None:
+        """Put the complete result of a finished run in place of the first one; None: it will never come."""
+        with self._changed:
+            self._unexplained.discard(run)
+            self._changed.notify_all()
+        with contextlib.suppress(VaoiError):  # it may have been deleted meanwhile
+            self._explain(self.get(run), document)
+
+    def _explain(self, read: FinishedRun, document: str | None) -> None:
+        run = read.detail.id
+        with self._changed:
+            finished = self._in_memory(run) or read
+            if finished.complete:
+                return
+            if document is not None:
+                quality = {key: value for key, value in finished.lean.quality.items() if key != "later"}
+                lean = finished.lean.model_copy(update={"quality": quality})
+                self._cache(replace(finished, document=document, stitch=lean))
+                self.store.complete_result(run, document)
+        if document is None:
+            message = "The tables that explain the verdict are missing: their worker ended before it had computed them."
+            action = "Matrices and verdict are complete. For the tables, stitch the recording of the run."
+            self._events.add("trouble", message, run=run, code="explanation-lost", action=action)
+        else:
+            message = "The result is complete: pairs of links, covariances and heights are there too."
+            self._events.add("run", message, state=finished.detail.state, run=run, code="explained")
+
+    def explained(self, run: str) -> FinishedRun:
+        """Return a finished run as `get` does, with its complete result; wait for that if it has ended just now."""
+        with self._changed:
+            self._changed.wait_for(lambda: run not in self._unexplained or self._closed, EXPLAINED_S)
+        return self.get(run)
 
     def tick(self) -> None:
         """Announce runs from memory while the storage is in trouble. The coordinator calls this every tick."""

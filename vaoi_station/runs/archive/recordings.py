@@ -285,7 +285,7 @@ class Recordings:
             write_board_type(draft / "board.json", finished.board_type)
             write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
             if finished.document is not None:
-                write_bytes(draft / RESULT_FILE, finished.document.encode())
+                write_bytes(draft / RESULT_FILE, self._archive.explained(run).text.encode())
             if program := finished.board_type.program or self.program:
                 steps = [step.model_dump(mode="json", exclude_none=True) for step in program]
                 write_json(draft / LIGHT_PROGRAM_FILE, steps)

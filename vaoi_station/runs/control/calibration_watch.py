@@ -17,7 +17,7 @@ from vaoi_station.errors import StateError
 from vaoi_station.model import Calibration, Reason
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.states.schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
-from vaoi_station.runs.workers.jobs import CheckJob, Reply
+from vaoi_station.runs.workers.jobs import Reply, WantedCheck
 from vaoi_station.store.documents import CalibrationChecks, digest_of
 
 FIRST_CHECKS, LATEST_CHECKS = 50, 200
@@ -62,7 +62,7 @@ class CalibrationWatch:
         cameras = tuple(self._camera(i) for i in range(len(self._names)))
         return CalibrationStatus(digest=self.digest, created=self._created, runs=self._runs, cameras=cameras)
 
-    def checked(self, job: CheckJob, reply: Reply) -> None:
+    def checked(self, job: WantedCheck, reply: Reply) -> None:
         """Store a drift check, and publish an event for each warning that begins or ends with it."""
         run, digest = job.run, job.calibration
         if reply.error is not None:

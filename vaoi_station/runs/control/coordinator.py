@@ -110,7 +110,7 @@ class StationCoordinator(BoardTypeRequests):
         self.kept = KeptRuns(config, parts.archive, events, access, self.heights, pictures, access.render)
         access.heights, parts.watch.on_checked = known, self.kept.trends.checked
         recorded = access.recorded = self.kept.recordings.frame_file
-        of_runs = parts.archive.get, access.lease, recorded, access.render
+        of_runs = parts.archive.explained, access.lease, recorded, access.render
         self.merged = MergedAccess(*of_runs, fields, known)
         self.batches = BatchAccess(*of_runs, self.merged, known, self.kept.shown)
         self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core.trial, self._core.devices)
@@ -281,12 +281,16 @@ class StationCoordinator(BoardTypeRequests):
         self._inbox.ask(self._core.end_lease, run, holder)
 
     def stitch(self, run: str) -> Stitch:
-        """Return the result of a run; `StateError` before the run has ended, `NotFoundError` if it has no result."""
-        return self._parts.archive.get(run).result
+        """Return the complete result; `StateError` before the run has ended, `NotFoundError` if it has no result."""
+        return self._parts.archive.explained(run).result
 
     def stitch_text(self, run: str) -> str:
-        """Return the result of a run as JSON text; raises the errors of `stitch`."""
+        """Return the result of a run as JSON text, complete or not; raises the errors of `stitch`."""
         return self._parts.archive.get(run).text
+
+    def is_complete(self, run: str) -> bool:
+        """Return whether the result of a run has all its entries; raises the errors of `stitch`."""
+        return self._parts.archive.get(run).complete
 
     def timeline(self, run: str) -> Timeline:
         """Return the times of the steps of a finished run."""

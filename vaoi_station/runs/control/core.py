@@ -37,6 +37,7 @@ from vaoi_station.runs.run.progress import WHOLE, Progress
 from vaoi_station.runs.run.verdict import conclude, with_faults
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
+from vaoi_station.runs.workers.jobs import Explained, ExplainJob, Reply
 from vaoi_station.runs.workers.run_stitcher import Stitched, Workers
 
 
@@ -93,6 +94,8 @@ class Core:
         self.boards = BoardAccount(config.line, self.line.orders, events.add)
         self.active: dict[str, Progress] = {}
         """The runs that are filmed or stitched, in the order of their boards."""
+        self._explaining: set[str] = set()
+        """The finished runs whose result is not complete yet."""
         self.trigger = TriggerWatch([camera.label for camera in config.cameras])
         interlocked = config.controller.interlock == "on"
         self.permit = LinePermit(parts.acquisition.send if interlocked else None, events.add)
@@ -192,13 +195,21 @@ class Core:
     # --- reports of the workers
 
     def stitched(self, run: str, stitched: Stitched) -> None:
-        """Take the answer of a run's stitcher, and have the calibration checked."""
+        """Take the answer of a run's stitcher."""
         if (progress := self.active.get(run)) is None:
             return
         progress.take(stitched)
-        if (check := progress.check_job()) is not None:
-            self._parts.workers.submit(check, lambda reply: self._post(self.watch.checked, check, reply))
         self._end_in_order()
+
+    def explained(self, job: ExplainJob, reply: Reply) -> None:
+        """Take the complete result of a finished run, and the check of the calibration with it."""
+        answer: Explained | None = reply.value
+        self._archive.explain(job.run, None if answer is None else answer.document)
+        check = reply if answer is None else answer.check
+        if job.check is not None and check is not None:
+            self.watch.checked(job.check, check)
+        self._explaining.discard(job.run)
+        self._complete_stop_if_drained()
 
     def worker_ended(self, description: str) -> None:
         """Publish that a worker process has ended. The pool then restarts the process."""
@@ -343,10 +354,13 @@ class Core:
             self._archive.finish(progress)
             self.memory.use(progress.run, "finished")
             self.line.keep_memory_granted()
+            if (job := progress.explain_job()) is not None:
+                self._explaining.add(job.run)
+                self._parts.workers.submit(job, partial(self._post, self.explained, job))
             self._complete_stop_if_drained()
 
     def _complete_stop_if_drained(self) -> None:
-        if not self.active:
+        if not self.active and not self._explaining:
             for completion in self._stopping:
                 completion.set_result(None)
             self._stopping = []

@@ -133,7 +133,7 @@ class FrameAccess:
     def image(self, detail: RunDetail, wanted: ViewRequest, format: ImageFormat) -> bytes:
         """Render one temporary image, in a worker or in this thread, and return it as an encoded file."""
         self.note_fetch()
-        finished = self._archive.get(detail.id)
+        finished = self._finished(detail.id, wanted.images)
         name = f"{wanted.ref}/{wanted.k}"
         measure, heights = self._measured_by(detail), self._heights(detail.id, wanted.images)
         choice = component_views.image_of_component(finished, wanted.ref, wanted.k, wanted.images, measure, heights)
@@ -159,7 +159,12 @@ class FrameAccess:
         """Choose the images of a component; GoneError if that depends on pixels that are no longer available."""
         measure = self._measured_by(detail, optional=not wanted.needs_pixels)
         heights = self._heights(detail.id, wanted)
-        return component_views.images_of_component(self._archive.get(detail.id), ref, wanted, measure, heights)
+        finished = self._finished(detail.id, wanted)
+        return component_views.images_of_component(finished, ref, wanted, measure, heights)
+
+    def _finished(self, run: str, wanted: ImageRequest) -> FinishedRun:
+        # Heights of bodies come a moment after the result.
+        return self._archive.explained(run) if wanted.framing.plane == "top" else self._archive.get(run)
 
     def _heights(self, run: str, wanted: ImageRequest) -> Mapping[str, tuple[float, float]] | None:
         return self.heights(run) if wanted.framing.plane == "top" else None

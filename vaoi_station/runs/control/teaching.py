@@ -138,7 +138,7 @@ class BoardTypeRequests:
             GoneError: the frames of the run are no longer in memory.
             DeviceError: the disk refuses the files.
         """
-        known, finished, store = self.board_type(board_type), self._parts.archive.get(run), self._references
+        known, finished, store = self.board_type(board_type), self._parts.archive.explained(run), self._references
         calibration = self._parts.archive.calibration_of(finished)
         with self._frames.lease(run, "taught as the reference") as bay:
             stitch = with_confirmed_orientation(finished.result) if confirm_orientation else finished.result

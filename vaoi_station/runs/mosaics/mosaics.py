@@ -115,7 +115,7 @@ class Mosaics:
 
     def overlay(self, run: str) -> RunOverlay:
         """Return what is drawn over the mosaics of a run; raises the errors of `overlay_of`."""
-        return overlay_of(self._archive.get(run))
+        return overlay_of(self._archive.explained(run))
 
     def tile(self, run: str, name: PictureName, reduction: int, box: Box, format: str) -> bytes:
         """Return a part of a mosaic that is reduced by a factor, as `jpg` or `png`.

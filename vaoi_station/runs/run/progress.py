@@ -13,7 +13,7 @@ from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.tables import RUN, RunState, RunStep
-from vaoi_station.runs.workers.jobs import CheckJob, Concluded, OpenRun, RunContext
+from vaoi_station.runs.workers.jobs import Concluded, ExplainJob, OpenRun, RunContext, WantedCheck
 from vaoi_station.runs.workers.run_stitcher import RunStitcher, Stitched
 from vaoi_station.stitching.matching.evidence import FrameKey
 
@@ -106,7 +106,13 @@ class Progress:
         for error in stitched.errors:
             self.add_fault(Reason.of(error))
 
-    def check_job(self) -> CheckJob | None:
+    def explain_job(self) -> ExplainJob | None:
+        """Return the job that completes the result, once the faults of the run are known; None without a result."""
+        if (stitch := self.stitch) is None:
+            return None
+        return ExplainJob(self.run, stitch.status, stitch.reasons, stitch.reason_codes, self._wanted_check())
+
+    def _wanted_check(self) -> WantedCheck | None:
         """Return the calibration check that follows the result; None if the run would give no evidence.
 
         A failed result gives none about the cameras: its board was not found, or is hardly in the picture. A single
@@ -117,7 +123,7 @@ class Progress:
             return None
         if self.stitch is None or self.stitch.status is Status.FAILED:
             return None
-        return CheckJob(self.run, utc(), self.order.filmed_digest, self.order.calibration_digest)
+        return WantedCheck(self.run, utc(), self.order.filmed_digest, self.order.calibration_digest)
 
     def add_fault(self, reason: Reason) -> None:
         """Add a fault to the reasons of the run, unless the same fault is present already."""

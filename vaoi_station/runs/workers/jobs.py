@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from numpy.typing import NDArray
 
 from vaoi_station.errors import InternalError, VaoiError
-from vaoi_station.model import RecordingHead, Stitch
+from vaoi_station.model import RecordingHead, Status, Stitch
 from vaoi_station.steps import Steps, completed
 from vaoi_station.stitching.matching.evidence import FrameKey, Task
 from vaoi_station.stitching.work import StitchSetup
@@ -104,8 +104,8 @@ class ConcludeJob(RunJob):
 
 
 @dataclass(frozen=True)
-class CheckJob:
-    """Check the calibration, in the worker that has concluded the run; the reply's value is a `RunCheck`."""
+class WantedCheck:
+    """A check of the calibration with a run, which gives a `RunCheck`."""
 
     run: str
     time: str
@@ -114,10 +114,27 @@ class CheckJob:
     """Digest of the run's board type."""
     calibration: str
     """Digest of the calibration that the run was stitched with."""
-    priority: ClassVar[Priority] = Priority.CHECK
 
     def __str__(self) -> str:
         return f"the calibration check of run {self.run}"
+
+
+@dataclass(frozen=True)
+class ExplainJob:
+    """Complete the result of a run with what only explains its verdict, in the worker that has concluded it.
+
+    The reply's value is an `Explained`. The verdict is that of the run's result, as its faults have left it.
+    """
+
+    run: str
+    status: Status
+    reasons: tuple[str, ...]
+    reason_codes: tuple[str, ...]
+    check: WantedCheck | None = None
+    priority: ClassVar[Priority] = Priority.CHECK
+
+    def __str__(self) -> str:
+        return f"the explanation of run {self.run}"
 
 
 @dataclass(frozen=True)
@@ -164,12 +181,12 @@ class SteppedJob(PictureJob):
         return completed(self.steps(frame))
 
 
-Job = LinkJob | ConcludeJob | CheckJob | PictureJob
+Job = LinkJob | ConcludeJob | ExplainJob | PictureJob
 
 
 @dataclass(frozen=True)
 class Concluded:
-    """The result of a run: the complete JSON document, and the part without components, which the station uses."""
+    """The result of a run: the JSON document, not explained yet, and its part without components for the station."""
 
     without_components: Stitch
     document: str
@@ -187,6 +204,14 @@ class Reply:
     def refused(cls, error: VaoiError) -> Reply:
         """Return the reply to a job that no worker performed."""
         return cls(None, error, 0.0)
+
+
+@dataclass(frozen=True)
+class Explained:
+    """The complete JSON document of a run's result, and the reply to the wanted check; None if none was wanted."""
+
+    document: str
+    check: Reply | None
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
 from vaoi_station.runs.workers.fork_server_link import RESTART_POLICY, ChildProcess
 from vaoi_station.runs.workers.jobs import (
-    CheckJob,
     ConcludeJob,
+    ExplainJob,
     Job,
     LinkJob,
     OpenRun,
@@ -67,7 +67,7 @@ class Queued:
     @property
     def repeatable(self) -> bool:
         """Whether another worker may perform the job while its worker is overdue."""
-        able = self.job.repeatable if isinstance(self.job, PictureJob) else not isinstance(self.job, CheckJob)
+        able = self.job.repeatable if isinstance(self.job, PictureJob) else not isinstance(self.job, ExplainJob)
         return able and not self.answered
 
 
@@ -310,7 +310,7 @@ class JobQueues:
         match job:
             case ConcludeJob():
                 return self.owner
-            case CheckJob():
+            case ExplainJob():
                 return self._concluded_by.get(job.run, self.owner)
             case SteppedJob():
                 # It goes on between the jobs of the next board, of which the owner takes no pictures.
@@ -331,7 +331,7 @@ class JobQueues:
                 # Another worker must read all evidence first: that is shorter than a picture or a check, but not than
                 # a link.
                 return away or longer
-            case CheckJob():
+            case ExplainJob():
                 return False
             case SteppedJob():
                 return not own.ready

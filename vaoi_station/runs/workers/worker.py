@@ -31,10 +31,11 @@ from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.runs.workers.evidence_log import EvidenceLog
 from vaoi_station.runs.workers.jobs import (
-    CheckJob,
     CloseRun,
     Concluded,
     ConcludeJob,
+    Explained,
+    ExplainJob,
     Job,
     LinkJob,
     Numbered,
@@ -45,9 +46,11 @@ from vaoi_station.runs.workers.jobs import (
     Reply,
     RunContext,
     SteppedJob,
+    WantedCheck,
     WorkerReady,
 )
 from vaoi_station.steps import Steps
+from vaoi_station.stitching.conclude import explained
 from vaoi_station.stitching.matching.evidence import Evidence, FrameKey, Task
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.work import TaskRunner
@@ -60,8 +63,8 @@ SLICE_S = 0.005
 """Time after which a stepped job is paused, s: about the time of a link, for which it may delay others."""
 GATHER_S = 0.02
 """Time between two looks at the other workers' logs while an owner has no job, s."""
-_CHECKABLE_RUNS = 2
-"""Number of concluded runs whose findings are kept for their checks."""
+_EXPLAINABLE_RUNS = 2
+"""Number of concluded runs whose findings are kept for their explanation and check."""
 
 
 def run_worker(connection: Connection[Any, Any], ring_path: str, index: int, logs: mmap.mmap, workers: int) -> None:
@@ -150,8 +153,8 @@ class WorkerRuntime:
                 return self._link(job)
             case ConcludeJob():
                 return self._conclude(job)
-            case CheckJob():
-                return self._check(job)
+            case ExplainJob():
+                return self._explain(job)
             case SteppedJob():
                 return self._step(number, job, job.steps(self._ring.frame))
             case _:
@@ -250,18 +253,27 @@ class WorkerRuntime:
                     opened.evidence[task] = opened.runner.perform(task)
             evidence = [opened.evidence[task] for task in job.tasks]
             times_s = job.head.motion_times_s()
-            return opened.runner.conclude_with_findings(times_s, tuple(job.slots), evidence, job.head.doubts)
+            return opened.runner.answer(times_s, tuple(job.slots), evidence, job.head.doubts)
 
         stitch, findings = self._guarded(job.context, conclude)
         self._concluded[job.run] = opened, findings, stitch, job.head
-        if len(self._concluded) > _CHECKABLE_RUNS:
+        if len(self._concluded) > _EXPLAINABLE_RUNS:
             self._concluded.popitem(last=False)
         return Concluded(without_components(stitch), stitch_text(stitch))
 
-    def _check(self, check: CheckJob) -> RunCheck:
-        if check.run not in self._concluded:
-            raise InternalError(f"{check} is not possible: the worker that concluded the run has ended.")
-        opened, findings, stitch, head = self._concluded.pop(check.run)
+    def _explain(self, job: ExplainJob) -> Explained:
+        if job.run not in self._concluded:
+            raise InternalError(f"{job} is not possible: the worker that concluded the run has ended.")
+        concluded = _, findings, stitch, _ = self._concluded.pop(job.run)
+        verdict = {"status": job.status, "reasons": job.reasons, "reason_codes": job.reason_codes}
+        document = stitch_text(explained(stitch, findings).model_copy(update=verdict))
+        if (wanted := job.check) is None:
+            return Explained(document, None)
+        return Explained(document, _reply_to(wanted, lambda: self._check(wanted, *concluded)))
+
+    def _check(
+        self, check: WantedCheck, opened: _OpenedRun, findings: Findings, stitch: Stitch, head: RecordingHead
+    ) -> RunCheck:
         board_type, context = opened.opening.setup.board_type, opened.opening.context
         try:
             lamps = self._guarded(context, lambda: measure_lamps(stitch, board_type, head, opened.frame))

@@ -20,6 +20,8 @@ from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import matrix_sigmas, row_covariances, surface_sigma_mm
 from vaoi_station.stitching.quality.verdict import rows_apart
 
+LATER = ("link_pairs", "unlinked", "component_covariance_px2", "heights_mm", "height_sigma_mm")
+"""Names of the entries that `explanation` returns."""
 AMBIGUOUS = "ambiguous"
 """Value of `quality.orientation` if the board turned by 180° would fit as well."""
 
