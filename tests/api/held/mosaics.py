@@ -32,7 +32,7 @@ class HeldMosaics(Mosaics):
         self.jobs: list[str] = []
         kept: dict[str, str] = {}
         store = SimpleNamespace(heights=kept.get, save_heights=kept.__setitem__)
-        archive: Any = SimpleNamespace(get=self._finished, store=store)
+        archive: Any = SimpleNamespace(get=self._finished, explained=self._finished, store=store)
         super().__init__(archive, self._held, self._perform)
         station.heights = MeasuredHeights(self._archive, self._held, self._render, self._bay, station)
         station.batches = BatchAccess(self._timed, self._held, lambda *_: None, self._perform, station.merged)

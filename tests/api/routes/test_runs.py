@@ -60,6 +60,13 @@ def test_finished_results_are_immutable_and_give_304(client: Any, station: Any) 
     assert client.get(address, headers={"if-none-match": '"other"'}).status_code == 200
 
 
+def test_a_result_that_is_not_complete_yet_is_asked_for_again(
+    client: Any, station: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station, "is_complete", lambda run: False)
+    assert client.get(f"{RUNS}/{station.film()}/matrices").headers["cache-control"] == "no-cache"
+
+
 def test_released_frames_are_gone_and_the_result_is_kept(client: Any, station: Any) -> None:
     run = station.film()
     assert client.post(f"{RUNS}/{run}/release").json()["frames_available"] is False

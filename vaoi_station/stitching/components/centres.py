@@ -83,10 +83,13 @@ def central_views(
     present = np.zeros((len(scene.cameras), len(motion.angle)), np.bool_)
     present[tuple(np.array(scene.present, np.int_).reshape(-1, 2).T)] = True
     use = np.flatnonzero(present[views.camera, views.row])
-    centre = np.array([camera.center_px for camera in scene.cameras])[views.camera[use]]
-    order = use[np.lexsort((np.hypot(*(views.px[use] - centre).T), views.point[use]))]
-    each = order[np.flatnonzero(np.diff(views.point[order], prepend=-1))]
-    best = each[np.unique(np.linspace(0, len(each) - 1, min(len(each), _MOST)).round().astype(np.int_))]
+    centre = np.array([camera.center_px for camera in scene.cameras])
+    # Views are ordered by component.
+    first = np.flatnonzero(np.diff(views.point[use], prepend=-1))
+    ends = np.append(first[1:], len(use))
+    chosen = np.unique(np.linspace(0, len(first) - 1, min(len(first), _MOST)).round().astype(np.int_)).tolist()
+    every = [use[first[n] : ends[n]] for n in chosen]
+    best = np.array([v[np.hypot(*(views.px[v] - centre[views.camera[v]]).T).argmin()] for v in every], np.int_)
     # frame by frame, so that each frame is fetched only once
     best = best[np.lexsort((views.row[best], views.camera[best]))]
     part, camera, row, px = views.point[best], views.camera[best], views.row[best], views.px[best]
@@ -262,7 +265,8 @@ def _fitted(
         free = len(board_mm) - float((1 - precision * variance).sum()) / 2
         length = np.hypot(*(off_mm - j @ solved).T)
         # 1.1774: median of the length of a normal error in the plane, in standard deviations per axis
-        seen2 = len(board_mm) * (float(np.median(length)) / 1.1774) ** 2
+        middle_one = np.sort(length)[[(len(length) - 1) // 2, len(length) // 2]].mean()
+        seen2 = len(board_mm) * (float(middle_one) / 1.1774) ** 2
         scatter = math.sqrt((seen2 + _SCATTER_WEIGHT * _SCATTER_MM**2) / (max(free, 0.0) + _SCATTER_WEIGHT))
         weight = _weights(length / scatter)
         # What the offsets of the kinds are, and what is not known of them, shows how large such offsets are.

@@ -275,7 +275,7 @@ class Findings:
         parts = placed_parts(b.plane, b.matrix, self.own_places.matrices)
         filmed = FilmedBoard(parts, self._frames)
         required = required_visibility(b.plane.board_type, self.visibility)
-        views = self._every_view if required else None
+        views = self._every_view if parts.addresses else None
         unseen = find_unseen(filmed, self.checked.confirmed, self.problem.velocity_mm_s, required, views)
         return tuple(part for part in unseen if part.address not in self.skipped_parts)
 

@@ -20,7 +20,14 @@ from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import matrix_sigmas, row_covariances, surface_sigma_mm
 from vaoi_station.stitching.quality.verdict import rows_apart
 
-LATER = ("link_pairs", "unlinked", "component_covariance_px2", "heights_mm", "height_sigma_mm")
+LATER = (
+    "link_pairs",
+    "row_covariance",
+    "matrix_sigma_px",
+    "component_covariance_px2",
+    "heights_mm",
+    "height_sigma_mm",
+)
 """Names of the entries that `explanation` returns."""
 AMBIGUOUS = "ambiguous"
 """Value of `quality.orientation` if the board turned by 180° would fit as well."""
@@ -51,11 +58,15 @@ def quality_document(f: Findings) -> dict[str, Any]:
 
 def explanation(f: Findings) -> dict[str, Any]:
     """Collect the entries of `quality` that only explain the verdict; none of them changes it."""
-    named = f.plane is not None and bool(f.plane.board_type.components)
+    named, a = f.plane is not None and bool(f.plane.board_type.components), f.adjusted
+    rows = row_covariances(a)
     return {
         "link_pairs": _link_pairs(f),
-        "unlinked": [
-            {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
+        # Variances are small, and fixed decimals would round them to zero: four significant digits.
+        "row_covariance": [[[float(f"{v:.4g}") for v in r] for r in c] for c in rows.tolist()],
+        "matrix_sigma_px": [
+            [pair if f.places(i, j) else None for j, pair in enumerate(camera)]
+            for i, camera in enumerate(np.round(matrix_sigmas(f.scene.cameras, a.motion.pivot, rows), 4).tolist())
         ],
         "component_covariance_px2": f.sigma.to_json() if named else {},
         "heights_mm": {address: _rounded(h.mm) for address, h in f.heights.items()},
@@ -77,6 +88,9 @@ def _links(f: Findings) -> dict[str, Any]:
         "links": {
             kind: {"found": int(mine.sum()), "used": int((mine & good).sum())} for kind, (mine, good) in counted.items()
         },
+        "unlinked": [
+            {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
+        ],
         "unplaced_rows": list(f.unplaced),
         "rows_apart": rows_apart(f),
         "residual_px": {
@@ -192,7 +206,7 @@ def _board(f: Findings) -> dict[str, Any]:
 
 
 def _uncertainties(f: Findings) -> dict[str, Any]:
-    a, sigma, rows = f.adjusted, f.sigma, row_covariances(f.adjusted)
+    a, sigma = f.adjusted, f.sigma
     named, surface_sigma = f.plane is not None and bool(f.plane.board_type.components), None
     if f.plane is not None and len(a.surface_mm):
         # the largest of those at the board's centre and corners
@@ -205,12 +219,6 @@ def _uncertainties(f: Findings) -> dict[str, Any]:
         # The views of a board without components are those of its corners, which must not be listed as components.
         "component_sigma_px": sigma.of_components if named and f.mapping else {},
         "pivot_mm": [_rounded(v) for v in a.motion.pivot.tolist()],
-        # Variances are small, and fixed decimals would round them to zero: four significant digits.
-        "row_covariance": [[[float(f"{v:.4g}") for v in r] for r in c] for c in rows.tolist()],
-        "matrix_sigma_px": [
-            [pair if f.places(i, j) else None for j, pair in enumerate(camera)]
-            for i, camera in enumerate(np.round(matrix_sigmas(f.scene.cameras, a.motion.pivot, rows), 4).tolist())
-        ],
         "surface_sigma_mm": surface_sigma,
     }
 

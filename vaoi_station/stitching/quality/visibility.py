@@ -6,7 +6,7 @@ rows before or after the filmed ones.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -108,33 +108,53 @@ class FilmedBoard(NamedTuple):
         return self._replace(frames=replace(self.frames, row_from_tester=np.concatenate([rows, more])))
 
 
-def required_visibility(board_type: BoardType, station: Visibility) -> tuple[Visibility, ...]:
-    """Return the visibility that is asked for, for each component of a board type, with all values filled in."""
+class RequiredVisibility(NamedTuple):
+    """The visibility that is asked for of the components of a board type, with all values filled in."""
+
+    general: Visibility
+    own: Mapping[int, Visibility]
+    """That of components that ask for something else, by number."""
+
+    def of(self, number: int) -> Visibility:
+        """Return the visibility that is asked for of one component."""
+        return self.own.get(number, self.general)
+
+    def limits(self, components: int) -> Floats:
+        """Return the least share, number of views, and whether in one frame (n, 3), of all components."""
+        out = np.tile(_limits(self.general), (components, 1))
+        for number, asked in self.own.items():
+            out[number] = _limits(asked)
+        return out
+
+
+def _limits(asked: Visibility) -> Floats:
+    return np.array([asked.coverage, asked.views, asked.in_one_frame], np.float64)
+
+
+def required_visibility(board_type: BoardType, station: Visibility) -> RequiredVisibility:
+    """Return the visibility that is asked for of the components of a board type."""
     general = (board_type.visibility or Visibility()).over(station).over(VISIBILITY)
-    return tuple(general if c.visibility is None else c.visibility.over(general) for c in board_type.components)
+    own = {n: c.visibility.over(general) for n, c in enumerate(board_type.components) if c.visibility is not None}
+    return RequiredVisibility(general, own)
 
 
 def find_unseen(
     board: FilmedBoard,
     confirmed: Collection[FrameKey],
     velocity_mm_s: Floats,
-    required: Sequence[Visibility],
+    required: RequiredVisibility,
     views: FootprintViews | None = None,
 ) -> tuple[UnseenComponent, ...]:
     """Find the components of which the frames show less than is `required` of each, in the board type's order.
 
     `views` are those of their centres, as far as known: a component far from the border of a frame is seen wholly.
     """
-    # Most components ask for the same.
-    kinds = {id(r): r for r in required}
-    number = {kind: n for n, kind in enumerate(kinds)}
-    limits = np.array([(r.coverage, r.views, r.in_one_frame) for r in kinds.values()], np.float64).reshape(-1, 3)
-    asked = limits[np.array([number[id(r)] for r in required], np.int_)]
+    asked = required.limits(len(board.parts.addresses))
 
     def met(c: Coverage, asked: Floats) -> NDArray[np.bool_]:
         return (c.share >= asked[:, 0] - _SLACK) & (c.views >= asked[:, 1]) & (c.in_one_frame >= asked[:, 2])
 
-    at, counted = np.arange(len(required)), bool(asked[:, 1].any())
+    at, counted = np.arange(len(asked)), bool(asked[:, 1].any())
     if views is not None and not counted:
         at = np.flatnonzero(~board.seen_wholly(confirmed, views))
     # Counting all views takes most of the time, and few board types ask for a number of views.
@@ -160,7 +180,7 @@ def find_unseen(
         if len(left):
             explain(cause, few._replace(parts=few.parts.take(left)).with_more_rows(way, velocity_mm_s).complete())
     shown = few.parts.addresses, seen.share.tolist(), seen.views.tolist(), seen.in_one_frame.tolist()
-    each = zip(*shown, (required[k] for k in at.tolist()), causes.tolist(), strict=True)
+    each = zip(*shown, map(required.of, at.tolist()), causes.tolist(), strict=True)
     return tuple(UnseenComponent(*one) for one in each)
 
 
