@@ -42,9 +42,8 @@ class NormalEquations(NamedTuple):
         number of unknowns that are coupled to all rows.
         """
         rows = np.arange(len(furthest))
-        lowest = rows.copy()
-        for row, last in enumerate(furthest.tolist()):
-            lowest[row : last + 1] = np.minimum(lowest[row : last + 1], row)
+        # the first row of which an observation reaches as far as each row
+        lowest = np.searchsorted(np.maximum.accumulate(furthest), rows)
         first = np.append(np.repeat(3 * lowest, 3), np.zeros(others, dtype=np.int_))
         lengths = np.arange(1, len(first) + 1) - first
         at = np.cumsum(lengths) - lengths - first

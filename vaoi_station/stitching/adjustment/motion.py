@@ -179,21 +179,23 @@ def belt_equations(
     Returns:
         Columns (m − 1, 6) of the unknowns, coefficients (m − 1, 3, 6), constant terms (m − 1, 3).
     """
-    m, dt, steps_mm = len(motion.angle), np.diff(times_s), -np.diff(motion.shift, axis=0)
+    m, dt, steps_mm = len(motion.angle), times_s[1:] - times_s[:-1], motion.shift[:-1] - motion.shift[1:]
     # Weighted mean of the measured steps and of the nominal speed, each with its own variance.
     prior = STEP_TOLERANCE**2 / SPEED_TOLERANCE**2
     velocity = ((steps_mm[linked] / dt[linked, None]).sum(0) + prior * velocity_mm_s) / (linked.sum() + prior)
     speed = max(float(np.hypot(*velocity)), 1e-9)
     along = velocity / speed
     expected_mm = np.abs(dt) * speed
-    sigma = np.stack([STEP_TOLERANCE * expected_mm + 0.01, np.full(m - 1, SWAY_MM), np.full(m - 1, YAW_RAD)], -1)
+    sigma, residual = np.empty((m - 1, 3)), np.empty((m - 1, 3))
+    sigma[:, 0], sigma[:, 1], sigma[:, 2] = STEP_TOLERANCE * expected_mm + 0.01, SWAY_MM, YAW_RAD
     frame = np.array([along, (-along[1], along[0])])
-    residual = np.concatenate([(dt[:, None] * velocity - steps_mm) @ frame.T, np.diff(motion.angle)[:, None]], 1)
+    residual[:, :2] = (dt[:, None] * velocity - steps_mm) @ frame.T
+    residual[:, 2] = motion.angle[1:] - motion.angle[:-1]
     irregular = linked & (np.abs(residual[:, 0]) > SLIP_SHARE * expected_mm + PLAY_MM)
     if irregular.any():
         residual[irregular, 0] = 0.0
         sigma[~linked, 0] = _UNKNOWN_SHARE * expected_mm[~linked] + PLAY_MM
-    step = np.zeros((3, 3))
-    step[:2, 1:], step[2, 0] = frame, 1
-    both = np.concatenate([-step, step], 1)
+    both = np.zeros((3, 6))
+    both[:2, 4:], both[2, 3] = frame, 1
+    both[:, :3] = -both[:, 3:]
     return 3 * np.arange(m - 1)[:, None] + np.arange(6), both / sigma[:, :, None], residual / sigma

@@ -76,22 +76,20 @@ class Observations:
 
     def select(self, at: Ints) -> Observations:
         """Return the links with these indices, in this order."""
-        return Observations(**{n: v[at] for n, v in self.arrays._asdict().items()}, groups=self.groups)
+        # `take` copies whole entries, which indexing does number by number
+        return Observations(**{n: v.take(at, axis=0) for n, v in self.arrays._asdict().items()}, groups=self.groups)
 
     @property
     def seam(self) -> Ints:
         """(k,) of each link between two cameras the lower of their numbers; −1 for links from row to row."""
         return np.where(self.camera_a != self.camera_b, self.camera_a, -1)
 
-    def inverse_noise(self, at: Ints, floor_px: float) -> Floats:
-        """Return the inverse (k, 2, 2) of the noise of the links `at` (k,), mm⁻², with a scatter added per axis."""
-        floor_mm2 = (floor_px / self.px_per_mm[at]) ** 2
-        return np.asarray(np.linalg.inv(self.noise_mm2[at] + floor_mm2[:, None, None] * np.eye(2)))
-
     def median_noise_px(self, at: Ints) -> float:
         """Return the median standard deviation per axis, px, that image noise causes in the links `at`; 0 without."""
-        sigma_mm = np.sqrt(np.trace(self.noise_mm2[at], axis1=1, axis2=2) / 2)
-        return float(np.median(sigma_mm * self.px_per_mm[at])) if len(at) else 0.0
+        if not len(at):
+            return 0.0
+        variance_mm2 = (self.noise_mm2[at, 0, 0] + self.noise_mm2[at, 1, 1]) / 2
+        return float(np.median(np.sqrt(variance_mm2) * self.px_per_mm[at]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -436,21 +434,23 @@ class AdjustmentResult:
         With the residual r that the link has on the surface, the change l of r per mm of height, and the inverse W of
         the covariance of r, it is h = −(l·W·r) / (l·W·l), with variance 1 / (l·W·l).
         """
-        o, motion, surface = self.problem.links, self.motion, self.problem.surface
-        on_surface = surface.at_links[at] @ self.surface_mm if surface else np.zeros(len(at))
-        lean = motion.turned(o.p[at], o.a_lean[at])
-        change = motion.turned(o.q[at], o.b_lean[at]) - lean
-        first = motion.board(o.p[at], o.a_mm[at])
-        apart = motion.board(o.q[at], o.b_mm[at]) - first + change * on_surface[:, None]
-        weight = o.inverse_noise(at, max(self.floor_px, least_floor_px))
-        weighted = (weight @ change[:, :, None])[:, :, 0]
+        o, motion, surface = self.problem.links.select(at), self.motion, self.problem.surface
+        on_surface = surface.at_links.take(at, axis=0) @ self.surface_mm if surface else np.zeros(len(at))
+        lean, first = motion.turned(o.p, o.a_lean), motion.board(o.p, o.a_mm)
+        change = motion.turned(o.q, o.b_lean) - lean
+        (x, y), (lx, ly) = (motion.board(o.q, o.b_mm) - first + change * on_surface[:, None]).T, change.T
+        floor_mm2 = (max(self.floor_px, least_floor_px) / o.px_per_mm) ** 2
+        # the covariance of r
+        a, b, d = o.noise_mm2[:, 0, 0] + floor_mm2, o.noise_mm2[:, 0, 1], o.noise_mm2[:, 1, 1] + floor_mm2
+        determinant = a * d - b * b
+        wx, wy = (d * lx - b * ly) / determinant, (a * ly - b * lx) / determinant
         # If both frames see the point under the same angle, l is almost 0, and the standard deviation large.
-        information = np.maximum((change * weighted).sum(1), 1e-12)
-        mm = -(weighted * apart).sum(1) / information
-        rest = apart + change * mm[:, None]
-        aside = np.sqrt(np.maximum((rest * (weight @ rest[:, :, None])[:, :, 0]).sum(1), 0.0))
+        information = np.maximum(lx * wx + ly * wy, 1e-12)
+        mm = -(wx * x + wy * y) / information
+        x, y = x + lx * mm, y + ly * mm
+        aside = np.sqrt(np.maximum((d * x * x - 2 * b * x * y + a * y * y) / determinant, 0.0))
         place = first + lean * (on_surface + mm)[:, None]
-        return LinkHeights(mm, 1 / np.sqrt(information), aside, place, np.hypot(*change.T))
+        return LinkHeights(mm, 1 / np.sqrt(information), aside, place, np.hypot(lx, ly))
 
 
 SIGMA_MM = np.array([1.0, 0.08, 0.08, 0.3, 0.1, 0.3])

@@ -37,7 +37,7 @@ from vaoi_station.stitching.adjustment.solver import adjust
 from vaoi_station.stitching.matching.evidence import Detections, Links, Task
 
 _LEAST_LINKS = 3  # least number of links that connect two rows
-_ROUNDS, _KNEE = 3, 2.0
+_ROUNDS, _KNEE = 2, 2.0
 """How often the motion is estimated from all steps, and from how many standard deviations on a step loses weight."""
 _COMMON_PX, _COMMON_SHARE, _LIGHTS_PX = 0.02, 0.25, 0.3
 """Error that the links of a step have in common: generally, as a share of their scatter, and between two lights.
