@@ -18,7 +18,7 @@ from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.simulated import SimulatedBoard
 from vaoi_station.errors import DeviceError
 from vaoi_station.rig.faults import parse_fault, with_belt_faults
-from vaoi_station.rig.rendering import FrameRenderer, FrameRequest, RenderedBoard, render_boards
+from vaoi_station.rig.rendering import RenderedBoard, render_boards
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 
 
@@ -83,19 +83,3 @@ def files_of_at_most(size_bytes: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-@pytest.fixture
-def renderer(small: Scenario, tmp_path: Path) -> Iterator[FrameRenderer]:
-    room = FrameRenderer(small, tmp_path / "late")
-    yield room
-    room.close()
-
-
-def test_a_frame_on_demand_equals_the_rendered_one(renderer: FrameRenderer, boards: tuple[RenderedBoard, ...]) -> None:
-    metadata = boards[1].metadata
-    path = renderer.render(FrameRequest(1, metadata.pulses_s[2], "ring", 2))
-    assert np.array_equal(np.fromfile(path, np.uint8), boards[1].map_frames()[2].reshape(-1))
-    other = renderer.render(FrameRequest(1, metadata.pulses_s[2] + 0.001, "ring", 2))
-    assert other != path
-    assert not np.array_equal(np.fromfile(other, np.uint8), boards[1].map_frames()[2].reshape(-1))

@@ -6,10 +6,8 @@ import json
 import math
 import os
 import re
-import signal
 import subprocess
 import sys
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,6 @@ from tests.needs import need
 from tests.processes import ends_within
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.report import DemoReport
-from vaoi_station.simulation import scenario_path
 
 ROOT = Path(__file__).parents[2]
 TIMEOUT_S = 120.0
@@ -92,26 +89,6 @@ def check_pictures(report: DemoReport, out: Path) -> None:
     sheet = cv2.imread(str(out / "contact-sheet.png"))
     assert sheet is not None
     assert sheet.shape[1] > 1000
-
-
-def test_board_turned_by_180_degrees_fails_with_the_reason(start: Start, tmp_path: Path) -> None:
-    scenario = tmp_path / "turned.toml"
-    scenario.write_text(scenario_path("small").read_text() + "\n[[faults.turned]]\nturned_deg = 180\n")
-    process = start("--scenario", str(scenario), "--once", "--out", str(tmp_path / "out"))
-    output, errors = process.communicate(timeout=TIMEOUT_S)
-    assert process.returncode == 1, errors
-    assert "FAILED" in output
-    assert re.search(r"^  - .*180", output, re.MULTILINE), output
-    assert (tmp_path / "out" / "contact-sheet.png").is_file()
-
-
-def test_boards_keep_coming_until_the_demo_is_interrupted(start: Start, tmp_path: Path) -> None:
-    process = start("--scenario", "small", "--port", "0")
-    address, processes = until_board(process, 1)
-    with urllib.request.urlopen(address + "/") as page:
-        assert b"<html" in page.read()
-    process.send_signal(signal.SIGINT)
-    check_end(process, processes, tmp_path)
 
 
 def check_end(process: subprocess.Popen[str], processes: list[int], tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ import pytest
 from tests.needs import need_aravis, need_emulator
 from tests.processes import ends_within
 from vaoi_station.config import read_config
-from vaoi_station.files import open_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIOS = ROOT / "vaoi_station" / "simulation" / "scenarios"
@@ -60,10 +59,10 @@ def affected(board: dict[str, Any]) -> set[tuple[int, int]]:
 
 def test_every_frame_of_three_cameras_is_in_its_proven_row(tmp_path: Path, films: Path) -> None:
     """An overlap of 32 px has no room for a patch; it must not be reported as the drift of a camera."""
-    code, report, output = rig_run(tmp_path, films, "--scenario", "small", "--cameras", "3", "--boards", "2")
+    code, report, output = rig_run(tmp_path, films, "--scenario", "small", "--cameras", "3", "--boards", "1")
     assert (code, report["ok"], report["failings"]) == (0, True, []), output
     assert report["cameras"] == 3
-    assert [board["status"] for board in report["boards"]] == ["ok", "ok"]
+    assert [board["status"] for board in report["boards"]] == ["ok"]
     for board in report["boards"]:
         assert board["ok"] == board["proven"] == 3 * board["rows_due"] > 0
         assert board["pulse_off_us"] < 1.0
@@ -150,26 +149,3 @@ def test_configuration_of_a_rig_has_addresses_of_devices_only(tmp_path: Path, fi
     assert (config.controller.backend, config.controller.port) == ("serial", str(out / "trigger"))
     assert (config.simulation, config.replay) == (None, None)
     assert f"vaoi serve --config {out / 'station.toml'}" in "".join(output)
-
-
-def test_first_picture_of_the_calibration_board_is_complete(tmp_path: Path) -> None:
-    """Record with the command line that the rig prints, in its network namespace."""
-    need_all()
-    command = [sys.executable, "-m", "vaoi_station", "rig", "up", "--out", str(tmp_path / "rig"), "--own-network"]
-    command += ["--scenario", "small", "--different", "1", "--still"]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            lines: list[str] = []
-            while not (lines and "No board passes" in lines[-1]):
-                lines.append(process.stdout.readline())
-                assert lines[-1], lines
-            [start] = [line for line in lines if line.startswith("Start the station: ")]
-            entrance = start.removeprefix("Start the station: ").split(" vaoi serve ")[0].split()
-            record = [*entrance, sys.executable, "-m", "vaoi_station", "record", "--still"]
-            record += ["--config", str(tmp_path / "rig" / "station.toml"), "--out", str(tmp_path / "still")]
-            done = subprocess.run(record, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
-        finally:
-            process.send_signal(signal.SIGINT)
-    assert (done.returncode, process.returncode) == (0, 0), done.stdout + done.stderr
-    assert open_recording(tmp_path / "still").head.missing == ()

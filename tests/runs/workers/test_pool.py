@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import os
 import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.runs.workers.conftest import CHECK, RingBoard
-from tests.runs.workers.plant import BoardPlant, Pending, Plant, conclusion, numbers
+from tests.runs.workers.plant import BoardPlant, Plant, conclusion, numbers
 from tests.runs.workers.served import few_files
 from vaoi_station.errors import InternalError, StateError
 from vaoi_station.runs.workers import fork_server_link
 from vaoi_station.runs.workers import pool as module
-from vaoi_station.runs.workers import queues as queues_module
-from vaoi_station.runs.workers.jobs import Explained, Priority, SteppedJob
-from vaoi_station.steps import Steps
+from vaoi_station.runs.workers.jobs import Explained
 
 
 def test_jobs_of_a_killed_worker_are_repeated(plant: Plant) -> None:
@@ -110,56 +106,6 @@ def test_stopping_reports_every_job_and_leaves_no_process(tmp_path: Path) -> Non
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     assert isinstance(plant.submit(plant.link()).get().error, StateError)
     plant.close()
-
-
-@dataclasses.dataclass(frozen=True)
-class Walk(SteppedJob):
-    """A job whose steps end when the first pixel of slot 0 is 1; the reply's value is its process."""
-
-    def steps(self, frame: Callable[[int], Any]) -> Steps[int]:
-        while frame(0)[0, 0] != 1:
-            yield
-        return os.getpid()
-
-
-@pytest.fixture
-def walk(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pending]:
-    """A job under way in the first worker: the other one, which concludes, takes no pictures while a run is open."""
-    # Before its first step the worker imports this module, which may take seconds.
-    monkeypatch.setitem(queues_module.OVERDUE_S, Priority.RENDER, 60.0)
-    plant.all_idle()
-    plant.ring.frame(0)[0, 0] = 0
-    pending = plant.submit(Walk("r1", 0, plant.generation))
-    plant.until(lambda: "a picture of run r1" in plant.pool.status()[0].doing)
-    yield pending
-    plant.ring.frame(0)[0, 0] = 1
-    pending.get()
-
-
-@dataclasses.dataclass(frozen=True)
-class Spare(Walk):
-    """A job in spare time; those of the run "soon" end at once."""
-
-    priority: Priority = dataclasses.field(default=Priority.HEIGHTS, kw_only=True)
-
-    def steps(self, frame: Callable[[int], Any]) -> Steps[int]:
-        if self.run != "soon":
-            return (yield from super().steps(frame))
-        return os.getpid()
-
-
-def test_a_job_in_spare_time_that_a_caller_waits_for_overtakes_others(plant: Plant, walk: Pending) -> None:
-    """Without it the one that began first goes on until its end."""
-    plant.ring.frame(0)[0, 0] = 1
-    walk.get()
-    plant.ring.frame(0)[0, 0] = 0
-    first = plant.submit(Spare("r0", 0, plant.generation))
-    soon = plant.submit(Spare("soon", 0, plant.generation))
-    with plant.pool.hastened(Spare, "soon"):
-        assert soon.get().value == plant.pid(0)
-    assert not first.answers
-    plant.ring.frame(0)[0, 0] = 1
-    assert first.get().value == plant.pid(0)
 
 
 def test_the_job_of_a_worker_that_hangs_is_repeated_at_once(plant: Plant) -> None:
