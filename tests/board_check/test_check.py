@@ -10,13 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.board_check.conftest import ALL, MIDDLE, drawn_board, drawn_run, moved
-from vaoi_station.board_check import check
 from vaoi_station.board_check.check import (
     ABSENT,
     FOUND,
     STATED,
     check_board,
-    checked_board_type,
     distances_of_marks,
     picture_of_check,
 )
@@ -75,18 +73,6 @@ def test_wrong_data_are_corrected_to_the_truth(
     assert np.abs(off).max() < 0.05
 
 
-def test_components_of_another_revision_are_named(run: CheckedRun, board: BoardType) -> None:
-    bare = [(6.0 + 2.3 * n, 1.2) for n in range(12)]
-    parts = list(board.components)
-    for n, place in enumerate(bare):
-        parts[n] = parts[n].model_copy(update={"center": place, "width": 1.6, "height": 0.8})
-    report = check_board(run, board.model_copy(update={"components": tuple(parts)}))
-    there = {f"U{n + 1}" for n in range(12, 40)}
-    assert len({entry.ref for entry in report.unlikely} & there) <= 2
-    assert len({entry.ref for entry in report.unlikely} - there) >= 5, "half of absent components are expected"
-    assert "components-missing" in codes(report)
-
-
 def test_data_of_another_board_are_not_found(run: CheckedRun) -> None:
     report = check_board(run, drawn_board(seed=9))
     assert codes(report) == ["not-found"]
@@ -112,29 +98,11 @@ def test_c_of_the_run_decides_if_a_layout_is_symmetric() -> None:
     assert codes(check_board(lost, board)) == ["not-found"]
 
 
-def test_a_run_without_c_gives_the_place_but_no_residual(
-    run: CheckedRun, board: BoardType, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(check, "_UNKNOWN_RAD", np.radians([-0.5, 0.0, 0.5]))
-    lost = replace(run, stitch=run.stitch.model_copy(update={"cad_matrix": None}), board_type=None)
-    report = check_board(lost, board)
-    assert codes(report) == ["no-cad-mapping"]
-    assert report.residual is None
-    np.testing.assert_allclose(np.array(report.tester_from_cad), np.array(run.stitch.cad_matrix), atol=0.06)
-
-
 def test_too_few_components_and_a_wrong_unit_are_refused(run: CheckedRun, board: BoardType) -> None:
     with pytest.raises(InputError, match=r"2 entries.*at least 3"):
         check_board(run, board.model_copy(update={"components": board.components[:2]}))
     with pytest.raises(InputError, match="Check the unit of the data, 'inch'"):
         check_board(run, board.model_copy(update={"unit": "inch"}))
-
-
-def test_a_check_has_a_picture_and_no_correction_where_nothing_is_wrong(run: CheckedRun, board: BoardType) -> None:
-    checked = checked_board_type(run, board)
-    assert checked.report.board_type == "drawn"
-    assert checked.corrected is None
-    assert checked.picture.shape[2] == 3
 
 
 def test_a_mark_is_measured_where_it_is_and_missed_where_it_is_not(run: CheckedRun, board: BoardType) -> None:

@@ -13,14 +13,6 @@ from vaoi_station.geometry import apply
 from vaoi_station.model import BoardType
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_a_move_is_found_again_in_its_matrix(mirrored: bool) -> None:
-    move = Move(mirrored, -37.0, 1.02, (3.0, 4.0), (5.0, -6.0))
-    found = Move.of(move.matrix, np.array(move.middle_mm))
-    assert found.mirrored == mirrored
-    assert (found.degrees, found.scale, *found.shift_mm) == pytest.approx((-37.0, 1.02, 5.0, -6.0))
-
-
 def test_what_is_within_the_noise_is_no_part_of_a_correction() -> None:
     move = Move(False, 90.02, 1.0004, (0.0, 0.0), (1.0, 0.0))
     assert move.snapped(0.01, 0.0002) == Move(False, 90.0, 1.0, (0.0, 0.0), (1.0, 0.0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.board_check.overview import CheckedRun
-from vaoi_station.board_check.pose_search import BodyEdges, edge_strengths, find_poses, refine_pose, shares_weaker
+from vaoi_station.board_check.pose_search import BodyEdges, edge_strengths, find_poses, refine_pose
 from vaoi_station.model import BoardType
 
 
@@ -37,15 +37,3 @@ def test_a_board_of_a_thousand_components_is_sampled(run: CheckedRun, board: Boa
     many = edge_strengths(run.overview, strength, BodyEdges(*arrays), c)
     assert few.max() > 0
     np.testing.assert_array_equal(many, np.tile(few, times))
-
-
-def test_components_that_are_there_have_stronger_edges_than_other_places(run: CheckedRun, board: BoardType) -> None:
-    c = np.array(run.stitch.cad_matrix)
-    parts = list(board.components)
-    parts[0] = parts[0].model_copy(update={"center": (70.0, 18.0)})
-    parts[1] = parts[1].model_copy(update={"center": (25.0, 1.0), "width": 1.0, "height": 0.6, "rotation": 0.0})
-    shares = shares_weaker(run.overview, BodyEdges.of(board.model_copy(update={"components": tuple(parts)})), c)
-    assert np.isnan(shares[0]), "beyond the picture"
-    assert shares[1] < 0.8
-    assert np.median(shares[2:]) > 0.9
-    assert (shares[2:] > 0.5).mean() > 0.9

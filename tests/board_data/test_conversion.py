@@ -69,20 +69,6 @@ def test_fiducials_by_file_by_name_and_explicit_ones() -> None:
     assert [f.name for f in explicit.fiducials] == ["G1", "A1"]
 
 
-def test_missing_fiducials_and_outline_are_said() -> None:
-    without = design(part("R1"), outline=())
-    board, notes = to_board_type(without, "top")
-    assert not board.outline
-    assert any("0 fiducials found on the top; two are needed" in note for note in notes)
-    assert any("has no outline" in note for note in notes)
-
-
-def test_an_outline_that_crosses_itself_becomes_a_rectangle() -> None:
-    board, notes = to_board_type(design(part("R1"), outline=((0, 0), (50, 40), (50, 0), (0, 40))), "top")
-    assert list(board.outline or ()) == [(0.0, 0.0), (50.0, 40.0)]
-    assert any("its bounding rectangle is used" in note for note in notes)
-
-
 def test_parts_outside_fiducials_outside_and_unfitted_parts() -> None:
     parts = (part("R1", origin=(90.0, 10.0)), part("C1", fitted=False), part("C2", size_from="guess"))
     board, notes = to_board_type(design(*parts), "top")
@@ -101,11 +87,6 @@ def test_cut_outs_that_leave_the_outline_or_exceed_the_limit_are_left_out(monkey
     monkeypatch.setattr(conversion, "MOST_CUT_OUT_CORNERS", 6)
     smaller = tuple((x / 2, y / 2) for x, y in hole)
     assert to_board_type(design(part("R1"), cut_outs=(smaller, hole)), "top")[0].cut_outs == (hole,)
-
-
-def test_a_limit_of_board_types_is_a_refusal() -> None:
-    with pytest.raises(InputError, match=r"design 'd' makes no board type: .*component 'R1' is at \(20000, 10\)"):
-        to_board_type(design(part("R1", origin=(20_000.0, 10.0))), "top")
 
 
 A, D, R = "parts-alternative", "parts-doubled", "designators-repeated"

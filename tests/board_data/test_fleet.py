@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.board_data import fleet as module
-from tests.board_data.fleet import FOLDER, Fleet, files_in
+from tests.board_data.fleet import Fleet, files_in
 from tests.board_data.readers import samples
 
 BOARD = """(kicad_pcb (version 20240108) (generator "x")
@@ -38,13 +38,6 @@ def test_each_file_has_an_outcome_and_refusals_are_classified(tmp_path: Path, mo
     monkeypatch.setattr(module, "read_design", broken)
     assert fleet.add("KiCad", tmp_path / "board.kicad_pcb") == "crash"
     assert any(line.startswith("1 × CRASH: IndexError") for line in fleet.lines())
-
-
-def test_a_folder_of_a_design_is_one_file(tmp_path: Path) -> None:
-    (tmp_path / "odb" / "matrix").mkdir(parents=True)
-    for inner in ("odb/matrix/matrix", "odb/inner.zip", "outer.zip", "notes.txt"):
-        (tmp_path / inner).write_text("x")
-    assert list(files_in(tmp_path)) == [(FOLDER, tmp_path / "odb"), ("ODB++", tmp_path / "outer.zip")]
 
 
 def test_pins_that_fit_are_counted_for_each_side(tmp_path: Path) -> None:

@@ -60,10 +60,3 @@ def test_contours_of_several_boards_or_amid_fiducials_are_no_cut_outs(
     assert corners(board) == ((-20, -20), (80, 60))
     assert not board.cut_outs
     assert "boards-in-outline" in [note.code for note in design.notes]
-
-
-def test_a_part_over_a_slot_is_named_and_the_slot_stays(tmp_path: Path) -> None:
-    parts = {"U1": (35.0, 32.0), "R1": (10.0, 10.0), "R2": (20.0, 10.0)}
-    design, board = imported(tmp_path, [BOARD, SLOT], parts)
-    assert len(board.cut_outs or ()) == 1
-    assert [note.values["names"] for note in design.notes if note.code == "parts-in-cut-outs"] == ["U1"]

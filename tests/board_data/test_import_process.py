@@ -8,10 +8,8 @@ from tests.board_data.readers import samples
 from vaoi_station.board_data import import_process
 from vaoi_station.board_data.import_process import (
     ImportLimits,
-    ImportReply,
     ImportTask,
     import_limited,
-    reply_text,
     run_import,
 )
 from vaoi_station.errors import InputError
@@ -25,14 +23,6 @@ def test_the_reply_has_board_type_overview_and_picture(tmp_path: Path) -> None:
     assert reply.overview is not None
     assert reply.overview.name == BoardType.model_validate_json(reply.board_type).name == "p"
     assert reply.picture.startswith("<svg")
-
-
-def test_refusals_and_limits_of_board_types_are_sentences(tmp_path: Path) -> None:
-    file = tmp_path / "b.csv"
-    file.write_text("Ref,X(mm),Y(mm)\nR1,20000,1\nR2,1,1\n")
-    refusal = run_import(ImportTask(file=file)).refusal
-    assert "makes no board type: Value error, component 'R1' is at (20000, 1) mm" in refusal
-    assert "No such file" in run_import(ImportTask(file=tmp_path / "none")).refusal
 
 
 @pytest.mark.parametrize("name", ["", "a/b", ".a", "a\\b", "a\n", "n" * 81])
@@ -51,16 +41,6 @@ def test_an_error_that_no_reader_foresees_is_a_refusal(tmp_path: Path, monkeypat
     monkeypatch.setattr(import_process, "read_design", fail)
     reply = run_import(ImportTask(file=tmp_path / "b"))
     assert "b: is damaged, or not as its format demands (ZeroDivisionError)." in reply.refusal
-
-
-def test_a_reply_that_is_too_long_is_a_refusal(tmp_path: Path) -> None:
-    file = tmp_path / "b.kicad_pcb"
-    file.write_text(samples.KICAD)
-    assert ImportReply.model_validate_json(reply_text(ImportTask(file=file), ImportLimits())).picture
-    reply = ImportReply.model_validate_json(reply_text(ImportTask(file=file), ImportLimits(most_reply=100)))
-    assert "million characters, the limit is" in reply.refusal
-    assert "by `vaoi import`, whose limits are larger" in reply.action
-    assert not reply.picture
 
 
 def test_a_file_is_imported_in_a_process_of_its_own(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import XY, Box, Design, Part, normalised, rotated
 from vaoi_station.board_data.joining import join_designs
 from vaoi_station.errors import InputError
-from vaoi_station.model.reason import Note
 
 BODY = Box((0.0, -1.0), (4.0, 1.0))
 PLACES: dict[str, XY] = {"U1": (5, 5), "U2": (20, 8), "U3": (33, 30), "U4": (8, 27), "R1": (26, 19)}
@@ -49,14 +48,6 @@ def test_places_stay_and_bodies_outline_and_marks_follow(degrees: float) -> None
     assert math.dist(found.outline[2], (x + 3, y - 7)) < 1e-9
     board, _ = to_board_type(found, "top")
     assert [(f.name, f.diameter, f.found_by) for f in board.fiducials] == [("FID1", 1.2, "package")]
-
-
-def test_places_of_bodies_are_recognised() -> None:
-    found = join_designs(places(of_body=True), bodies(), "top")
-    u1 = found.parts[0]
-    assert u1.origin == u1.center
-    assert u1.origin == pytest.approx((7, 5))
-    assert any("the second's centres of bodies" in note for note in found.notes)
 
 
 def test_a_side_that_the_placer_mirrors_is_mirrored_back() -> None:
@@ -103,13 +94,6 @@ def test_conflicts_are_listed_and_the_places_of_the_first_file_are_kept() -> Non
 def test_files_that_do_not_fit_are_refused(first: Design, message: str) -> None:
     with pytest.raises(InputError, match=message):
         join_designs(first, bodies(), "top")
-
-
-def test_designators_that_repeat_on_a_side_are_left_out_and_named() -> None:
-    twice = (Part("U1", "top", (1.0, 1.0), 0.0), Part("U2", "bottom", (1.0, 1.0), 0.0))
-    found = join_designs(replace(places(), parts=(*places().parts, *twice)), bodies(), "top")
-    assert [p.ref for p in found.parts] == ["U2", "U3", "U4", "R1"]
-    assert "designators that occur more than once in the first file were left out: U1." in found.notes
 
 
 def test_of_two_parts_of_the_second_file_with_one_designator_the_fitted_one_gives_the_body() -> None:
@@ -175,18 +159,6 @@ def test_a_part_with_a_wrong_angle_gets_that_of_its_pads_and_is_named(name: str,
         assert part.center == pytest.approx(cad.center)
     (note,) = [n for n in found.notes if n.code == "rotations-differ"]
     assert note.values["names"].startswith("U5 (")
-
-
-def test_a_file_that_states_no_angles_proves_none() -> None:
-    """The generator of InteractiveHtmlBom for Altium draws boxes along the axes, at angle 0."""
-    cad = [replace(p, rotation=180.0 if n % 4 else 90.0) for n, p in enumerate(many().parts)]
-    second = tuple(replace(p, rotation=0.0) for p in cad)
-    first = tuple(replace(p, box=None, size_from="guess") for p in cad)
-    bodies_only = Design("bom", "html-bom", second, notes=(Note("angles-not-stated", "none"),))
-    found = join_designs(Design("placer", "centroid", first), bodies_only, "bottom")
-    assert [p.rotation for p in found.parts] == [p.rotation for p in cad]
-    for part, axis_parallel in zip(found.parts, second, strict=True):
-        assert part.center == pytest.approx(axis_parallel.center)
 
 
 @settings(max_examples=40, deadline=None)

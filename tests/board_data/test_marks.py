@@ -36,27 +36,12 @@ def test_names_state_the_kind(text: str, kind: str) -> None:
     assert kind_by_name(text) == kind
 
 
-def test_parts_of_other_names_are_no_marks() -> None:
-    assert not found(part("R1", (1, 1)), part("MP1", (2, 2), package="MountingHole"))
-
-
 def test_elements_come_first_and_names_add_only_other_kinds() -> None:
     parts = (part("FID9", (5, 5)), part("BBM1", (40, 5)), part("LFID1", (1, 1)), part("H1", (45, 35), is_mark=True))
     assert found(*parts, marks=(Mark("G1", "top", (1.05, 1.0)), Mark("B1", "bottom", (9, 9)))) == {
         "G1": ("global", "element", ()),
         "BBM1": ("bad-board", "name", ()),
     }
-
-
-def test_an_attribute_of_the_file_decides_against_the_name() -> None:
-    assert found(part("FID1", (5, 5), is_mark=True, mark_kind="local")) == {"FID1": ("local", "attribute", ())}
-
-
-def test_a_mark_outside_the_outline_belongs_to_the_panel() -> None:
-    inside = (part("FID1", (5, 5)), part("FID2", (45, 35)))
-    assert found(*inside, part("FID3", (-5, 5)))["FID3"] == ("panel", "place", ())
-    # With fewer marks inside, the outline is more probably that of another board.
-    assert found(inside[0], part("FID3", (-5, 5)))["FID3"] == ("global", "name", ())
 
 
 def test_a_pair_around_a_body_is_local_if_enough_others_are_global() -> None:
@@ -66,8 +51,3 @@ def test_a_pair_around_a_body_is_local_if_enough_others_are_global() -> None:
     assert kinds["FID3"] == kinds["FID4"] == ("local", "place", ("U1",))
     assert kinds["FID1"][0] == "global"
     assert {kind for kind, _, _ in found(body, others[0], *pair).values()} == {"global"}
-
-
-def test_a_designator_in_the_name_states_the_component() -> None:
-    assert found(part("U7", (25, 20), box=BODY), part("FID_X", (1, 1), package="Fiducial"), part("U7-FID", (18, 27),
-                 package="fid"))["U7-FID"] == ("local", "name", ("U7",))  # fmt: skip

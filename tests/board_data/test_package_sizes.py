@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from vaoi_station.board_data.design import Design, Part
-from vaoi_station.board_data.package_sizes import GUESS_MM, parse_table, read_table, shipped_table, size_of, with_sizes
+from vaoi_station.board_data.package_sizes import parse_table, read_table, shipped_table, size_of
 from vaoi_station.errors import InputError
 
 
@@ -31,19 +30,6 @@ from vaoi_station.errors import InputError
 )
 def test_names_of_packages_carry_their_size(package: str, size: tuple[float, float]) -> None:
     assert size_of(package, shipped_table()) == pytest.approx(size)
-
-
-@pytest.mark.parametrize("package", ["", "AMPHENOL_GSB4211311WEU", "1758759", "X_0.001x9mm"])
-def test_other_names_say_nothing(package: str) -> None:
-    assert size_of(package, shipped_table()) is None
-
-
-def test_sizes_are_marked_by_their_source() -> None:
-    parts = tuple(Part(ref, "top", (0, 0), 0, package) for ref, package in (("R1", "R0805"), ("J1", "CUSTOM-7")))
-    found = with_sizes(Design("d", "centroid", parts), shipped_table()).parts
-    assert [part.size_from for part in found] == ["table", "guess"]
-    assert found[1].box is not None
-    assert found[1].box.size == GUESS_MM
 
 
 def test_a_table_of_the_user(tmp_path: Path) -> None:

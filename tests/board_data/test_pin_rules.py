@@ -131,29 +131,11 @@ def test_a_part_whose_pins_fit_no_angle_is_named_and_follows_its_side(places: tu
     assert notes[1].values["names"] == "U9"
 
 
-def test_pins_beside_their_place_still_confirm_the_angle() -> None:
-    """The pads of a package were moved by a tenth of a millimetre."""
-    part = drawn("R1", SPEC["bottom"], 90.0, CHIP)
-    pins = tuple(Pin((pin.drawn[0] * 1.1, 0.0), pin.places) for pin in part.readings[0] if pin.drawn)
-    _, notes = placed_parts([drawn("Q1", SPEC["bottom"], 45.0), replace(part, readings=(pins,))], usual)
-    assert codes(notes) == ["rotation-by-pins"]
-    assert (notes[0].values["fit"], notes[0].values["pins"]) == ("3", "5")
-
-
 def test_the_reading_of_pin_numbers_is_found_for_each_side() -> None:
     part = drawn("Q1", SPEC["bottom"], 90.0)
     wrong = tuple(Pin(p.drawn, q.places) for p, q in zip(part.readings[0], part.readings[0][::-1], strict=True))
     (found,), (note,) = placed_parts([replace(part, readings=(wrong, part.readings[0]))], usual)
     assert (found.rotation, note.values["fit"]) == (90.0, "3")
-
-
-def test_parts_with_another_mirror_word_have_a_rule_of_their_own() -> None:
-    words = (("N", Rule(True, 1)), ("M", Rule(False, -1)))
-    parts = [replace(drawn(f"{w}{n}", rule, 30.0 * n), word=w) for w, rule in words for n in range(3)]
-    found, notes = placed_parts(parts, usual)
-    assert [p.rotation for p in found] == [0, 30, 60, 0, 330, 300]
-    assert {note.values["word"]: note.values["rule"] for note in notes} == {w: str(rule) for w, rule in words}
-    assert "with 'M'" in notes[0] + notes[1]
 
 
 def beside_their_origin(sizes: tuple[float, ...], *, mirrored: bool) -> list[DrawnPart]:
@@ -186,15 +168,6 @@ def test_pins_that_are_all_shifted_alike_have_another_datum_and_move_no_body(rul
     assert (notes[1].values["fit"], notes[1].values["rule"]) == ("10", str(rule))
 
 
-@pytest.mark.parametrize("count", [1, 2, 5])
-def test_one_package_beside_its_origin_is_no_other_datum(count: int) -> None:
-    """All its parts have one angle, so their bodies lie to the same side."""
-    parts = [shifted(drawn(f"J{n}", SPEC["bottom"], 90.0, HEADER), (3.0, 0.0)) for n in range(count)]
-    found, notes = placed_parts(parts, usual)
-    assert [part.center for part in found] == [pytest.approx((13, 16))] * count
-    assert codes(notes) == ["rotation-unconfirmed", "angles-by-pins"]
-
-
 @pytest.mark.parametrize("pins", [(), CHIP], ids=["no pins", "symmetrical pins"])
 def test_parts_whose_pins_show_no_rule_follow_that_of_other_parts_of_their_side(pins: tuple[XY, ...]) -> None:
     """At 0° two pins along x leave four rules."""
@@ -225,10 +198,4 @@ def test_few_packages_with_bodies_beside_their_pins_turn_no_outlines_over(
     assert [part.center for part in found] == [pytest.approx((10, 24))] * len(against) + [
         pytest.approx((10, 16))
     ] * len(usual_ones)
-    assert codes(notes) == ["rotation-by-pins"]
-
-
-def test_places_that_may_be_of_other_things_judge_no_single_part() -> None:
-    right = [drawn(f"Q{n}", SPEC["bottom"], 90.0 * n) for n in range(4)]
-    _, notes = placed_parts([*right, drawn("U9", SPEC["bottom"], 90.0, stated=0.0)], usual, exact=False)
     assert codes(notes) == ["rotation-by-pins"]

@@ -10,7 +10,7 @@ import pytest
 
 from tests.board_data.readers import samples
 from tests.needs import FILMS, need_films
-from vaoi_station.board_data import Options, is_exported_run, read_design, to_board_type
+from vaoi_station.board_data import Options, read_design, to_board_type
 from vaoi_station.board_data.design import Design, Part, Side
 from vaoi_station.board_data.readers.placement_table import TableOptions
 from vaoi_station.errors import InputError
@@ -87,26 +87,6 @@ def test_production_data_of_a_real_board(boards: Path) -> None:
     off = {ref for ref, part in odb.items() if math.dist(part.center, bodies[ref].origin) > 0.0101}
     assert off == {"R17", "C20", "C2132", "C2133"}
     assert sum(part.body_height is not None for part in odb.values()) == 57
-
-
-def test_the_format_is_recognised_or_given(tmp_path: Path) -> None:
-    (tmp_path / "b.txt").write_text(samples.KICAD)
-    assert read_design(tmp_path / "b.txt").format == "kicad"
-    with pytest.raises(InputError, match="has no section"):
-        read_design(tmp_path / "b.txt", Options(format="gencad"))
-    with pytest.raises(InputError, match="the format is 'dxf', but must be one of kicad, gencad"):
-        read_design(tmp_path / "b.txt", Options(format="dxf"))
-
-
-def test_exported_runs_are_told_from_board_data(tmp_path: Path) -> None:
-    (tmp_path / "run").write_bytes(b"\x1f\x8b rest")
-    (tmp_path / "b.zip").write_bytes(samples.odb_zip())
-    (tmp_path / "b.txt").write_text(samples.KICAD)
-    assert [is_exported_run(tmp_path / name) for name in ("run", "b.zip", "b.txt")] == [True, False, False]
-    with pytest.raises(InputError, match="cannot be read: No such file"):
-        read_design(tmp_path / "none")
-    with pytest.raises(InputError, match="is a folder without matrix/matrix"):
-        read_design(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -18,15 +18,6 @@ def test_encodings_of_old_and_new_programs(encoding: str) -> None:
     assert decode("Größe 5 µm".encode(encoding), "f") == "Größe 5 µm"
 
 
-def test_binary_files_and_absent_ones_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="f: is a binary file"):
-        decode(b"ab\x00\x01", "f")
-    with pytest.raises(InputError, match="does not exist"):
-        read_bytes(tmp_path / "none")
-    with pytest.raises(InputError, match="is no file"):
-        read_bytes(tmp_path)
-
-
 def test_a_file_above_the_limit_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(source_text, "MOST_BYTES", 100)
     (tmp_path / "f").write_bytes(bytes(101))

@@ -81,17 +81,6 @@ def test_frames_of_more_bits_calibrate_as_those_of_8_bits(rig: Any, bits: int, t
     )
 
 
-def test_four_marks_suffice_with_a_warning(film: Any) -> None:
-    marks = [{"x": x, "y": y} for x in (-7.0, 7.3) for y in (-5.5, 5.2)]
-    layout = Layout.model_validate({"mark": {"size": 1.6, "width": 0.4}, "marks": marks})
-    rig = film(layout=layout, cameras=1, distortion_px=0.0)
-    outcome = rig.calibrate()
-    assert max(rig.errors_px(outcome.calibration())) < 0.04
-    assert "four marks determine N" in outcome.notes[0]
-    assert "four marks do not determine the lens: ± " in outcome.notes[1]
-    assert outcome.calibration().distortion is None
-
-
 def test_a_covered_mark_is_reported_and_the_others_suffice(rig: Any) -> None:
     x, y = np.round(rig.seen_at(1, rig.in_view(1)[4])).astype(int)
 
@@ -120,22 +109,6 @@ def test_too_few_marks_are_refused_by_camera_and_number(rig: Any) -> None:
     assert "camera 1" not in said
 
 
-def test_collinear_marks_are_refused(rig: Any) -> None:
-    line = np.array([(m.x, m.y) for m in rig.layout.marks])
-    keep = [k for k in rig.in_view(0) if abs(line[k][1] - line[rig.in_view(0)[0]][1]) < 1.5]
-    assert len(keep) >= 4
-
-    def cover(camera: int, frame: Any) -> Any:
-        for k in set(rig.in_view(0)) - set(keep) if camera == 0 else ():
-            x, y = np.round(rig.seen_at(0, k)).astype(int)
-            frame[y - 20 : y + 20, x - 20 : x + 20] = 180
-        return frame
-
-    said = _refused(rig.calibrate(layout=_moved(rig.layout, lambda p: p), change=cover))
-    assert "camera 0" in said
-    assert "collinear" in said or "at least" in said
-
-
 @pytest.mark.parametrize(
     ("way", "name"),
     [
@@ -160,26 +133,6 @@ def test_another_boards_layout_is_refused(rig: Any) -> None:
     _refused(rig.calibrate(layout=_moved(rig.layout, lambda p: p * 1.3)))
 
 
-def test_a_wrong_layout_of_four_marks_is_an_implausible_view(film: Any) -> None:
-    marks = np.array([(-7.0, -5.5), (7.3, -5.5), (-7.0, 5.2), (7.3, 5.2)])
-
-    def layout(places: np.ndarray) -> Layout:
-        listed = [{"x": float(x), "y": float(y)} for x, y in places]
-        return Layout.model_validate({"mark": {"size": 1.6, "width": 0.4}, "marks": listed})
-
-    rig = film(layout=layout(marks), cameras=1)
-    said = _refused(rig.calibrate(layout=layout(marks * (1.01, 1.0))))
-    assert "stretched by" in said
-
-
-def test_a_layout_with_mostly_other_marks_is_refused(rig: Any, film: Any) -> None:
-    few = Layout.model_validate(rig.layout.model_dump() | {"marks": rig.layout.model_dump()["marks"][:40:4]})
-    said = _refused(film(layout=few).calibrate(layout=rig.layout))
-    assert "of the 20 marks that the layout puts into its frame" in said or "fit the layout" in said
-    said = _refused(rig.calibrate(layout=few))
-    assert "marks that are not in the layout" in said or "fit the layout" in said
-
-
 def test_a_wrong_unit_and_a_wrong_polarity_are_named(rig: Any) -> None:
     inches = Layout.model_validate(rig.layout.model_dump() | {"unit": "inch"})
     assert "Correct unit and mark.size" in _refused(rig.calibrate(layout=inches))
@@ -187,20 +140,6 @@ def test_a_wrong_unit_and_a_wrong_polarity_are_named(rig: Any) -> None:
         rig.layout.model_dump() | {"mark": rig.layout.mark.model_dump() | {"polarity": "light"}}
     )
     assert "Correct mark.polarity" in _refused(rig.calibrate(layout=light))
-
-
-@pytest.mark.parametrize("sigma", [2.5, 8.0])
-def test_a_blurred_camera_is_refused(rig: Any, sigma: float) -> None:
-    said = _refused(rig.calibrate(change=lambda i, f: cv2.GaussianBlur(f, (0, 0), sigma) if i else f))
-    assert "camera 1: " in said
-    assert "the limit is 2.0 px" in said
-    assert "Focus the lens" in said
-
-
-def test_a_print_out_of_scale_is_calibrated_with_a_warning(rig: Any) -> None:
-    outcome = rig.calibrate(layout=_moved(rig.layout, lambda p: p * 0.97))
-    outcome.calibration()
-    assert "check the scale bar of the print" in outcome.notes[-1]
 
 
 def test_missing_nominal_views_and_frames_are_refused(rig: Any) -> None:

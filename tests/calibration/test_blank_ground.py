@@ -22,11 +22,6 @@ def _free(rig: Any) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def test_blank_ground_is_where_nothing_is_printed(rig: Any) -> None:
-    x, y = rig.seen_at(0, rig.in_view(0)[0])
-    assert _expected(rig, rig.frames[0], _free(rig), (x, y), (-50.0, 20.0)) == [True, False, False]
-
-
 def test_dirt_and_scratches_hide_the_ground(rig: Any) -> None:
     free = _free(rig)
     x, y = (round(v) for v in free)

@@ -41,13 +41,3 @@ def test_light_marks_are_opposite(rig: Any) -> None:
     seen = detect_marks(255 - frame, KIND)
     assert len(seen.px) == 0
     assert seen.opposite == len(at)
-
-
-def test_a_half_covered_mark_is_doubtful(rig: Any) -> None:
-    frame, at = _of(rig)
-    x, y = np.round(at[0]).astype(int)
-    frame = frame.copy()
-    frame[y - 13 : y + 13, x + 5 : x + 14] = 190
-    seen = detect_marks(frame, KIND)
-    assert len(seen.px) == len(at) - 1
-    assert all("covered or damaged" in why for _, why in seen.doubtful)

@@ -61,12 +61,6 @@ def test_fixture_marks_place_a_board_without_texture(cases: Any, tmp_path: Path,
     assert cases.score(name, result)["cad_px"]["rms"] <= limit_px
 
 
-def test_features_use_no_marks_of_the_fixture(cases: Any, tmp_path: Path) -> None:
-    result = stitched(cases("fixture"), tmp_path / "result.json", "--method", "features")
-    assert set(used(result)) == {"rows", "neighbours", "fiducials"}
-    assert cases.score("fixture", result)["cad_px"]["rms"] <= 0.08
-
-
 @pytest.fixture(scope="module")
 def taught(cases: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("taught") / "ulx3s"
@@ -109,12 +103,6 @@ def test_a_reference_of_another_board_type_is_refused(cases: Any, taught: Path, 
     done = vaoi("stitch", case, "--reference", taught, "--method", "reference", "--out", tmp_path / "r.json")
     assert done.returncode == 2
     assert "whose components are not those of" in done.stderr
-
-
-def test_method_reference_without_a_reference_is_refused(cases: Any, tmp_path: Path) -> None:
-    done = vaoi("stitch", cases("sparse"), "--method", "reference", "--out", tmp_path / "r.json")
-    assert done.returncode == 2
-    assert "the method 'reference' needs a reference, and none is given" in done.stderr
 
 
 def test_a_run_that_is_not_ok_is_not_taught(cases: Any, tmp_path: Path) -> None:

@@ -89,25 +89,3 @@ def test_board_data_is_imported_shown_and_confirmed(
         with pytest.raises(VaoiError, match="nothing was changed") as refusal:
             connected.upload_board_data(file, name="q").confirm(**conditions)
         assert refusal.value.code == "changed"
-
-
-def test_places_bodies_and_sizes_of_several_files_are_imported(
-    closed: tuple[HeldStation, KeyFile], vaoi: Callable[..., Result], tmp_path: Path
-) -> None:
-    station, keys = closed
-    (tmp_path / "key").write_text(keys.create("t", ["read", "teach"]).secret)
-    (tmp_path / "b.kicad_pcb").write_text(samples.KICAD)
-    (tmp_path / "p.csv").write_text("a;b;c;d\nR1;110;10;0\nJ1;130;20;90\nFID1;105;5;0\n")
-    table = ("board-types", "import", tmp_path / "p.csv", "--columns", "ref=1,x=2,y=3,rotation=4", "--units", "mm")
-    last = ("--confirm", "--key-file", tmp_path / "key")
-    done = vaoi(*table, "--join", tmp_path / "b.kicad_pcb", "--name", "joined", *last)
-    assert done.code == 0, done.err
-    assert [c.width for c in station.types["joined"].components] == [2.0, 7.5, 1.2]
-    (tmp_path / "p.csv").write_text("Ref,X(mm),Y(mm),Package\nR1,0,0,MY-RELAY\nR2,30,30,0402\n")
-    (tmp_path / "sizes.toml").write_text("[[package]]\npattern = '^MY-RELAY'\nsize = [15.0, 7.5]\n")
-    sizes = ("--sizes", tmp_path / "sizes.toml", "--name", "sized")
-    assert vaoi("board-types", "import", tmp_path / "p.csv", *sizes, *last).code == 0
-    assert station.types["sized"].components[0].width == 15.0
-    (tmp_path / "b.zip").write_bytes(samples.odb_zip(samples.ODB | samples.ODB_PANEL))
-    assert vaoi("board-types", "import", tmp_path / "b.zip", "--step", "panel", "--name", "four", *last).code == 0
-    assert {c.panel for c in station.types["four"].components} == {"1", "2", "3", "4"}

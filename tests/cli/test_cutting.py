@@ -107,69 +107,6 @@ def test_a_recording_whose_files_have_byte_order_marks_is_stitched_and_cut(
     assert list((tmp_path / "cut").glob("U1_*.png"))
 
 
-def test_merged_pictures_with_their_sigma_and_listing(
-    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path
-) -> None:
-    options = ("--component", "U1", "--hdr", "--format", "npy", "--sigma")
-    said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
-    assert (said.code, said.err) == (0, "")
-    # The small recording has one exposure: that is answered, and said.
-    assert "1 exposure(s)" in said.out
-    assert "only one exposure shows it" in said.out
-    listing = json.loads((tmp_path / "U1.json").read_text())
-    assert listing[-1]["file"] == "U1_hdr.npy"
-    assert [e["file"] for e in listing[:-1]] == [f"U1_hdr_{k:02d}.npy" for k in range(len(listing) - 1)]
-    merged = [len(e["merged"]) for e in listing]
-    assert merged[-1] == max(merged) > 1
-    head = open_recording(small_recording).head
-    last = listing[-1]
-    assert last["merged"][0] == [last["camera"], last["row"]]
-    value, sigma = np.load(tmp_path / last["file"]), np.load(tmp_path / last["sigma_file"])
-    assert value.dtype == sigma.dtype == np.float32
-    assert value.shape == sigma.shape
-    assert np.isfinite(value).mean() > 0.9
-    plain = vaoi("cut", small_recording, "--result", result, "--component", "U1", "--out", tmp_path / "plain")
-    assert plain.code == 0
-    first = json.loads((tmp_path / "plain" / "U1.json").read_text())[0]
-    np.testing.assert_allclose(last["crop_from_cad"], first["crop_from_cad"])
-    picture = read_image(tmp_path / "plain" / first["file"])
-    grey = value * head.exposure_us(first["camera"], first["row"])
-    usable = np.isfinite(grey) & (picture < 250) & (picture > 5)
-    assert abs(grey[usable].mean() / picture[usable].mean() - 1) < 0.1
-
-
-def test_frames_of_one_light_are_merged(vaoi: Any, recording: Path, result: Path, tmp_path: Path) -> None:
-    """Of most frames, or the one that is named: metal looks another way under every light."""
-    head = json.loads((recording / "recording.json").read_text())
-    head["lights"] = ["left" if row % 3 else "even" for row in range(head["rows"])]
-    (recording / "recording.json").write_text(json.dumps(head))
-    for options, light in (((), "left"), (("--light", "even"), "even")):
-        out = tmp_path / light
-        said = vaoi("cut", recording, "--result", result, "--component", "U1", "--hdr", *options, "--out", out)
-        assert (said.code, said.err) == (0, "")
-        assert f"under the light '{light}'" in said.out
-        listing = json.loads((out / "U1.json").read_text())
-        assert {e["light"] for e in listing} == {light}
-        rows_of = {row for entry in listing for _, row in entry["merged"]}
-        assert {row % 3 == 0 for row in rows_of} == {light == "even"}
-    said = vaoi("cut", recording, "--result", result, "--component", "U1", "--hdr", "--light", "blue", "--out", out)
-    assert said.code == 2
-    assert "light is 'blue', but must be one of the lights of the run: 'even', 'left'" in said.err
-
-
-@pytest.mark.parametrize("options", [("--hdr",), ("--plane", "top")])
-def test_measured_heights_give_the_plane(
-    vaoi: Any, small_recording: Path, result: Path, tmp_path: Path, options: Any
-) -> None:
-    """The same one in merged pictures as in those of the top plane."""
-    (tmp_path / "h.json").write_text(json.dumps({"U1": {"height_mm": 1.375, "sigma_mm": 0.02, "views": 4}}))
-    options = (*options, "--component", "U1", "--heights", tmp_path / "h.json")
-    said = vaoi("cut", small_recording, "--result", result, *options, "--out", tmp_path)
-    assert (said.code, said.err) == (0, "")
-    listing = json.loads((tmp_path / "U1.json").read_text())
-    assert {entry.get("plane_height_mm", entry.get("height_mm")) for entry in listing} == {1.375}
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -210,50 +147,6 @@ def lit_result(lit: Path) -> Path:
     out = lit.parent / "result.json"
     assert CliRunner().invoke(app, ["stitch", str(lit), "--out", str(out)]).exit_code == 0
     return out
-
-
-def test_one_light_best_first(vaoi: Any, lit: Path, lit_result: Path, tmp_path: Path) -> None:
-    options = ("--component", "U1", "--light", "right", "--limit", 1, "--margin-mm", 1, "--align", "part")
-    said = vaoi("cut", lit, "--result", lit_result, *options, "--out", tmp_path)
-    assert (said.code, said.err) == (0, "")
-    [image] = json.loads((tmp_path / "U1.json").read_text())
-    assert (image["light"], image["row"] % 2) == ("right", 1)
-    expected = {"time_s", "exposure_us", "sharpness_per_mm", "saturated", "view_angle_deg", "sigma_px", "sigma_mm"}
-    assert expected <= set(image)
-    assert read_image(tmp_path / image["file"]).shape[:2] == (image["height_px"], image["width_px"])
-
-
-def test_a_difference_and_a_plane_that_is_not_known(vaoi: Any, lit: Path, lit_result: Path, tmp_path: Path) -> None:
-    data = json.loads(lit_result.read_text())
-    data["quality"].update(heights_mm={}, height_sigma_mm={})
-    board = json.loads((lit / "board.json").read_text())
-    for part in board["components"]:
-        part.pop("body_height", None)
-    (tmp_path / "board.json").write_text(json.dumps(board))
-    (tmp_path / "result.json").write_text(json.dumps(data))
-    options = (
-        "--component",
-        "U1",
-        "--light",
-        "right",
-        "--minus",
-        "left",
-        "--min-coverage",
-        0.3,
-        "--plane",
-        "top",
-        "--board",
-    )
-    said = vaoi(
-        "cut", lit, "--result", tmp_path / "result.json", *options, tmp_path / "board.json", "--out", tmp_path / "out"
-    )
-    assert said.code == 0, said.err
-    assert "U1: U1 has no height" in said.out
-    listing = json.loads((tmp_path / "out" / "U1.json").read_text())
-    assert listing
-    for image in listing:
-        assert (image["row"] % 2, image["minus"][1] % 2) == (1, 0)
-        assert np.abs(read_image(tmp_path / "out" / image["file"]).astype(float).mean() - 128) < 40
 
 
 @pytest.mark.parametrize(

@@ -53,17 +53,6 @@ def test_figures_of_the_paper_as_text() -> None:
         assert figure in text
 
 
-def test_own_requirements() -> None:
-    result = vaoi_plan(
-        *("--width-mm", "200", "--resolution-px-per-mm", "20", "--speed-mm-s", "50", "--sensor-width-mm", "11.3"),
-        *("--sensor-px-h", "2448", "--sensor-px-v", "2048", "--distance-max-mm", "600", "--json"),
-    )
-    assert result.exit_code == 0
-    document = json.loads(result.stdout)
-    assert document["array"]["cameras"] == 2
-    assert document["data"]["rows"] is None
-
-
 def test_missing_requirements_are_named_by_their_options() -> None:
     result = vaoi_plan("--width-mm", "200", "--sensor-px-h", "2448")
     assert isinstance(result.exception, InputError)

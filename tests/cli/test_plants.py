@@ -59,17 +59,6 @@ def test_faults_are_named_and_the_exit_code_says_so(filmed: Path, tmp_path: Path
     assert vaoi("archive", "add", filmed, tmp_path).code == 1
 
 
-def test_a_damaged_frame_comes_back_from_the_recording(filmed: Path, small_recording: Path, vaoi: Any) -> None:
-    frame = filmed / Archive.open(filmed).run("a").frames[0].key
-    damaged = bytearray(frame.read_bytes())
-    damaged[100] ^= 1
-    frame.write_bytes(damaged)
-    assert "or add the run again from its recording" in vaoi("archive", "verify", filmed).err
-    given = ("--station", "one", "--run", "a", "--time", "2026-03-01T08:00:00Z")
-    assert vaoi("archive", "add", filmed, small_recording, *given).code == 0
-    assert "0 runs damaged, 0 faults" in vaoi("archive", "verify", filmed).out
-
-
 def test_pruning_asks_for_a_confirmation(filmed: Path, vaoi: Any) -> None:
     said = vaoi("archive", "prune", filmed, "--run", "a")
     assert "1 runs, 0 blobs" in said.out
@@ -129,20 +118,6 @@ def test_a_worker_with_other_software_is_named_and_the_exit_code_says_so(
     assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1
 
 
-def test_a_board_type_is_for_the_runs_of_its_name(
-    vaoi: Callable[..., Any], archive: Archive, recording: Path, tmp_path: Path
-) -> None:
-    board = json.loads((recording / "board.json").read_text())
-    (tmp_path / "board.json").write_text(json.dumps(board | {"name": "other"}))
-    out = tmp_path / "out"
-    done = vaoi("restitch", archive.url, "--out", out, "--board", tmp_path / "board.json", *NOWHERE)
-    assert (done.code, "0 of 0 runs stitched" in done.out) == (0, True), done.err
-    done = vaoi(
-        "restitch", archive.url, "--out", out, "--board", tmp_path / "board.json", "--board-type", "demo", *NOWHERE
-    )
-    assert done.code == 3, "the run of the type demo is to be stitched"
-
-
 @pytest.mark.parametrize(
     ("options", "text"),
     [
@@ -157,10 +132,3 @@ def test_wrong_options_are_named(
     done = vaoi("dataset", archive.url, "--out", tmp_path / "out", *options)
     assert (done.code, text in done.err) == (2, True), done.err
     assert not (tmp_path / "out").exists()
-
-
-def test_runs_of_other_verdicts_are_counted(vaoi: Callable[..., Any], archive: Archive, tmp_path: Path) -> None:
-    done = vaoi("dataset", archive.url, "--components", "C*,R*", "--out", tmp_path / "out", "--format", "webdataset")
-    assert done.code == 0, done.err
-    assert "0 crops of 0 runs" in done.out
-    assert "1 runs have another verdict than ok" in done.out

@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import tifffile
 from typer.testing import CliRunner
 
 from tests.cli.conftest import Result
@@ -21,7 +20,6 @@ from vaoi_station.errors import InputError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.images import read_image, write_image
 from vaoi_station.files.results import write_stitch
-from vaoi_station.geometry import apply
 from vaoi_station.model import Status, Stitch
 from vaoi_station.simulation import Scenario, Twin
 from vaoi_station.simulation.recording_writer import write_passage
@@ -62,41 +60,6 @@ def test_recording_becomes_a_result(vaoi: Any, small_recording: Path, tmp_path: 
     assert result.status is Status.OK
     assert result.components
     assert result.quality["timings_ms"]
-
-
-def test_calibration_and_board_type_of_other_directories(
-    vaoi: Any, recording: Path, small_recording: Path, tmp_path: Path
-) -> None:
-    for name in ("calibration.json", "board.json"):
-        (recording / name).rename(tmp_path / name)
-    out = tmp_path / "result.json"
-    given = ("--calibration", tmp_path / "calibration.json", "--board", tmp_path / "board.json")
-    assert vaoi("stitch", recording, *given, "--out", out).code == 0
-    assert vaoi("stitch", small_recording, "--out", tmp_path / "own.json").code == 0
-    first, second = (read_stitch(path).model_dump(mode="json") for path in (out, tmp_path / "own.json"))
-    assert first["cad_matrix"] == second["cad_matrix"]
-
-
-def test_an_estimated_depth_of_16_bit_frames_is_stated(vaoi: Any, recording: Path, tmp_path: Path) -> None:
-    for path in (recording / "frames").iterdir():
-        write_image(path, read_image(path).astype(np.uint16) << 4)
-    estimated = vaoi("stitch", recording, "--out", tmp_path / "estimated.json")
-    assert "frames use 12 of 16 bits, by an estimate: state cameras[].bits in recording.json" in estimated.out
-    edit(recording / "recording.json", lambda d: [camera.update(bits=12) for camera in d["cameras"]])
-    assert "bits" not in vaoi("stitch", recording, "--out", tmp_path / "stated.json").out
-    first, second = (read_stitch(tmp_path / name) for name in ("estimated.json", "stated.json"))
-    assert (first.quality["estimated_bits"], "estimated_bits" in second.quality) == (12, False)
-    assert first.model_dump()["components"] == second.model_dump()["components"]
-
-
-def test_without_a_board_type_frames_are_placed_and_a_reason_is_given(
-    vaoi: Any, recording: Path, tmp_path: Path
-) -> None:
-    (recording / "board.json").unlink()
-    said = vaoi("stitch", recording, "--out", tmp_path / "r.json")
-    assert said.code == 0
-    assert "failed: 6 rows × 2 cameras" in said.out
-    assert "- no board type was given" in said.out
 
 
 @pytest.mark.parametrize("number", [1e308, -1e308, 1e150, 1e30, True])
@@ -195,17 +158,6 @@ def test_reference_is_kept_and_never_overwritten(
     assert "exists already" in refused.err
 
 
-def test_a_board_that_does_not_lie_with_the_given_rotation_is_no_reference(
-    vaoi: Callable[..., Result], small_recording: Path, tmp_path: Path
-) -> None:
-    done = vaoi("teach", small_recording, "--out", tmp_path / "reference", "--rotation", 180)
-    assert done.code == 2
-    assert "is failed and cannot be a reference" in done.err
-    done = vaoi("teach", small_recording, "--out", tmp_path / "reference", "--rotation", 0)
-    assert done.code == 0, done.err
-    assert open_recording(tmp_path / "reference").head.rotation_deg == 0
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("report") / "run"
@@ -236,30 +188,6 @@ def test_bundle_can_be_stitched_and_reported_again(run: Path, tmp_path: Path) ->
     assert isinstance(refused.exception, InputError)
 
 
-def test_component_is_where_the_document_says(vaoi: Any, small_recording: Path, result: Path, tmp_path: Path) -> None:
-    out = tmp_path / "board.tif"
-    said = vaoi("mosaic", small_recording, "--result", result, "--out", out)
-    assert (said.code, said.err) == (0, "")
-    document = json.loads((tmp_path / "board.tif.json").read_text())
-    picture = tifffile.imread(out)
-    assert picture.shape == (document["height"], document["width"])
-    assert (document["nodata"], document["covered"]) == (0, 1.0)
-    assert f"{out}: {document['width']}×{document['height']} px" in said.out
-    r1 = read_board_type(small_recording / "board.json").component("R1")
-    stitch, recording = read_stitch(result), open_recording(small_recording)
-    assert r1 is not None
-    assert stitch.components is not None
-    u, v = np.round(apply(document["image_from_cad"], r1.center)).astype(int)
-    shown = picture[v - 3 : v + 4, u - 3 : u + 4].mean()
-    differences = []
-    for camera, row, x, y in stitch.components["R1"]:
-        frame = recording.frame(camera, row)
-        assert frame is not None
-        i, j = round(x), round(y)
-        differences.append(abs(frame[j - 3 : j + 4, i - 3 : i + 4].mean() - shown))
-    assert min(differences) < 10
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -278,23 +206,6 @@ def test_wrong_options_are_refused_and_nothing_is_written(
     assert said.code == 2
     assert words in said.err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_heights_agree_with_the_truth_of_the_twin(vaoi: Any, case: tuple[Path, Path], tmp_path: Path) -> None:
-    run, result = case
-    out = tmp_path / "heights.json"
-    said = vaoi("heights", run, "--result", result, "--out", out)
-    assert (said.code, said.err) == (0, "")
-    found = json.loads(out.read_text())
-    truth = json.loads((run / "truth.json").read_text())["heights"]
-    assert f"{len(found)} component(s): " in said.out
-    tall = {ref: entry for ref, entry in found.items() if truth[ref] >= 0.5 and entry["views"] >= 2}
-    sure = {ref: e for ref, e in tall.items() if e["height_mm"] is not None and e["sigma_mm"] <= 0.15}
-    assert len(sure) >= 0.75 * len(tall)
-    error = np.array([entry["height_mm"] - truth[ref] for ref, entry in sure.items()])
-    assert np.median(np.abs(error)) < 0.05
-    assert np.percentile(np.abs(error), 90) < 0.15
-    assert set(found["U1"]) >= {"height_mm", "sigma_mm", "views"}
 
 
 def test_a_map_is_written_beside_the_heights_and_a_region_off_the_board_is_refused(
@@ -357,17 +268,6 @@ def test_code_is_printed_and_compared(vaoi: Any, coded: tuple[Path, Path], tmp_p
     assert said.code == 0
     assert "board-id-differs: The board's code states 'SN000042', the line was armed with 'SN1'." in said.out
     assert "identity: differs" in said.out
-
-
-def test_board_type_without_identity_is_searched_everywhere(
-    vaoi: Any, coded: tuple[Path, Path], tmp_path: Path
-) -> None:
-    run, result = coded
-    board = json.loads((run / "board.json").read_text())
-    del board["identity"]
-    (tmp_path / "board.json").write_text(json.dumps(board))
-    said = vaoi("identify", run, "--result", result, "--board", tmp_path / "board.json")
-    assert "identity: not-compared, board 'coded;SN000042'" in said.out
 
 
 def test_shifted_and_mirrored_data_are_corrected_to_those_of_the_twin(

@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 from vaoi_station.cli import app
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.rig import chip as firmware
-from vaoi_station.rig.faults import KINDS
 from vaoi_station.version import __version__
 
 
@@ -18,13 +17,6 @@ def refusal(*arguments: str) -> Exception:
     result = CliRunner().invoke(app, ["rig", *arguments])
     assert isinstance(result.exception, Exception), result.output
     return result.exception
-
-
-def test_faults_are_listed_with_their_keys() -> None:
-    result = CliRunner().invoke(app, ["rig", "faults"])
-    assert result.exit_code == 0
-    assert [line.split()[0] for line in result.output.splitlines()] == list(KINDS)
-    assert "camera=0,board=1,row=2,for_s=3.0" in result.output
 
 
 @pytest.mark.parametrize(

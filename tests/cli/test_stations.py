@@ -24,9 +24,7 @@ from vaoi_station.doctor.finding import Finding, Report, fault, ok, warning
 from vaoi_station.errors import InputError
 from vaoi_station.files import open_recording, write_calibration
 from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
-from vaoi_station.files.documents import write_json
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
-from vaoi_station.simulation.calibration_board import layout
 from vaoi_station.store import Database
 
 
@@ -134,17 +132,6 @@ directory = "shm"
     return path
 
 
-def test_runs_are_kept_with_their_calibration(config: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out), "--runs", "2"])
-    assert done.exit_code == 0, done.output
-    assert sorted(p.name for p in out.iterdir()) == ["run-001", "run-002"]
-    for run in out.iterdir():
-        assert open_recording(run).head.missing == ()
-        assert (run / "calibration.json").is_file()
-    assert "ended by 'clear'" in done.output
-
-
 def test_one_run_is_written_to_the_directory_itself_and_never_overwrites(config: Path, tmp_path: Path) -> None:
     out = tmp_path / "one"
     arguments = ["record", "--config", str(config), "--out", str(out)]
@@ -153,26 +140,6 @@ def test_one_run_is_written_to_the_directory_itself_and_never_overwrites(config:
     refused = CliRunner().invoke(app, arguments)
     assert isinstance(refused.exception, InputError)
     assert "exists already" in str(refused.exception)
-
-
-def test_board_at_rest_is_filmed_without_a_calibration(config: Path, tmp_path: Path) -> None:
-    """The simulated cameras show the calibration board; what `vaoi calibrate` makes of it lets the station film."""
-    twin = Twin(read_scenario(tmp_path / "scenario.toml"))
-    keys = f"nominal_px_per_mm = {twin.scenario.array.px_per_mm}\nnominal_center_mm = [0.0, 0.0]\n"
-    config.write_text(config.read_text().replace("exposure_us = 250\n", f"exposure_us = 250\n{keys}"))
-    (tmp_path / "calibration.json").unlink()
-    out = tmp_path / "still"
-    refused = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out)])
-    assert "calibration.json: there is no such file" in str(refused.exception)
-    done = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(out), "--still"])
-    assert done.exit_code == 0, done.output
-    assert "1 rows, 1 of 1 frames, ended by 'single'" in done.output
-    assert not (out / "calibration.json").exists()
-    write_json(out / "layout.json", layout(twin))
-    made = CliRunner().invoke(app, ["calibrate", str(out), "--out", str(tmp_path / "calibration.json")])
-    assert made.exit_code == 0, made.output
-    again = CliRunner().invoke(app, ["record", "--config", str(config), "--out", str(tmp_path / "run")])
-    assert again.exit_code == 0, again.output
 
 
 def test_exit_code_and_text(vaoi: Callable[..., Result], tmp_path: Path) -> None:
@@ -274,18 +241,6 @@ def test_a_run_is_exported_and_imported(vaoi: Callable[..., Result], site: Site,
                 "--component", "U1", "--out", tmp_path / "cut").code == 0  # fmt: skip
 
 
-def test_a_run_is_imported_into_a_history_or_a_folder(vaoi: Callable[..., Result], site: Site, tmp_path: Path) -> None:
-    out = tmp_path / "run.vaoi"
-    assert vaoi("export", site.sound, "--out", out, "--config", site.config).code == 0
-    for options in ((), ("--out", tmp_path / "x", "--config", site.config)):
-        refused = vaoi("import", out, *options)
-        assert refused.code == 2
-        assert "either --out or --config" in refused.err
-    site.rig.archive.retention.forget_details([site.sound]).result(10)
-    done = vaoi("import", out, "--config", site.config)
-    assert (done.code, done.out) == (0, f"{site.config}: run {site.sound} of 'test', without frames, pinned\n")
-
-
 def test_keys_are_made_listed_rotated_and_revoked(vaoi: Callable[..., Result], tmp_path: Path) -> None:
     path, _ = write_station_files(scenario_path("small"), tmp_path)
     keys = KeyFile(read_config(path).data / KEY_FILE)
@@ -320,18 +275,6 @@ def board(tmp_path: Path) -> Path:
     path = tmp_path / "b.kicad_pcb"
     path.write_text(samples.KICAD)
     return path
-
-
-def test_a_board_type_is_written_and_what_to_check_is_printed(vaoi: Vaoi, board: Path, tmp_path: Path) -> None:
-    out = tmp_path / "board.json"
-    done = vaoi("import", str(board), "--out", str(out), "--name", "p-1")
-    assert done.code == 0
-    assert "top of 'p-1' (kicad): 3 components, 3 sizes from the file; 1 fiducials" in done.out
-    assert "check: 1 fiducials found on the top; two are needed to stitch." in done.out
-    document = json.loads(out.read_text())
-    assert [c["ref"] for c in document["components"]] == ["R1", "J1", "FID1"]
-    again = vaoi("import", str(board), "--out", str(out))
-    assert (again.code, "exists" in again.err) == (2, True)
 
 
 @pytest.mark.parametrize(

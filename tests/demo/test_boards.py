@@ -14,7 +14,7 @@ import pytest
 
 from vaoi_station.config import ApiConfig
 from vaoi_station.demo import boards
-from vaoi_station.demo.boards import PICTURES, REPORT, SHEET, describe_run, fetch_component_images, prepare_output
+from vaoi_station.demo.boards import PICTURES, REPORT, SHEET, fetch_component_images, prepare_output
 from vaoi_station.demo.client import Client
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files.contact_sheet import contact_sheet
@@ -63,11 +63,6 @@ def test_images_and_matrices_are_written_per_component_and_the_best_is_shown(tmp
     assert json.loads((tmp_path / "R1" / "views.json").read_text()) == []
 
 
-def test_components_of_a_failed_run_are_listed_without_images(tmp_path: Path) -> None:
-    tiles, pictures = fetch_component_images(Station(), RUN | {"verdict": "failed"}, tmp_path)
-    assert ([tile.picture for tile in tiles], pictures) == ([None, None], 0)
-
-
 def test_an_incomplete_answer_of_the_station_ends_the_demo(tmp_path: Path) -> None:
     class Released(Station):
         end: ClassVar = {"complete": False, "error": {"message": "The frames are released.", "action": "Hold the run."}}
@@ -94,16 +89,6 @@ def test_the_picture_of_the_readme_is_a_small_contact_sheet() -> None:
     assert path.stat().st_size <= 400_000
     assert read_image(path).shape[1] == contact_sheet([], "demo", Status.OK, []).shape[1]
     assert f"docs/pictures/{SHEET}" in (path.parents[2] / "README.md").read_text(encoding="utf-8")
-
-
-def test_a_run_is_described_in_one_line() -> None:
-    run = {
-        "verdict": "ok", "rows": 6, "cameras": 2, "counts": {"ok": 12}, "reasons": [],
-        "belt": {"ratio": 1.00704}, "timings": {"ready_after_last_frame_ms": 61.05},
-    }  # fmt: skip
-    assert describe_run(3, run) == "board 3: ok, 12 of 12 frames, belt +0.70 %, matrices 61 ms after the last frame"
-    failed = run | {"verdict": "failed", "belt": None, "timings": {}, "reasons": [{"message": "It lies turned round."}]}
-    assert describe_run(4, failed) == "board 4: failed, 12 of 12 frames, It lies turned round."
 
 
 def test_a_port_in_use_is_refused_before_the_board_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -105,26 +105,6 @@ def client(address: str, monkeypatch: pytest.MonkeyPatch) -> Client:
     return Client(address)
 
 
-def test_requests(client: Client) -> None:
-    assert client.get("/runs", limit=3, before=None)["request"] == ["GET", "/api/v1/runs?limit=3", ""]
-    assert client.get("/api/v1/runs/r1")["request"] == ["GET", "/api/v1/runs/r1", ""]
-    assert client.post("/station/arm", runs=1)["request"] == ["POST", "/api/v1/station/arm", '{"runs": 1}']
-    assert client.act("PUT", "/runs/r1/hold", holder="me")["request"] == ["PUT", "/api/v1/runs/r1/hold?holder=me", ""]
-    assert client.get("/nothing") is None
-
-
-def test_pictures(client: Client) -> None:
-    content, pixels = client.picture("/picture")
-    assert content.startswith(b"\x89PNG")
-    assert np.array_equal(pixels, PICTURE)
-    with pytest.raises(DeviceError, match=r"/api/v1/page: .* 5 bytes that are not a picture"):
-        client.picture("/page")
-
-
-def test_events(client: Client) -> None:
-    assert list(client.messages()) == [{"state": "idle"}, {"number": 7, "board": "a\u2028b"}]
-
-
 @pytest.mark.parametrize(
     ("status", "kind"),
     [
@@ -144,17 +124,6 @@ def test_refusals_are_raised_as_the_errors_of_the_station(client: Client, status
     assert (refusal.value.message, refusal.value.action, refusal.value.code) == ("No.", "Wait.", "because")
 
 
-def test_refusal_without_problem_details_is_a_device_error(client: Client) -> None:
-    with pytest.raises(DeviceError, match=r"/api/v1/broken: .* status 500 without problem details: b'<html>'"):
-        client.get("/broken")
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_refusal_with_other_problem_details_is_a_device_error(client: Client, name: str) -> None:
-    with pytest.raises(DeviceError, match="status 409"):
-        client.get(f"/problem/{name}")
-
-
 @pytest.mark.parametrize("path", REPLIES)
 def test_garbage_is_a_device_error_with_the_address(client: Client, path: str) -> None:
     with pytest.raises(
@@ -163,20 +132,6 @@ def test_garbage_is_a_device_error_with_the_address(client: Client, path: str) -
         client.get(path)
     assert "Check that a station of this version runs at this address" in refused.value.action
     assert refused.value.code == "unusable-reply"
-
-
-@pytest.mark.parametrize("path", ["/cut", "/cut-refusal"])
-def test_connection_that_ends_within_a_reply_is_a_device_error(client: Client, path: str) -> None:
-    with pytest.raises(DeviceError, match=rf"/api/v1{path}: the station does not reply \(RemoteProtocolError"):
-        client.get(path)
-
-
-def test_key_that_a_reply_lacks_is_a_device_error_with_key_and_address(client: Client) -> None:
-    reply = client.get("/anything")
-    with pytest.raises(DeviceError, match=r"/api/v1/anything: .* without the key 'state'"):
-        _ = reply["state"]
-    assert reply.get("state") is None
-    assert "request" in dict(reply)
 
 
 def test_the_key_is_sent_with_every_request_and_to_no_other_address(address: str) -> None:
@@ -217,14 +172,6 @@ def test_a_command_is_repeated_with_its_key_where_its_reply_was_lost(monkeypatch
         with pytest.raises(DeviceError, match="does not reply"):
             Client(address).post("/station/arm")
     assert len(LosesReplies.keys) == client_module.ATTEMPTS
-
-
-def test_absent_station_is_a_device_error() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        address = f"http://127.0.0.1:{free.getsockname()[1]}"
-    with pytest.raises(DeviceError, match="does not reply") as refused:
-        Client(address).get("/station")
-    assert "https://" in refused.value.action, "a station with TLS does not answer plain HTTP either"
 
 
 def test_a_certificate_that_is_not_trusted_comes_with_what_to_do(tmp_path: Path) -> None:

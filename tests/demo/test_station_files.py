@@ -40,18 +40,3 @@ def test_every_table_survives_a_round_trip_through_toml(twin: Twin, tmp_path: Pa
     for config in (plain, full):
         (tmp_path / "station.toml").write_text(station_files.to_toml(config), encoding="utf-8")
         assert read_config(tmp_path / "station.toml") == StationConfig.model_validate(config.model_dump())
-
-
-def test_defaults_are_not_written(twin: Twin, tmp_path: Path) -> None:
-    text = station_files.to_toml(station_files.station_config(twin, scenario_path("small"), tmp_path, 0))
-    assert "workers" not in text
-    assert "[line.expected_board]" in text
-    assert text.count("[[cameras]]") == 2
-
-
-def test_ring_directory_needs_enough_free_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(station_files, "SHARED_MEMORY", tmp_path)
-    assert station_files.ring_directory(1, tmp_path / "files") == tmp_path
-    assert station_files.ring_directory(2**62, tmp_path / "files") == tmp_path / "files"
-    monkeypatch.setattr(station_files, "SHARED_MEMORY", tmp_path / "absent")
-    assert station_files.ring_directory(1, tmp_path / "files") == tmp_path / "files"

@@ -10,7 +10,7 @@ import pytest
 
 from vaoi_station.demo import waiting
 from vaoi_station.demo.client import Client
-from vaoi_station.errors import DeviceError, NotFoundError
+from vaoi_station.errors import DeviceError
 
 FAULT = {"state": "faulted", "reasons": [{"message": "Camera 0 is lost.", "action": "Check its cable."}]}
 
@@ -34,12 +34,6 @@ class Station(Client):
     def messages(self, after: int = 0) -> Iterator[dict[str, Any]]:
         while True:
             yield {}
-
-
-def test_waits_until_the_station_can_be_armed() -> None:
-    station = Station(station=[{"state": "starting"}, {"state": "starting"}, {"state": "idle"}])
-    waiting.wait_until_idle(station)
-    assert len(station.asked) == 3
 
 
 def test_faulted_station_is_an_error_with_its_reasons() -> None:
@@ -76,24 +70,3 @@ def test_a_start_that_makes_progress_is_awaited_and_reported(monkeypatch: pytest
 def compiled(loops: int) -> dict[str, Any]:
     warning = {"code": "workers-starting", "message": f"{loops} of 69 loops.", "action": "Wait."}
     return {"state": "starting", "warnings": [warning]}
-
-
-def test_waits_for_the_next_run() -> None:
-    station = Station(runs_next=[None, {"id": "r2"}], station=[{"state": "armed"}])
-    assert waiting.wait_for_run(station, "r1") == {"id": "r2"}
-    assert station.asked[0] == ("/runs/next", {"after": "r1", "timeout": waiting.POLL_S})
-
-
-def test_first_run_may_finish_before_the_first_poll() -> None:
-    station = Station(
-        runs_next=[None], station=[{"state": "armed"}], runs_latest=[NotFoundError("none yet"), {"id": "r1"}]
-    )
-    assert waiting.wait_for_run(station, None) == {"id": "r1"}
-
-
-def test_missing_board_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DeviceError, match="Camera 0 is lost"):
-        waiting.wait_for_run(Station(runs_next=[None], station=[FAULT]), "r1")
-    monkeypatch.setattr(waiting, "BOARD_S", -1.0)
-    with pytest.raises(DeviceError, match="no board was filmed"):
-        waiting.wait_for_run(Station(), "r1")

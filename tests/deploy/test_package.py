@@ -14,9 +14,6 @@ import pytest
 from tests.api.proxy.nginx import FRAME, shipped_site
 from tests.needs import need, program
 from tests.peers.certificates import make_certificate
-from vaoi_station.config import read_config
-from vaoi_station.doctor.finding import Level
-from vaoi_station.doctor.runner import check_config
 from vaoi_station.files.caller_credentials import CA_VARIABLE, KEY_FILE_VARIABLE, KEY_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -69,17 +66,6 @@ def test_pages_name_every_command_and_option(tmp_path: Path) -> None:
     for words, expected in ((("check-c",), "check-config"), (("rig", "u"), "up"), (("serve", "--lo"), "--log-json")):
         done = subprocess.run(["bash", "-c", ask, "bash", *words], capture_output=True, text=True, check=True)
         assert done.stdout.split() == [expected]
-
-
-def test_the_example_is_sound(tmp_path: Path) -> None:
-    folder = tmp_path / "example"
-    module("example").write_example(folder)
-    config = read_config(folder / "station.toml")
-    assert str(config.data).startswith("/var/lib/vaoi-station/")
-    # its directories exist only where the package is installed
-    text = (folder / "station.toml").read_text().replace("/var/lib/vaoi-station/", "")
-    (folder / "station.toml").write_text(text)
-    assert [f.message for f in check_config(folder / "station.toml") if f.level is Level.FAULT] == []
 
 
 @pytest.mark.parametrize("script", ["preinst", "postinst", "prerm", "postrm"])
@@ -182,13 +168,6 @@ def test_a_version_that_was_replaced_by_the_one_before_is_never_called_installed
     assert machine.version == "newer"
 
 
-def test_the_start_script_can_be_imported_by_child_processes() -> None:
-    """multiprocessing imports the main script again in each child: without the guard, each would be a station."""
-    script = re.search(r"<<'SCRIPT'\n(.*?)\nSCRIPT\n", BUILD, re.DOTALL)
-    assert script is not None
-    assert 'if __name__ == "__main__":\n    sys.exit(main())' in script[1]
-
-
 def test_every_file_that_the_build_installs_exists() -> None:
     subprocess.run(["bash", "-n", str(ROOT / "deploy" / "build")], check=True)
     sources = re.findall(r"^  put ((?:deploy|docs|LICENSE)\S*) ", BUILD, re.MULTILINE)
@@ -197,12 +176,6 @@ def test_every_file_that_the_build_installs_exists() -> None:
     named = {*sources, *re.findall(r"deploy/package/[\w.-]+", BUILD)}
     scripts = {"preinst", "postinst", "prerm", "postrm"}
     assert {p.name for p in PACKAGE.iterdir() if p.is_file()} - scripts <= {Path(name).name for name in named}
-
-
-def test_releases_have_the_python_that_the_project_supports() -> None:
-    versions = re.findall(r"deb\d+\) minor=(3\.\d+) next=(3\.\d+)", BUILD)
-    assert [minor for minor, _ in versions] == ["3.11", "3.13"]
-    assert all(int(after.split(".")[1]) == int(minor.split(".")[1]) + 1 for minor, after in versions)
 
 
 def test_the_site_of_nginx_is_shipped_and_one_that_nginx_accepts(tmp_path: Path) -> None:

@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from tests.doctor.conftest import assert_problem, only, with_aravis
-from vaoi_station.acquisition.cameras.aravis import library
+from tests.doctor.conftest import assert_problem, only
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.doctor import camera_checks
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.doctor.running_station import CheckContext, RunningProcess
-
-
-def test_absent_pygobject_is_a_fault(config: StationConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "gi", None)
-    library.aravis.cache_clear()
-    try:
-        finding = only(camera_checks.aravis(CheckContext(with_aravis(config), Machine(), None)))
-    finally:
-        library.aravis.cache_clear()
-    assert_problem(finding, Level.FAULT, "cannot be used from Python")
-    assert "apt install" in finding.action
 
 
 @pytest.mark.parametrize(
@@ -54,13 +40,6 @@ def configured(**fields: Any) -> CameraConfig:
     return CameraConfig.model_validate({**given, "width": 64, "height": 64, **fields})
 
 
-def test_suitable_camera_is_ok() -> None:
-    finding = only(camera_checks.judge_camera(configured(), OFFERED))
-    assert finding.level is Level.OK
-    assert finding.message == "Maker M 1 replies and is free; the trigger is off now, the station turns it on"
-    assert finding.figures == {"serial": "1", "trigger_mode": "Off", "port": "lo"}
-
-
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
@@ -85,19 +64,6 @@ def test_packets_larger_than_the_camera_sends_are_a_warning() -> None:
     finding = camera_checks.judge_port("lo", [(configured(packet_bytes=40000), OFFERED)], 0.1)
     assert_problem(finding, Level.WARNING, "a is configured for 40000")
     assert finding.action.startswith("Set packet_bytes to 16000")
-
-
-def test_small_packets_are_a_warning() -> None:
-    offered = replace(OFFERED, packets=PacketLimits(smallest=200, largest=1500, step=4))
-    finding = camera_checks.judge_port("lo", [(configured(), offered)], 0.1)
-    assert_problem(finding, Level.WARNING, "packets of 1500 bytes", "larger packets")
-    assert finding.action == "ip link set dev lo mtu 9000"
-
-
-def test_port_that_is_too_slow_is_a_fault() -> None:
-    camera = configured(width=2048, height=1536, link_mbit_s=100.0)
-    finding = camera_checks.judge_port("lo", [(camera, OFFERED), (camera, OFFERED)], 0.01)
-    assert_problem(finding, Level.FAULT, "2 cameras on port lo")
 
 
 def test_state_of_cameras_of_a_running_station(config: StationConfig) -> None:

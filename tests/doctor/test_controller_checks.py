@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,24 +10,17 @@ from typing import Any
 import pytest
 
 from tests.acquisition.controller.serial.fake_firmware import fake_firmware
-from tests.doctor.conftest import assert_problem, changed, only, with_config
+from tests.doctor.conftest import assert_problem, changed, only
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.protocol import Fault, Ident, State, Status
+from vaoi_station.acquisition.controller.protocol import Ident
 from vaoi_station.config import ControllerConfig, LightConfig, StationConfig
 from vaoi_station.doctor import controller_checks
 from vaoi_station.doctor.controller_checks import toggle_line_output
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
 from vaoi_station.doctor.running_station import CheckContext, RunningProcess
-from vaoi_station.errors import DeviceError
 
 IDENT = Ident.unpack(bytes(Ident.LAYOUT.size))
-STATUS = Status.unpack(bytes(Status.LAYOUT.size))
-
-
-def status(state: State, **fields: int) -> Status:
-    """Return a status report in a given state."""
-    return replace(STATUS, state=state, **fields)
 
 
 def test_controller_of_a_running_station_is_reported_by_it(config: StationConfig) -> None:
@@ -36,25 +28,6 @@ def test_controller_of_a_running_station_is_reported_by_it(config: StationConfig
     assert only(controller_checks.controller(known)).message == "armed"
     unknown = CheckContext(config, Machine(), RunningProcess(4711, {"state": "starting"}))
     assert only(controller_checks.controller(unknown)).level is Level.OK
-
-
-def test_absent_port_ends_the_check(context: CheckContext, tmp_path: Path) -> None:
-    config = changed(context.config, "controller", backend="serial", port=str(tmp_path / "gone"))
-    assert_problem(only(controller_checks.controller(with_config(context, config))), Level.FAULT, "there is no", "gone")
-
-
-def test_file_is_no_serial_port(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    assert_problem(controller_checks.judge_port(tmp_path / "file", Machine()), Level.FAULT, "is no serial port")
-
-
-def test_free_terminal_is_ok() -> None:
-    ours, theirs = os.openpty()
-    try:
-        assert controller_checks.judge_port(Path(os.ttyname(theirs)), Machine()).level is Level.OK
-    finally:
-        os.close(ours)
-        os.close(theirs)
 
 
 @pytest.mark.parametrize(("delay", "count"), [("16", 1), ("2", 1), ("1", 0), (None, 0)])
@@ -75,15 +48,6 @@ def test_lights_within_the_limits_are_ok_and_others_are_a_fault(config: StationC
     assert "no lights are configured" in controller_checks.judge_limits(ident, config).message
     long = changed(config, "controller", lights={"flash": LightConfig(channels=(0,), on_us=1001.0)})
     assert_problem(controller_checks.judge_limits(ident, long), Level.FAULT, "controller.lights.flash.on_us is 1001")
-
-
-def test_states() -> None:
-    idle = controller_checks.judge_status(status(State.IDLE, blocked=1))
-    assert (idle.level, idle.message) == (Level.OK, "idle, the light barrier is interrupted")
-    safe = controller_checks.judge_status(status(State.SAFE, fault=Fault.HEARTBEAT))
-    assert_problem(safe, Level.WARNING, "safe state (heartbeat)")
-    armed = controller_checks.judge_status(status(State.ARMED))
-    assert_problem(armed, Level.WARNING, "no station runs here")
 
 
 @pytest.mark.parametrize(
@@ -108,11 +72,3 @@ def test_each_level_is_announced_and_the_last_is_low() -> None:
     ]
     assert [bool(any(permit[2:])) for permit in firmware.permits][-2:] == [False, False]
     assert {permit[:2] for permit in firmware.permits} == {b"\0\0"}
-
-
-def test_an_output_that_does_not_follow_is_reported() -> None:
-    with fake_firmware() as (port, firmware):
-        firmware.state = State.ARMED
-        with pytest.raises(DeviceError, match="stays low") as stuck:
-            toggle_line_output(ControllerConfig(backend="serial", port=port), lambda _: None, level_s=0.01)
-    assert stuck.value.code == "interlock-stuck"

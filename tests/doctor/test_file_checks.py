@@ -2,36 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import os
-import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from tests.doctor.conftest import assert_problem, changed, only, with_config, without_privileges
-from tests.peers.certificates import Certificate, make_authority, make_certificate
+from tests.peers.certificates import Certificate, make_certificate
 from vaoi_station.config import ApiConfig, LightConfig
 from vaoi_station.doctor import file_checks
-from vaoi_station.doctor.file_checks import readable_by_others, receivers, station_certificate
+from vaoi_station.doctor.file_checks import readable_by_others, station_certificate
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.model import ProgramStep
-from vaoi_station.model.receivers import MqttConfig, PushConfig
-
-
-def test_complete_files_are_ok(context: CheckContext) -> None:
-    for check in (file_checks.calibration, file_checks.board_types, file_checks.stand_ins):
-        assert {finding.level for finding in check(context)} == {Level.OK}, check
-
-
-def test_absent_calibration_is_a_fault(context: CheckContext) -> None:
-    context.config.calibration.unlink()
-    finding = only(file_checks.calibration(context))
-    assert_problem(finding, Level.FAULT, "calibration.json")
-    assert "vaoi calibrate" in finding.action
 
 
 def test_unreadable_board_types_are_named_one_by_one(context: CheckContext) -> None:
@@ -41,23 +25,6 @@ def test_unreadable_board_types_are_named_one_by_one(context: CheckContext) -> N
     bad = [f for f in file_checks.board_types(context) if f.level is Level.FAULT]
     assert [f.subject for f in bad] == ["broken.json", "foreign.json"]
     assert all(f.action for f in bad)
-
-
-def test_absent_and_empty_directory_of_board_types(context: CheckContext) -> None:
-    shutil.rmtree(context.config.board_types)
-    assert_problem(only(file_checks.board_types(context)), Level.FAULT, "there is no directory")
-    context.config.board_types.mkdir()
-    assert_problem(only(file_checks.board_types(context)), Level.WARNING, "is empty", "cannot be armed")
-
-
-def test_read_only_directory_of_board_types_is_a_warning(context: CheckContext) -> None:
-    for directory in (context.config.board_types, *context.config.board_types.parents):
-        if directory.is_relative_to(Path("/tmp")) and os.access(directory, os.W_OK):
-            directory.chmod(directory.stat().st_mode | 0o055)
-    context.config.board_types.chmod(0o555)
-    with without_privileges():
-        finding = only(file_checks.board_types(context))
-    assert_problem(finding, Level.WARNING, "cannot be written to")
 
 
 def test_a_program_that_does_not_fit_is_named_with_its_board_type(context: CheckContext) -> None:
@@ -165,53 +132,7 @@ def test_a_key_that_the_service_cannot_read_is_a_fault(context: CheckContext, tm
     assert_problem(finding, Level.FAULT, "Permission denied")
 
 
-def with_push(context: CheckContext, **fields: object) -> CheckContext:
-    push = PushConfig.model_validate(fields)
-    return with_config(context, context.config.model_copy(update={"push": push}))
-
-
 def private(path: Path, text: str, mode: int = 0o600) -> Path:
     path.write_text(text)
     path.chmod(mode)
     return path
-
-
-def test_a_sound_broker_is_ok(context: CheckContext, tmp_path: Path) -> None:
-    if importlib.util.find_spec("paho") is None:
-        pytest.fail("pip install paho-mqtt, as tests/run does")
-    authority = make_authority(tmp_path)
-    client = make_certificate(tmp_path, "client", authority)
-    broker = MqttConfig(
-        host="broker",
-        tls=True,
-        user="vaoi",
-        password_file=private(tmp_path / "password", "pass"),
-        ca=authority.certificate,
-        certificate=client.certificate,
-        private_key=client.private_key,
-    )
-    finding = only(receivers(with_push(context, mqtt=broker)))
-    assert finding.level is Level.OK
-    assert "the MQTT broker broker" in finding.message
-
-
-def test_certificates_and_passwords_of_a_broker(context: CheckContext, tmp_path: Path) -> None:
-    broken = private(tmp_path / "broken.pem", "no certificate")
-    broker = {"host": "b", "tls": True, "ca": broken, "certificate": broken, "private_key": broken}
-    push = with_push(context, mqtt={**broker, "user": "u", "password_file": tmp_path / "absent"})
-    found = list(receivers(push))
-    assert {f.level for f in found} == {Level.WARNING}
-    for word in ("password_file", "push.mqtt.ca", "cannot be used"):
-        assert any(word in f.message for f in found), word
-
-
-@pytest.mark.parametrize(("encoding", "sound"), [("utf-8-sig", True), ("utf-16", True), ("utf-16-le", False)])
-def test_a_password_may_have_a_byte_order_mark(
-    context: CheckContext, tmp_path: Path, encoding: str, sound: bool
-) -> None:
-    path = private(tmp_path / "password", "")
-    path.write_bytes("pass".encode(encoding))
-    found = list(receivers(with_push(context, mqtt={"host": "b", "user": "u", "password_file": path})))
-    faults = [f for f in found if "password_file" in f.message]
-    assert (faults == []) == sound
-    assert all("not UTF-8 text" in f.message and "Save it as UTF-8" in f.action for f in faults)

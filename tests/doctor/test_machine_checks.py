@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import pwd
-import re
-import resource
 import sys
 from pathlib import Path
 
@@ -60,33 +58,6 @@ def test_the_cache_is_that_of_the_service_whoever_runs_the_doctor(installed: Pat
     )
 
 
-def test_a_cache_that_the_user_of_the_service_cannot_write_is_a_warning_for_root_too(installed: Path) -> None:
-    (installed / "cache").mkdir(mode=0o755)
-    unit = installed / "usr/lib/systemd/system" / machine_checks.UNIT
-    unit.write_text(re.sub(r"(?m)^User=.*$", "User=daemon", unit.read_text()))
-    finding = only(machine_checks.compiled_code_cache(Machine(installed)))
-    assert_problem(finding, Level.WARNING, "cannot be written to by daemon")
-    assert finding.action == f"install -d -o daemon -g daemon -m 750 {installed}/cache"
-
-
-def test_wall_clock() -> None:
-    figures = {"synchronised": True, "max_error_ms": 1.5}
-    assert machine_checks.judge_wall_clock(0, 1500).figures == figures
-    unsynchronised = machine_checks.judge_wall_clock(machine_checks.TIME_ERROR, 16_000_000)
-    assert_problem(unsynchronised, Level.WARNING, "is not synchronised")
-    assert machine_checks.judge_wall_clock(-1, 0).level is Level.NOT_APPLICABLE
-
-
-def test_ring_larger_than_any_memory_is_a_fault(context: CheckContext) -> None:
-    huge = with_config(context, changed(context.config, "line", longest_board_mm=1e9))
-    assert_problem(next(iter(machine_checks.ring_space(huge))), Level.FAULT, "3 runs × 2 cameras", "has")
-
-
-def test_absent_ring_directory_is_a_fault(context: CheckContext) -> None:
-    context.config.ring.directory.rmdir()
-    assert_problem(only(machine_checks.ring_space(context)), Level.FAULT, "there is no directory")
-
-
 def test_ring_on_a_disk_is_a_warning(context: CheckContext, tmp_path: Path) -> None:
     (tmp_path / "proc").mkdir()
     mounts = f"proc /proc proc rw 0 0\n/dev/sda1 / ext4 rw 0 0\ntmpfs {tmp_path}/shm tmpfs rw 0 0\n"
@@ -108,17 +79,6 @@ def test_directory_that_this_user_cannot_see_is_a_fault(context: CheckContext) -
         assert_problem(finding, Level.FAULT, "hidden")
 
 
-def test_low_limit_of_locked_memory_is_a_warning(context: CheckContext) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, hard))
-    try:
-        with without_privileges():
-            finding = only(machine_checks.lock_limit(context))
-    finally:
-        resource.setrlimit(resource.RLIMIT_MEMLOCK, (soft, hard))
-    assert_problem(finding, Level.WARNING, "this user may lock 65.5 kB of memory, the ring has 18.4 MB")
-
-
 def test_process_that_owns_the_ring(config: StationConfig) -> None:
     """The ring of a running process needs no further memory, and the kernel reports whether it is locked."""
     with Ring.create(ring_path(config), RingLayout.of(config)) as ring:
@@ -131,18 +91,6 @@ def test_process_that_owns_the_ring(config: StationConfig) -> None:
         expected = Level.WARNING if ring.lock_note else Level.OK
         assert only(machine_checks.lock_limit(owned)).level is expected
     assert running_station.find(config) is None
-
-
-@pytest.mark.parametrize(("granted", "level"), [("212992", Level.WARNING), ("33554432", Level.OK), ("", Level.FAULT)])
-def test_socket_buffers(config: StationConfig, tmp_path: Path, granted: str, level: Level) -> None:
-    kernel = tmp_path / "proc/sys/net/core"
-    kernel.mkdir(parents=True)
-    (kernel / "rmem_max").write_text(granted + "\n")
-    finding = only(machine_checks.socket_buffers(CheckContext(with_aravis(config), Machine(tmp_path), None)))
-    assert finding.level is level
-    if level is Level.WARNING:
-        assert finding.figures == {"rmem_max_bytes": 212992, "needed_bytes": 10 * 1392 * 1040}
-        assert "net.core.rmem_max=16777216" in finding.action
 
 
 @pytest.mark.parametrize(

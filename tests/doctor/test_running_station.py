@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,17 +11,17 @@ import pytest
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.doctor.conftest import assert_problem, at_port, only, without_privileges
+from tests.doctor.conftest import assert_problem, at_port
 from tests.peers.certificates import make_authority, make_certificate
 from tests.peers.web_server import ScriptedHandler, serving
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.config import ApiConfig, StationConfig
-from vaoi_station.doctor import camera_checks, controller_checks, machine_checks, running_station
+from vaoi_station.doctor import running_station
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine import Machine
-from vaoi_station.doctor.running_station import CheckContext, RunningProcess, address_of, ask, request
+from vaoi_station.doctor.running_station import CheckContext, RunningProcess, ask, request
 from vaoi_station.errors import InputError
 from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.files.caller_credentials import CallerCredentials
@@ -48,36 +46,6 @@ def replying(status: int, body: bytes) -> Iterator[int]:
         yield int(address.rpartition(":")[2])
 
 
-def test_owner_of_the_ring_without_a_reply_is_a_warning(owned: StationConfig) -> None:
-    found = running_station.find(owned)
-    assert found is not None
-    context = CheckContext(owned, Machine(), found)
-    station = only(running_station.station(context))
-    assert_problem(station, Level.WARNING, f"process {os.getpid()} uses", "ConnectionRefused")
-    assert_problem(only(camera_checks.cameras(context)), Level.WARNING, "were not opened")
-    assert_problem(only(controller_checks.controller(context)), Level.WARNING, "was not opened")
-
-
-def test_station_of_another_user_is_recognised_by_its_reply(config: StationConfig) -> None:
-    """Its ring cannot be read, but its REST service replies."""
-    snapshot = b'{"state": "armed", "cameras": [], "controller": "serial: armed"}'
-    path = ring_path(config)
-    path.write_bytes(b"")
-    path.chmod(0)
-    for directory in [path.parent, *path.parent.parents][:-2]:
-        directory.chmod(directory.stat().st_mode | 0o011)
-    with replying(200, snapshot) as port, without_privileges():
-        found = running_station.find(at_port(config, port))
-        context = CheckContext(at_port(config, port), Machine(), found)
-        finding = only(running_station.station(context))
-        lock = only(machine_checks.lock_limit(context))
-    assert (finding.level, finding.message) == (
-        Level.OK,
-        "runs as a process of another user, state 'armed'; its devices are not opened",
-    )
-    assert lock.level is Level.NOT_APPLICABLE
-
-
 @pytest.mark.parametrize(
     ("status", "body"), [(200, b"hello"), (404, b'{"state": "idle"}'), (200, b"[]"), (200, b'{"status": "ok"}')]
 )
@@ -86,14 +54,6 @@ def test_reply_of_another_program_is_not_taken_for_a_station(owned: StationConfi
         found = running_station.find(at_port(owned, port))
     assert found is not None
     assert found.no_reply_reason.startswith(("ValueError", "JSONDecodeError"))
-
-
-def test_port_in_use_by_another_program_is_a_fault(config: StationConfig) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        context = CheckContext(at_port(config, port), Machine(), None)
-        assert_problem(only(running_station.station(context)), Level.FAULT, f":{port}")
-    assert only(running_station.station(context)).level is Level.OK
 
 
 def test_reasons_and_warnings_of_the_station_become_findings(config: StationConfig) -> None:
@@ -137,9 +97,3 @@ def test_a_station_that_asks_for_a_key_is_reported_as_such(closed: tuple[ApiConf
     assert ask(api, CallerCredentials(secret))["state"] == "idle"
     with pytest.raises(InputError, match="--key-file"):
         ask(api)
-
-
-def test_a_station_that_listens_everywhere_is_asked_on_loopback() -> None:
-    everywhere = ApiConfig(host="0.0.0.0", port=1)  # noqa: S104  (an address to connect to)
-    assert address_of(everywhere) == ("127.0.0.1", 1)
-    assert address_of(ApiConfig(host="10.0.0.1")) == ("10.0.0.1", 8350)

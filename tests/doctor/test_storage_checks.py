@@ -42,21 +42,6 @@ def space(free_bytes: float, *, inodes: int = 1000, free_inodes: int = 1000) -> 
     )
 
 
-@pytest.mark.parametrize(
-    ("free", "level"), [(199e6, Level.FAULT), (201e6, Level.WARNING), (1.99e9, Level.WARNING), (2.01e9, Level.OK)]
-)
-def test_limits_of_the_free_space(free: float, level: Level) -> None:
-    finding = storage_checks.judge_space(space(free), "/data")
-    assert finding.level is level
-    assert finding.figures == {"free_bytes": pytest.approx(free)}
-    assert bool(finding.action) == (level is not Level.OK)
-
-
-def test_file_system_without_free_inodes_is_a_fault() -> None:
-    assert_problem(storage_checks.judge_space(space(1e12, free_inodes=0), "/data"), Level.FAULT, "inodes")
-    assert storage_checks.judge_space(space(1e12, inodes=0, free_inodes=0), "/data").level is Level.OK
-
-
 def test_a_disk_that_cannot_hold_the_quotas_is_a_warning_with_the_numbers() -> None:
     keep = KeepConfig(database_gb=15.0, recordings_gb=20.0, mosaics_gb=1.0)
     short = storage_checks.judge_quotas(space(12e9), int(3e9), keep, "/data")
@@ -73,16 +58,6 @@ def test_a_disk_that_cannot_hold_the_quotas_is_a_warning_with_the_numbers() -> N
     without = KeepConfig(database_gb=15.0, recordings_gb=0.0)
     assert storage_checks.judge_quotas(space(16.1e9), 0, without, "/data").level is Level.OK
     assert "recordings and" not in storage_checks.judge_quotas(space(15e9), 0, without, "/data").message
-
-
-def test_database_and_recordings_are_what_the_station_uses(context: CheckContext) -> None:
-    data = context.config.data
-    (data / "recordings" / "r1" / "frames").mkdir(parents=True)
-    (data / "recordings" / "r1" / "frames" / "c00_r000.tiff").write_bytes(bytes(3000))
-    (data / "station.db-wal").write_bytes(bytes(500))
-    (data / "audit.log").write_bytes(bytes(70))
-    (data / "station.db").symlink_to("station.db-wal")
-    assert storage_checks.bytes_in_use(data) == 3500
 
 
 def mount_prefix() -> list[str]:

@@ -115,28 +115,6 @@ def test_a_light_that_lost_15_percent_is_reported_also_after_an_odd_first_board(
     assert (found.light, found.cameras) == ("left", (1,))
 
 
-def test_another_exposure_is_not_compared(run: Made) -> None:
-    usual = [run(k, lamp(0, 80)) for k in range(6)]
-    assert found_in([*usual, *(run(k, lamp(0, 8, exposure=20.0)) for k in range(6, 12))]) == ()
-    longer = [run(k, lamp(0, 70, exposure=210.0)) for k in range(6, 12)]
-    assert found_in([*usual, *longer]) == (), "70 / 210 is 83 % of 80 / 200"
-
-
-def test_a_board_that_is_hardly_in_view_is_not_compared(run: Made) -> None:
-    usual = [run(k, lamp(0, 80)) for k in range(6)]
-    assert found_in([*usual, *(run(k, lamp(0, 20, points=300)) for k in range(6, 12))]) == ()
-
-
-def test_the_brightest_exposure_of_a_light_decides(run: Made) -> None:
-    usual = [run(k, lamp(0, 80), lamp(0, 6, exposure=12.0)) for k in range(6)]
-    assert found_in([*usual, *(run(k, lamp(0, 78), lamp(0, 3, exposure=12.0)) for k in range(6, 12))]) == ()
-
-
-def test_dark_and_saturated_boards_are_no_baseline(run: Made) -> None:
-    assert found_in([run(k, lamp(0, 2.0 if k < 8 else 0.1)) for k in range(14)]) == ()
-    assert found_in([run(k, lamp(0, 254.0 if k < 8 else 60.0)) for k in range(12)]) == ()
-
-
 @settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.floats(5, 200))
 def test_scatter_of_three_percent_is_not_dimness(run: Made, seed: int, level: float) -> None:
@@ -144,12 +122,6 @@ def test_scatter_of_three_percent_is_not_dimness(run: Made, seed: int, level: fl
     factors = np.clip(g.normal(1, 0.03, (40, 2)), 0.9, 1.1)
     runs = [run(k, *(lamp(i, level * float(f)) for i, f in enumerate(both))) for k, both in enumerate(factors)]
     assert found_in(runs) == ()
-
-
-def test_a_light_that_is_no_longer_used_is_forgotten(run: Made) -> None:
-    runs = series(run, *[60.0] * 5, *[20.0] * 3)
-    assert found_in([*runs, *(run(k, lamp(0, 80)) for k in range(8, 40))])
-    assert found_in([*runs, *(run(k, lamp(0, 80)) for k in range(8, 60))]) == ()
 
 
 def test_a_baseline_outlives_the_runs_it_was_made_from(run: Made) -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vaoi_station.drift.checks import LampCheck
-from vaoi_station.drift.lamps import grid_on_board, measure_lamps, trimmed_mean
+from vaoi_station.drift.lamps import measure_lamps, trimmed_mean
 from vaoi_station.model import BoardType, RecordingHead, Status, Stitch
 
 SIZE = 100
@@ -78,31 +78,6 @@ def test_lights_and_exposures_are_kept_apart() -> None:
     assert found[0].grey == 20.0
     assert 80 < found[1].grey < 90
     assert found[2].grey == 40.0
-
-
-def test_missing_and_empty_rows_have_no_influence() -> None:
-    some = frames(80, 80, 80, 0)
-    del some[0, 3]
-    assert lamps(some)[0].grey == 80.0
-    assert lamps({}) == ()
-    beyond = stitch(image_matrices=[[moved(row + 9) for row in range(ROWS)]])
-    assert measure_lamps(beyond, BOARD, head(), lambda i, j: frames(1, 1, 1, 1).get((i, j))) == ()
-
-
-def test_nothing_is_measured_without_a_board_in_view() -> None:
-    pictures = frames(80, 80, 80, 80)
-    assert measure_lamps(stitch(cad_matrix=None), BOARD, head(), lambda i, j: pictures.get((i, j))) == ()
-    assert measure_lamps(stitch(), None, head(), lambda i, j: pictures.get((i, j))) == ()
-    unplaced = stitch(image_matrices=[[None] * ROWS])
-    assert measure_lamps(unplaced, BOARD, head(), lambda i, j: pictures.get((i, j))) == ()
-
-
-def test_the_grid_lies_inside_a_polygon() -> None:
-    triangle = BoardType.model_validate({"name": "t", "outline": [[0, 0], [60, 0], [0, 60]]})
-    points = grid_on_board(triangle)
-    assert 1500 < len(points) < 2600
-    assert points.min() > 0
-    assert points.sum(1).max() < 60
 
 
 @given(st.lists(st.floats(0, 255), min_size=1, max_size=60), st.floats(0.01, 4))

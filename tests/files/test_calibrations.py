@@ -69,23 +69,6 @@ def test_resolution_far_from_the_nominal_one_is_refused(
         read_calibration(write(document), [_head(40.0), _head(nominal)])
 
 
-@pytest.mark.parametrize("nominal", [None, 27.0, 59.0])
-def test_resolution_near_the_nominal_one_or_without_one_is_accepted(
-    write: Write, calibration_document: dict[str, Any], nominal: float | None
-) -> None:
-    document = {k: calibration_document[k] for k in ("format", "version", "unit")}
-    document["camera_matrices"] = [MATRIX]
-    assert len(read_calibration(write(document), [_head(nominal)]).camera_matrices) == 1
-
-
-@pytest.mark.parametrize("scale", [1e-7, -1.0])
-def test_scale_of_a_homography_does_not_matter(
-    write: Write, calibration_document: dict[str, Any], scale: float
-) -> None:
-    calibration_document["camera_matrices"][0] = (scale * np.array(MATRIX)).tolist()
-    assert read_calibration(write(calibration_document)).camera_matrices[0][2, 2] == pytest.approx(scale)
-
-
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [

@@ -38,11 +38,6 @@ def test_what_cannot_be_a_key_is_refused_without_showing_it(key_file: Path, text
     assert not text or text not in str(refusal.value)
 
 
-def test_a_key_file_that_is_absent_is_refused_with_its_name(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"VAOI_KEY_FILE .*absent: cannot be read"):
-        caller_credentials(environment={"VAOI_KEY_FILE": str(tmp_path / "absent")})
-
-
 def test_neither_text_nor_errors_show_the_key() -> None:
     assert KEY not in repr(caller_credentials(key=KEY, environment={}))
 

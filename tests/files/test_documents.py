@@ -25,13 +25,12 @@ from vaoi_station.files.documents import (
     parse,
     read_json,
     read_text,
-    read_toml,
     text_of,
     write_bytes,
     write_json,
 )
 from vaoi_station.files.results import read_heights
-from vaoi_station.model import BoardType, Component
+from vaoi_station.model import BoardType
 from vaoi_station.settings.edits import Edit, edit_toml
 from vaoi_station.simulation import read_scenario, scenario_path
 
@@ -54,12 +53,6 @@ Write = Callable[..., Path]
 def test_invalid_json_is_refused_with_its_position(write: Write, text: str, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         read_json(write(text))
-
-
-def test_invalid_toml_is_refused_with_its_position(tmp_path: Path) -> None:
-    (tmp_path / "station.toml").write_text("a = 1\nb = = 2\n")
-    with pytest.raises(InputError, match=r"station\.toml: not valid TOML: .*line 2"):
-        read_toml(tmp_path / "station.toml")
 
 
 @pytest.mark.parametrize(
@@ -88,12 +81,6 @@ def test_parse_reports_refused_items_and_not_a_short_array() -> None:
         parse(Box, {"sides": ["x"]}, "box")
     with pytest.raises(InputError, match=r"^box: sides: Tuple should have at least 1 item"):
         parse(Box, {"sides": []}, "box")
-
-
-def test_parse_reports_at_most_five_faults() -> None:
-    faulty = {"ref": "", "center": ["a", "b"], "width": 0, "height": 0, "rotation": "x", "body_height": -1}
-    with pytest.raises(InputError, match=r"; and 2 more\.$"):
-        parse(Component, faulty, "board.json")
 
 
 def test_numbers_that_json_cannot_hold_are_not_written(tmp_path: Path) -> None:

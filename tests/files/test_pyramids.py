@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, halved, write_pyramid
+from vaoi_station.files.pyramids import TILE_PX, PyramidLayout, write_pyramid
 
 
 def tiles_of(picture: np.ndarray, fill: float = 0) -> Any:
@@ -42,26 +42,6 @@ def test_levels_are_reductions_of_the_largest(tmp_path: Path, channels: int) -> 
         assert file.pages.first.tags["GDAL_NODATA"].value == "0"
         assert file.pages.first.tags["XResolution"].value == (400, 1)
     assert [p.name for p in tmp_path.iterdir()] == ["p.tif"]
-
-
-def test_pixels_without_data_do_not_darken_the_reductions() -> None:
-    picture = np.array([[0, 100], [0, 0]], np.uint8)
-    assert halved(picture).tolist() == [[100]]
-    assert halved(np.zeros((2, 2), np.uint8)).tolist() == [[0]]
-    assert halved(np.array([[np.nan, 3], [1, 2]], np.float32)).tolist() == [[2]]
-    assert np.isnan(halved(np.full((2, 2), np.nan, np.float32))).all()
-    assert halved(np.array([[1, 3], [1, 3]], np.float32)).tolist() == [[2]]
-
-
-def test_floats_keep_nan(tmp_path: Path) -> None:
-    picture = np.full((300, 300), np.nan, np.float32)
-    picture[:100] = 7
-    layout = PyramidLayout(300, 300, np.dtype(np.float32), nodata="nan")
-    write_pyramid(tmp_path / "p.tif", layout, tiles_of(picture, np.nan))
-    with tifffile.TiffFile(tmp_path / "p.tif") as file:
-        small = file.series[0].levels[1].asarray()
-    assert small[10, 10] == 7
-    assert np.isnan(small[120, 120])
 
 
 def test_existing_file_is_not_overwritten(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from vaoi_station.errors import InputError
 from vaoi_station.files import read_stitch, write_stitch
 from vaoi_station.files.documents import read_json
-from vaoi_station.files.results import component_tables, read_heights, stitch_document, stitch_text
+from vaoi_station.files.results import read_heights, stitch_document, stitch_text
 from vaoi_station.model import BoardType
 
 Write = Callable[..., Path]
@@ -86,12 +86,6 @@ def test_faulty_documents_are_refused_with_file_and_key(
 ) -> None:
     with pytest.raises(InputError, match=rf"document\.json: (.*: )?{complaint}"):
         read_stitch(write(document | change))
-
-
-def test_tables_of_components_are_read_alone() -> None:
-    tables = {"heights_mm": {"U1": 1.5}, "component_covariance_px2": {"U1": [[0, 1, 0.1, 0.0, 0.1]]}}
-    text = json.dumps({"quality": {**tables, "heights": "none", "height_sigma_mm": None}})
-    assert component_tables(text) == tables
 
 
 PARTS = BoardType.model_validate(

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -25,13 +24,6 @@ def test_foot_is_below_a_tilted_camera(
 ) -> None:
     camera = calibrated(pinhole(focal * 40 * place[2], place, tilt, y_down))
     np.testing.assert_allclose(camera.foot_mm, place[:2], atol=1e-3)
-
-
-def test_foot_uses_the_principal_point_that_is_given(pinhole: Any, calibrated: Make) -> None:
-    straight = calibrated(pinhole(40 * 483.0, (10.0, 20.0, 483.0), (0.0, 0.0, 0.0)))
-    shifted = Camera(1392, 1040, straight.image_from_row, LENS, 483.0, principal_point_px=(735.5, 519.5))
-    assert straight.foot_mm == pytest.approx([10, 20])
-    assert shifted.foot_mm == pytest.approx([11, 20])
 
 
 @shared
@@ -75,30 +67,6 @@ def test_all_visible_points_lie_in_the_box_of_the_view(pinhole: Any, calibrated:
     size = np.array([camera.width_px, camera.height_px]) - 1
     places = camera.ground(size * np.random.default_rng(1).uniform(0, 1, (200, 2)))
     assert ((places >= low) & (places <= high)).all()
-
-
-def test_without_a_distance_heights_have_no_effect(pinhole: Any, calibrated: Make) -> None:
-    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.02, 0.0, 0.0)), distance_known=False)
-    p = np.array([[5.0, 6.0]])
-    assert (camera.project(p, 30.0) == camera.project(p)).all()
-    assert (camera.ground((3, 4), 30.0) == camera.ground((3, 4))).all()
-    assert camera.image_from_row_at(30.0) is camera.image_from_row
-    np.testing.assert_allclose(camera.foot_mm, camera.row_from_image(camera.center_px))
-
-
-@pytest.mark.parametrize(
-    ("y_down", "mirrors"), [(True, False), (False, True)], ids=["tester-y-down-the-image", "tester-y-up-the-image"]
-)
-def test_handedness_of_a_camera_matrix(pinhole: Any, calibrated: Make, y_down: bool, mirrors: bool) -> None:
-    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.01, 0.0, 2.0), y_down))
-    assert camera.image_from_row.mirrors is mirrors
-
-
-def test_sees_ends_at_the_border_pixels_less_the_margin(pinhole: Any, calibrated: Make) -> None:
-    camera = calibrated(pinhole(40 * 483.0, (0.0, 0.0, 483.0), (0.0, 0.0, 0.0)))
-    p: list[list[float]] = [[0, 0], [1391, 1039], [1391.1, 5], [5, -0.1], [9.9, 500], [np.nan, 5]]
-    assert camera.sees(p).tolist() == [True, True, False, False, True, False]
-    assert camera.sees(p, margin_px=10).tolist() == [False] * 6
 
 
 def test_distant_points_do_not_fold_back_into_the_frame(pinhole: Any, calibrated: Make) -> None:

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.geometry.displacement import (
     CameraMatrices,
-    displace_camera,
     rms_displacement_px,
 )
 from vaoi_station.geometry.transforms import apply
@@ -31,19 +30,6 @@ def moved_from_calibrated(camera: Camera, displacement_px: np.ndarray) -> np.nda
 def test_the_middle_of_the_picture_moves_by_x_and_y(distance_mm: float | None, x: float, y: float) -> None:
     t = moved_from_calibrated(replace(CAMERA, working_distance_mm=distance_mm), np.array([x, y, 0.0]))
     assert apply(t, CAMERA.center_px) - CAMERA.center_px == pytest.approx((x, y), abs=1e-3)
-
-
-@pytest.mark.parametrize("distance_mm", [400.0, None])
-def test_a_turn_is_measured_at_the_corner(distance_mm: float | None) -> None:
-    camera = replace(CAMERA, working_distance_mm=distance_mm)
-    t = moved_from_calibrated(camera, np.array([0.0, 0.0, 0.7]))
-    off = apply(t, [640.0, 480.0]) - (640.0, 480.0)
-    assert np.hypot(*off) == pytest.approx(0.7, rel=5e-3)
-    assert off[0] < 0 < off[1], "from x towards y"
-
-
-def test_a_turn_does_not_move_the_foot_of_the_camera() -> None:
-    assert displace_camera(CAMERA, np.array([12.0, -7.0, 1.0])).foot_mm == pytest.approx(CAMERA.foot_mm, abs=0.01)
 
 
 def test_the_size_is_the_rms_over_the_frame() -> None:

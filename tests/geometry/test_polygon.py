@@ -1,9 +1,8 @@
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from vaoi_station.geometry.polygon import encloses, find_crossing_edges, pixels_inside
+from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 
 BOX = [(0.0, 10.0), (20.0, 0.0)]
 ELL = [(0.0, 0.0), (20.0, 0.0), (20.0, 5.0), (5.0, 5.0), (5.0, 20.0), (0.0, 20.0)]
@@ -50,13 +49,3 @@ BOW_TIE = [(0.0, 0.0), (10.0, 10.0), (10.0, 0.0), (0.0, 10.0)]
 )
 def test_edges_that_cross_or_touch(outline: list[tuple[float, float]], edges: tuple[int, int] | None) -> None:
     assert find_crossing_edges(outline) == edges
-
-
-def test_pixels_inside_a_convex_polygon() -> None:
-    corners = np.array([(0.5, 0.0), (3.0, 0.0), (3.0, 2.0), (0.5, 2.0)])
-    expected = np.zeros((4, 5), bool)
-    expected[:3, 1:4] = True
-    for turned in (corners, corners[::-1]):
-        np.testing.assert_array_equal(pixels_inside(turned, 5, 4), expected)
-    diamond = np.array([(2.0, -0.1), (4.1, 2.0), (2.0, 4.1), (-0.1, 2.0)])
-    assert pixels_inside(diamond, 5, 5).sum(1).tolist() == [1, 3, 5, 3, 1]

@@ -105,24 +105,6 @@ def test_exposures_in_turn_give_one_picture_for_each_run_of_rows_with_all_exposu
     ]]  # fmt: skip
 
 
-def test_a_row_that_shows_a_part_is_completed_by_the_next() -> None:
-    low = [exposed(c, 0, e, shift=(12.0, 45.0)) for c, e in enumerate((250.0, 15.0))]
-    whole = [exposed(c, r, e) for r in (1, 2) for c, e in enumerate((250.0, 15.0))]
-    assert keys(exposure_groups([*whole, *low])) == [
-        [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (1, 2)],
-        [(0, 1), (1, 1), (0, 2), (1, 2)],
-    ]
-
-
-def test_places_outside_the_frames_have_no_value() -> None:
-    found = merge_views([exposed(0, 0, 50.0, shift=(50.0, 9.0))])[-1]
-    seen = FRAME[0] - 50
-    assert np.isnan(found.value[:, seen:]).all()
-    assert np.isfinite(found.value[:, : seen - 2]).all()
-    beside = merge_views([exposed(0, 0, 50.0, shift=(200.0, 9.0))])[-1]
-    assert beside.holes == 1
-
-
 def test_colour_and_tiles_of_a_distorted_view() -> None:
     plain = exposed(0, 0, 50.0)
     colour = np.repeat(plain.pixels()[:, :, None], 3, 2)
@@ -133,16 +115,6 @@ def test_colour_and_tiles_of_a_distorted_view() -> None:
     )
     found = merge_views([Exposed(split, plain.taken, plain.maps, FRAME, lambda: colour)])[-1]
     np.testing.assert_allclose(found.value, merge_views([plain])[-1].value, rtol=1e-4, atol=1e-4)
-
-
-def test_without_flat_fields_the_flat_is_one() -> None:
-    maps = FieldMaps(None, 2.0, NoiseModel(1.5, 0.03))
-    grey = np.full((FRAME[1], FRAME[0]), 102, np.uint8)
-    found = merge_views([Exposed(view(0, 0, (12.0, 9.0)), Taken(50.0, 2.0), maps, FRAME, lambda: grey)])[-1]
-    np.testing.assert_allclose(found.value, 1.0, rtol=1e-5)
-    # At whole pixels sharpening alone acts on the noise.
-    sharpened = 1.25**2 + 2 * 0.125**2
-    np.testing.assert_allclose(found.sigma, sharpened * np.sqrt(1.5**2 + 0.06 * 100) / 100, rtol=1e-5)
 
 
 Expose = Callable[[Iterable[View]], list[Exposed]]

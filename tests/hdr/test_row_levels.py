@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.hdr.conftest import StitchedBoard
 from vaoi_station.hdr import row_levels as module
 from vaoi_station.hdr.row_levels import row_levels
-from vaoi_station.photometry import FlatFields, NoiseModel, Taken
+from vaoi_station.photometry import FlatFields, Taken
 from vaoi_station.photometry.flat_fields import FlatFieldDocument
 
 
@@ -90,17 +90,6 @@ def test_no_more_pixels_are_read_than_permitted(small_board: StitchedBoard) -> N
             np.testing.assert_array_equal(found, 1.0)
 
 
-def test_a_light_of_too_many_rows_is_left_as_it_is(small_board: StitchedBoard, monkeypatch: pytest.MonkeyPatch) -> None:
-    def unread(camera: int, row: int) -> NDArray[Any] | None:
-        raise AssertionError((camera, row))
-
-    b = small_board
-    lights = Counter(b.recording.head.light(row) for row in range(b.recording.head.rows))
-    monkeypatch.setattr(module, "MOST_ROWS", min(lights.values()) - 1)
-    levels = row_levels(taken_of(b), b.board_type, b.stitch, b.cameras, even_fields(b), unread)
-    np.testing.assert_array_equal(levels, 1.0)
-
-
 def test_rows_that_share_everything_gather_no_error() -> None:
     """Every second row is dark; the others share all of 400 points, with 1 % noise."""
     rows, shared = 240, 400
@@ -113,16 +102,3 @@ def test_rows_that_share_everything_gather_no_error() -> None:
     error = module._solve(module._Samples(points, number, log), np.arange(rows))[seen] - true[seen]
     assert np.std(error) < 0.001
     assert abs(np.polyfit(np.linspace(-1, 1, len(seen)), error, 1)[0]) < 0.0003
-
-
-def test_without_flat_fields_or_mapping_all_rows_are_equal(small_board: StitchedBoard) -> None:
-    b = small_board
-    ones = np.ones(b.recording.head.rows)
-    none = FlatFields.none(NoiseModel())
-    np.testing.assert_array_equal(
-        row_levels(taken_of(b), b.board_type, b.stitch, b.cameras, none, b.recording.frame), ones
-    )
-    unplaced = b.stitch.model_copy(update={"cad_matrix": None})
-    np.testing.assert_array_equal(
-        row_levels(taken_of(b), b.board_type, unplaced, b.cameras, even_fields(b), b.recording.frame), ones
-    )

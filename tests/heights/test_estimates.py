@@ -17,12 +17,10 @@ from vaoi_station.heights.estimates import (
     Interval,
     PartHeight,
     compare,
-    equalised_frames,
     heights_document,
     measure_heights,
 )
 from vaoi_station.model import BoardType
-from vaoi_station.photometry import FieldMaps, FlatFields, NoiseModel
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.work import StitchSetup, stitch_frames
 
@@ -84,12 +82,6 @@ def test_a_row_of_blank_parts_has_its_height_among_those_that_explain_the_pictur
             assert compare(height, 1.0)[0] not in ("higher", "lower"), (seed, ref)
 
 
-def test_gains_of_rows_do_not_matter(film: Any) -> None:
-    filmed = film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, gain=lambda row: (1.0, 0.3)[row % 2])
-    height = measure_heights(filmed.board_type, filmed.stitch, filmed.cameras, filmed.frame)["U1"]
-    assert height.height_mm == pytest.approx(1.5, abs=0.06)
-
-
 def test_only_rows_of_one_light_are_compared(film: Any) -> None:
     """Under another light the body looks different: those pictures have nothing in common."""
     filmed = film({"U1": ((0.0, 0.0, 3.0, 2.5), 1.0, 1.5)}, rows=6, step_mm=1.5, top=lambda row, ref: row % 2)
@@ -115,14 +107,6 @@ def test_a_body_of_which_all_tiles_are_edges_has_no_sure_height() -> None:
         if height.height_mm is not None and height.sigma_mm is not None:
             assert abs(height.height_mm - part.body_height_mm) < 3 * height.sigma_mm, ref
             assert height.sigma_mm > 0.2
-
-
-def test_one_view_gives_no_height(filmed: Any) -> None:
-    found = measure_heights(
-        filmed.board_type, filmed.stitch, filmed.cameras, lambda i, j: filmed.frame(i, j) if j == 1 else None
-    )
-    assert found["U1"].views == 1
-    assert all(height.height_mm is None and not height.intervals for height in found.values())
 
 
 def test_rows_that_may_be_displaced_by_a_period_measure_nothing(filmed: Any) -> None:
@@ -231,33 +215,3 @@ def test_the_document_has_heights_in_mm_and_expectations_of_the_board_type() -> 
             ],
         },
     }
-
-
-class OneField(FlatFields):
-    """The same maps for every camera; darker where the flat field is 0.5."""
-
-    def maps(self, camera: int, light: str | None) -> FieldMaps:
-        flat = np.array([[1.0, 0.5, 1.0], [0.5, 0.5, 2.0]], np.float32)
-        return FieldMaps(flat if light == "left" else None, 2.0, NoiseModel())
-
-
-FRAME = np.array([[102, 52, 255], [12, 2, 22]], np.uint8)
-
-
-def test_a_frame_is_divided_by_the_flat_field_of_its_light() -> None:
-    frames = equalised_frames(lambda i, j: FRAME if j < 2 else None, OneField(), ("left", "right", "left"))
-    left, right = frames(0, 0), frames(0, 1)
-    assert left is not None
-    assert right is not None
-    assert left.dtype == np.float32
-    np.testing.assert_allclose(left[:, :2], [[100, 100], [20, 0]])
-    np.testing.assert_allclose(right[:, :2], [[100, 50], [10, 0]])
-    assert frames(0, 2) is None
-
-
-def test_saturated_pixels_stay_saturated() -> None:
-    frames = equalised_frames(lambda i, j: FRAME, OneField(), ("left",))
-    value = frames(0, 0)
-    assert value is not None
-    assert value[0, 2] >= 252
-    assert value[1, 2] == 10

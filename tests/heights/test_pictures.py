@@ -19,7 +19,6 @@ from vaoi_station.heights.pictures import (
     collect_pictures,
     cut_pictures,
     picture_stack,
-    surface_stack,
 )
 
 
@@ -31,19 +30,6 @@ def opened(filmed: Any) -> tuple[Places, Pictures]:
     pictures = collect_pictures(grid, Frames(filmed.frame), lambda row: row % 2)
     assert pictures is not None
     return places, pictures
-
-
-def test_every_frame_that_shows_the_part_is_collected_with_its_light(opened: tuple[Places, Pictures]) -> None:
-    _, pictures = opened
-    assert len(pictures.images) == len(pictures.grid.keys) >= 2
-    assert pictures.group.tolist() == (pictures.grid.keys[:, 1] % 2).tolist()
-    assert pictures.spread > 0
-
-
-def test_a_single_frame_shows_no_parallax(opened: tuple[Places, Pictures], filmed: Any) -> None:
-    first = tuple(opened[1].grid.keys[0].tolist())
-    frames = Frames(lambda i, j: filmed.frame(i, j) if (i, j) == first else None)
-    assert collect_pictures(opened[1].grid, frames, lambda row: 0) is None
 
 
 def test_on_the_plane_of_a_body_its_pictures_are_equal(opened: tuple[Places, Pictures]) -> None:
@@ -76,25 +62,6 @@ def test_pictures_are_those_of_exact_positions_blurred(opened: tuple[Places, Pic
         assert abs(error.mean()) < 0.1
 
 
-def test_the_sweep_reads_the_same_values_as_without_limits(opened: tuple[Places, Pictures]) -> None:
-    places, pictures = opened
-    cut = cut_pictures(places, pictures, 0.0, 5.0)
-    limited, margin = surface_stack(places, pictures, cut)
-    everywhere = picture_stack(places, pictures, cut, margin, 0.0)
-    assert limited.shape == everywhere.shape
-    assert np.isfinite(limited).sum() < np.isfinite(everywhere).sum()
-    # The footprint is read at the least, and beside it what the height moves there.
-    inner = slice(margin, -margin)
-    np.testing.assert_allclose(limited[:, inner, inner], everywhere[:, inner, inner], atol=0.05)
-
-
-def test_outside_the_frame_there_are_no_values(opened: tuple[Places, Pictures]) -> None:
-    places, pictures = opened
-    picture = picture_stack(places, pictures, cut_pictures(places, pictures, 0.0, 2.0), 300, 0.0)[0]
-    assert np.isnan(picture[0, 0])
-    assert np.isfinite(picture).any()
-
-
 def test_a_grid_lies_on_the_footprint_and_knows_the_frames_that_show_it(filmed: Any) -> None:
     places, footprint = Places(filmed.board_type, filmed.stitch, filmed.cameras), filmed.board_type.footprint
     camera = filmed.cameras[0]
@@ -117,16 +84,6 @@ def test_a_grid_lies_on_the_footprint_and_knows_the_frames_that_show_it(filmed: 
     u1 = places.grid("U1", footprint(filmed.board_type.component("U1")))
     assert u1 is not None
     assert (u1.width, u1.height, u1.level) == (60, 50, 0)
-
-
-def test_large_footprints_have_larger_pixels_and_tiny_ones_no_grid(filmed: Any) -> None:
-    places = Places(filmed.board_type, filmed.stitch, filmed.cameras)
-    box = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    large = places.grid("X", box * 8.0)
-    assert large is not None
-    assert large.level == 1
-    assert large.mm_per_px == pytest.approx(0.1)
-    assert places.grid("X", box * 0.1) is None
 
 
 def sample(image: np.ndarray, nodes: np.ndarray, step: int, out: np.ndarray) -> None:

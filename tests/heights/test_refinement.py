@@ -41,14 +41,6 @@ def test_a_displacement_along_the_parallax_is_a_height(shift: float) -> None:
     assert np.median(found.variance) == pytest.approx(0.09, abs=0.2)
 
 
-def test_groups_are_not_compared_with_each_other() -> None:
-    stack = np.array([shifted(0.0, 1.0, 0.3, 1), shifted(0.3, 1.0, 0.3, 2)])
-    lean = np.ones((6, 2, 2))
-    found = normal_equations(stack, lean, TILES, np.ones((6, 2), np.bool_), np.array([0, 1]))
-    assert not found.matrix.any()
-    assert not found.variance.any()
-
-
 def equations(mm: np.ndarray, information: float = 1e4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The equations of tiles at these heights, without other parameters and nearly without noise."""
     matrix = np.full((len(mm), 1, 1), information)
@@ -62,12 +54,6 @@ def test_a_tile_that_differs_has_no_weight(height_mm: float, count: int, off_mm:
     weights = tile_weights(*equations(mm))
     assert (weights[:-1] > 0.9).all()
     assert weights[-1] == 0
-
-
-def test_tiles_without_texture_have_no_weight() -> None:
-    matrix, vector, noisy = equations(np.full(5, 1.0))
-    assert not tile_weights(matrix, vector, noisy * 1e5).any()
-    assert not tile_weights(-matrix, -vector, noisy).any()
 
 
 LEAN = np.array([[0.0, 0.5], [0.0, -0.5]])
@@ -92,10 +78,3 @@ def test_the_size_of_the_errors_is_found_across_the_parallax(size_px: float) -> 
     z = (found[:, 0] - 1) / found[:, 1]
     assert 0.8 < math.sqrt((z**2).mean()) < 1.25
     assert np.median(found[:, 1]) == pytest.approx(size_px * math.sqrt(2), rel=0.4)
-
-
-def test_the_rows_limit_the_standard_deviation_from_below() -> None:
-    bodies = {str(n): body_equations(np.zeros((2, 2))) for n in range(5)}
-    narrow, wide = combine(bodies, 0.0)["0"][1], combine(bodies, 0.08)["0"][1]
-    assert narrow < 0.02
-    assert wide == pytest.approx(0.04 * math.sqrt(2), rel=0.1)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tests.identity.conftest import DATAMATRIX, Filmed
-from vaoi_station.errors import StateError
 from vaoi_station.identity.code_reader import CodeReader, Found, Progress, RegionPictures, read_codes
 from vaoi_station.identity.symbols import read_symbols
 from vaoi_station.model import BoardCode, BoardReading
@@ -33,11 +32,6 @@ def test_codes_are_read_at_their_places_with_module_and_symbology(coded: Filmed)
         assert code.error_correction_used < 1
         assert np.abs(np.mean(code.corners, axis=0) - code.center).max() * MIL < 0.001
     assert (found.unread_places, found.complete) == ((), True)
-
-
-def test_codes_are_found_anywhere_and_by_kind(coded: Filmed) -> None:
-    assert {c.symbology for c in read(coded, places=()).codes} == {"datamatrix", "qr"}
-    assert {c.symbology for c in read(coded, places=(), symbology="qr").codes} == {"qr"}
 
 
 def test_code_of_dots_is_read_at_its_place_and_anywhere(make_coded: Callable[..., Filmed]) -> None:
@@ -145,9 +139,3 @@ def test_missing_frames_are_passed_over_and_choices_end(coded: Filmed) -> None:
     assert second[1] not in (None, first[1])
     assert pictures.draw(grid, len(coded.frames)) is None
     assert pictures_of(gone, [first[1]]).draw(grid, 0) is None
-
-
-def test_run_without_a_cad_mapping_is_refused(coded: Filmed) -> None:
-    stitch = coded.stitch.model_copy(update={"cad_matrix": None})
-    with pytest.raises(StateError, match="no CAD mapping"):
-        RegionPictures(coded.board_type, stitch, coded.cameras, [], coded.frame)

@@ -85,9 +85,3 @@ def test_only_a_type_that_requires_its_id_degrades_runs() -> None:
     assert compare(required, reading("b;1"), "2").degrades
     assert compare(required, None, "2").degrades
     assert not compare(required, None, "2", without="pending").degrades
-
-
-def test_messages_show_texts_short_and_with_visible_control_characters() -> None:
-    found = compare(ANYWHERE, reading("x\x1d" + "y" * 100), "1")
-    assert r"'x\x1dyyy" in found.reasons[0].message
-    assert len(found.reasons[0].message) < 200

@@ -54,12 +54,6 @@ def test_small_code_with_a_damaged_word_is_not_proven() -> None:
     assert [(found.text, found.proven) for found in read_symbols(shown, None)] == [("SN7", False)]
 
 
-def test_little_contrast_and_inverted_codes_are_read() -> None:
-    assert [s.text for s in read_symbols(picture("datamatrix", 5, low=20, high=34), None)] == [TEXT]
-    assert [s.text for s in read_symbols(picture("datamatrix", 5, low=200, high=40), None)] == [TEXT]
-    assert read_symbols(np.full((60, 60), 7, np.uint8), None) == []
-
-
 DISTURBED: dict[str, dict[str, Any]] = {
     "light dots": {"dot": 0.75, "inverted": True},
     "small modules": {"module_px": 4.0, "dot": 0.7, "inverted": True, "blur_px": 0.5},
@@ -104,8 +98,3 @@ def test_array_of_dots_has_no_text(size: tuple[int, int], hole: int) -> None:
         picture = array_of_dots(*size, pitch, hole)
         assert read_symbols(picture, None) == []
         assert read_symbols(255 - picture, None) == []
-
-
-def test_all_codes_of_a_picture_are_read() -> None:
-    pictures = [draw_dotted_code(DottedCode(text=text, dot=0.7, module_px=7.0))[0] for text in ("11111111", "22222222")]
-    assert sorted(s.text for s in read_symbols(np.hstack(pictures), None)) == ["11111111", "22222222"]

@@ -49,16 +49,3 @@ def test_a_document_of_another_type_is_refused(
     with pytest.raises(vaoi.InputError, match="pixels is"):
         vaoi.write_image(tmp_path / "a.png", [[1, 2], [3]])  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("wrong", [None, 5, "", ["U1"], b"U1"])
-def test_a_wrong_ref_is_refused(stitched: vaoi.StitchedRun, wrong: Any) -> None:
-    for function in (stitched.component, stitched.center):
-        with pytest.raises(vaoi.InputError, match=r"ref is .* a text"):
-            function(wrong)
-
-
-@pytest.mark.parametrize("wrong", [None, 5, ["auto"], "AUTO"])
-def test_a_wrong_method_is_refused(recording: vaoi.RecordedRun, wrong: Any) -> None:
-    with pytest.raises(vaoi.InputError, match="method is"):
-        recording.stitch(wrong)

@@ -29,13 +29,6 @@ def test_a_board_type_is_made_of_one_file_or_two(board: Path, tmp_path: Path) ->
     assert any("shifted by (100.000, 0.000)" in line for line in vaoi.import_board_data(places, join=board).check)
 
 
-def test_sizes_of_bodies_are_those_of_a_table(tmp_path: Path) -> None:
-    (tmp_path / "p.csv").write_text("Ref,X(mm),Y(mm),Package\nR1,0,0,MY-RELAY\nR2,30,30,0402\n")
-    (tmp_path / "sizes.toml").write_text("[[package]]\npattern = '^MY-RELAY'\nsize = [15.0, 7.5]\n")
-    found = vaoi.import_board_data(tmp_path / "p.csv", sizes=tmp_path / "sizes.toml")
-    assert found.board_type.components[0].width == 15.0
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

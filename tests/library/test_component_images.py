@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import vaoi_station as vaoi
-from vaoi_station.library.component_images import ComponentImage, ComponentImages
-from vaoi_station.model import Status
+from vaoi_station.library.component_images import ComponentImage
 
 
 def test_a_figure_has_a_tile_for_every_image(stitched: vaoi.StitchedRun) -> None:
@@ -46,15 +44,3 @@ def test_pixels_are_loaded_at_each_access_and_not_before() -> None:
     assert loads == []
     assert image.pixels.shape == image.pixels.shape == (30, 40)
     assert len(loads) == 2
-
-
-@pytest.mark.parametrize("shape", [(30, 40), (30, 40, 3)])
-@pytest.mark.parametrize(("height_mm", "sigma_mm"), [(None, None), (1.2, None), (1.2, 0.05)])
-def test_figure_is_drawn_with_and_without_a_height(
-    shape: tuple[int, ...], height_mm: float | None, sigma_mm: float | None
-) -> None:
-    images = ComponentImages("U1", (made_image([], shape),) * 3, height_mm, sigma_mm, Status.OK)
-    figure = images.figure()
-    assert figure.shape[2] == 3
-    assert images[2] is images.images[2]
-    assert ComponentImages("U1", (), height_mm, sigma_mm, Status.FAILED).figure().ndim == 3

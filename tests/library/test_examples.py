@@ -23,13 +23,6 @@ def run_example(name: str, *arguments: str | Path) -> str:
     return done.stdout
 
 
-def test_figure_of_a_component(tmp_path: Path) -> None:
-    shown = run_example("figure_of_a_component.py", tmp_path)
-    assert "ok: " in shown
-    assert vaoi.read_image(tmp_path / "U1.png").ndim == 3
-    assert vaoi.read_result(tmp_path / "result.json").status == vaoi.Status.OK
-
-
 def test_probe_coordinates(recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun, tmp_path: Path) -> None:
     stitched.save(tmp_path / "result.json")
     lines = run_example("probe_coordinates.py", recording.directory, tmp_path / "result.json").splitlines()
@@ -69,23 +62,6 @@ def test_pictures_of_every_board() -> None:
     finally:
         served.stop()
     assert shown == "run r000001: ok, 9 pictures\n"
-
-
-def test_images_of_one_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    station = HeldStation()
-    station.lights = ("left", "right")
-    station.film()
-    served = Served(station)
-    monkeypatch.setenv("VAOI_STATION", served.url)
-    try:
-        shown = run_example("images_of_one_light.py", served.url, "U1", "left", tmp_path)
-        run_example("best_image.py", "U1", "left", tmp_path / "best.png")
-    finally:
-        served.stop()
-    assert "exposure" not in shown
-    assert "100.0 µs: angle" in shown or "300.0 µs: angle" in shown
-    assert len(list(tmp_path.glob("U1_left_*.png"))) == len(shown.splitlines())
-    assert vaoi.read_image(tmp_path / "best.png").shape < vaoi.read_image(tmp_path / "U1_left_00.png").shape
 
 
 def test_the_table_lists_every_example() -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
-import numpy as np
 import pytest
 
 import vaoi_station as vaoi
@@ -33,24 +32,6 @@ def test_the_latest_run_gives_images_of_a_component(served: Served) -> None:
     for image in images:
         assert image.pixels.shape[:2] == (64, 80), "8 mm × 10 mm at 8 px/mm"
         assert image.crop_from_cad.shape == image.image_from_crop.shape == (3, 3)
-
-
-def test_runs_are_listed_and_waited_for(served: Served) -> None:
-    station = vaoi.connect(served.url)
-    assert [run["id"] for run in station.runs()] == ["r000001"]
-    assert station.wait_for_run(after="r000001", timeout_s=0.0) is None
-    second = served.station.film()
-    following = station.wait_for_run(after="r000001", timeout_s=5.0)
-    assert following is not None
-    assert following.id == second
-    assert station.snapshot()["state"]
-
-
-def test_an_address_without_a_station_is_refused() -> None:
-    with pytest.raises(vaoi.InputError, match="must start with http"):
-        vaoi.connect("localhost:8350")
-    with pytest.raises(vaoi.DeviceError, match="does not reply"):
-        vaoi.connect("http://127.0.0.1:9")
 
 
 @pytest.fixture
@@ -113,14 +94,6 @@ def test_the_line_is_armed_and_disarmed(served: Served) -> None:
     assert station.arm("demo-board", allow_lost_cameras=True)["state"] == "armed"
 
 
-def test_events_follow_the_newest_one_known(served: Served) -> None:
-    station = vaoi.connect(served.url)
-    after = station.snapshot()["last_event"]
-    run = served.station.film()
-    events = [next(e for e in station.events(after) if e.get("state") == "ready")]
-    assert events[0]["run"] == run
-
-
 @pytest.fixture(scope="module")
 def run() -> Iterator[vaoi.StationRun]:
     station = HeldStation()
@@ -128,17 +101,6 @@ def run() -> Iterator[vaoi.StationRun]:
     served = Served(station)
     yield vaoi.connect(served.url).run()
     served.stop()
-
-
-def test_a_frame_is_an_array(run: vaoi.StationRun) -> None:
-    frame = run.frame(0, 0)
-    assert frame.ndim == 2
-    assert frame.dtype == np.uint8
-    with pytest.raises(vaoi.StateError, match="has holes"):
-        run.frame(0, 1)
-    assert run.frame(0, 1, incomplete=True).shape == frame.shape
-    with pytest.raises(vaoi.InputError, match="row"):
-        run.frame(0, -1)
 
 
 def test_the_verdict_of_the_run_counts_with_its_reasons(run: vaoi.StationRun) -> None:
@@ -229,14 +191,6 @@ def test_events_as_they_happen(served: Served) -> None:
         raise AssertionError("the station ended its events")
 
     assert asyncio.run(first_run()) == "r000002"
-
-
-def test_refusals_are_the_same_with_asyncio(served: Served) -> None:
-    async def arm() -> None:
-        await (await vaoi.connect_async(served.url)).arm("unheard")
-
-    with pytest.raises(vaoi.NotFoundError, match="unheard"):
-        asyncio.run(arm())
 
 
 @pytest.mark.parametrize("region", [None, "1234", (1, 2, 3), (1, 2, 3, 4, 5), (0, 0, float("nan"), 1)])

@@ -38,16 +38,6 @@ def read(*members: Member, cut: int = 0) -> list[ComponentPictures]:
     return list(read_pictures(io.BytesIO(content[: len(content) - cut]), "http://station/images"))
 
 
-def test_an_end_that_reports_a_cause_is_raised() -> None:
-    error = {"code": "frames-gone", "message": "Too late.", "action": "Hold the run."}
-    end = Member("end.json", "", json.dumps({"complete": False, "error": error}).encode())
-    with pytest.raises(vaoi.GoneError, match="Too late"):
-        read(end)
-    end = Member("end.json", "", json.dumps({"complete": False, "error": error | {"code": "internal"}}).encode())
-    with pytest.raises(vaoi.DeviceError, match="Too late"):
-        read(end)
-
-
 @pytest.mark.parametrize("cut", [3, 40, 150])
 def test_an_answer_that_is_cut_off_is_refused(cut: int) -> None:
     with pytest.raises(vaoi.DeviceError, match="batch"):

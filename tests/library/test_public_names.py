@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.resources
 import subprocess
 import sys
 
@@ -23,7 +22,3 @@ def test_importing_the_package_loads_neither_numpy_nor_numba() -> None:
     code = "import sys, vaoi_station; print(sorted({'numpy', 'numba', 'cv2', 'pydantic'} & set(sys.modules)))"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown.strip() == "[]"
-
-
-def test_type_checkers_find_the_annotations() -> None:
-    assert importlib.resources.files("vaoi_station").joinpath("py.typed").is_file()

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import vaoi_station as vaoi
-from vaoi_station.board_check.correction import Move, moved_board_type
 from vaoi_station.geometry import apply
 
 
@@ -21,38 +18,6 @@ def test_a_frame_outside_the_recording_is_refused_with_the_limits(
 ) -> None:
     with pytest.raises(vaoi.InputError, match=r"cameras are 0 … 1, rows 0 … \d"):
         recording.frame(camera, row)
-
-
-def test_a_recording_without_a_board_type_gives_matrices_but_no_components(
-    recording: vaoi.RecordedRun, tmp_path: Path
-) -> None:
-    bare = tmp_path / "bare"
-    bare.mkdir()
-    for path in recording.directory.iterdir():
-        if path.name != "board.json":
-            (bare / path.name).symlink_to(path)
-    run = vaoi.open_recording(bare).stitch()
-    assert run.image_matrix(0, 0) is not None
-    assert run.cad_matrix is None
-    assert run.refs == ()
-    with pytest.raises(vaoi.StateError, match="no board type"):
-        run.component("U1")
-
-
-def test_the_method_of_the_paper_places_the_frames(recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun) -> None:
-    by_paper = recording.stitch("paper")
-    assert by_paper.result.method == "paper"
-    assert len(by_paper.result.image_matrices) == len(stitched.result.image_matrices)
-
-
-def test_the_expected_rotation_is_an_argument(recording: vaoi.RecordedRun) -> None:
-    """The board lies upright: expected upside down, it is not found."""
-    turned = vaoi.open_recording(recording.directory, rotation_deg=180)
-    assert turned.rotation_deg == 180
-    assert turned.stitch().status == "failed"
-    assert vaoi.open_recording(recording.directory, rotation_deg=0).stitch().status == "ok"
-    with pytest.raises(vaoi.InputError, match="must be 0, 90, 180 or 270"):
-        vaoi.open_recording(recording.directory, rotation_deg=91)
 
 
 def test_the_matrices_of_an_image_take_the_centre_of_the_component_to_its_pixel(stitched: vaoi.StitchedRun) -> None:
@@ -150,35 +115,6 @@ def test_a_result_of_another_board_of_the_same_array_is_refused(
     assert (other.rows, other.cameras) == (recording.rows, recording.cameras)
     with pytest.raises(vaoi.InputError, match=r"the result: belongs to another recording.*'recording'.*'other'"):
         other.with_result(stitched.result)
-
-
-def test_frames_that_never_arrived_give_no_images(recording: vaoi.RecordedRun, tmp_path: Path) -> None:
-    case = tmp_path / "case"
-    shutil.copytree(recording.directory, case)
-    head = json.loads((case / "recording.json").read_text())
-    head["missing"] = [[0, 3]]
-    (case / "recording.json").write_text(json.dumps(head))
-    (case / "frames" / "c00_r003.png").unlink()
-    run = vaoi.stitch(case)
-    for ref in run.refs:
-        for image in run.component(ref):
-            assert (image.camera, image.row) != (0, 3)
-            assert image.pixels.size
-    assert {ref: len(found) for ref, found in run.all_pictures().items()} == {
-        ref: len(run.component(ref)) for ref in run.refs
-    }
-
-
-def test_data_of_another_origin_are_corrected(stitched: vaoi.StitchedRun) -> None:
-    board = stitched.board_type
-    assert board is not None
-    move = Move(False, 90.0, 1.0, (30.0, 20.0), (7.0, -2.0))
-    checked = stitched.check_board_type(moved_board_type(board, move, ("components", "fiducials", "outline")))
-    assert {"turned", "shifted", "fiducials-elsewhere"} <= {w.code for w in checked.report.warnings}
-    assert checked.corrected is not None
-    pairs = zip(checked.corrected.components, board.components, strict=True)
-    assert max(math.dist(a.center, b.center) for a, b in pairs) < 0.02
-    assert checked.picture.shape[2] == 3
 
 
 def test_a_recording_is_never_overwritten(recording: vaoi.RecordedRun) -> None:

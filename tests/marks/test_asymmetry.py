@@ -18,28 +18,6 @@ def marked(paint: Paint, shape: str = "circle", **light: float) -> Any:
     return paint([(shape, *PLACE, SIZE)], size=(120, 120), **light)
 
 
-def found(picture: Any, shape: Any = "circle") -> Mark:
-    mark = locate_mark(picture, PLACE + 1.0, shape, SIZE)
-    assert isinstance(mark, Mark)
-    return mark
-
-
-@pytest.mark.parametrize("shape", ["circle", "square", "diamond", "cross"])
-@pytest.mark.parametrize(("contrast", "noise"), [(150.0, 0.0), (150.0, 3.0), (60.0, 3.0)])
-def test_the_sigma_of_an_undisturbed_mark_is_that_of_its_noise(
-    paint: Paint, shape: str, contrast: float, noise: float
-) -> None:
-    mark = found(marked(paint, shape, mark=60 + contrast, noise=noise), shape)
-    assert mark.sigma_px < 0.01 + 0.8 * noise / contrast
-    assert np.hypot(*(mark.px - PLACE)) < 4 * mark.sigma_px + 0.01
-
-
-def test_vignetting_does_not_increase_sigma(paint: Paint) -> None:
-    y, x = np.mgrid[:120, :120]
-    picture = marked(paint) * (1 + 0.001 * (x - 60) - 0.0005 * (y - 60))
-    assert found(picture.clip(0, 255).astype(np.uint8)).sigma_px < 0.02
-
-
 @pytest.mark.parametrize("covered", [0.38, 0.34, 0.3])
 @pytest.mark.parametrize("turn", [0, 1])
 def test_the_sigma_of_a_covered_mark_covers_its_error(paint: Paint, covered: float, turn: int) -> None:

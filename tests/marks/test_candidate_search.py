@@ -5,11 +5,8 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from vaoi_station.marks import Mark, find_candidates, locate_mark
-from vaoi_station.marks.candidate_search import reduction_factor
 from vaoi_station.marks.mark_shape import Shape
 
 SHAPES = get_args(Shape)
@@ -30,27 +27,6 @@ def test_every_mark_is_found(paint: Paint, shape: Shape, light: bool, size: floa
         assert scores[distance.argmin()] > 0.8
         assert isinstance(locate_mark(image, places[distance.argmin()], shape, size), Mark)
     assert (np.diff(scores) <= 0).all(), "the best first"
-
-
-def test_at_most_the_requested_number_of_best_candidates_is_returned(paint: Paint) -> None:
-    image = paint([("circle", x, y, 6.0) for x, y in PLACES], size=(128, 88), noise=1.0)
-    all_of_them, scores = find_candidates(image, "circle", 6.0)
-    two, best = find_candidates(image, "circle", 6.0, most=2)
-    assert np.array_equal(two, all_of_them[:2])
-    assert np.array_equal(best, scores[:2])
-
-
-def test_a_picture_smaller_than_a_mark() -> None:
-    assert len(find_candidates(np.zeros((5, 80), dtype=np.uint8), "circle", 6.0)[0]) == 0
-
-
-@given(st.floats(0.5, 400))
-def test_frames_are_reduced_as_long_as_marks_keep_five_pixels(size: float) -> None:
-    factor = reduction_factor(size)
-    assert factor & (factor - 1) == 0
-    assert factor == 1 or size / factor >= 5
-    assert size / factor < 10 or factor == 1
-    assert size < 10 or factor > 1
 
 
 @pytest.mark.parametrize("shape", SHAPES)

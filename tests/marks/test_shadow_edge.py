@@ -84,18 +84,6 @@ def test_the_sigma_of_a_mark_under_a_shadow_covers_its_error(
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("noise", [0.0, 1.0, 3.0])
-def test_no_shadow_is_found_on_an_undisturbed_mark_or_under_a_gradient(
-    paint: Paint, shape: str, noise: float, without_search: Callable[[Any, Any], Mark]
-) -> None:
-    slope: Light = lambda x, y: 1 + 0.002 * (x - PLACE[0]) - 0.001 * (y - PLACE[1])  # noqa: E731
-    for picture in (marked(paint, shape, noise=noise), marked(paint, shape, slope, noise=noise)):
-        expected, mark = without_search(picture, shape), located(picture, shape)
-        assert (mark.px == expected.px).all()
-        assert mark.sigma_px == expected.sigma_px
-
-
-@pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("angle", [0.0, 0.7, 2.0])
 def test_a_cover_a_smudge_and_a_track_are_no_shadow(
     paint: Paint, shape: str, angle: float, without_search: Callable[[Any, Any], Mark]
@@ -125,8 +113,3 @@ def test_a_line_along_an_edge_of_the_mark_makes_its_centre_less_certain(
     found = find_shadow_edge(picture, (X, Y), SIZE / 2, compared_reach_px(SIZE, 2.0), 1.0)
     assert found is not None
     assert least <= found[1] <= most
-
-
-def test_a_patch_that_is_too_small_shows_no_shadow(paint: Paint) -> None:
-    picture = read_only(marked(paint, "circle", shadow(0.2, 1.0, 5.0))[50:, 50:])
-    assert find_shadow_edge(picture, (10.3, 9.6), SIZE / 2, compared_reach_px(SIZE, 2.0), 2.0) is None

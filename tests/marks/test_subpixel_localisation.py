@@ -64,16 +64,6 @@ def test_the_scatter_by_noise_agrees_with_sigma(paint: Paint, shape: Shape) -> N
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_gradient_of_the_light_has_little_effect(paint: Paint, shape: Shape) -> None:
-    truth = np.array([48.2, 40.4])
-    slope = 1 + 0.0008 * (np.arange(96) - 48)
-    image = np.round(paint([(shape, *truth, 16.0)], mark=120.0, ground=70.0) * slope).astype(np.uint8)
-    found = locate_mark(image, truth + 1, shape, 16.0)
-    assert isinstance(found, Mark)
-    assert np.hypot(*(found.px - truth)) <= 0.06
-
-
-@pytest.mark.parametrize("shape", SHAPES)
 def test_a_frame_without_a_mark_fails_with_a_reason(shape: Shape) -> None:
     flat = np.full((80, 96), 90, dtype=np.uint8)
     grainy = np.random.default_rng(0).normal(90, 2, (80, 96)).round().astype(np.uint8)
@@ -81,13 +71,6 @@ def test_a_frame_without_a_mark_fails_with_a_reason(shape: Shape) -> None:
         refused = locate_mark(image, np.array([48.0, 40.0]), shape, 16.0)
         assert isinstance(refused, Failure)
         assert refused.reason
-
-
-def test_a_faint_mark_is_refused_by_its_contrast(paint: Paint) -> None:
-    refused = locate_mark(paint([("circle", 48, 40, 16.0)], mark=65.0), np.array([48.0, 40.0]), "circle", 16.0)
-    assert isinstance(refused, Failure)
-    assert "contrast 5" in refused.reason
-    assert "below 8" in refused.reason
 
 
 @pytest.mark.parametrize("painted", SHAPES)
@@ -101,28 +84,12 @@ def test_a_mark_of_another_shape_is_refused_or_scores_far_less(paint: Paint, pai
         assert isinstance(found, Failure) or found.score < 0.93, found
 
 
-def test_a_disc_that_is_partly_covered_is_refused_by_its_size(paint: Paint) -> None:
-    image = paint([("circle", 48, 40, 16.0)])
-    image[:, 51:] = 60
-    refused = locate_mark(image, np.array([48.0, 40.0]), "circle", 16.0)
-    assert isinstance(refused, Failure)
-    assert "more than 15% off the nominal" in refused.reason
-
-
 def test_the_sigma_of_a_partly_covered_disc_covers_its_error(paint: Paint) -> None:
     image = paint([("circle", 48, 40, 30.0)])
     image[:, 54:] = 60
     found = locate_mark(image, np.array([48.0, 40.0]), "circle", 30.0)
     assert isinstance(found, Mark)
     assert np.hypot(*(found.px - (48, 40))) < 4 * found.sigma_px
-
-
-def test_an_edge_is_refused(paint: Paint) -> None:
-    image = np.full((80, 96), 60, dtype=np.uint8)
-    image[:, 48:] = 200
-    for shape in SHAPES:
-        refused = locate_mark(image, np.array([48.0, 40.0]), shape, 16.0)
-        assert isinstance(refused, Failure), shape
 
 
 @pytest.mark.parametrize("place", [(8, 40), (48, 6), (90, 40), (48, 77), (-30, 40), (48, 400)])

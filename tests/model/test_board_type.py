@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from vaoi_station.model import BoardType, Fiducial
-from vaoi_station.model.board_type import fiducials_by_board
 
 
 def board(**change: Any) -> BoardType:
@@ -66,16 +65,6 @@ def test_a_footprint_keeps_centre_and_sides(rotation: float, width: float, heigh
     np.testing.assert_allclose(sides, (width, height, width, height), rtol=1e-9)
 
 
-def test_the_extent_is_that_of_the_outline_else_of_all_parts() -> None:
-    parts = [component(rotation=90)]
-    low, high = board(outline=[[0, 50], [40, 0]], components=parts).extent()
-    assert (low.tolist(), high.tolist()) == ([0, 0], [40, 50])
-    low, high = board(components=parts, fiducials=[fiducial(x=30, y=1)]).extent()
-    np.testing.assert_allclose([low, high], [[9, 1], [30, 22]])
-    with pytest.raises(ValueError, match="'b' has neither outline nor fiducials nor components"):
-        board().extent()
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -101,13 +90,6 @@ def test_invalid_board_types_are_refused_with_the_value(change: dict[str, Any], 
 
 
 HOLE = [[1, 1], [2, 1], [2, 2]]
-
-
-def test_cut_outs_and_other_marks_are_kept_and_change_no_extent() -> None:
-    mark = {"name": "BBM1", "x": -9, "y": 0, "diameter": 1, "kind": "bad-board", "found_by": "name"}
-    b = board(outline=[[0, 0], [10, 10]], cut_outs=[HOLE], other_marks=[mark])
-    assert [list(map(list, corners)) for corners in b.cut_outs or ()] == [HOLE]
-    assert [v.tolist() for v in b.extent()] == [[0, 0], [10, 10]]
 
 
 @pytest.mark.parametrize(
@@ -158,12 +140,6 @@ def test_the_digest_of_what_is_filmed_stays_when_a_board_type_is_approved() -> N
 
 def mark(name: str, x: float, y: float, panel: str | int | None = None, **of: object) -> Fiducial:
     return Fiducial.model_validate({"name": name, "x": x, "y": y, "diameter": 1.0, "panel": panel} | of)
-
-
-def test_fiducials_belong_to_their_board_unless_they_place_components() -> None:
-    local = mark("L", 1, 1, "A", kind="local", components=["A/U1"])
-    marks = [mark("P", 0, 0), mark("A1", 1, 0, "A"), local, mark("B1", 5, 0, 2), mark("A2", 4, 4, "A")]
-    assert fiducials_by_board(marks) == {"A": (1, 4), "2": (3,)}
 
 
 @pytest.mark.parametrize("panel", ["", "A/B", "x" * 41, "a\n"])

@@ -1,12 +1,8 @@
 from __future__ import annotations
 
-import json
 import tracemalloc
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from vaoi_station.model import Finite, FrozenModel, Positive, Whole
@@ -26,13 +22,6 @@ def test_user_keys_are_kept_and_unknown_keys_refused() -> None:
     assert Sample.model_validate({"x_note": "hello"}).model_extra == {"x_note": "hello"}
     with pytest.raises(ValidationError, match=r"unknown key.*'note'.*'x_'"):
         Sample.model_validate({"note": "hello"})
-
-
-@pytest.mark.parametrize("bad", ["4", True, float("inf"), float("nan"), None])
-@pytest.mark.parametrize("field", ["any_number", "length", "count"])
-def test_numbers_must_be_written_as_finite_numbers(field: str, bad: object) -> None:
-    with pytest.raises(ValidationError, match=field):
-        Sample.model_validate({field: bad})
 
 
 @pytest.mark.parametrize(
@@ -55,23 +44,6 @@ def test_numbers_must_be_written_as_finite_numbers(field: str, bad: object) -> N
 def test_invalid_matrices_are_refused(bad: object, message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         Sample.model_validate({"matrix": bad})
-
-
-@given(px_per_mm=st.floats(0.01, 1e4), shift=st.floats(-1e5, 1e5), tilt=st.floats(-1e-4, 1e-4))
-def test_camera_matrices_of_any_scale_are_invertible(px_per_mm: float, shift: float, tilt: float) -> None:
-    """Entries of different units differ by many orders of magnitude without being singular."""
-    rows = [[px_per_mm, 0.0, shift], [0.0, px_per_mm, 1.0], [0.0, tilt, 1.0]]
-    if abs(px_per_mm - tilt) < 1e-6 * px_per_mm:
-        return
-    assert np.array_equal(np.asarray(Sample.model_validate({"matrix": rows}).matrix), rows)
-
-
-def test_a_matrix_is_read_only_and_serialises_to_nested_lists() -> None:
-    sample = Sample.model_validate({"matrix": np.diag([2, 3, 1])})
-    assert sample.matrix is not None
-    with pytest.raises(ValueError, match="read-only"):
-        sample.matrix[0, 0] = 5
-    assert json.loads(sample.model_dump_json())["matrix"] == [[2.0, 0, 0], [0, 3.0, 0], [0, 0, 1.0]]
 
 
 @pytest.mark.parametrize("field", ["any_number", "length", "count"])

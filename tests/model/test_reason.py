@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,6 @@ import pytest
 from pydantic import ValidationError
 
 from vaoi_station.model import ReasonCode, Status, Stitch
-from vaoi_station.model.reason import Note
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT: dict[str, Any] = {
@@ -44,17 +41,3 @@ def test_a_result_has_a_code_for_every_reason_or_none_at_all() -> None:
     Stitch.model_validate(RESULT | {"reasons": ["one"], "reason_codes": ["no-frames"]})
     with pytest.raises(ValidationError, match="reason_codes has 1 entries, must have 2"):
         Stitch.model_validate(RESULT | {"reasons": ["one", "two"], "reason_codes": ["no-frames"]})
-
-
-def test_a_note_is_its_sentence_and_has_its_values_as_they_are_written() -> None:
-    note = Note("parts-outside", "2 parts lie outside: R1, R2.", count=2, names="R1, R2")
-    assert note == "2 parts lie outside: R1, R2."
-    assert (note.code, note.values) == ("parts-outside", {"count": "2", "names": "R1, R2"})
-    assert len({note, Note("other-code", str(note))}) == 1, "notes are compared by their sentences"
-
-
-def test_copies_have_code_and_values() -> None:
-    """Results of an import and of a calibration may pass from one process to another."""
-    note = Note("parts-outside", "2 parts lie outside: R1, R2.", count=2, names="R1, R2")
-    for other in (copy.deepcopy(note), pickle.loads(pickle.dumps(note))):
-        assert (other, other.code, other.values) == (note, note.code, note.values)

@@ -4,15 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from vaoi_station.geometry import System
 from vaoi_station.model import BoardType, Component, Status, Stitch, Surface
-from vaoi_station.model.stitch_result import BodyHeight, body_height, known_height_mm, with_heights
+from vaoi_station.model.stitch_result import BodyHeight, body_height, known_height_mm
 
 M = np.diag([40.0, 40, 1])
-coefficients = st.floats(-2, 2)
 
 
 def stitch(**change: Any) -> Stitch:
@@ -24,25 +20,6 @@ def stitch(**change: Any) -> Stitch:
         "status": Status.OK,
     }
     return Stitch.model_validate(base | change)
-
-
-def test_matrices_come_as_transforms_between_their_systems() -> None:
-    image_from_tester, tester_from_cad = stitch().image_from_tester(0, 0), stitch().tester_from_cad
-    assert image_from_tester is not None
-    assert tester_from_cad is not None
-    image_from_cad = image_from_tester @ tester_from_cad
-    assert (image_from_cad.target, image_from_cad.source) == (System.IMAGE, System.CAD)
-    np.testing.assert_allclose(image_from_cad((1, 1)), (1016, -1016))
-
-
-@given(lift=coefficients, tilt=st.tuples(coefficients, coefficients), at=st.tuples(st.floats(-1, 1), st.floats(-1, 1)))
-def test_a_tilted_surface_is_a_plane_through_its_origin(
-    lift: float, tilt: tuple[float, float], at: tuple[float, float]
-) -> None:
-    surface = Surface(lift_mm=lift, tilt_mm=tilt, about=(30.0, 20.0), half_span=(40.0, 25.0))
-    assert surface.height_mm(np.array([30.0, 20.0])) == pytest.approx(lift)
-    cad = np.array([30 + 40 * at[0], 20 + 25 * at[1]])
-    assert surface.height_mm(cad) == pytest.approx(lift + tilt[0] * at[0] + tilt[1] * at[1])
 
 
 def test_a_bow_is_quadratic_and_held_constant_outside_the_board() -> None:
@@ -89,30 +66,8 @@ def test_a_measured_height_counts_if_it_is_sure(height: Any, sigma: Any, expecte
     assert known_height_mm(U1, board(), measured(height, sigma)) == expected
 
 
-def test_the_height_of_the_board_type_counts_if_none_is_measured_surely() -> None:
-    inches = board(unit="inch")
-    for unsure in (result({}), measured(1.2, 0.5), measured(None, 0.1), measured(float("nan"), 0.1)):
-        assert body_height(NOMINAL, inches, unsure) == BodyHeight(2.54, None, "board-type")
-        assert known_height_mm(NOMINAL, inches, unsure) == 2.54
-    assert body_height(U1, inches, result({})) is None
-    assert body_height(U1, inches, measured(1.5, 0.3)) == BodyHeight(1.5, 0.3, "measured"), "better than the board"
-
-
 def test_a_sure_measurement_comes_before_the_board_type() -> None:
     """The board may have another part than its CAD data state, or none."""
     assert body_height(NOMINAL, board(unit="inch"), measured(1.2, 0.05)) == BodyHeight(1.2, 0.05, "measured")
     assert known_height_mm(NOMINAL, board(unit="inch"), measured(1.2, 0.05)) == 1.2
     assert known_height_mm(NOMINAL, board(unit="inch"), measured(0.01, 0.02)) == 0, "the part is missing"
-
-
-@pytest.mark.parametrize("figures", [{}, {"U1": None}, [1], "U1"])
-def test_figures_of_any_form_are_accepted(figures: Any) -> None:
-    assert body_height(U1, board(), result({"heights_mm": figures, "height_sigma_mm": figures})) is None
-
-
-def test_heights_of_all_frames_replace_those_of_the_links() -> None:
-    links = result({"heights_mm": {"U1": 1.0, "U2": 2.0}, "height_sigma_mm": {"U1": 0.2, "U2": 0.3}})
-    found = with_heights(links, {"U1": (1.25, 0.01)})
-    assert found.quality["heights_mm"] == {"U1": 1.25, "U2": 2.0}
-    assert found.quality["height_sigma_mm"] == {"U1": 0.01, "U2": 0.3}
-    assert with_heights(links, {}) is links

@@ -6,7 +6,7 @@ import pytest
 
 from vaoi_station.errors import InputError
 from vaoi_station.model import RecordingHead
-from vaoi_station.mosaic.frames import TakenFrame, choose_frames, distinct_exposures_us, frames_of_head
+from vaoi_station.mosaic.frames import TakenFrame, choose_frames, frames_of_head
 
 LIT = tuple(TakenFrame(0, j, 250.0, 1.0, ("even", "left", "even")[j % 3]) for j in range(6))
 BRACKETED = tuple(TakenFrame(i, j, (250.0, 15.0)[j % 2]) for j in range(4) for i in range(2))
@@ -24,35 +24,9 @@ def test_unknown_light_is_refused_with_the_lights_there_are() -> None:
         choose_frames(BRACKETED, light="even")
 
 
-def test_of_equally_frequent_exposures_the_longest_is_taken() -> None:
-    [layer] = choose_frames(BRACKETED).layers
-    assert {f.exposure_us for f in layer} == {250.0}
-    assert {f.exposure_us for f in choose_frames(BRACKETED, exposure_us=15.0).frames} == {15.0}
-
-
-def test_unknown_exposure_is_refused_with_the_exposures_there_are() -> None:
-    with pytest.raises(InputError, match=r"exposure_us is 20\.0, but must be one of the exposures of the run: 15, 250"):
-        choose_frames(BRACKETED, exposure_us=20.0)
-    with pytest.raises(InputError, match="exclude each other"):
-        choose_frames(BRACKETED, exposure_us=15.0, hdr=True)
-
-
-def test_rounded_exposures_are_those_of_the_frames() -> None:
-    """Names, people and messages round: an exposure may be the product of a ratio."""
-    thirds = tuple(TakenFrame(0, j, (1000 / 3, 250 * 0.06, 15.0)[j % 3]) for j in range(6))
-    assert [f.row for f in choose_frames(thirds, exposure_us=333.333).frames] == [0, 3]
-    assert [f.row for f in choose_frames(thirds, exposure_us=15.0).frames] == [1, 2, 4, 5]
-    assert distinct_exposures_us(thirds) == [1000 / 3, pytest.approx(15.0)]
-
-
 def test_hdr_has_one_layer_per_exposure_and_similar_ones_share_a_layer() -> None:
     choice = choose_frames((*BRACKETED, TakenFrame(0, 9, 240.0)), hdr=True)
     assert [sorted({f.exposure_us for f in layer}) for layer in choice.layers] == [[240.0, 250.0], [15.0]]
-
-
-def test_no_usable_frame_is_refused() -> None:
-    with pytest.raises(InputError, match="no usable frame"):
-        choose_frames(())
 
 
 def test_frames_of_a_head_are_those_that_arrived_with_what_they_were_taken_with() -> None:

@@ -33,15 +33,6 @@ def test_flicker_field_and_dark_level_are_estimated(film: Film) -> None:
     assert edge / middle == pytest.approx(1 - 0.21, abs=0.05)
 
 
-def test_without_overlaps_gains_stay_at_one(film: Film) -> None:
-    board = film(step_mm=30.0)
-    found = list(survey(board.taken[:1], board.read, board.projector, board.base, FieldCache(FlatFields.none())))
-    gains = completed(estimate_gains(found, board.cameras, calibrated=False))
-    assert gains.frame == {(0, 0): 0.0}
-    assert gains.dark == 0.0
-    assert gains.log_field(1, board.cameras[1], np.zeros((3, 2))).tolist() == [0, 0, 0]
-
-
 def test_missing_frames_and_saturated_places_are_left_out(board: Filmed) -> None:
     frames = dict(board.frames)
     del frames[0, 1]
@@ -73,10 +64,3 @@ def test_every_pixel_counts(size: tuple[int, int], dtype: Any, colours: tuple[in
         block = picture.means[factor * y : factor * (y + 1), factor * x : factor * (x + 1)]
         assert np.abs(found.means[y, x] - block.mean((0, 1))).max() <= 0.5 + 1e-3
         np.testing.assert_array_equal(found.largest[y, x], block.max((0, 1)))
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_bright_blocks_do_not_overflow(dtype: Any) -> None:
-    pixels = np.full((128, 128), np.iinfo(dtype).max, dtype)
-    for factor in (16, 32, 128):
-        assert (reduced(Reduced(pixels, pixels), factor).means == pixels[0, 0]).all()

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from tests.mosaic.conftest import DARK, PX_PER_MM, Film, Filmed
+from tests.mosaic.conftest import PX_PER_MM, Film, Filmed
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Lens, Projective, System, apply
 from vaoi_station.mosaic import MosaicPlan, choose_frames, make_plan
@@ -53,24 +52,6 @@ def test_lost_frames_are_replaced_by_their_neighbours(board: Filmed) -> None:
     plan = plan_of(lost)
     assert plan.covered == 1.0
     assert all(frame.taken.row != 2 for frame in plan.frames)
-
-
-def test_without_usable_frames_nothing_is_covered(board: Filmed) -> None:
-    plan = plan_of(replace(board, frames={}))
-    assert plan.covered == 0.0
-    assert (plan.layers[0] == NO_FRAME).all()
-
-
-def test_each_exposure_has_a_layer(film: Film) -> None:
-    plan = plan_of(film(exposures=(250.0, 50.0), step_mm=6.0), hdr=True)
-    rows = [{plan.frames[n].taken.row for n in np.unique(layer) if n != NO_FRAME} for layer in plan.layers]
-    assert rows == [{0, 2, 4}, {1, 3}]
-
-
-def test_known_dark_level_is_kept(film: Film) -> None:
-    fields = FlatFields.none(dark=DARK)
-    plan = plan_of(film(vignette=0.0), fields=fields)
-    assert plan.dark_correction[0] == pytest.approx(DARK, abs=1.0)
 
 
 def test_sight_is_that_of_every_cell_though_few_are_projected(film: Film) -> None:
@@ -121,14 +102,6 @@ def test_a_body_that_does_not_follow_c_is_locked_where_it_lies(board: Filmed) ->
     assert (usual < 1).any()
     x, y = (apply(board.base.mosaic_from_cad, (15 + shift, 14)) // CELL_PX).astype(int)
     assert len(np.unique(labels[y - 1 : y + 2, x - 1 : x + 2])) == 1
-
-
-def test_flat_bodies_are_not_locked(board: Filmed) -> None:
-    sights = [sight_of(f, board.projector, board.base) for f in board.taken]
-    stitch = board.stitch.model_copy(update={"quality": {"heights_mm": {"U1": 0.05, "U2": 0.1}}})
-    cost = np.ones(cell_shape(board.base), np.float32)
-    assert (completed(lock_bodies(board.board_type, stitch, sights, board.base, cost)) == NO_FRAME).all()
-    assert (cost == 1).all()
 
 
 def test_disagreement_shows_what_one_frame_alone_sees(board: Filmed) -> None:

@@ -14,7 +14,6 @@ from tests.mosaic.conftest import BOARD_MM, DARK, Film, Filmed, radiance
 from tests.mosaic.test_plan import plan_of
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import apply
-from vaoi_station.model import BoardType
 from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.mosaic.plan import MosaicPlan, RaisedBody
 from vaoi_station.mosaic.tile_specs import TileRenderer
@@ -63,19 +62,6 @@ def test_tiles_join_without_a_gap(board: Filmed) -> None:
     whole, _ = picture_of(board)
     part, _ = picture_of(board, box=(100, 130, 356, 386))
     assert np.abs(whole[130:386, 100:356].astype(int) - part).max() <= 2
-
-
-def test_places_without_a_frame_are_zero_and_all_others_are_not(film: Film) -> None:
-    board = film()
-    half = replace(board, frames={key: p * 0 if key == (0, 0) else p for key, p in board.frames.items() if key[0] == 0})
-    picture, _ = picture_of(half)
-    assert (picture[:, -100:] == 0).all()
-    assert (picture[:, :200] > 0).all()
-
-
-def test_tile_that_no_frame_shows_is_none(board: Filmed) -> None:
-    picture, _ = picture_of(replace(board, frames={}))
-    assert picture is None
 
 
 @pytest.mark.parametrize(("dtype", "channels"), [(np.uint16, 1), (np.uint8, 3), (np.uint16, 3)])
@@ -133,13 +119,6 @@ def test_hdr_of_reduced_levels_has_no_saturated_detail(film: Film, reduced: int,
     else:
         # The shortest exposure is a lower bound, and nearer to the truth than the long one.
         assert 0.6 * truth.mean() < found.mean() < truth.mean()
-
-
-def test_bottom_side_is_not_mirrored(board: Filmed) -> None:
-    """The region of a board in other axes has the same pixels, turned."""
-    keys = board.board_type.model_dump() | {"y_axis": "down", "side": "bottom"}
-    grid = MosaicGrid.of_board(BoardType.model_validate(keys), 10.0)
-    assert apply(grid.mosaic_from_cad, (BOARD_MM[0], 0)) == pytest.approx((-0.5, -0.5))
 
 
 def raised(board: Filmed, height_mm: float) -> Filmed:
@@ -243,15 +222,6 @@ def test_file_has_the_pixels_of_the_mosaic(board: Filmed, tmp_path: Path) -> Non
         assert series.levels[0].shape == (400, 520)
         assert (series.levels[0].asarray() > 0).all()
     assert [p.name for p in tmp_path.iterdir()] == ["b.tif"]
-
-
-def test_colours_are_red_green_blue(film: Film, tmp_path: Path) -> None:
-    dimmed = np.array([2, 1, 1], np.uint8)  # blue first, the order of OpenCV
-    filmed = film(channels=3)
-    board = replace(filmed, frames={key: pixels // dimmed for key, pixels in filmed.frames.items()})
-    write_mosaic(tmp_path / "b.tif", plan_of(board), board.projector, board.base, board.read)
-    colour = tifffile.imread(tmp_path / "b.tif").reshape(-1, 3).mean(0)
-    assert colour[2] < 0.7 * colour[0]
 
 
 def test_frames_are_kept_up_to_a_number_of_bytes() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vaoi_station.photometry.image_quality import BINS, histogram, measure_quality
+from vaoi_station.photometry.image_quality import measure_quality
 from vaoi_station.pixel_formats import to_full_scale
 
 
@@ -25,18 +25,6 @@ def test_focus_does_not_depend_on_the_exposure(painter: Any) -> None:
     dim = (bright // 2).astype(np.uint8)
     assert measure_quality(dim).focus == pytest.approx(measure_quality(bright).focus, rel=0.05)
     assert measure_quality(dim).blur_px == pytest.approx(measure_quality(bright).blur_px, rel=0.05)
-
-
-def test_the_blur_of_each_part_is_measured(painter: Any) -> None:
-    half = np.hstack([painter.tilted_board(0.7)[:, :240], painter.tilted_board(2.5)[:, 240:]])
-    tiles = measure_quality(half).blur_tiles_px
-    assert all(row[0] == pytest.approx(0.7, rel=0.1) and row[2] == pytest.approx(2.5, rel=0.15) for row in tiles)
-
-
-def test_thin_lines_are_not_edges() -> None:
-    lines = np.full((240, 320), 60, np.uint8)
-    lines[::20], lines[:, ::20] = 200, 200
-    assert measure_quality(lines).blur_px is None
 
 
 @pytest.mark.parametrize("noise", [0.0, 3.0])
@@ -57,10 +45,3 @@ def test_levels_are_shares_of_the_full_scale() -> None:
     assert measure_quality(twelve // 4).high == pytest.approx(f.high / 4, abs=0.01), "a dark frame is dark"
     colour = np.dstack([ramp // 2, ramp, ramp // 4])
     assert measure_quality(colour).saturated == f.saturated, "one channel is enough"
-
-
-def test_a_histogram_has_the_share_of_every_grey_level() -> None:
-    grey = np.repeat(np.arange(256, dtype=np.uint8), 4).reshape(32, 32)
-    assert histogram(grey) == (round(1 / BINS, 5),) * BINS
-    bright = np.full((10, 10, 3), (0, 65535, 0), np.uint16)
-    assert histogram(bright) == (*(0.0,) * (BINS - 1), 1.0)

@@ -39,15 +39,6 @@ def test_one_field_per_camera_and_light_from_four_rows_each(tmp_path: Path) -> N
     assert found.document.fields[1].level == pytest.approx(level, rel=0.005)
 
 
-def test_without_darkness_the_dark_level_is_zero_and_noise_is_fitted(tmp_path: Path) -> None:
-    found = measure_flat_fields(film(tmp_path, white(150), rows=6))
-    assert found.document is not None
-    assert found.lights == (None,)
-    assert found.maps(0, None).dark == 0
-    noise = found.maps(0, None).noise
-    assert noise.read**2 + noise.shot * 150 == pytest.approx(READ**2 + SHOT * 150, rel=0.15)
-
-
 def test_rows_that_do_not_suit_are_left_out(tmp_path: Path) -> None:
     # Rows in turn 1 : 0.05, as a program for several exposures takes them.
     exposures = [[EXPOSURE_US * (0.05 if row % 2 else 1.0)] * 2 for row in range(8)]
@@ -89,20 +80,6 @@ def board(_camera: int, row: int) -> Any:
 def test_unfit_targets_are_refused_with_numbers(tmp_path: Path, scene: Any, options: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         measure_flat_fields(film(tmp_path, scene, **options))
-
-
-@pytest.mark.parametrize(
-    ("level", "options", "message"),
-    [
-        (150, {}, r"camera 0 has a dark level of 1\d\d grey levels, but it must be at most 64"),
-        (0, {"rows": 2}, "has 2 rows of camera 0, but darkness needs at least 4"),
-        (0, {"cameras": 1}, "has 1 cameras of 128×96 px, but .* has 2 of 128×96, 128×96 px"),
-    ],
-)
-def test_unfit_darkness_is_refused_with_numbers(tmp_path: Path, level: float, options: Any, message: str) -> None:
-    targets = film(tmp_path / "white", white(150)), film(tmp_path / "dark", white(level), **options)
-    with pytest.raises(InputError, match=message):
-        measure_flat_fields(*targets)
 
 
 @pytest.mark.parametrize(("level", "sigma"), [(2.0, 1.5), (0.5, 1.0), (20.0, 2.0)])

@@ -35,10 +35,3 @@ def test_saturated_pixels_and_their_neighbours_are_not_used(dtype: type, full: i
     pixels[3, 4] = full
     assert is_saturated(pixels).sum() == 9
     assert is_saturated(pixels)[2:5, 3:6].all()
-
-
-def test_one_saturated_colour_is_enough() -> None:
-    pixels = np.zeros((5, 5, 3), np.uint8)
-    pixels[0, 0, 2] = 255
-    assert is_saturated(pixels).sum() == 4
-    assert not is_saturated(pixels[2:]).any()

@@ -5,19 +5,16 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import zlib
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tests.plant.conftest import filmed_again
 from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files import open_recording
 from vaoi_station.plant import addition
 from vaoi_station.plant.archive import Archive, RunLabel
-from vaoi_station.plant.catalogue import recording_of
 from vaoi_station.plant.manifest import ArchivedRun, ArchiveFault, RunSelection
 from vaoi_station.plant.storage import LocalStorage
 from vaoi_station.runs.handover.adder import PacedStorage
@@ -45,14 +42,6 @@ def test_runs_are_listed_by_station_and_found_by_id(archive: Archive) -> None:
         archive.run("c")
 
 
-def test_a_renamed_manifest_is_named(archive: Archive) -> None:
-    document = json.loads(archive.storage.read("runs/one/2026-03-01/a.json"))
-    archive.storage.write("runs/one/2026-03-01/c.json", json.dumps(document).encode())
-    faults: list[ArchiveFault] = []
-    assert [run.run for run in archive.runs(on_fault=faults.append)] == ["b", "a"]
-    assert "c.json: is the manifest of runs/one/2026-03-01/a.json" in faults[0].what
-
-
 def test_runs_are_restored_to_folders_and_the_damaged_one_is_named(archive: Archive, tmp_path: Path) -> None:
     archive.storage.write("runs/one/2026-03-01/a.json", b"{")
     faults: list[ArchiveFault] = []
@@ -68,24 +57,6 @@ def test_the_same_run_again_changes_nothing(tmp_path: Path, recording: Path) -> 
     before = list(archive.storage.entries(""))
     assert archive.add(recording) == first
     assert list(archive.storage.entries("")) == before
-
-
-def test_a_recording_without_an_id_has_that_of_its_frames(tmp_path: Path, recording: Path) -> None:
-    archive = Archive.create(tmp_path / "archive")
-    run = archive.add(recording)
-    assert run.run.startswith("frames-")
-    assert (run.board_type, run.verdict, run.pixels, len(run.frames)) == ("demo", None, 3 * 24 * 32, 3)
-
-
-def test_what_a_station_recorded_is_stated(tmp_path: Path, recording: Path) -> None:
-    kept = tmp_path / "kept"
-    shutil.copytree(recording, kept)
-    (kept / "run.json").write_text(
-        '{"id": "01m7z3abcd-123456", "started": "2026-03-01T08:00:00.125Z", "board_id": "S7", "verdict": "degraded"}'
-    )
-    run = Archive.create(tmp_path / "archive").add(kept, station="one")
-    assert run.key == "runs/one/2026-03-01/01m7z3abcd-123456.json"
-    assert (run.serial, run.verdict, run.time) == ("S7", "degraded", "2026-03-01T08:00:00.125Z")
 
 
 def recorded(recording: Path, kept: Path, verdict: str, identity: dict[str, str] | None, armed: str | None) -> Path:
@@ -142,17 +113,6 @@ def test_a_recording_without_a_calibration_is_refused(tmp_path: Path, recording:
         archive.add(bare)
     assert list(archive.storage.entries("blobs")) == []
     archive.add(bare, calibration=recording / "calibration.json")
-
-
-def test_a_run_that_another_zlib_compressed_is_the_same(
-    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    archive = Archive.create(tmp_path / "archive")
-    first = archive.add(recording)
-    compress = zlib.compress
-    monkeypatch.setattr(zlib, "compress", lambda content, _level: compress(content, 0))
-    assert archive.add(recording) == first
-    assert [run.documents for run in archive.runs()] == [first.documents]
 
 
 @pytest.mark.parametrize("again", [RunLabel("one"), RunLabel("two")])
@@ -299,15 +259,3 @@ def test_a_flipped_bit_is_named_and_nothing_is_written(tmp_path: Path, recording
     with pytest.raises(InputError, match=rf"run {run.run}: blob {run.frames[1].sha256} is damaged"):
         archive.extract(run, tmp_path / "back")
     assert not (tmp_path / "back").exists()
-
-
-def test_equal_frames_and_heads_are_one_recording(recording: Path, tmp_path: Path) -> None:
-    archives = [Archive.create(tmp_path / name) for name in "ab"]
-    first, copy = (
-        archive.add(recording, label=RunLabel(run=run, time="2026-03-01T08:00:00Z"))
-        for archive, run in zip(archives, ("r1", "r2"), strict=True)
-    )
-    with filmed_again(recording, "r3") as folder:
-        replayed = archives[0].add(folder, label=RunLabel(run="r3", time="2026-03-01T08:00:00Z"))
-    assert first.frames == replayed.frames
-    assert recording_of(first) == recording_of(copy) != recording_of(replayed)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -14,9 +12,8 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
 
-import dask
 import pytest
-from distributed import Future, LocalCluster
+from distributed import LocalCluster
 
 from tests.plant.conftest import add_runs, task_of
 from vaoi_station import RecordedRun
@@ -24,7 +21,6 @@ from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.plant import cluster as module
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.cluster import (
-    AHEAD,
     ClusterOptions,
     Dispatch,
     RunFault,
@@ -35,28 +31,6 @@ from vaoi_station.plant.cluster import (
     software,
 )
 from vaoi_station.plant.restitch import RunTask, Terms, read_outcome, restitch_run
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (ClusterOptions(), "one of them is needed"),
-        (ClusterOptions(scheduler="tcp://h:1", workers=1), "exclude each other"),
-        (ClusterOptions(workers=0), "--workers is 0, but must be from 1 to 256"),
-        (ClusterOptions(scheduler="h:1"), "--scheduler is 'h:1', but must be an address"),
-    ],
-)
-def test_options_are_checked(options: ClusterOptions, text: str) -> None:
-    with pytest.raises(InputError, match=text):
-        options.check()
-
-
-def test_the_wait_for_a_scheduler_is_bounded() -> None:
-    # A socket that listens and never replies: no other process gets the port while the test runs.
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
-        with pytest.raises(StateError, match=r"no scheduler answers within 0\.5 s"), connection(address, 0.5):
-            pass
 
 
 def test_a_worker_that_is_started_again_under_its_address_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,42 +62,6 @@ def test_a_worker_that_is_started_again_under_its_address_is_asked_again(monkeyp
     dispatch.work("tcp://s:1", [task], [], 60)
     assert (asked, kept) == (["a", "b", "c"], [b"done"])
     assert reported == ["worker tcp://w:1 is not used: it is old"]
-
-
-def test_waiting_processes_of_the_local_cluster_wake_up_rarely(cluster: ClusterOptions) -> None:
-    """Dask's own intervals have each event loop wake up more than 60 times a second, which runs pay for."""
-
-    def wakes_hz(dask_worker: Any = None, dask_scheduler: Any = None) -> float:
-        callbacks = (dask_worker or dask_scheduler).periodic_callbacks.values()
-        return sum(1000.0 / float(callback.callback_time) for callback in callbacks)
-
-    assert cluster.scheduler is not None
-    with connection(cluster.scheduler, cluster.patience_s) as client:
-        client.wait_for_workers(2, timeout=120)
-        workers = client.run(wakes_hz)
-        nannies = client.run(wakes_hz, nanny=True)
-        scheduler = client.run_on_scheduler(wakes_hz)
-    assert max(*workers.values(), *nannies.values()) < 10
-    assert scheduler < 15
-
-
-def test_a_worker_that_is_slow_to_come_back_after_its_end_is_not_given_up() -> None:
-    """Dask closes the nanny of a worker that is absent for a time after its end; then no worker is left for ever."""
-    # The successor takes seconds to start, so that with Dask's own setting it would be given up here.
-    with (
-        dask.config.set({"distributed.deploy.lost-worker-timeout": "10ms"}),
-        cluster_address(ClusterOptions(workers=1)) as address,
-        connection(address, 30) as client,
-    ):
-        client.wait_for_workers(1, timeout=60)
-        (process,) = client.run(os.getpid).values()
-        os.kill(process, signal.SIGKILL)
-        while client.scheduler_info()["workers"]:
-            pass
-        client.wait_for_workers(1, timeout=60)
-        # It would be closed as soon as it is there.
-        client.submit(time.sleep, 1.0).result(timeout=20)
-        assert process not in client.run(os.getpid).values()
 
 
 def refuse(task: RunTask, text: str) -> None:
@@ -160,23 +98,6 @@ def test_a_killed_worker_costs_no_run(board: RecordedRun, cluster: ClusterOption
     with connection(cluster.scheduler, cluster.patience_s) as client:
         client.wait_for_workers(2, timeout=120)  # the nanny has started it again
         assert processes[0] not in client.run(os.getpid).values()
-
-
-def test_runs_are_taken_when_workers_are_to_have_them(stored: Archive, cluster: ClusterOptions) -> None:
-    tasks = [task_of(stored, "r0")] * 9
-    kept: list[RunTask] = []
-    ahead: list[int] = []
-
-    def taken() -> Iterator[RunTask]:
-        for n, task in enumerate(tasks):
-            ahead.append(n - len(kept))
-            yield task
-
-    assert cluster.scheduler is not None
-    dispatch = Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, lambda _: None)
-    dispatch.work(cluster.scheduler, taken(), [stored.url], cluster.patience_s)
-    assert len(kept) == len(tasks)
-    assert max(ahead) <= AHEAD * 2, "for two workers"
 
 
 def test_a_scheduler_that_is_restarted_goes_on_with_what_is_not_done(stored: Archive) -> None:
@@ -337,29 +258,6 @@ def test_a_worker_that_loses_its_share_costs_no_run(
     assert "share: is no archive" in dispatch.refused_workers[0]
 
 
-def test_a_worker_that_is_killed_before_its_outcome_is_fetched_costs_no_wait(
-    stored: Archive, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tasks = [task_of(stored, run.run) for run in stored.runs()]
-    kept: list[RunTask] = []
-    killed: list[int] = []
-    result = Future.result
-
-    def killing(future: Future[object], timeout: float | None = None) -> object:
-        if not killed:
-            killed.extend(future.client.run(os.getpid).values())
-            os.kill(killed[0], signal.SIGKILL)
-        return result(future, timeout=timeout)
-
-    monkeypatch.setattr(Future, "result", killing)
-    with cluster_address(ClusterOptions(workers=1)) as address:
-        Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, pytest.fail).work(
-            address, tasks, [stored.url], 120
-        )
-    assert len(killed) == 1
-    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks), "without another scheduler"
-
-
 @pytest.mark.parametrize("kind", [InputError, StateError])
 def test_a_fault_of_the_run_is_returned(stored: Archive, kind: type[InputError | StateError]) -> None:
     def work(*_: object) -> bytes:
@@ -389,10 +287,3 @@ def test_an_archive_that_goes_during_the_work_is_no_fault_of_the_run(stored: Arc
     outcome = perform(task_of(moved, "r2"), work)
     assert isinstance(outcome, WorkerFault)
     assert "is no archive" in outcome.message
-
-
-def test_workers_of_this_machine_ignore_the_key(cluster: ClusterOptions) -> None:
-    assert cluster.scheduler is not None
-    with connection(cluster.scheduler, cluster.patience_s) as client:
-        handlers = client.run(signal.getsignal, signal.SIGINT)
-    assert set(handlers.values()) == {signal.SIG_IGN}

@@ -19,7 +19,7 @@ from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files.images import encode_png, read_image
 from vaoi_station.model import Status
 from vaoi_station.plant import cluster
-from vaoi_station.plant.archive import Archive, RunSelection
+from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.catalogue import read_manifest
 from vaoi_station.plant.cluster import ClusterOptions, RunFault, software
 from vaoi_station.plant.datasets import (
@@ -31,7 +31,6 @@ from vaoi_station.plant.datasets import (
     DatasetTerms,
     Listener,
     Splits,
-    WebDatasetWriter,
     crop_run,
     crops_of,
     write_dataset,
@@ -63,14 +62,6 @@ def test_crops_are_those_of_the_library(crops: list[Crop], stitched: StitchedRun
         assert np.array_equal(crop.pixels, images[at].pixels)
         assert crop.facts["sigma_px"] == images[at].sigma_px
         assert crop.facts["exposure_us"] == images[at].exposure_us
-
-
-def test_facts_name_run_board_and_component(crops: list[Crop]) -> None:
-    facts = next(c.facts for c in crops if c.facts["component"] == "U1")
-    assert (facts["station"], facts["run"], facts["board_id"], facts["verdict"]) == ("line 1", "r1", "B1", "ok")
-    assert (facts["reference"], facts["package"], facts["side"], facts["light"]) == ("U1", "P U", "top", "ring")
-    assert facts["body_height_mm"] > 0
-    assert {c.facts["component"][0] for c in crops} == {"U", "R"}
 
 
 def test_the_outline_is_counted_from_the_corner_of_the_crop(crops: list[Crop]) -> None:
@@ -123,21 +114,6 @@ def test_images_annotations_and_categories(tmp_path: Path) -> None:
     image = tmp_path / "val" / val["images"][0]["file_name"]
     assert np.array_equal(read_image(image), crop(None).pixels)
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
-
-
-def test_samples_are_whole_and_shards_bounded(tmp_path: Path) -> None:
-    with WebDatasetWriter(tmp_path, ["train", "val"], {"a": 1}, samples=2) as writer:
-        for outline in ([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], None, None):
-            writer.add("train", crop(outline))
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["dataset.json", "train-000000.tar", "train-000001.tar"]
-    with tarfile.open(tmp_path / "train-000000.tar") as shard:
-        assert shard.getnames() == ["000000000.png", "000000000.json", "000000001.png", "000000001.json"]
-        assert {(m.mtime, m.uid, m.uname) for m in shard} == {(0, 0, "")}
-        samples = [json.load(shard.extractfile(n)) for n in shard.getnames() if n.endswith("json")]  # type: ignore[arg-type]
-    assert [s["component"] for s in samples] == [NAME, NAME]
-    assert samples[0]["outline"]["area"] == 0.5
-    assert samples[1]["outline"] is None
-    assert json.loads((tmp_path / "dataset.json").read_text()) == {"info": {"a": 1}, "samples": {"train": 3, "val": 0}}
 
 
 CROPS = CropOptions(("U1", "R1"))
@@ -219,28 +195,11 @@ def test_the_bytes_do_not_depend_on_the_number_of_workers(
     assert re.fullmatch(r"dashboard: http://127\.0\.0\.1:\d+/status", informed[0])
 
 
-def test_a_run_that_workers_cannot_read_is_left_out_by_itself(
-    boards: Archive, cluster: ClusterOptions, tmp_path: Path
-) -> None:
-    copied = with_a_damaged_run(boards, tmp_path)
-    summary = write_dataset([copied.url], DatasetTerms(SPLITS, CROPS), tmp_path / "a", cluster)
-    assert write_dataset([copied.url], DatasetTerms(SPLITS, CROPS), tmp_path / "b") == summary
-    assert contents(tmp_path / "a") == contents(tmp_path / "b")
-    assert (summary.runs, len(summary.left_out)) == (3, 1)
-
-
 def test_no_board_is_in_two_splits(boards: Archive, tmp_path: Path) -> None:
     write_dataset([boards.url], DatasetTerms(SPLITS, CROPS), tmp_path / "a")
     splits = {(i["board_id"], i["split"]) for i in coco(tmp_path / "a")}
     assert len(splits) == 4
     assert {split for _, split in splits} == {"train", "val"}
-
-
-def test_other_verdicts_come_with_their_verdict_if_asked_for(boards: Archive, tmp_path: Path) -> None:
-    chosen = RunSelection(station="line 9")
-    terms = DatasetTerms(SPLITS, CROPS, chosen, (Status.OK, Status.DEGRADED))
-    assert write_dataset([boards.url], terms, tmp_path / "a").runs == 1
-    assert {i["verdict"] for i in coco(tmp_path / "a")} == {"degraded"}
 
 
 def test_a_damaged_run_is_named_and_the_others_go_on(boards: Archive, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from vaoi_station.errors import InputError
 from vaoi_station.model import Status
 from vaoi_station.plant.manifest import (
     RUN_FILE,
@@ -49,18 +48,6 @@ RUN = ArchivedRun(
 )
 def test_a_run_fulfils_all_conditions(selection: RunSelection, meant: bool) -> None:
     assert selection.admits(RUN) is meant
-
-
-def test_a_folder_is_listed_if_it_may_have_such_runs() -> None:
-    noon = RunSelection(since="2026-03-02T12:00:00Z", until="2026-03-03T12:00:00Z")
-    days = ("2026-03-01", "2026-03-02", "2026-03-03", "2026-03-04")
-    assert [noon.admits_folder("one", day) for day in days] == [False, True, True, False]
-
-
-@pytest.mark.parametrize("text", ["yesterday", "2026-03-02T12:00:00"])
-def test_a_time_without_a_zone_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="since"):
-        RunSelection(since=text)
 
 
 def test_what_an_archive_does_not_need_is_not_read(tmp_path: Path) -> None:

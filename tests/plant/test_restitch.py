@@ -26,12 +26,11 @@ from vaoi_station.line_config import ExpectedBoard
 from vaoi_station.model import Status
 from vaoi_station.model.board_type import Visibility
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
-from vaoi_station.plant.cluster import ClusterOptions, RunFault, WorkerFault, software
+from vaoi_station.plant.cluster import ClusterOptions, WorkerFault, software
 from vaoi_station.plant.manifest import StationRecord
 from vaoi_station.plant.restitch import (
     Session,
     Terms,
-    _with_verdict,
     open_archived,
     restitch,
     restitch_run,
@@ -56,15 +55,6 @@ def extracted(board: RecordedRun, folder: Path, made: dict[str, Any] | None, *, 
     if reference:
         shutil.copytree(board.directory, run / "reference")
     return run
-
-
-def test_method_and_terms_are_those_of_the_station(board: RecordedRun, tmp_path: Path) -> None:
-    run = extracted(board, tmp_path, {"method": "fiducials", "terms": TERMS.model_dump(mode="json")})
-    opened, notes = open_archived(run, tmp_path, Terms("any"))
-    setup = opened.setup
-    assert (setup.method, setup.visibility, notes) == ("fiducials", TERMS.visibility, [])
-    assert setup.expectation.corner_mm[0] == 1.0
-    assert open_archived(run, tmp_path, Terms("any", method="features"))[0].setup.method == "features"
 
 
 @pytest.mark.parametrize("method", ["auto", "reference"])
@@ -116,20 +106,6 @@ def test_the_result_is_that_of_the_station(stored: Archive, stitched: StitchedRu
     assert tables["runs"]["result"] == ["former", "new"]
     views = tables["views"]["x_px"]
     assert views[: len(views) // 2] == views[len(views) // 2 :]
-
-
-@pytest.mark.parametrize(
-    ("verdict", "statuses", "expected"),
-    [("degraded", "ok ok", "degraded degraded"), ("degraded", "ok failed", "degraded failed"),
-     ("degraded", "degraded ok", "degraded ok"), (None, "ok ok", "ok ok")],
-)  # fmt: skip
-def test_verdict_of_the_run_holds_for_both_results(
-    stitched: StitchedRun, verdict: str | None, statuses: str, expected: str
-) -> None:
-    """What degrades a run beside its result, such as another board id, is not mended by another result."""
-    former, new = (stitched.result.model_copy(update={"status": Status(s)}) for s in statuses.split())
-    found = _with_verdict(Status(verdict) if verdict else None, former, new)
-    assert " ".join(result.status for result in found) == expected
 
 
 def test_reasons_that_another_result_does_not_mend_keep_a_run_degraded(stitched: StitchedRun) -> None:
@@ -186,12 +162,6 @@ def test_an_archive_that_is_not_seen_is_no_fault_of_the_run(board: RecordedRun, 
     assert "is no archive" in unseen.message
     (tmp_path / "elsewhere").rename(tmp_path / "archive")
     assert isinstance(restitch_run(task), bytes)
-
-
-def test_a_run_that_was_replaced_after_its_selection_is_a_fault(stored: Archive) -> None:
-    fault = restitch_run(replace(task_of(stored, "r0"), manifest="0" * 16))
-    assert isinstance(fault, RunFault)
-    assert "was replaced after the run was selected" in fault.message
 
 
 FLIPPED = gzip.compress(bytes(range(256)) * 9, mtime=0)

@@ -10,8 +10,6 @@ import pytest
 from tests.plant.conftest import add_runs, filmed_again
 from vaoi_station.errors import InputError
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
-from vaoi_station.plant.catalogue import AHEAD
-from vaoi_station.plant.manifest import ArchivedRun
 from vaoi_station.plant.selected_runs import SelectedRuns
 from vaoi_station.plant.storage import LocalStorage
 
@@ -24,15 +22,6 @@ def test_runs_are_found_once_and_in_order(recording: Path, tmp_path: Path) -> No
     second = Archive.open(shutil.copytree(tmp_path / "a", tmp_path / "b"))
     found = list(SelectedRuns([first.url, second.url, first.url], RunSelection(), pytest.fail))
     assert [(url, key.rpartition("/")[2]) for url, key, _ in found] == [(first.url, "r2.json"), (first.url, "r1.json")]
-
-
-def test_different_runs_with_one_id_are_named(recording: Path, tmp_path: Path) -> None:
-    archives = [Archive.create(tmp_path / name) for name in "ab"]
-    for archive, serial in zip(archives, ("B1", "B2"), strict=True):
-        archive.add(recording, station="s", label=RunLabel(run="r1", time="2026-11-01T10:00:00Z", serial=serial))
-    reported: list[str] = []
-    assert not list(SelectedRuns([a.url for a in archives], RunSelection(), reported.append))
-    assert "r1.json: two runs have this id, and differ" in reported[0]
 
 
 def test_one_recording_in_several_places_counts_once_and_is_named(recording: Path, tmp_path: Path) -> None:
@@ -62,25 +51,6 @@ def test_each_run_of_a_station_that_replays_a_recording_is_read_once(
     found = list(SelectedRuns([archive.url], RunSelection(), pytest.fail))
     assert sorted(key for key in reads if key != "archive.json") == sorted(run.key for run in found)
     assert len(found) == 8
-
-
-def test_the_first_run_is_known_before_all_manifests_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    archive, reads, read = Archive.create(tmp_path / "archive"), list[str](), LocalStorage.read
-    for n in range(3 * AHEAD):
-        named = {"run": f"r{n:03d}", "station": "s", "time": "2026-11-01T10:00:00Z", "board_type": "ab"[n % 2]}
-        run = ArchivedRun(**named, pixels=8, documents={}, frames=())
-        archive.storage.write(run.key, run.text().encode())
-
-    def noted(storage: LocalStorage, key: str) -> bytes:
-        reads.append(key)
-        return read(storage, key)
-
-    monkeypatch.setattr(LocalStorage, "read", noted)
-    selected = SelectedRuns([archive.url], RunSelection(board_type="a"), pytest.fail)
-    runs = iter(selected)
-    assert (next(runs).key, selected.runs) == ("runs/s/2026-11-01/r000.json", 3 * AHEAD)
-    assert len(reads) <= AHEAD + 1, "with that of the archive"
-    assert len(list(runs)) + 1 == selected.runs == 3 * AHEAD // 2
 
 
 def test_an_archive_that_cannot_be_used_is_named_and_the_others_are_used(recording: Path, tmp_path: Path) -> None:

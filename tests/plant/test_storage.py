@@ -59,12 +59,6 @@ def test_unfinished_files_are_no_objects_and_files_of_other_programs_are_no_left
     assert [(entry.key, entry.size) for entry in storage.leftovers()] == [(name, 4) for name in left]
 
 
-def test_a_directory_that_cannot_be_read_is_a_fault_of_the_disk(tmp_path: Path) -> None:
-    (tmp_path / "runs").mkdir()
-    with pytest.raises(DeviceError, match="runs: cannot be read"):
-        LocalStorage(tmp_path).read("runs")
-
-
 def test_a_disk_that_refuses_a_directory_is_no_fault_of_the_run(tmp_path: Path) -> None:
     (tmp_path / "blobs").touch()
     with pytest.raises(DeviceError, match="blobs/ab/x: cannot be written") as caught:
@@ -104,17 +98,6 @@ def test_without_the_extra_the_refusal_says_what_to_install(monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(InputError, match=r"Install vaoi-station\[plant\]"):
         FsspecStorage("memory://a")
-
-
-def test_errors_of_the_system_name_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
-    storage = FsspecStorage("memory://a")
-
-    def fail(*_: object) -> None:
-        raise RuntimeError("broken")
-
-    monkeypatch.setattr("fsspec.implementations.memory.MemoryFileSystem.pipe_file", fail)
-    with pytest.raises(DeviceError, match=r"memory://a/blobs/x: cannot be written \(RuntimeError: broken\)"):
-        storage.write("blobs/x", b"")
 
 
 _NUMBERS = itertools.count()
@@ -165,10 +148,3 @@ def test_two_stations_write_at_the_same_time(bucket: str, recording: Path, tmp_p
     assert len(list(archive.storage.entries("blobs"))) == 2 + 3 + 4
     back = open_recording(archive.extract("b", tmp_path / "back"))
     assert np.array_equal(back.frame(0, 1), open_recording(recording).frame(0, 1))  # type: ignore[arg-type]
-
-
-def test_a_server_that_does_not_answer_is_named(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
-    with pytest.raises(DeviceError, match=r"archive\.json: cannot be read"):
-        Archive.open(bucket)

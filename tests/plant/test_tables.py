@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from vaoi_station import StitchedRun
-from vaoi_station.geometry import apply
 from vaoi_station.plant.tables import TABLES, RunKey, Tables, arrow_schema, result_tables, write_tables
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "plant.md"
@@ -48,75 +46,6 @@ def test_every_figure_is_that_of_the_result(stitched: StitchedRun) -> None:
     ]
     assert tables["cameras"]["px_per_mm"] == pytest.approx([18.0] * 3, rel=0.02)
     assert tables["fiducials"]["name"] == [mark["name"] for mark in result.quality["fiducials"]]
-
-
-def test_components_have_place_height_and_views(stitched: StitchedRun) -> None:
-    result = stitched.result
-    tables = result_tables(KEY, "new", result, stitched.board_type, stitched.recording.head)
-    components, views = tables["components"], tables["views"]
-    assert components["component"] == list(stitched.refs)
-    n = components["component"].index("U1")
-    matrix = result.component_matrix("U1")
-    assert matrix is not None
-    place = apply(matrix, np.array([stitched.center("U1")]))[0]
-    assert (components["x_mm"][n], components["y_mm"][n]) == pytest.approx(place.tolist())
-    assert components["height_mm"][n] == result.quality["heights_mm"]["U1"]
-    assert result.components is not None
-    assert components["views"][n] == len(result.components["U1"]) == views["component"].count("U1")
-    stated = [float(np.linalg.eigvalsh([[xx, xy], [xy, yy]])[1] ** 0.5) for _, _, xx, xy, yy in
-              result.quality["component_covariance_px2"]["U1"]]  # fmt: skip
-    found = [s for name, s in zip(views["component"], views["sigma_px"], strict=True) if name == "U1"]
-    assert found == pytest.approx(stated)
-
-
-def test_residuals_of_a_component_are_those_between_the_frames_that_show_it(stitched: StitchedRun) -> None:
-    pairs = [
-        {"a": [0, 0], "b": [0, 1], "used": 3, "rms_px": 0.1},
-        {"a": [0, 1], "b": [1, 1], "used": 1, "rms_px": 0.5},
-        {"a": [1, 1], "b": [1, 2], "used": 9, "rms_px": 7.0},
-        {"a": [0, 0], "b": [0, 0], "used": 9, "rms_px": 7.0},
-        {"a": [0, 0], "b": [1, 1], "used": 0, "rms_px": None},
-    ]
-    local = {
-        "U1": {"shift_mm": [0.02, -0.03], "refusal": None},
-        "R1": {"shift_mm": [0.5, 0.5], "refusal": "too few"},
-    }
-    result = stitched.result.model_copy(
-        update={
-            "components": {"U1": [(0, 0, 5.0, 5.0), (0, 1, 5.0, 5.0), (1, 1, 5.0, 5.0)], "R1": [(1, 2, 5.0, 5.0)]},
-            "quality": stitched.result.quality | {"link_pairs": pairs, "local_fiducials": local},
-        }
-    )
-    components = result_tables(KEY, "new", result, stitched.board_type, stitched.recording.head)["components"]
-    u1, r1 = (components["component"].index(name) for name in ("U1", "R1"))
-    assert components["links"][u1] == 4
-    assert components["residual_px"][u1] == pytest.approx(((3 * 0.1**2 + 0.5**2) / 4) ** 0.5)
-    assert (components["local_x_mm"][u1], components["local_y_mm"][u1]) == (0.02, -0.03)
-    names = ("links", "residual_px", "local_x_mm", "local_y_mm")
-    assert [components[name][r1] for name in names] == [0, None, None, None]
-
-
-def test_figures_of_another_form_are_none(stitched: StitchedRun) -> None:
-    """The quality of a result accepts any keys and values, also those of older versions."""
-    wrong = {
-        "residual_px": [1],
-        "belt": None,
-        "row_sigma_px": "much",
-        "camera_displacement_px": [[0, 0]],
-        "seams_px": {"a-b": 1},
-        "fiducials": [7],
-        "component_sigma_px": {"U1": True},
-        "component_covariance_px2": {"U1": 3},
-        "link_pairs": [3, {"a": [0, 0], "b": 1, "used": 2, "rms_px": 0.1}],
-        "local_fiducials": {"U1": 2},
-        "cad_sigma_px": float("nan"),
-    }
-    result = stitched.result.model_copy(update={"quality": wrong, "camera_matrices": None})
-    tables = result_tables(KEY, "former", result, stitched.board_type, stitched.recording.head)
-    assert tables["runs"]["cad_sigma_px"] == tables["runs"]["link_median_px"] == tables["runs"]["speed_mm_s"] == [None]
-    assert tables["cameras"]["center_x_mm"] == tables["cameras"]["x_px"] == [None] * 3
-    assert set(tables["components"]["sigma_px"]) == set(tables["views"]["sigma_px"]) == {None}
-    assert tables["seams"]["camera"] == []
 
 
 @pytest.fixture

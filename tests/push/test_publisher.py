@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,7 +13,7 @@ import pytest
 
 from tests.push.event_list import EventList
 from vaoi_station.push import publisher as module
-from vaoi_station.push.mqtt import Outcome, message_of, type_of
+from vaoi_station.push.mqtt import Outcome
 from vaoi_station.push.publisher import Publisher, PublisherState, is_wanted, read_state
 from vaoi_station.runs.states.schemas import EventRecord
 
@@ -174,18 +173,6 @@ def test_an_absent_or_damaged_state_begins_with_the_next_event(
 def event(**fields: Any) -> EventRecord:
     given = {"number": 7, "time": "2026-01-01T12:00:00.000Z", "kind": "run", "state": "ready", "run": "r1"} | fields
     return EventRecord(**given)
-
-
-def test_a_message_has_type_timestamp_and_data() -> None:
-    assert json.loads(message_of(event(), "line-3")) == {
-        "type": "run.ready",
-        "timestamp": "2026-01-01T12:00:00.000Z",
-        "data": {
-            "station": "line-3", "number": 7, "time": "2026-01-01T12:00:00.000Z", "kind": "run", "state": "ready",
-            "run": "r1", "code": "", "message": "", "action": "",
-        },
-    }  # fmt: skip
-    assert type_of(event(kind="board-missed", state="")) == "board_missed"
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import pytest
 
 from vaoi_station.errors import InputError
-from vaoi_station.rendering.request import Bounds, Choice, Framing, ImageOptions, ImageRequest, direction
+from vaoi_station.rendering.request import Framing, ImageOptions, ImageRequest
 
 
 @pytest.mark.parametrize(
@@ -40,11 +39,6 @@ def test_an_option_outside_its_limits_is_refused(options: Any, words: str) -> No
     assert words in str(refused.value)
 
 
-def test_an_unknown_option_is_a_type_error() -> None:
-    with pytest.raises(TypeError, match="no option 'colour'"):
-        ImageRequest.of({"colour": "red"})  # type: ignore[typeddict-unknown-key]
-
-
 def test_options_come_back_by_name() -> None:
     options: ImageOptions = {"light": "left", "px_per_mm": 20.0, "limit": 3, "order": "sharpest", "min_coverage": 0.9}
     wanted = ImageRequest.of(options)
@@ -54,16 +48,6 @@ def test_options_come_back_by_name() -> None:
     assert not ImageRequest.of({"measure": True}).needs_pixels
     assert ImageRequest.of({"measure": True}).unmeasured().options() == {}
     assert ImageRequest.of({"max_saturated": 0.1}).needs_pixels
-
-
-def test_the_names_of_options_are_those_of_the_fields() -> None:
-    names = [f.name for kind in (Framing, Bounds, Choice) for f in fields(kind)]
-    assert sorted(names) == sorted(ImageOptions.__annotations__)
-
-
-@pytest.mark.parametrize(("text", "value"), [(None, None), ("left", "left"), ("120", 120.0), ("north", "north")])
-def test_a_direction_is_a_side_or_a_number(text: str | None, value: Any) -> None:
-    assert direction(text) == value
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any, cast
 
 import cv2
@@ -50,17 +49,6 @@ def chosen(
     return list(select(views, facts(), ImageRequest.of(cast("ImageOptions", options)), by or unexpected))
 
 
-def test_without_a_wish_all_views_come_in_their_order(views: tuple[View, ...]) -> None:
-    assert [s.view for s in chosen(views)] == list(views)
-    assert all(s.facts == facts()[s.view.camera, s.view.row] for s in chosen(views))
-
-
-def test_one_light(views: tuple[View, ...]) -> None:
-    found = chosen(views, light="left")
-    assert [s.view for s in found] == [v for v in views if v.row in (1, 3)]
-    assert len(chosen(views, light="left", limit=1)) == 1
-
-
 def test_an_unknown_light_is_refused_with_the_known_ones(views: tuple[View, ...]) -> None:
     with pytest.raises(
         InputError, match="light is 'blue', but must be one of the lights of this run: even, left, right"
@@ -103,13 +91,6 @@ def test_without_directions_a_direction_is_refused(make: Any) -> None:
     assert refused.value.code == "no-working-distance"
 
 
-def test_exposures(views: tuple[View, ...]) -> None:
-    assert {s.view.row for s in chosen(views, max_exposure_us=200)} <= {0, 1}
-    assert {s.view.row for s in chosen(views, min_exposure_us=150, max_exposure_us=350)} <= {1, 2}
-    unknown = select(views, {}, ImageRequest.of({"min_exposure_us": 1.0}), lambda _: None)
-    assert unknown == ()
-
-
 def test_sharpest_first_puts_saturated_and_partial_images_last(views: tuple[View, ...]) -> None:
     whole = [v for v in views if v.coverage == 1.0][:3]
     partial = next(v for v in views if v.coverage < 0.9)
@@ -121,13 +102,6 @@ def test_sharpest_first_puts_saturated_and_partial_images_last(views: tuple[View
     assert [s.view for s in found] == expected
     kept = chosen((*whole, partial), figures.get, min_sharpness_per_mm=6.0, max_saturated=0.1)
     assert [s.view for s in kept] == [whole[1], partial]
-
-
-def test_measures_are_given_on_request(views: tuple[View, ...]) -> None:
-    found = chosen(views, lambda _: Measures(3.0, 0.1), measure=True, limit=2)
-    assert [s.measures for s in found] == [Measures(3.0, 0.1)] * 2
-    gone = chosen(views, lambda _: None, measure=True)
-    assert {s.measures for s in gone} == {None}
 
 
 def test_a_difference_takes_the_other_light_from_the_nearest_direction(views: tuple[View, ...]) -> None:
@@ -176,20 +150,6 @@ def test_the_top_plane_is_at_the_measured_height_and_its_error_counts(make: Any)
     assert found.covariance_px2(choice, None) is None
 
 
-def test_a_part_without_a_height_is_answered_in_the_plane_of_the_board(make: Any) -> None:
-    found = chosen_of(make(), plane="top")
-    assert {(x.view.plane, x.view.height_mm) for x in found.chosen} == {("board", 0.0)}
-    assert "U4 has no height: the run measured none" in (found.remark or "")
-
-
-def test_without_a_working_distance_images_lie_on_the_board(make: Any) -> None:
-    s = make()
-    cameras = tuple(replace(camera, working_distance_mm=None) for camera in s.cameras)
-    found = chosen_of(SimpleNamespace(**{**vars(s), "cameras": cameras}), {"heights_mm": {"U4": 1.5}}, plane="top")
-    assert {x.view.plane for x in found.chosen} == {"board"}
-    assert "no working_distance_mm" in (found.remark or "")
-
-
 def test_a_difference_is_rendered_with_equal_exposures(make: Any) -> None:
     s = make()
     choice = next(x for x in chosen_of(s, light="left", minus="right").chosen if x.view.coverage == 1)
@@ -198,19 +158,6 @@ def test_a_difference_is_rendered_with_equal_exposures(make: Any) -> None:
     frame, other = (np.asarray(scene * x.facts.exposure_us / 100, np.uint8) for x in (choice, choice.minus))
     assert (render_chosen(choice, frame, other) == 128).all()
     assert (render_chosen(choice, frame) == render(choice.view, frame)).all()
-
-
-def test_a_description_has_what_is_known(make: Any) -> None:
-    choice = chosen_of(make(), light="left", minus="right").chosen[0]
-    known = describe(choice, np.diag([0.0004, 0.0001]))
-    assert known["sigma_px"] == pytest.approx(0.02)
-    assert known["sigma_mm"] == pytest.approx(0.02 / choice.view.frame_px_per_mm)
-    assert (known["light"], known["exposure_us"], known["time_s"]) == choice.facts[2:3] + choice.facts[
-        0:1
-    ] + choice.facts[3:4]
-    assert known["minus"] == (choice.minus.view.camera, choice.minus.view.row) if choice.minus else None
-    assert (known["sharpness_per_mm"], known["saturated"]) == (None, None)
-    assert describe(choice, None)["sigma_mm"] is None
 
 
 @pytest.fixture(scope="module")
@@ -258,11 +205,6 @@ def test_saturated_pixels_of_the_footprint_are_counted(view: View, dtype: Any) -
     frame[:10, :10] = np.iinfo(dtype).max  # outside the footprint
     area = 40 * 24 * (view.frame_px_per_mm / 8.0) ** 2
     assert measure(view, frame).saturated == pytest.approx(30 / area, rel=0.08)
-
-
-def test_a_flat_footprint_has_no_sharpness(view: View) -> None:
-    assert measure(view, np.full((180, 240), 90, np.uint8)) == Measures(None, 0.0)
-    assert measure(view, np.full((180, 240), 255, np.uint8)) == Measures(None, 1.0)
 
 
 def test_names_are_those_of_the_rest_interface_and_of_the_library(make: Any) -> None:

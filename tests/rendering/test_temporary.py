@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from tests.rendering.computed import compute_views
-from vaoi_station.errors import InputError
 from vaoi_station.rendering import ViewCalculator, render, render_all
-from vaoi_station.rendering.temporary import subtract
 
 BENT = (0.012, 0.001)
 
@@ -100,17 +98,6 @@ def test_pictures_of_many_views_are_those_of_each(make: Any, lens: Any, channels
             assert np.array_equal(picture, render(view, frames[view.camera, view.row]))
 
 
-def test_what_lies_outside_the_frame_is_black(make: Any) -> None:
-    s = make()
-    for component in s.board_type.components:
-        for view in compute_views(component, s.board_type, s.stitch, s.cameras, min_coverage=0.2):
-            picture = render(view, np.full((180, 240), 100, dtype=np.uint8))
-            share = float((picture == 100).mean())
-            assert share == pytest.approx(view.coverage, abs=0.13)
-            if view.coverage < 0.8:
-                assert (picture == 0).any()
-
-
 def by_equation_22(s: Any, view: Any, frame: Any) -> Any:
     """Every pixel by itself: to CAD, through C, D_j, N_i and the lens, then interpolate in double precision."""
     at = s.raw_px(view.camera, view.row, view.cad_from_crop(pixels_of((view.height, view.width))))
@@ -145,24 +132,3 @@ def test_what_is_delivered_is_equation_22_within_one_grey_level(
         # The lens is right to 0.004 px, which the steepest edge of this texture turns into levels of 16 bit.
         slope = np.abs(np.diff(frame.astype(float), axis=1)).max() if bends else 0.0
         assert off.max() <= max(1.0, 0.004 * slope if dtype == np.uint16 else 0.0)
-
-
-@pytest.mark.parametrize(("dtype", "middle"), [(np.uint8, 128), (np.uint16, 32768)])
-def test_equal_images_give_middle_grey(dtype: Any, middle: int) -> None:
-    image = np.arange(200, dtype=dtype).reshape(10, 20)
-    assert (subtract(image, image) == middle).all()
-    assert subtract(image, image).dtype == dtype
-
-
-def test_one_level_is_two_of_the_images_and_exposures_are_made_equal() -> None:
-    bright, dark = np.full((2, 2), 100, np.uint8), np.full((2, 2), 20, np.uint8)
-    assert subtract(bright, dark)[0, 0] == 128 + 40
-    assert subtract(dark, bright)[0, 0] == 128 - 40
-    assert subtract(bright, dark, ratio=5.0)[0, 0] == 128
-    extremes = subtract(np.full((1, 1, 3), 255, np.uint8), np.zeros((1, 1, 3), np.uint8))
-    assert extremes.tolist() == [[[255, 255, 255]]]
-
-
-def test_images_of_different_kind_are_refused() -> None:
-    with pytest.raises(InputError, match=r"uint8.*uint16 cannot be subtracted"):
-        subtract(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint16))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import replace
 from itertools import product
 from typing import Any, Literal
@@ -14,9 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.rendering.computed import compute_views
-from vaoi_station.errors import InputError, StateError
+from vaoi_station.errors import InputError
 from vaoi_station.geometry import Camera, Lens, Projective, System, apply
-from vaoi_station.geometry.homographies import rectangle_homographies, through
 from vaoi_station.model import BoardType, Component
 from vaoi_station.rendering import Framing, View, ViewCalculator
 from vaoi_station.rendering.views import MOST_PIXELS, Crops, cut_tiles, lay_out, sigma_px
@@ -97,18 +95,6 @@ def test_every_frame_that_shows_enough_and_no_other(make: Any, least: float, len
                 )
 
 
-def test_the_best_comes_first(make: Any) -> None:
-    s = make()
-    for component in s.board_type.components:
-        views = compute_views(component, s.board_type, s.stitch, s.cameras, min_coverage=0.1)
-        order = [(-round(v.coverage, 3), v.off_center) for v in views]
-        assert order == sorted(order)
-        for v in views:
-            middle = s.raw_px(v.camera, v.row, np.array(component.center))
-            off = np.hypot(*(middle - s.cameras[v.camera].center_px)) / np.hypot(*s.cameras[v.camera].center_px)
-            assert v.off_center == pytest.approx(off, abs=1e-3)
-
-
 def test_all_components_at_once_match_each_alone(make: Any) -> None:
     s = make(lens=BENT, surface=True)
     calculator = ViewCalculator(s.board_type, s.stitch, s.cameras)
@@ -141,23 +127,6 @@ def test_resolution_is_the_cameras_unless_asked_for(make: Any) -> None:
         compute_views(component, s.board_type, s.stitch, s.cameras, px_per_mm=2000.0)
 
 
-def test_frames_that_were_not_placed_show_nothing(make: Any) -> None:
-    s = make()
-    matrices = [list(rows) for rows in s.stitch.image_matrices]
-    matrices[0][1] = None
-    stitch = s.stitch.model_copy(update={"image_matrices": tuple(map(tuple, matrices))})
-    for component in s.board_type.components:
-        before = compute_views(component, s.board_type, s.stitch, s.cameras)
-        after = compute_views(component, s.board_type, stitch, s.cameras)
-        assert [(v.camera, v.row) for v in after] == [(v.camera, v.row) for v in before if (v.camera, v.row) != (0, 1)]
-
-
-def test_a_component_out_of_view_has_no_views(make: Any) -> None:
-    far = [{"ref": "X", "center": [500, 500], "width": 2, "height": 2}]
-    s = make(components=far)
-    assert compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras, min_coverage=0.0) == ()
-
-
 def test_a_component_with_a_c_of_its_own_is_in_the_frames_that_show_it_there(make: Any) -> None:
     s = make()
     part, move = s.board_type.components[4], np.array([[1.0, 0, 6.0], [0, 1.0, -9.0], [0, 0, 1.0]])
@@ -171,15 +140,6 @@ def test_a_component_with_a_c_of_its_own_is_in_the_frames_that_show_it_there(mak
     assert {(v.camera, v.row) for v in found} != {
         (v.camera, v.row) for v in compute_views(part, s.board_type, s.stitch, s.cameras)
     }
-
-
-def test_without_a_cad_mapping_there_is_nothing_to_cut(make: Any) -> None:
-    s = make()
-    stitch = s.stitch.model_copy(update={"cad_matrix": None, "reasons": ("the fiducials were not found",)})
-    with pytest.raises(StateError, match="no CAD mapping") as refused:
-        compute_views(s.board_type.components[0], s.board_type, stitch, s.cameras)
-    assert refused.value.code == "no-cad-mapping"
-    assert "the fiducials were not found" in str(refused.value)
 
 
 @pytest.mark.parametrize(("y_axis", "side"), list(product(("up", "down"), ("top", "bottom"))))
@@ -215,16 +175,6 @@ def test_a_raised_point_moves_away_from_the_side_the_part_is_seen_from(make: Any
             shift = raised - view.crop_from_cad(center)
             away = math.degrees(math.atan2(-shift[1], shift[0])) + 180
             assert abs((view.picture_azimuth_deg - away + 180) % 360 - 180) < 1.0
-
-
-def test_the_shift_per_mm_of_height_is_that_of_the_camera(make: Any) -> None:
-    s = make(surface=True)
-    for component in s.board_type.components:
-        center = np.array(component.center)
-        height = float(s.stitch.surface.height_mm(center))
-        for view in compute_views(component, s.board_type, s.stitch, s.cameras):
-            low, high = (s.raw_px(view.camera, view.row, center, height + h) for h in (-0.01, 0.01))
-            np.testing.assert_allclose(view.lift_px, (high - low) / 0.02, rtol=1e-3, atol=1e-6)
 
 
 def test_a_picture_at_the_top_of_the_part_is_right_there(make: Any) -> None:
@@ -264,26 +214,6 @@ def test_the_uncertainty_of_a_height_adds_along_the_parallax(make: Any) -> None:
     np.testing.assert_allclose(level, flat)
     assert raised.trace() - flat.trace() == pytest.approx(0.25 * (view.lift_px**2).sum())
     assert view.frame_px_per_mm == pytest.approx(8.0, rel=0.01)
-
-
-def test_the_outline_is_that_of_the_footprint(make: Any) -> None:
-    parts = [{"ref": "U1", "center": [12, 14], "width": 6, "height": 3, "rotation": 30}]
-    s = make(components=parts)
-    for view in compute_views(s.board_type.components[0], s.board_type, s.stitch, s.cameras, min_coverage=0.1):
-        truth = s.raw_px(view.camera, view.row, np.array(s.board_type.footprint(s.board_type.components[0])))
-        for corner in view.outline_px:
-            assert np.abs(truth - corner).max(1).min() < 1.0
-
-
-def test_views_in_some_frames_are_counted(make: Any) -> None:
-    s = make()
-    table = ViewCalculator(s.board_type, s.stitch, s.cameras).compute_all(s.board_type.components)
-    everywhere = {(v.camera, v.row) for views in table.values() for v in views}
-    some = set(sorted(everywhere)[::2])
-    expected = Counter({a: sum((v.camera, v.row) in some for v in views) for a, views in table.items()})
-    assert table.counts_in(some) == {address: n for address, n in expected.items() if n}
-    assert sum(table.counts_in(everywhere).values()) == len(table.component)
-    assert table.counts_in(set()) == {}
 
 
 SIDES = [(y, s) for y in ("up", "down") for s in ("top", "bottom")]
@@ -349,10 +279,6 @@ def test_a_large_component_gets_the_resolution_that_fits() -> None:
         crops_of(parts, board(), 20.0)
 
 
-def test_a_tiny_component_has_one_pixel() -> None:
-    assert crops_of([part(width=1e-4, height=1e-4)], board(), 10.0).size.tolist() == [[1, 1]]
-
-
 @pytest.mark.parametrize(("y_axis", "side"), SIDES)
 @pytest.mark.parametrize("rotation", [0.0, 30.0, 90.0, 200.0])
 def test_a_turned_picture_shows_the_part_as_at_rotation_0(y_axis: str, side: str, rotation: float) -> None:
@@ -367,37 +293,7 @@ def test_a_turned_picture_shows_the_part_as_at_rotation_0(y_axis: str, side: str
     assert np.sign(np.linalg.det(crops.crop_from_cad[0])) == np.sign(np.linalg.det(straight.crop_from_cad[0]))
 
 
-def test_a_margin_is_added_on_all_sides() -> None:
-    crops = crops_of([part(unit) for unit in (0.0, 90.0)], board(unit="inch"), 10.0, margin_mm=2.54)
-    assert crops.size.tolist() == [[1016 + 51, 508 + 51], [508 + 51, 1016 + 51]]
-    assert apply(crops.crop_from_cad[0], (10, 20)) == pytest.approx((crops.size[0] - 1) / 2)
-    assert not crops.bare.any()
-
-
-def test_a_margin_that_makes_the_picture_too_large_is_refused_with_the_largest() -> None:
-    with pytest.raises(InputError, match=r"U1: margin_mm is 90.0, but must be at most 18.5 at 100 px/mm") as refused:
-        crops_of([part()], board(), 100.0, margin_mm=90.0)
-    assert "18400×18200" in str(refused.value)
-    assert crops_of([part()], board(), 100.0, margin_mm=18.5).size.prod() <= MOST_PIXELS
-
-
 MATRIX = np.array([[1.02, 0.03, 20.0], [-0.02, 0.97, 15.0], [2e-5, -3e-5, 1.0]])
-
-
-def test_a_homography_takes_the_corners_to_their_points() -> None:
-    random = np.random.default_rng(3)
-    boxes = np.array([[0, 0, 99, 49], [-0.5, -0.5, 30, 20], [7, 9, 400, 12]], dtype=float)
-    x0, y0, x1, y1 = boxes.T
-    source = np.stack([x0, y0, x1, y0, x1, y1, x0, y1], -1).reshape(-1, 4, 2)
-    target = np.stack([apply(MATRIX, s) for s in source]) + random.normal(0, 0.5, (3, 4, 2))
-    found = rectangle_homographies(source, target)
-    np.testing.assert_allclose(through(found, source), target, atol=1e-9)
-    np.testing.assert_allclose(found[:, 2, 2], 1)
-
-
-def test_a_rectangle_without_area_has_no_homography() -> None:
-    source = np.array([[[0, 0], [0, 0], [0, 9], [0, 9]]], dtype=float)
-    assert np.isnan(rectangle_homographies(source, source + 1)).any()
 
 
 @pytest.mark.parametrize("bend_px", [0.03, 0.4, np.inf])

@@ -49,14 +49,6 @@ def test_leading_edge_follows_from_barrier_and_delay(
     assert found.angle_rad == pytest.approx(-math.radians(rotation))
 
 
-def test_rail_or_center_gives_the_place_across_the_belt() -> None:
-    assert expectation_of(line((0, 100), rail_mm=-7.0), BOARD).corner_mm[0] == -7.0
-    assert expectation_of(line((0, 100), center_mm=10.0), BOARD).corner_mm[0] == pytest.approx(10 - W / 2)
-    assert expectation_of(line((0, 100), center_mm=10.0, rotation_deg=90.0), BOARD).corner_mm[0] == pytest.approx(
-        10 - L / 2
-    )
-
-
 MARKS: list[dict[str, Any]] = [{"name": f"F{n}", "x": 5.0 * n, "y": 1.0, "diameter": 1.0} for n in range(3)]
 
 

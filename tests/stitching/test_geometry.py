@@ -6,12 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from vaoi_station.geometry import Camera, Lens, apply
+from vaoi_station.geometry import Lens
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.geometry import ComponentIndex
@@ -42,16 +40,6 @@ def searched(index: ComponentIndex, place: np.ndarray) -> int:
     return best
 
 
-@pytest.mark.parametrize("y_axis", ["up", "down"])
-def test_components_move_with_their_corners(y_axis: str) -> None:
-    index = ComponentIndex.of(board([part("A", 1, 2), part("B", 5, 6, rotation=30)], y_axis))
-    cos, sin = math.cos(0.2), math.sin(0.2)
-    move = np.array([[cos, -sin, 0.5], [sin, cos, -1.0], [0, 0, 1]])
-    moved = index.moved({"B": move, "elsewhere": np.eye(3)})
-    np.testing.assert_array_equal(moved.corners[0], index.corners[0])
-    np.testing.assert_allclose(moved.corners[1], apply(move, index.corners[1]), atol=1e-12)
-
-
 @settings(max_examples=40)
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 40), alike=st.booleans())
 def test_the_grid_finds_what_a_search_through_all_finds(seed: int, count: int, alike: bool) -> None:
@@ -80,25 +68,6 @@ def scene(workshop: Any) -> Scene:
     present = tuple((i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1))
     frames = {key: PreparedFrame(np.full((160, 200), 10 * n + 5, dtype=np.uint8)) for n, key in enumerate(present)}
     return Scene(cameras, present, frames.__getitem__)
-
-
-def shown(camera: Camera, at: NDArray[np.float64], row: int) -> NDArray[np.float64]:
-    return camera.project(MOTION.row_from_tester(row)(at))
-
-
-def test_the_frame_that_shows_a_point_nearest_to_its_middle_is_chosen(workshop: Any) -> None:
-    s = scene(workshop)
-    points = np.random.default_rng(0).uniform((-12, -28), (46, 12), (400, 2))
-    number = s.index(MOTION.rows_from_tester).nearest(points)
-    off = np.full((len(points), len(s.present)), np.inf)
-    for n, (i, j) in enumerate(s.present):
-        camera = s.cameras[i]
-        px = shown(camera, points, j)
-        inside = camera.sees(px, camera.px_per_mm)
-        off[inside, n] = np.hypot(*(px[inside] - camera.center_px).T)
-    none = np.isinf(off).all(1)
-    assert 0 < none.sum() < len(points) / 2
-    np.testing.assert_array_equal(number, np.where(none, -1, off.argmin(1)))
 
 
 def test_a_frame_of_little_contrast_is_taken_where_no_other_shows_the_point(workshop: Any) -> None:

@@ -8,6 +8,7 @@ sum over all extents (as `stitching.quality.heights.body_heights` does it with l
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -87,25 +88,39 @@ def find_levels(
         size: (2,) width and height of the footprint, px.
         log_prior: (n,) logarithm of the prior probability of each height.
     """
-    (across, prior_x), (down, prior_y) = (_sides(tiles, int(size[axis]), axis) for axis in range(2))
-    # A tile is outside if it is outside along one axis, and inside if it is inside along both.
-    where = np.minimum(across[:, None], down).reshape(-1, len(tiles))
+    log_extent, touched, within = _extents(tuple(size.tolist()), tiles.tobytes())
     everywhere = likelihood.mean(1, keepdims=True)
     raised = np.where(heights_mm > 0, likelihood, 0).cumsum(1)
     between = (board[:, None] + raised) / (1 + (heights_mm > 0).cumsum())
     match = _INSIDE * likelihood
-    inside = match + _BELOW * between + _STRAY * everywhere
-    edge = _ACROSS * between + _STRAY * everywhere
-    outside = _OUTSIDE * board[:, None] + _LEAD * between + _ASTRAY * everywhere
-    evidence = np.log(np.outer(prior_x, prior_y)).reshape(-1, 1) + log_prior
-    for side, each in enumerate((outside, edge, inside)):
-        evidence += (where == side) @ np.log(each + 1e-12)
-    weight = np.exp(evidence - evidence.max())
+    stray = _STRAY * everywhere
+    inside = match + _BELOW * between + stray
+    # A tile is outside, or across an edge, or inside; the logarithms of the first are those of all tiles.
+    outside, edge, own = np.log(
+        np.stack(
+            [_OUTSIDE * board[:, None] + _LEAD * between + _ASTRAY * everywhere, _ACROSS * between + stray, inside]
+        )
+        + 1e-12
+    )
+    evidence = touched @ (edge - outside) + within @ (own - edge) + (outside.sum(0) + log_prior)
+    weight = np.exp(evidence + (log_extent - (evidence + log_extent).max()))
     probability = weight.sum(0)
     best = int(probability.argmax())
-    share = (weight[:, best] / probability[best]) @ (where == 2)
+    share = (weight[:, best] / probability[best]) @ within
     on_body = share * match[:, best] / (inside[:, best] + 1e-300)
     return Levels(probability / probability.sum(), on_body)
+
+
+@lru_cache(maxsize=256)
+def _extents(size: tuple[int, int], packed_tiles: bytes) -> tuple[Floats, Floats, Floats]:
+    """Return k extents of a body in a footprint with t tiles: the logarithms of their probabilities (k, 1), and which
+    tiles each touches and contains (k, t). Components of one size have the same tiles.
+    """
+    tiles = np.frombuffer(packed_tiles, np.int_).reshape(-1, 4)
+    (across, prior_x), (down, prior_y) = (_sides(tiles, size[axis], axis) for axis in range(2))
+    # A tile is outside if it is outside along one axis, and inside if it is inside along both.
+    where = np.minimum(across[:, None], down).reshape(-1, len(tiles))
+    return np.log(np.outer(prior_x, prior_y)).reshape(-1, 1), (where > 0).astype(float), (where > 1).astype(float)
 
 
 def _sides(tiles: Ints, size: int, axis: int) -> tuple[Ints, Floats]:

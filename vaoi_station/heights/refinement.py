@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -46,58 +47,85 @@ def normal_equations(
         group: (k,) number of the group of each picture.
     """
     (t, k), (w, h) = used.shape, tiles[0, 2:].tolist()
-    values = _tiles_of(stack, tiles)
-    shown = np.isfinite(values).all((0, 3)) & used
-    values[:, ~shown] = 0
-    # Mean and slope are removed from the gradients as well: a displacement shows only in what remains of the values.
-    y, x = np.mgrid[:h, :w].reshape(2, -1)
-    level = np.linalg.qr(np.stack([np.ones(w * h), x, y], -1))[0]
-    values -= values @ level @ level.T
-    # How each unknown displaces each picture along x and y.
-    moves = np.zeros((t, k, 1 + 2 * k, 2))
-    moves[:, :, 0] = lean
-    for i in range(k):
-        moves[:, i, 1 + 2 * i, 0] = moves[:, i, 2 + 2 * i, 1] = 1
+    shown, grams = _grams(stack, tiles, used)
+    # Between values of pictures, between values and gradients, and between gradients.
+    values, mixed, slopes = grams[:, :k, :k], grams[:, :k, k:].reshape(t, k, k, 2), grams[:, k:, k:]
+    slopes = slopes.reshape(t, k, 2, k, 2).swapaxes(2, 3)
+    own = np.arange(k)
     matrix, noisy, vector = np.zeros((t, 1 + 2 * k, 1 + 2 * k)), np.zeros(t), np.zeros((t, 1 + 2 * k))
     squares, freedom = np.zeros(t), np.zeros(t)
-    for number in np.unique(group):
+    for number in set(group.tolist()):
         mine = shown & (group == number)
-        own, gradient = values[0] * mine[..., None], values[1:].transpose(1, 2, 0, 3) * mine[..., None, None]
         count = mine.sum(1)
         # The gains are the first eigenvector of the Gram matrix, with a mean square of 1.
-        gain = np.linalg.eigh(own @ own.swapaxes(1, 2))[1][..., -1] * np.sqrt(count)[:, None] * mine
-        all2, all4 = (gain**2).sum(1), (gain**4).sum(1)
+        gram = values * (mine[:, :, None] & mine[:, None])
+        gain = np.linalg.eigh(gram)[1][..., -1] * np.sqrt(count)[:, None] * mine
+        weight = gain**2
+        all2, all4 = weight.sum(1), (weight**2).sum(1)
         cross = all2**2 - all4
         # One picture that is far brighter than the others leaves no product of two different ones.
         fit = (count >= 2) & (all2 > 0) & (cross >= 1e-3 * all2**2)
-        all2, cross = np.where(fit, all2, 1), np.where(fit, cross, 1)
-        gain = gain * fit[:, None]
-        weight, share = gain**2, gain / all2[:, None]
-        away = moves - np.einsum("ti,tiua->tua", weight / all2[:, None], moves)[:, None]
-        total, scaled = (gain[..., None] * own).sum(1), gain[..., None, None] * gradient
-        common = scaled.sum(1)
-        outer = common @ common.swapaxes(1, 2)
-        difference = own - share[..., None] * total[:, None]
-        squares += fit * np.square(difference).sum((1, 2))
+        all2, cross = np.where(fit, all2, 1)[:, None], np.where(fit, cross, 1)[:, None, None]
+        gain, weight = gain * fit[:, None], weight * fit[:, None]
+        share, part = gain / all2, weight / all2
+        # The common picture is the sum of gain times picture, times share; `common` has its products with all others.
+        common = (gram @ gain[..., None])[..., 0]
+        difference = gram[:, own, own] - 2 * share * common + share**2 * (gain * common).sum(1, keepdims=True)
+        squares += fit * (difference * mine).sum(1)
         freedom += fit * (w * h - 3) * (count - 1)
-        slope = -share[..., None] * (difference @ common.swapaxes(1, 2))
-        vector += np.einsum("tiua,tia->tu", away, slope)
+        along = (mixed * gain[:, None, :, None]).sum(2)
+        slope = share[..., None] * (share[..., None] * (gain[..., None] * along).sum(1, keepdims=True) - along)
+        outer = (slopes * (gain[:, :, None] * gain[:, None])[..., None, None]).sum((1, 2))
         # Products of the gradients of two different pictures: their noise is independent.
-        product = (outer - (scaled @ scaled.swapaxes(2, 3)).sum(1)) / cross[:, None, None]
-        left = (weight[..., None, None] * away @ product[:, None]).transpose(0, 2, 1, 3).reshape(t, 1 + 2 * k, -1)
-        matrix += left @ away.transpose(0, 1, 3, 2).reshape(t, -1, 1 + 2 * k)
-        along = away[:, :, 0]
-        noisy += (weight * ((along @ outer) * along).sum(2)).sum(1) / all2**2
+        product = (outer - (slopes[:, own, own] * weight[..., None, None]).sum(1)) / cross
+        # Only displacements from the common picture show: the weighted mean of all is removed.
+        away = lean - (part[..., None] * lean).sum(1, keepdims=True)
+        pull = weight[..., None] * (away @ product)
+        matrix[:, 0, 0] += (pull * away).sum((1, 2))
+        matrix[:, 0, 1:] += pull.reshape(t, -1)
+        between = -weight[:, :, None] * part[:, None]
+        between[:, own, own] += weight
+        both = between[:, :, None, :, None] * product[:, None, :, None]
+        matrix[:, 1:, 1:] += both.reshape(t, 2 * k, 2 * k)
+        vector[:, 0] += (away * slope).sum((1, 2))
+        vector[:, 1:] += (slope - part[..., None] * slope.sum(1, keepdims=True)).reshape(t, -1)
+        noisy += (weight[..., None] * (away @ outer) * away).sum((1, 2)) / all2[:, 0] ** 2
+    matrix[:, 1:, 0] = matrix[:, 0, 1:]
     return Normals(matrix, noisy, vector, squares / np.maximum(freedom, 1))
 
 
-def _tiles_of(stack: NDArray[np.float32], tiles: Ints) -> Floats:
-    """Return the pixels of each tile in each picture, and their gradients along x and y: (3, t, k, pixels)."""
-    w, h = tiles[0, 2:].tolist()
-    fields = np.stack([stack, np.gradient(stack, axis=2), np.gradient(stack, axis=1)])
-    rows, columns = tiles[:, 1, None] + np.arange(h), tiles[:, 0, None] + np.arange(w)
-    found = fields[:, :, rows[:, :, None], columns[:, None]]
-    return found.reshape(3, len(stack), len(tiles), -1).swapaxes(1, 2).astype(np.float64)
+def _grams(stack: NDArray[np.float32], tiles: Ints, used: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
+    """Return which pictures (t, k) show a tile, and the products of its values and gradients (t, 3·k, 3·k).
+
+    They are the values of the k pictures, and the gradients of each along x and y, without mean and slope: a
+    displacement shows only in what remains. Pictures that do not show a tile count as 0.
+    """
+    (k, height, width), (w, h) = stack.shape, tiles[0, 2:].tolist()
+    fields = np.zeros((3 * k, height, width), np.float32)
+    fields[:k] = stack
+    np.subtract(stack[:, :, 2:], stack[:, :, :-2], out=fields[k::2, :, 1:-1])
+    np.subtract(stack[:, 2:], stack[:, :-2], out=fields[k + 1 :: 2, 1:-1])
+    fields[k:] *= np.float32(0.5)
+    first, pixels = (tiles[:, 1] * width + tiles[:, 0])[:, None], _pixels(w, h, width)
+    found = fields.reshape(3 * k, -1)[:, first + pixels].swapaxes(0, 1).astype(np.float64)
+    shown = used & np.isfinite(found[:, :k].sum(2) + found[:, k:].reshape(len(tiles), k, -1).sum(2))
+    if not shown.all():
+        found[~np.concatenate([shown, np.repeat(shown, 2, 1)], 1)] = 0
+    flat = found @ _level(w, h)
+    return shown, found @ found.swapaxes(1, 2) - flat @ flat.swapaxes(1, 2)
+
+
+@lru_cache(maxsize=64)
+def _pixels(w: int, h: int, width: int) -> Ints:
+    """Return the numbers of the pixels of a tile, counted from its first one, in a picture of a width."""
+    return (np.arange(h)[:, None] * width + np.arange(w)).ravel()
+
+
+@lru_cache(maxsize=64)
+def _level(w: int, h: int) -> Floats:
+    """Return an orthonormal base (w · h, 3) of mean and slope of a tile."""
+    y, x = np.mgrid[:h, :w].reshape(2, -1)
+    return np.asarray(np.linalg.qr(np.stack([np.ones(w * h), x, y], -1))[0], np.float64)
 
 
 NOISE_AREA = 12.0
@@ -146,7 +174,9 @@ def weigh_tiles(found: Normals, tiles: Ints, lowest: float, edge_mm: float) -> T
         edge_mm: standard deviation of the error that tiles at edges have in common; see `edge_weights`.
     """
     # The value above which nine tenths lie.
-    floor = max(float(np.quantile(found.variance[found.variance > 0], 0.1)), lowest)
+    some = np.sort(found.variance[found.variance > 0])
+    at = 0.1 * (len(some) - 1)
+    floor = max(float(some[int(at)] + at % 1 * (some[math.ceil(at)] - some[int(at)])), lowest)
     misfit, texture = np.maximum(found.variance - 3 * floor, 0), found.matrix[:, 0, 0]
     variance = np.maximum(found.variance, floor) * NOISE_AREA + misfit * _MISFIT_AREA
     information = np.maximum(texture, 0) / variance
@@ -175,20 +205,24 @@ def edge_weights(tiles: Ints, information: Floats, sigma_mm: float) -> Floats:
         sigma_mm: standard deviation of the error at edges.
     """
     at = tiles[:, :2]
-    outer = ~((at > at.min(0)) & (at < at.max(0))).all(1)
-    at_edges, inner = information[outer].sum(), information[~outer].sum()
-    texture = inner / max((~outer).sum(), 1) * outer.sum()
-    share = np.clip(1 - texture / max(at_edges, 1e-12), 0, 1)
+    outer = ((at == at.min(0)) | (at == at.max(0))).any(1)
+    count, at_edges = int(outer.sum()), float(information @ outer)
+    texture = (float(information.sum()) - at_edges) / max(len(outer) - count, 1) * count
+    share = min(max(1 - texture / max(at_edges, 1e-12), 0.0), 1.0)
     return np.where(outer, 1 / (1 + at_edges * (share * sigma_mm) ** 2), 1.0)
 
 
 def add_up(tiles: TileEquations, weight: Floats) -> Sum:
     """Add up the equations of tiles with these weights (t,), some of which are not 0."""
-    n, b = np.tensordot(weight, tiles.matrix, 1), weight @ tiles.vector
-    theta = np.linalg.solve(n + np.diag([1e-9] + [1 / _DISPLACED_PX**2] * (len(b) - 1)), b)
+    t, m = tiles.vector.shape
+    n, b = (weight @ tiles.matrix.reshape(t, -1)).reshape(m, m), weight @ tiles.vector
+    held = n.copy()
+    held.flat[:: m + 1] += 1 / _DISPLACED_PX**2
+    held[0, 0] = n[0, 0] + 1e-9
+    theta = np.linalg.solve(held, b)
     off = tiles.vector[:, 0] - tiles.matrix[:, 0] @ theta
     total = weight.sum()
-    scatter = (weight * off**2 / (tiles.noisy + 1e-12)).sum()
+    scatter = weight @ (off**2 / (tiles.noisy + 1e-12))
     inflation = weight @ tiles.noisy / n[0, 0] * max(1.0, scatter / max(total - 1, 1.0))
     # The sum of the tiles' own deviations is the variance of the sum, however unlike the tiles are (sandwich).
     count = total**2 / (weight**2).sum()

@@ -294,22 +294,18 @@ def _largest(gram: Floats, m: int, trace: float, vectors: Floats) -> float:
         return trace
     if m == 2:
         return float((trace + np.sqrt((gram[0, 0] - gram[1, 1]) ** 2 + 4 * gram[0, 1] ** 2)) / 2)
-    vector, turned, largest = vectors[0], vectors[1], 0.0
+    # Divided by the trace, the largest eigenvalue lies between 1 / m and 1: the vector needs no norm in between.
+    vector, turned, scale, square, product = vectors[0], vectors[1], 1 / (trace + 1e-30), 0.0, 0.0
     for i in range(m):
-        vector[i] = gram[i, 0] + gram[i, m - 1]
-    for _ in range(_ROUNDS):
-        norm = 0.0
+        vector[i] = (gram[i, 0] + gram[i, m - 1]) * scale
+    for step in range(_ROUNDS):
         for i in range(m):
-            norm += vector[i] ** 2
-        norm = np.sqrt(norm) + 1e-30
-        for i in range(m):
-            vector[i] /= norm
-        largest = 0.0
-        for i in range(m):
-            turned[i] = 0.0
+            total = 0.0
             for j in range(m):
-                turned[i] += gram[i, j] * vector[j]
-            largest += turned[i] * vector[i]
+                total += gram[i, j] * vector[j]
+            turned[i] = total * scale
+            if step == _ROUNDS - 1:
+                square, product = square + vector[i] ** 2, product + turned[i] * vector[i]
         for i in range(m):
             vector[i] = turned[i]
-    return largest
+    return product / (square + 1e-300) * trace

@@ -57,12 +57,15 @@ def find_candidates(
     # Numba compiles separate versions for writeable and read-only arrays, so all images are passed as read-only.
     image.flags.writeable = False
     hits = _scan_candidates(image, template, ring, near, _MIN_CORRELATION)
-    hits = hits[np.argsort(-hits[:, 2], kind="stable")]
-    best = np.zeros((0, 3))
-    while len(hits) and len(best) < most:
-        best = np.vstack([best, hits[:1]])
-        hits = hits[np.abs(hits[:, :2] - hits[0, :2]).max(1) > max(round(size_px / 2), 1)]
-    return best[:, :2], best[:, 2]
+    apart = max(round(size_px / 2), 1)
+    order = np.argsort(-hits[:, 2], kind="stable")
+    best: list[int] = []
+    x, y = hits[order, :2].T
+    while len(order) and len(best) < most:
+        best.append(order[0])
+        left = (np.abs(x - x[0]) > apart) | (np.abs(y - y[0]) > apart)
+        order, x, y = order[left], x[left], y[left]
+    return hits[best, :2], hits[best, 2]
 
 
 @lru_cache(maxsize=64)

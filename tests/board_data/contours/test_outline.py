@@ -42,51 +42,6 @@ def assert_is(contour: tuple[XY, ...], expected: list[XY] | Piece, within_mm: fl
     assert one.symmetric_difference(other).area <= within_mm * other.length
 
 
-MORE: dict[str, list[Piece]] = {
-    "nothing": [],
-    "stub at a corner": [[(0, 0), (-0.127, 0)]],
-    "stub at a side": [[(20, 0), (20, 3)]],
-    "stub with a branch": [[(20, 0), (20, 3)], [(20, 3), (22, 4)], [(20, 3), (18, 4)]],
-    "stub below the tolerance": [[(50, 20), (50.015, 20)]],
-    "line repeated": [[(50, 0), (50, 40)]],
-    "line repeated backwards twice": [[(50, 40), (50, 0)], [(50, 40), (50, 0)]],
-    "outline repeated": RECTANGLE,
-    "outline repeated as one piece": [[*CORNERS, CORNERS[0]]],
-    "outline repeated beside itself": [[(x + 0.01, y - 0.005) for x, y in piece] for piece in RECTANGLE],
-    "side repeated in part": [[(50, 10), (50, 20)]],
-    "side repeated in part, beyond a corner": [[(50, 30), (50, 47)]],
-    "side repeated in part, beside itself": [[(50.012, 10), (50.009, 20)]],
-    "V-score from side to side": [[(25, 0), (25, 40)]],
-    "V-score beyond the board": [[(25, -5), (25, 45)]],
-    "V-score short of the board": [[(25, 0.015), (25, 39.99)]],
-    "V-score that ends within": [[(25, 0), (25, 35)]],
-    "V-score in parts": [[(25, -5), (25, 12)], [(25, 12), (25, 30)], [(25, 30), (25, 45)]],
-    "V-score drawn twice": [[(25, -5), (25, 45)], [(25.01, -4), (25, 46)]],
-    "V-score aslant": [[(-3, -2), (53, 44)]],
-    "V-score along a side": [[(-5, 40), (55, 40)]],
-    "V-scores that enclose a cell": [
-        *([(x, -1.0), (x, 41.0)] for x in (10.0, 40.0)),
-        *([(-1.0, y), (51.0, y)] for y in (10.0, 30.0)),
-    ],
-    "V-scores that enclose a cell, in parts": [
-        *([(x, y), (x, y + 10)] for x in (10.0, 40.0) for y in (0.0, 10.0, 20.0, 30.0)),
-        *([(x, y), (x + 10, y)] for y in (10.0, 30.0) for x in (0.0, 10.0, 20.0, 30.0, 40.0)),
-    ],
-    "line without length": [[(50, 40), (50, 40)], [(7, 7), (7, 7)], [(0, 0)]],
-    "line outside": [[(60, 0), (70, 5)]],
-    "chamfer inside a corner": [[(0, 5), (5, 0)]],
-}
-
-
-@pytest.mark.parametrize("more", MORE.values(), ids=MORE)
-def test_further_lines_change_neither_the_outline_nor_the_cut_outs(more: list[Piece]) -> None:
-    contours = found(*RECTANGLE, *more, circle_points((45.0, 20.0), 2.0))
-    assert_is(contours.outline, CORNERS)
-    (cut_out,) = contours.others
-    assert_is(cut_out, circle_points((45.0, 20.0), 2.0))
-    assert codes(contours) == ({"lines-left-out"} if more else set())
-
-
 @pytest.mark.parametrize(
     ("pieces", "reason"),
     [
@@ -119,12 +74,6 @@ def test_gaps_at_corners_are_closed_and_said_above_the_tolerance(gap_mm: float, 
     assert codes(contours) == ({"outline-gaps-closed"} if said else set())
 
 
-def test_an_outline_that_is_open_is_not_replaced_by_a_hole() -> None:
-    contours = found(*RECTANGLE[:3], HOLE)
-    assert (contours.outline, contours.others) == ((), ())
-    assert codes(contours) == {"outline-open", "lines-left-out"}
-
-
 @pytest.mark.parametrize(
     ("pieces", "areas"),
     [
@@ -154,18 +103,6 @@ def test_cut_outs_that_touch_or_are_crossed(pieces: list[Piece], areas: list[flo
     contours = found(*RECTANGLE, *pieces)
     assert_is(contours.outline, CORNERS)
     assert [shapely.Polygon(c).area for c in contours.others] == pytest.approx(areas, rel=0.02)
-
-
-def test_an_island_in_a_cut_out_is_left_out_and_said() -> None:
-    contours = found(*RECTANGLE, circle_points((20, 20), 8), circle_points((20, 20), 3))
-    assert [len(contours.others), codes(contours)] == [1, {"islands-left-out"}]
-
-
-def test_a_hole_across_the_edge_is_cut_off_the_outline() -> None:
-    contours = found(*RECTANGLE, circle_points((50, 20), 2))
-    assert codes(contours) == {"notches-cut-off"}
-    assert max(x for x, _ in contours.outline) == 50
-    assert shapely.Polygon(contours.outline).area == pytest.approx(2000 - 6.2, abs=0.2)
 
 
 def test_of_several_boards_the_largest_is_the_outline_and_the_others_follow() -> None:
@@ -317,15 +254,3 @@ def test_an_untidy_drawing_has_the_contours_of_the_tidy_one(
         center = shapely.Polygon(hole).centroid
         (cut_out,) = (c for c in contours.others if shapely.Polygon(c).contains(center))
         assert_is(cut_out, hole, within_mm=4 * JOIN_MM)
-
-
-@settings(max_examples=40, deadline=None)
-@given(boards(), st.integers(0, 2**32))
-def test_order_and_direction_of_pieces_change_nothing(
-    board: tuple[list[Piece], list[XY], list[list[XY]]], seed: int
-) -> None:
-    pieces, r = board[0], random.Random(seed)
-    turned = [piece[::-1] if r.random() < 0.5 else piece for piece in pieces]
-    r.shuffle(turned)
-    one, other = find_contours(pieces, ""), find_contours(turned, "")
-    assert (one.outline, one.others) == (other.outline, other.others)

@@ -59,33 +59,6 @@ def test_copies_of_a_board_are_recognised_and_numbered(grid: Grid) -> None:
     assert f"the file was read as a panel of {number} boards" in found.notes[0]
 
 
-def test_places_that_are_rounded_and_footprints_without_a_number_do_no_harm() -> None:
-    holes = tuple(Part("REF**", "top", (7.0 * n, 50.0), 0.0) for n in range(40))
-    _, file = copied(Grid((3, 1), (30.0, 0.0), (0.0, 180.0)), *holes, Part("X1", "top", (1.0, 60.0), 0.0))
-    rounded = tuple(replace(p, origin=(round(p.origin[0], 2), round(p.origin[1] + 0.01, 2))) for p in file.parts)
-    found = with_copies(replace(file, parts=rounded))
-    assert [len(board.design.parts) for board in found.boards] == [5, 5, 5]
-    assert {part.ref for part in found.parts} == {"REF**", "X1"}
-
-
-def changed(file: Design, ref: str, **change: object) -> Design:
-    """Return the design with one part changed."""
-    n = next(n for n, part in enumerate(file.parts) if part.ref == ref)
-    return replace(file, parts=(*file.parts[:n], replace(file.parts[n], **change), *file.parts[n + 1 :]))  # type: ignore[arg-type]
-
-
-def test_parts_that_are_no_copies_are_not_divided_into_boards() -> None:
-    _, file = copied(Grid((2, 2), (30.0, 22.0)))
-    assert with_copies(file).boards
-    for ref, change in (("R1", {"origin": (90.0, 0.0)}), ("R1", {"rotation": 91.0}), ("U1", {"side": "bottom"})):
-        assert not with_copies(changed(file, ref, **change)).boards, (ref, change)
-    assert with_copies(BOARD) is BOARD
-    piled = tuple(replace(part, origin=(0.0, 0.0), rotation=5.0 * n) for part in BOARD.parts for n in range(4))
-    assert not with_copies(replace(BOARD, parts=piled)).boards
-    logos = replace(BOARD, parts=(*BOARD.parts, BOARD.parts[0]))
-    assert with_copies(logos) is logos
-
-
 @pytest.mark.parametrize("degrees", [(0.0, 180.0), (0.0, 90.0, 270.0, 180.0)])
 def test_boards_that_are_turned_in_pairs_cannot_be_told_apart(degrees: tuple[float, ...]) -> None:
     """Turned by 180° about the middle between both, the parts of one board lie where those of the other were."""

@@ -45,18 +45,6 @@ def test_a_board_is_repeated_about_the_middle_of_its_outline(board: Path) -> Non
     assert any("the board is repeated 2 × 2 times" in note for note in notes)
 
 
-def test_without_a_border_the_edges_of_the_panel_are_unknown(board: Path) -> None:
-    made, notes = to_board_type(read_design(board, grid("1x3", "0x-46")), "top")
-    assert made.outline is None
-    assert made.cut_outs is None
-    assert [c.center[1] for c in made.components if c.ref == "R1"] == [10, -36, -82]
-    assert [note.code for note in notes if "outline" in note] == ["panel-edges-unknown"]
-    assert any("state them by --border" in note for note in notes)
-    assert not any("the pitch" in note for note in notes)
-    _, notes = to_board_type(read_design(board, grid("2x1", "2.54x0")), "top")
-    assert "the pitch along x is 2.54 mm, but the board measures 50.000 mm there." in notes
-
-
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
@@ -80,14 +68,6 @@ def test_a_grid_that_cannot_be_understood_is_refused(texts: tuple[str | None, ..
     repeat, pitch, rotate, border = texts
     with pytest.raises(InputError, match=message):
         Grid.parse(repeat, pitch, rotate, border)
-
-
-def test_a_board_is_joined_before_it_is_repeated(tmp_path: Path, board: Path) -> None:
-    places = "ref,x,y,rotation,side\nR1,10mm,10mm,0,top\nJ1,30mm,20mm,90,top\nFID1,5mm,5mm,0,top\n"
-    (tmp_path / "p.csv").write_text(places)
-    made, _ = to_board_type(read_design(tmp_path / "p.csv", grid("2x1", "60x0", None, "3x3"), board), "top")
-    assert {c.address: c.center for c in made.components if c.ref == "J1"} == {"1/J1": (30, 24), "2/J1": (90, 24)}
-    assert {f.panel for f in made.fiducials} == {"1", "2"}
 
 
 def test_only_a_single_board_is_repeated_or_joined(tmp_path: Path) -> None:

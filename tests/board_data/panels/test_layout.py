@@ -2,19 +2,9 @@ from __future__ import annotations
 
 from vaoi_station.board_data.conversion import to_board_type
 from vaoi_station.board_data.design import Box, Design, Mark, Part, PlacedBoard, Placement
-from vaoi_station.board_data.marks import find_marks
 from vaoi_station.board_data.panels import Grid, laid_out, repeated
 
 SQUARE = ((0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0))
-
-
-def test_local_fiducials_belong_to_the_components_of_their_board() -> None:
-    body = Box((-3.0, -3.0), (3.0, 3.0))
-    parts = (Part("U1", "top", (10, 10), 0.0, box=body), Part("FID_U1", "top", (14, 14), 0.0, is_mark=True))
-    panel = laid_out(repeated(Design("d", "kicad", parts), Grid((2, 1), (30.0, 0.0))))
-    found = {mark.name: (mark.at, mark.components, mark.panel) for mark in find_marks(panel, "top")}
-    assert found == {"1/FID_U1": ((14.0, 14.0), ("1/U1",), "1"), "2/FID_U1": ((44.0, 14.0), ("2/U1",), "2")}
-    assert find_marks(panel, "bottom") == []
 
 
 def test_designators_that_stand_twice_on_one_board_are_left_out_of_all() -> None:
@@ -55,14 +45,3 @@ def test_marks_of_the_panel_that_its_names_call_panel_marks_place_it() -> None:
         "BBM": ("bad-board", "0"),
         "BBM2": ("bad-board", None),
     }
-
-
-def test_only_the_largest_contours_of_all_boards_are_kept() -> None:
-    holes = tuple(tuple((x * 0.1 * n, y * 0.1 * n) for x, y in SQUARE) for n in range(1, 9))
-    one = Design("d", "odb", (), SQUARE, holes)
-    panel = laid_out(
-        repeated(Design("d", "odb", (Part("R1", "top", (1.0, 1.0), 0.0),), SQUARE, holes), Grid((30, 1), (30, 0)))
-    )
-    assert len(panel.cut_outs) == 200
-    assert panel.notes[-1] == "40 contours of the boards are too many or too fine; they were left out."
-    assert laid_out(one) is one

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from vaoi_station.board_data.design import Design, Mark, Part
-from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
+from vaoi_station.board_data.panels import Repeat, Step, panel_of
 from vaoi_station.errors import InputError
 from vaoi_station.model.reason import Note
 
@@ -47,20 +47,6 @@ def test_what_is_noted_of_a_step_that_is_repeated_is_noted_of_the_panel() -> Non
     )
     assert made.notes[-1] == "step pcb: check R1."
     assert (made.notes[-1].code, made.notes[-1].values) == ("pins-unfit", {"names": "R1"})
-
-
-def test_panels_within_a_panel_belong_to_no_position() -> None:
-    array = step(grid("pcb", 0.0, 2), marks=(Mark("FID1", "top", (0.0, 0.0)),))
-    made = panel(top=step(grid("array", 0.0, 1, 2), grid("coupon")), array=array, coupon=step())
-    assert [board.name for board in made.boards] == ["array-1", "1", "2", "array-2", "3", "4"]
-    assert [board.position for board in made.boards] == [None, "1", "2", None, "3", "4"]
-    assert made.notes[-1] == "repeated steps without components were left out: coupon."
-
-
-def test_a_step_without_repeats_is_the_board() -> None:
-    assert panel_of("pcb", {"pcb": BOARD}.__getitem__, "file") is BOARD.design
-    assert note_on_panels([]) == []
-    assert "repeat boards: a, b." in note_on_panels(["a", "b"])[0]
 
 
 @pytest.mark.parametrize(

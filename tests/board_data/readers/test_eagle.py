@@ -19,11 +19,6 @@ def test_its_own_document_type_is_accepted_and_any_other_is_not() -> None:
         read_eagle(bomb.encode(), Path("b.brd"))
 
 
-def test_mirrored_parts_turn_the_other_way() -> None:
-    parts = {p.ref: p for p in read_eagle(samples.EAGLE.encode(), Path("b.brd")).parts}
-    assert (parts["C1"].side, parts["C1"].rotation) == ("bottom", 90)
-
-
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [("<board>", "<schematic>", "not valid XML"), ('x="10"', 'x="ten"', "element R1 x is 'ten', but must be a number")],
@@ -98,20 +93,6 @@ def test_a_package_cuts_out_what_it_draws_on_layer_20(rot: str, corner: tuple[fl
     assert len(design.cut_outs) == 2
 
 
-def test_parts_without_pads_are_kept_and_named() -> None:
-    design = read_eagle(samples.EAGLE.encode(), Path("b.brd"))
-    assert {p.ref for p in design.parts} == {"R1", "J1", "C1", "FID1"}
-    assert [n.values["names"] for n in design.notes if n.code == "parts-without-pads"] == ["R1"]
-
-
-def test_long_and_turned_pads_have_their_size() -> None:
-    text = samples.EAGLE.replace('drill="0.8"/>', 'drill="0.8" diameter="2" shape="long" rot="R90"/>')
-    text = text.replace('<rectangle x1="0" y1="-2" x2="8" y2="2" layer="21"/>', "")
-    (part,) = (p for p in read_eagle(text.encode(), Path("b.brd")).parts if p.ref == "J1")
-    assert part.box is not None
-    assert part.box.size == pytest.approx((2, 4))
-
-
 PAD = '<smd name="1" x="0" y="0" dx="1" dy="1" layer="1"/>'
 
 
@@ -163,11 +144,6 @@ def test_a_package_that_may_be_one_of_several_is_said_and_not_taken(urn: str) ->
     assert [part.box is not None for part in design.parts] == [False, True]
     (note,) = design.notes
     assert (note.code, note.values["names"]) == ("packages-ambiguous", "P of lib (U1)")
-
-
-def test_a_package_that_no_library_has_is_said() -> None:
-    design = read(library(3), element(package="Q") + element(name="U2", package="Q"))
-    assert [(note.code, note.values["names"]) for note in design.notes] == [("packages-not-described", "Q (U1, U2)")]
 
 
 SQUARE = '<vertex x="0" y="0"/><vertex x="40" y="0"{}/><vertex x="40" y="40"/><vertex x="0" y="40"/>'

@@ -22,10 +22,6 @@ def test_units(units: str, mm: float) -> None:
     assert design.parts[0].origin[0] == pytest.approx(393.7008 * mm)
 
 
-def test_components_without_a_place_are_named() -> None:
-    assert any("X1" in note for note in read_gencad(samples.GENCAD.encode(), PATH).notes)
-
-
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
@@ -97,9 +93,3 @@ def test_the_angle_is_that_of_the_file_where_words_mean_what_is_usual(words: str
         dx, dy = rotated(mirror(4, 0), angle)
         assert part.center == pytest.approx((30 * n + dx, 10 + dy), abs=1e-6)
     assert design.notes[0].code == ("rotation-by-pins" if routes else "rotation-unconfirmed")
-
-
-def test_a_few_tracks_that_end_elsewhere_do_not_change_the_usual_rule() -> None:
-    text = board("MIRRORX FLIP", "BOTTOM", ABOUT_Y, angles=(0,))
-    (part,) = read_gencad(text.encode(), PATH).parts
-    assert part.center == pytest.approx((4, 10))

@@ -6,16 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.board_data.readers import samples
 from vaoi_station.board_data.design import rotated
-from vaoi_station.board_data.readers.html_bom import is_html_bom, read_html_bom
+from vaoi_station.board_data.readers.html_bom import read_html_bom
 from vaoi_station.errors import InputError
-
-
-def test_a_page_and_its_data_are_one_design() -> None:
-    page = f"<html><title>InteractiveHtmlBom</title><script>var pcbdata = {samples.HTML_BOM};\nvar x = 1;</script>"
-    assert is_html_bom(page.encode())
-    assert read_html_bom(page.encode(), Path("b.html")) == read_html_bom(samples.HTML_BOM.encode(), Path("b.json"))
 
 
 @pytest.mark.parametrize(
@@ -68,13 +61,6 @@ def test_pads_show_that_a_generator_turns_boxes_otherwise(sign: int, mirrored: b
         assert part.center == pytest.approx((30 * n + dx, 10 + dy), abs=1e-6)
     (note,) = design.notes
     assert (note.code, note.values["fit"], note.values["parts"]) == ("boxes-by-pads", "5", "5")
-
-
-def test_a_part_whose_pads_lie_outside_its_box_is_named() -> None:
-    data = json.loads(page((0, 90, 180)))
-    data["footprints"][1]["bbox"]["angle"] = 45
-    design = read_html_bom(json.dumps(data).encode(), Path("b.json"))
-    assert [(note.code, note.values["names"]) for note in design.notes] == [("pads-outside-box", "J1")]
 
 
 @pytest.mark.parametrize("angle", [0, 360, 90])

@@ -92,20 +92,6 @@ def test_wrong_files_are_refused(before: str, after: str, message: str) -> None:
         read((before, after))
 
 
-def test_a_file_without_components_and_one_of_several_steps() -> None:
-    bare = (
-        samples.IPC2581[: samples.IPC2581.index("<Component")]
-        + samples.IPC2581[samples.IPC2581.index("<LayerFeature") :]
-    )
-    with pytest.raises(InputError, match="no step has a component"):
-        read_ipc2581(bare.encode(), PATH)
-    component = '<Component refDes="Z" packageRef="Q" layerRef="TOP"><Location x="0" y="0"/></Component>'
-    second = f'<Step name="other">{component}</Step>'
-    design = read_ipc2581(samples.IPC2581.replace("</CadData>", second + "</CadData>").encode(), PATH)
-    (note,) = [n for n in design.notes if n.code == "several-steps"]
-    assert note == "the file has 2 steps with components (sample, other); sample was read. Choose by --step."
-
-
 def test_kinds_of_marks_and_the_component_of_a_local_fiducial() -> None:
     location = '<Location x="0.1" y="0.2"/>'
     more = (
@@ -120,14 +106,6 @@ def test_kinds_of_marks_and_the_component_of_a_local_fiducial() -> None:
         "GoodPanelMark1": ("panel", ()),
         "BadBoardMark1": ("bad-board", ()),
     }
-
-
-@pytest.mark.parametrize(("mirror", "side"), [("true", "bottom"), ("false", "top")])
-def test_a_part_on_an_inner_layer_is_seen_from_the_side_that_it_faces(mirror: str, side: str) -> None:
-    """Parts of rigid-flex boards lie on inner layers, too."""
-    before, after = 'layerRef="BOT"><Xform rotation="90" mirror="true"', 'layerRef="INT_1"><Xform rotation="90" mirror='
-    text = samples.IPC2581.replace(before, f'{after}"{mirror}"')
-    assert next(p for p in read_ipc2581(text.encode(), PATH).parts if p.ref == "C1").side == side
 
 
 def bom(name: str, populate: str, ref: str = "C1", step: str = "") -> str:

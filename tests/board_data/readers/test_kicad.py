@@ -63,22 +63,6 @@ def test_arcs_of_polygons_and_round_corners_of_rectangles(drawing: str, expected
     assert not design.notes
 
 
-def test_pads_state_that_they_are_fiducials() -> None:
-    text = """(kicad_pcb (footprint "L:QFN" (layer "F.Cu") (at 20 -20 90) (property "Reference" "U1")
-        (pad "1" smd rect (at 0 0) (size 1 1))
-        (pad "" smd circle (at 3 0) (size 0.5 0.5) (property pad_prop_fiducial_loc)))
-      (footprint "L:F" (layer "F.Cu") (at 1 -2) (property "Reference" "FID1")
-        (pad "" smd circle (at 0 0) (size 1 1) (property pad_prop_fiducial_glob)))
-      (footprint "L:Fiducial" (layer "F.Cu") (at 3 -4) (attr exclude_from_pos_files) (property "Reference" "REF**")
-        (pad "" smd circle (at 0 0) (size 1.5 1.5))))"""
-    design = read_kicad(text.encode(), PATH)
-    local, excluded = design.marks
-    assert (local.name, local.kind, local.found_by, local.components) == ("U1.FID1", "local", "attribute", ("U1",))
-    assert local.at == pytest.approx((20, 23))
-    assert (excluded.name, excluded.at, excluded.diameter, excluded.kind) == ("REF**", (3, 4), 1.5, "global")
-    assert {p.ref: p.mark_kind for p in design.parts} == {"U1": None, "FID1": "global"}
-
-
 DOT = '(fp_circle (center -2.45 1.75) (end -2.42 1.75) (layer "F.Fab"))'
 SILK = '(fp_line (start -2.5 -2) (end 2.5 -2) (layer "F.SilkS")) (fp_line (start -2.5 2) (end 2.5 2) (layer "F.SilkS"))'
 COURTYARD = '(fp_rect (start -2.75 -2.25) (end 2.75 2.25) (layer "F.CrtYd"))'
@@ -124,17 +108,3 @@ def test_what_is_not_fitted_or_not_in_the_bill_of_materials(inside: str, fitted:
         (pad "1" smd rect (at 0 0) (size 1 1))))"""
     (part,) = read_kicad(text.encode(), PATH).parts
     assert (part.fitted, part.in_bom) == (fitted, in_bom)
-
-
-@pytest.mark.parametrize(
-    "attributes", ["virtual", "exclude_from_pos_files", "smd exclude_from_pos_files exclude_from_bom"]
-)
-def test_what_is_excluded_from_position_files_is_no_part(attributes: str) -> None:
-    text = f"(kicad_pcb (module L:R (layer F.Cu) (at 1 2) (attr {attributes}) (fp_text reference R1 (at 0 0))))"
-    assert not read_kicad(text.encode(), PATH).parts
-
-
-def test_variants_of_version_10_are_named() -> None:
-    text = '(kicad_pcb (variants (variant (name "LITE")) (variant (name "FULL") (description "all"))))'
-    (note,) = read_kicad(text.encode(), PATH).notes
-    assert note == "the file has assembly variants (LITE, FULL); the default one was read."

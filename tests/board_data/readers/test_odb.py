@@ -65,13 +65,6 @@ def test_a_compressed_member_is_read_to_its_end_or_refused(tmp_path: Path) -> No
             read_odb(path)
 
 
-def test_every_file_has_its_own_unit(tmp_path: Path) -> None:
-    parts = {p.ref: p for p in read_odb(write(tmp_path)).parts}
-    assert parts["C1"].origin == pytest.approx((15, 25), abs=1e-4)
-    # As seen from its own side it turns clockwise.
-    assert parts["C1"].rotation == 90
-
-
 def test_courtyards_of_kicad_are_no_bodies_but_hulls_are(tmp_path: Path) -> None:
     """A hull touches the pins, as R's does here; the courtyard of J leaves 0.2 mm around them."""
     packages = samples.ODB[PACKAGES].replace("OE\nCE\n", "OE\nCE\nPIN 1 T 1 0 0 U U\nRC 0.2 -1.8 7.6 3.6\n")
@@ -83,16 +76,6 @@ def test_courtyards_of_kicad_are_no_bodies_but_hulls_are(tmp_path: Path) -> None
     assert sizes["Another"]["J1"] == pytest.approx((8, 4))
     assert sizes["KiCad EDA 9.0.2"]["J1"] == pytest.approx((7.5, 3.5))
     assert sizes["KiCad EDA 9.0.2"]["R1"] == sizes["Another"]["R1"] == pytest.approx((2, 1.2))
-
-
-def test_the_step_with_most_components_or_the_chosen_one(tmp_path: Path) -> None:
-    panel = {"job/steps/panel/layers/comp_+_top/components": "UNITS=MM\nCMP 0 1 1 0 N P1 x ;\n"}
-    path = write(tmp_path, **panel)
-    assert read_odb(path).name == "pcb"
-    assert any("panel; pcb was read. Choose by --step" in note for note in read_odb(path).notes)
-    assert [p.ref for p in read_odb(path, "PANEL").parts] == ["P1"]
-    with pytest.raises(InputError, match="--step is 'x', but must be a step with components or repeats: panel, pcb"):
-        read_odb(path, "x")
 
 
 @pytest.mark.parametrize(
@@ -207,18 +190,6 @@ def test_wrong_toeprints_of_one_part_are_named_and_spoil_no_other(pins: str, say
     assert named == ({says} if says else set())
 
 
-@pytest.mark.parametrize("name", ["A", "t"])
-def test_toeprints_are_matched_by_number_else_by_name(name: str, tmp_path: Path) -> None:
-    """Altium names toeprints by component and pin; of a file with other numbers the names may match."""
-    text = "CMP 0 20 10 90 N Q1 x ;\n" + toeprints(SOT, True, 90)
-    if name == "A":
-        for n, pin in enumerate("ABC"):
-            text = text.replace(f"TOP {n} ", f"TOP {n + 40} ").replace(f" t{n}\n", f" {pin}\n")
-    design = read_side(tmp_path, BOTTOM, text)
-    assert design.parts[0].rotation == 90
-    assert (design.notes[0].values["fit"], design.notes[0].values["pins"]) == ("3", "3")
-
-
 def contour(x0: float, y0: float, x1: float, y1: float, kind: str) -> str:
     corners = ((x1, y0), (x1, y1), (x0, y1), (x0, y0))
     return f"OB {x0} {y0} {kind}\n" + "".join(f"OS {x} {y}\n" for x, y in corners) + "OE\n"
@@ -248,12 +219,3 @@ def test_the_outline_is_the_island_with_most_parts_not_the_first_contour(
     design = read_odb(path)
     assert set(design.outline) == {(0, 0), (60, 0), (60, 50), (0, 50)}
     assert [min(corners) for corners in design.cut_outs] == cut_outs
-
-
-def test_an_island_in_a_hole_is_no_cut_out_and_is_named(tmp_path: Path) -> None:
-    inner = contour(32, 32, 38, 38, "I")
-    profile = f"UNITS=MM\nS P 0\n{inner}{HOLE}{BOARD}SE\n"
-    design = read_odb(write(tmp_path, **{PROFILE: profile, TOP: "UNITS=MM\nCMP 0 20 10 0 N R1 x ;\n"}))
-    assert [min(corners) for corners in design.cut_outs] == [(30, 30)]
-    (note,) = [note for note in design.notes if note.code == "islands-left-out"]
-    assert note.values == {"count": "1", "at": "(32, 32)"}

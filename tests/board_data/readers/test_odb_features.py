@@ -2,8 +2,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from tests.board_data.readers import samples
 from vaoi_station.board_data import read_design, to_board_type
 from vaoi_station.board_data.design import Mark
@@ -55,15 +53,6 @@ def test_pads_with_a_usage_or_a_name_are_marks() -> None:
         Mark("local2", "top", (45, 35), 1.016, "local", "attribute"),
         Mark("BADBOARD_1", "top", (20, 1), 1.0, "bad-board", "attribute"),
     ]
-
-
-@pytest.mark.parametrize(
-    ("symbol", "diameter"),
-    [("r1000", 1.0), ("rect900x800", 0.9), ("donut_r1200x800", 1.2), ("fid1", None), ("fid_100", None), ("r1a", None)],
-)
-def test_only_standard_symbols_state_a_diameter(symbol: str, diameter: float | None) -> None:
-    (mark,) = pad_marks(["@1 .pad_usage", f"$0 {symbol}", "P 5 5 0 P 0 0;1=2"], 1.0, "top")
-    assert mark.diameter == diameter
 
 
 def test_a_design_has_the_marks_of_its_copper(tmp_path: Path) -> None:

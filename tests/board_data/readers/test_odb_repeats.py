@@ -9,7 +9,6 @@ import pytest
 from tests.board_data.readers import samples
 from vaoi_station.board_data import Options, read_design, to_board_type
 from vaoi_station.board_data.design import Design
-from vaoi_station.board_data.readers.ipc2581 import read_ipc2581
 from vaoi_station.board_data.readers.odb import read_odb
 from vaoi_station.errors import InputError
 
@@ -147,25 +146,6 @@ def test_a_wrong_header_of_odb_is_refused_only_for_a_panel(
         read_odb(path, panel_step)
 
 
-@pytest.mark.parametrize(
-    ("inserted", "panel_step", "message"),
-    [
-        ('<Datum x="" y="0"/>', "panel", "Datum x is '', but must be a number"),
-        ('<StepRepeat stepRef="coupon" angle=""/>', "sample", "StepRepeat angle is '', but must be a number"),
-    ],
-)
-def test_a_wrong_placing_in_ipc2581_is_refused_only_for_a_panel(inserted: str, panel_step: str, message: str) -> None:
-    step, path = '<Step name="sample">', Path("b.xml")
-    right = read_ipc2581(samples.IPC2581_PANEL.encode(), path)
-    head, _, tail = samples.IPC2581_PANEL.partition(step)
-    data = f"{head}{step}{inserted}{tail}".encode()
-    assert read_ipc2581(data, path) == right, "the board alone needs neither its datum nor what it repeats"
-    if panel_step != "sample":
-        assert read_ipc2581(data, path, "sample").parts == right.parts
-    with pytest.raises(InputError, match=message):
-        read_ipc2581(data, path, panel_step)
-
-
 def test_a_panel_of_too_many_boards_or_parts_is_refused(tmp_path: Path) -> None:
     block = "STEP-REPEAT {{\nNAME={}\nDX=60\nDY=50\nNX={}\nNY={}\n}}\n"
     nested = {
@@ -181,26 +161,3 @@ def test_a_panel_of_too_many_boards_or_parts_is_refused(tmp_path: Path) -> None:
     deep = {f"job/steps/s{n}/stephdr": block.format(f"s{n + 1}", 1, 1) for n in range(9)}
     with pytest.raises(InputError, match=r"the depth of its steps is .* but must be at most 8"):
         read_odb(odb(tmp_path, **deep), "s0")
-
-
-def test_a_panel_without_boards_is_refused(tmp_path: Path) -> None:
-    coupon = {HEADER: "STEP-REPEAT {\nNAME=coupon\n}\n", "job/steps/coupon/profile": ""}
-    with pytest.raises(InputError, match=r"step 'panel' repeats no step with components \(coupon\)"):
-        read_odb(odb(tmp_path, **coupon), "panel")
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "message"),
-    [
-        ('nx="2"', 'nx="2.5"', "StepRepeat nx is '2.5', but must be a whole number from 1"),
-        ('angle="90.00"', 'angle="x"', "StepRepeat angle is 'x', but must be a number"),
-        ('stepRef="sample"', 'stepRef="none"', "a panel repeats step 'none', which the file does not have"),
-        ('stepRef="sample"', 'stepRef="panel"', "steps contain one another: panel > panel"),
-    ],
-)
-def test_wrong_repeats_of_ipc2581_are_refused(before: str, after: str, message: str) -> None:
-    text = samples.IPC2581_PANEL.replace(before, after)
-    with pytest.raises(InputError, match=message):
-        read_ipc2581(text.encode(), Path("b.xml"), "panel")
-    with pytest.raises(InputError, match="--step is 'Panel', but must be a step with components or repeats: panel,"):
-        read_ipc2581(text.encode(), Path("b.xml"), "Panel")

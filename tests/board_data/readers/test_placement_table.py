@@ -81,18 +81,6 @@ def test_parts_that_are_not_fitted_are_marked() -> None:
     assert fitted("a", "n", "y", columns="fitted=4") == [False, True]
 
 
-def test_parts_without_a_place_are_left_out_and_named() -> None:
-    design = read("ref,x (mm),y (mm)\nR1,1,2\nR2,,\n")
-    assert [part.ref for part in design.parts] == ["R1"]
-    assert "1 parts without x and y were left out: R2." in design.notes
-
-
-def test_the_centre_is_preferred_to_the_reference_point() -> None:
-    text = "Designator,Ref X(mm),Ref Y(mm),Mid X(mm),Mid Y(mm)\nU1,1,2,3,4\nU2,5,6,7,8\n"
-    assert read(text).parts[0].origin == (3, 4)
-    assert read(text, columns="x=Ref X,y=3").parts[0].origin == (1, 2)
-
-
 def test_units_of_the_values_and_of_a_usual_board() -> None:
     assert read("ref,x,y\nR1,10mm,20mm\nR2,11mm,20mm\n").parts[0].origin == (10, 20)
     table = read("ref,x,y\nR1,0,0\nR2,160,90\n")
@@ -178,11 +166,6 @@ def test_a_line_that_is_left_out_is_named_with_what_it_seems_to_hold(line: str, 
     assert "4 lines read: 2 parts, 1 header, 1 left out" in lines_read(design)
 
 
-def test_more_lines_that_cannot_be_read_than_parts_refuse_the_file() -> None:
-    with pytest.raises(InputError, match="2 lines cannot be read as parts, more than can: line 3 has 2 of 6 cells"):
-        read(f"{HEADER}R1,10,20,90,Top,a\nR2,20\nR3,30\n")
-
-
 @pytest.mark.parametrize(
     "line",
     [
@@ -237,33 +220,6 @@ def test_a_header_in_other_words_is_no_absent_header(header: str) -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("cells", "place"),
-    [
-        (("1000mil", "25.4mm"), (25.4, 25.4)),
-        (("1in", '0.5"'), (25.4, 12.7)),
-        (("0", "500 mil"), (0, 12.7)),
-        (("1000 thou", "1inch"), (25.4, 25.4)),
-    ],
-)
-def test_every_value_may_have_a_unit_of_its_own(cells: tuple[str, str], place: tuple[float, float]) -> None:
-    design = read(f"ref;x;y;rotation;side\nR1;{';'.join(cells)};0;top\nR2;2in;10mm;0;top\n")
-    assert design.parts[0].origin == pytest.approx(place)
-    assert "(by the values)" in design.notes[0]
-
-
-def test_rotations_are_degrees_counter_clockwise() -> None:
-    text = "ref,x (mm),y (mm),{},side\nR1,1,2,{},top\nR2,1,3,0,top\n"
-    clockwise = read(text.format("Rotation (CW)", "90"))
-    assert clockwise.parts[0].rotation == 270
-    assert any("states clockwise rotations" in note for note in clockwise.notes)
-    assert read(text.format("Rotation (CCW)", "90")).parts[0].rotation == 90
-    assert read(text.format("Rotation (rad)", "1.5707963")).parts[0].rotation == pytest.approx(90, abs=1e-4)
-    with pytest.raises(InputError, match="rotation is '2700', but must be a number from -360"):
-        read(text.format("Rotation", "2700"))
-    assert read(text.format("Rotation", "2700"), columns="rotation=none").parts[0].rotation == 0
-
-
 @pytest.mark.parametrize("name", ["relay-bottom.csv", "PnP_relay_back.csv", "relay Bot.txt", "PickPlaceBottom.csv"])
 def test_the_side_of_all_parts_is_that_of_the_name_of_the_file(name: str) -> None:
     text = "ref,x (mm),y (mm),rotation\nR1,1,2,0\n"
@@ -273,12 +229,6 @@ def test_the_side_of_all_parts_is_that_of_the_name_of_the_file(name: str) -> Non
     by_line = read_placement_table(f"# Board Side: Top\n{text}".encode(), Path(name), TableOptions())
     assert by_line.parts[0].side == "top"
     assert any("those of the top, by line 1" in note for note in by_line.notes)
-
-
-def test_empty_sides_and_rotations_are_named() -> None:
-    notes = read(f"{HEADER}R1,10,20,90,,a\nC1,60,50,,Bottom,b\n").notes
-    assert "1 parts have no side in column 'Side'; they are taken as those of the top: R1." in notes
-    assert "1 parts have no rotation in column 'Rotation'; 0° is taken: C1." in notes
 
 
 @pytest.mark.parametrize(

@@ -51,11 +51,6 @@ def compressed(data: bytes, widest: int = 16, clear_every: int = 10**9) -> bytes
     return b"\x1f\x9d" + bytes([0x80 | widest]) + bits.to_bytes((at + 7) // 8, "little")
 
 
-def test_a_file_that_another_program_has_written() -> None:
-    assert decompress(WRITTEN, "f", 10**6) == TEXT.encode()
-    assert compressed(TEXT.encode(), 10) == WRITTEN
-
-
 @given(st.binary(max_size=400) | st.text("ab", max_size=2000).map(str.encode), st.integers(10, 16), st.integers(1, 300))
 def test_what_was_compressed_comes_back(data: bytes, widest: int, clear_every: int) -> None:
     assert decompress(compressed(data, widest, clear_every), "f", 10**6) == data

@@ -43,12 +43,6 @@ def test_marks_are_flashed_with_y_up(board: Board) -> None:
     assert np.hypot(*(strokes[0][1] - strokes[0][0])) == pytest.approx(50.0)
 
 
-def test_the_outline_is_the_rectangle_of_the_board(board: Board) -> None:
-    corners = re.findall(r"X(-?\d+)Y(-?\d+)D01", render_gerber_outline(board))
-    outline = np.array([[int(v) / 1e6 for v in xy] for xy in corners])
-    assert np.ptp(outline, axis=0) == pytest.approx(board.size_mm)
-
-
 def test_the_example_is_what_the_software_makes_now(board: Board) -> None:
     assert read_layout(EXAMPLE / "layout.json") == board.layout
     assert (EXAMPLE / "calibration-board.gbr").read_text() == render_gerber_marks(board)

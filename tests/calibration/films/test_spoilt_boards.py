@@ -10,7 +10,6 @@ from tests.calibration.films.spoilt_boards import (
     Spoil,
     Variant,
     corner_errors,
-    dark_strip,
     frame_of_tape,
 )
 
@@ -48,9 +47,3 @@ def test_an_ambiguous_grid_is_refused_with_its_remedy_and_no_other_layout_is_pro
     assert "its marks fit the layout in two ways: shifted by (0.0, " in error.message
     assert "--center-tolerance-mm" in error.action
     assert "write layout.json" not in error.action
-
-
-def test_a_dark_strip_over_the_rim_is_calibrated_and_not_refused() -> None:
-    for seed in (1, 2, 3):
-        outcome = Variant(7, dark_strip, seed).calibrate()
-        assert not outcome.refused

@@ -76,15 +76,6 @@ def test_equations_add_up(rows: int, seed: int) -> None:
     assert normal.right == pytest.approx(-whole.T @ b.ravel())
 
 
-def test_an_unobserved_unknown_is_uncertain_and_disturbs_no_other() -> None:
-    normal = NormalEquations.of(np.array([0]), 2)
-    add_equations(np.array([[3, 4]]), np.array([[[1.0, 1.0]]]), np.array([[-2.0]]), normal)
-    hold_first_row(normal)
-    factorise(normal)
-    assert solve_backward(normal, solve_forward(normal))[3:].sum() == pytest.approx(2)
-    assert inverse(normal)[-1] > 1e12
-
-
 @given(envelopes())
 def test_the_trailing_block_of_the_factor_is_that_of_the_reduced_matrix(normal: NormalEquations) -> None:
     """Its square is the Schur complement: the normal matrix of the last unknowns, all others eliminated."""

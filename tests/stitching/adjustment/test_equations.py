@@ -12,7 +12,6 @@ from vaoi_station.stitching.adjustment.equations import (
     detection_equations,
     detection_sigma_mm,
     fiducial_residuals,
-    scale_equation,
 )
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
@@ -75,12 +74,3 @@ def test_an_outlier_among_fiducials_loses_weight_and_one_among_many_points_has_n
     assert 0 < weight[0] < 0.1 * weight[1]
     many = replace(s, which=np.full(POINTS, REFERENCE))
     assert detection_equations(many, detection_sigma_mm(many), residual, jacobian, columns)[1][0, 0, 0] == 0
-
-
-@pytest.mark.parametrize("stretch", [1.0, 1.0003, 0.999])
-def test_the_scale_equation_is_the_deviation_in_standard_deviations(stretch: float) -> None:
-    nominal = float(np.hypot(*C[:2]))
-    columns, gradient, off = scale_equation(C * [stretch, stretch, 1, 1], nominal, np.array([9, 10]))
-    assert columns.tolist() == [[9, 10]]
-    assert off[0, 0] == pytest.approx((stretch - 1) / 3e-4, abs=1e-9)
-    assert gradient[0, 0] * nominal == pytest.approx(C[:2] / nominal / 3e-4)

@@ -13,7 +13,7 @@ from tests.stitching.adjustment.test_solver import PX_PER_MM, Bench, C, bench, s
 from vaoi_station.stitching.adjustment import influence, solver
 from vaoi_station.stitching.adjustment.envelope import NormalEquations
 from vaoi_station.stitching.adjustment.equations import HeightEquations, LinkState
-from vaoi_station.stitching.adjustment.influence import Assembly, few_places, groups_of_marks, number_clusters, solve
+from vaoi_station.stitching.adjustment.influence import Assembly, groups_of_marks, number_clusters, solve
 from vaoi_station.stitching.adjustment.problem import (
     FIXTURE,
     REFERENCE,
@@ -123,26 +123,6 @@ def test_equations_without_a_group_are_those_of_the_rest(bench: Any, monkeypatch
         rest_of_all = assembly.without_heights(*whole, count).less(assembly.part_of_marks(at, count))
         without, direct = solve(rest_of_all), solution(*others.whole())
         assert without == pytest.approx(direct, rel=1e-6, abs=1e-9)
-
-
-def test_changes_without_links_are_those_of_an_adjustment_without_them(bench: Any, wide: None) -> None:
-    problem = few_links_after(bench(3), 0)
-    found, of = examined(problem)
-    state = LinkState.of(problem.links.arrays, movable=False)._replace(robust=found.weight)
-    places = few_places(problem.links.arrays, state, 6)
-    assert (~of.of_marks).sum() == len(places)
-    shift_px = np.abs(of.change[:, 1, 1:3]).max(1) * PX_PER_MM
-    for number in np.argsort(shift_px[~of.of_marks])[-2:].tolist():
-        rest = solved(problem.select(np.setdiff1d(np.arange(len(problem.links)), places[number].links)))
-        assert rest.similarity is not None
-        assert found.similarity is not None
-        moved = rest.motion.shift - found.motion.shift
-        assert np.abs(moved).max() * PX_PER_MM > 0.01
-        assert of.change[number, :, 1:3] == pytest.approx(moved, rel=0.2, abs=2e-4)
-        assert of.change[number, 0, 3:7] == pytest.approx(rest.similarity - found.similarity, rel=0.2, abs=2e-4)
-        # the covariance of both adjustments with the same noise floor
-        grown = rest.covariance[1, 1:3, 1:3] - found.covariance[1, 1:3, 1:3]
-        assert of.growth[number, 1, 1:3, 1:3] == pytest.approx(grown, rel=0.3, abs=1e-6)
 
 
 def test_changes_without_a_mark_are_those_of_an_adjustment_without_it(bench: Any, wide: None) -> None:

@@ -100,12 +100,6 @@ def scene() -> Scene:
     return Scene(links, *model, np.array([3.0, -2.0]), effects)
 
 
-def test_the_residual_of_a_link_is_that_of_its_definition(scene: Scene) -> None:
-    unknowns = np.random.default_rng(4).normal(0, 0.1, TOTAL)
-    unknowns[AT_CAMERAS:SIZE] = 0  # displacements move the links before their residuals are computed
-    assert scene.evaluate(unknowns).residual == pytest.approx(scene.residual(unknowns), abs=1e-12)
-
-
 def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) -> None:
     unknowns = np.zeros(TOTAL)
     # at height 0 the lean does not turn with the row: the equations leave that small derivative out
@@ -141,27 +135,6 @@ def test_normal_equations_are_those_of_the_linearised_residuals(scene: Scene) ->
     delta = np.asarray(np.linalg.solve(dense(normal), normal.right), dtype=np.float64)
     assert delta == pytest.approx(full[:SIZE], rel=1e-5)
     assert tied.changes(heights, delta) == pytest.approx(full[SIZE:], rel=1e-5)
-
-
-def test_weights_follow_from_noise_noise_floor_and_length(scene: Scene) -> None:
-    state, px, group = LinkState.of(scene.links, movable=False), scene.links.px_per_mm, scene.links.group
-    state.residual[:] = np.random.default_rng(7).normal(0, 0.1, (LINKS, 2))
-    kind = (scene.links.p == scene.links.q).astype(np.int_)
-    floor, shared = np.array([0.3, 0.6]), np.array([0.1, 0.2])
-    compute_weights(
-        scene.links,
-        NoiseModel(kind, floor, shared, 2.0, 6.0, NONE_RAISED, FLAT, BARE, FLAT, np.inf),
-        state,
-    )
-    information = 1 / (np.array([1e-4, 4e-4]) + ((floor[kind] / px) ** 2)[:, None])
-    chi = np.sqrt((state.residual**2 * information).sum(1) / 2)
-    assert state.sigma == pytest.approx(chi)
-    assert (chi > 6).any()
-    assert ((chi > 2) & (chi < 6)).any()
-    assert state.robust == pytest.approx(np.where(chi > 6, 0, np.where(chi > 2, 2 / chi, 1)))
-    of_group = np.bincount(group, state.robust * information.mean(1))
-    share = 1 / (1 + of_group[group] * (shared[kind] / px) ** 2)
-    assert state.weight == pytest.approx((state.robust * share)[:, None] * information[:, [0, 0, 1]] * (1, 0, 1))
 
 
 def test_links_whose_patches_cover_one_another_weigh_together_as_much_as_one(scene: Scene) -> None:
@@ -202,14 +175,6 @@ def test_only_a_point_above_the_modelled_height_loses_weight_along_its_lean(scen
         assert values[0] == pytest.approx(values[1])
 
 
-def test_the_scatter_of_heights_on_a_component_is_noise_along_the_lean(scene: Scene) -> None:
-    """Heights that scatter by 0.3 mm move the ends of a link by 0.03 mm along the lean, and not across."""
-    still = np.zeros(2)
-    plain, body = weights_of(scene, NONE_RAISED, still), weights_of(scene, NONE_RAISED, still, np.full(LINKS, 0.3))
-    assert 1 / body.weight[:, 0] == pytest.approx(1 / plain.weight[:, 0] + 0.03**2)
-    assert body.weight[:, 1:] == pytest.approx(plain.weight[:, 1:])
-
-
 def test_links_on_one_component_never_weigh_more_along_the_lean_than_their_common_height_allows(scene: Scene) -> None:
     still, body, cell = np.zeros(2), np.full(LINKS, 0.3), np.arange(LINKS) % 2 - 1
     plain, tied = weights_of(scene, NONE_RAISED, still, body), weights_of(scene, NONE_RAISED, still, body, cell, 0.2)
@@ -217,14 +182,3 @@ def test_links_on_one_component_never_weigh_more_along_the_lean_than_their_commo
     assert tied.weight[on, 0].sum() == pytest.approx(1 / (1 / plain.weight[on, 0].sum() + 0.02**2))
     assert tied.weight[~on] == pytest.approx(plain.weight[~on])
     assert tied.weight[:, 1:] == pytest.approx(plain.weight[:, 1:])
-
-
-def test_a_point_plainly_above_the_bare_board_loses_weight(scene: Scene) -> None:
-    """From three standard deviations on, it lies on a part that the board type does not list; nothing lies below."""
-    sigma_mm = float(np.hypot(0.01, 0.01 / 20))
-    for n in (-4.5, 2.9, 4.5):
-        shown = np.array([-n * sigma_mm, 0.0])
-        plain, bare = weights_of(scene, NONE_RAISED, shown), weights_of(scene, NONE_RAISED, shown, plainly=3.0)
-        less = 1 / (1 + max(n - 3, 0.0) ** 2)
-        assert bare.robust == pytest.approx(plain.robust * less)
-        assert bare.weight == pytest.approx(plain.weight * less)

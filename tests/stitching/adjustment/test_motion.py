@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from vaoi_station.stitching.adjustment.motion import (
     Motion,
     belt_equations,
-    measured_velocity,
     nominal_motion,
 )
 
@@ -33,25 +32,6 @@ def test_board_and_row_transforms_are_inverse(
     for j in range(len(values)):
         there = motion.row_from_tester(j)(p)
         np.testing.assert_allclose(motion.board(np.full(len(p), j), there), p, atol=1e-9)
-
-
-def test_the_nominal_belt_moves_at_its_velocity() -> None:
-    times = np.array([2.0, 2.1, 2.3])
-    motion = nominal_motion(times, np.array([0.0, 100.0]), np.array([40.0, 0.0]))
-    np.testing.assert_allclose(motion.row_from_tester(2).matrix, [[1, 0, 0], [0, 1, 30], [0, 0, 1]], atol=1e-9)
-    assert measured_velocity(motion, times, np.array([0, 1, 2])) == pytest.approx([0, 100])
-    assert measured_velocity(motion, times, np.array([1, 2])) == pytest.approx([0, 100])
-    assert measured_velocity(motion, times, np.array([1])) is None
-
-
-def test_a_belt_at_nominal_velocity_has_no_residual() -> None:
-    times, velocity = np.array([0.0, 0.1, 0.25]), np.array([30.0, 40.0])
-    columns, a, b = belt_equations(nominal_motion(times, velocity, np.zeros(2)), times, velocity, np.ones(2, np.bool_))
-    np.testing.assert_allclose(b, 0, atol=1e-12)
-    whole = np.zeros((6, 9))
-    for n in range(2):
-        whole[3 * n : 3 * n + 3, columns[n]] = a[n]
-    assert np.linalg.matrix_rank(whole) == 6, "the first row is free"
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from vaoi_station.geometry import Lens
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.adjustment.problem import (
     SIGMA_MM,
-    CameraEstimate,
     LinkStore,
     basis,
     patch_overlap,
@@ -35,20 +34,6 @@ def links(task: Task, a: Any, b: Any, information: Any = None) -> Links:
         np.tile(np.eye(2), (k, 1, 1)) if information is None else information,
         np.ones(k),
     )
-
-
-def test_links_are_projected_to_the_ground_with_their_rows(workshop: Any) -> None:
-    cameras = (workshop.camera((0, 0)), workshop.camera((15, 0), angle_rad=0.1))
-    first = links(Task("rows", (0, 1), (0, 2), 0.1), [[20.0, 30.0], [40.0, 50.0]], [[20.0, 90.0], [40.0, 110.0]])
-    second = links(Task("neighbours", (0, 2), (1, 2)), [[180.0, 30.0]], [[30.0, 31.0]])
-    nothing = Links.empty(Task("rows", (0, 0), (0, 1), 0.1), "empty")
-    o = to_observations([first, nothing, second], cameras)
-    assert (o.p.tolist(), o.q.tolist(), o.group.tolist()) == ([1, 1, 2], [2, 2, 2], [0, 0, 1])
-    assert o.groups == (first, second)
-    np.testing.assert_allclose(o.a_mm[0], cameras[0].ground([20.0, 30.0]))
-    np.testing.assert_allclose(o.b_mm[2], cameras[1].ground([30.0, 31.0]))
-    assert o.px_per_mm == pytest.approx(10.0)
-    assert not o.a_lean.any(), "without a working distance there is no parallax"
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.003])
@@ -92,13 +77,6 @@ def test_links_projected_early_are_the_same_in_any_requested_order(workshop: Any
     assert np.array_equal(first.a_mm, a_mm), "what is laid later does not change observations"
 
 
-def test_only_patches_of_the_same_frames_overlap(workshop: Any) -> None:
-    """Of four patches two cover half of each other; the same places in the next pair of frames are other pixels."""
-    px = np.array([[40.0, 40.0], [40.0 + WINDOW_PX / 2, 40.0], [120.0, 40.0], [40.0, 40.0 + WINDOW_PX]])
-    found = [links(Task("rows", (0, k), (0, k + 1)), px, px) for k in range(2)]
-    assert to_observations(found, (workshop.camera(),)).overlap == pytest.approx([1.5, 1.5, 1.0, 1.0] * 2)
-
-
 def test_the_mean_of_patches_that_overlap_is_as_sure_as_their_overlap_says(workshop: Any) -> None:
     """Two pictures of one texture, with fresh noise in each of 60 repetitions; one patch begins every 8 px."""
     y, x = np.mgrid[30:90:8, 30:90:8]
@@ -120,20 +98,6 @@ def test_the_mean_of_patches_that_overlap_is_as_sure_as_their_overlap_says(works
     print("variance of the mean over the stated one:", ratio, "and if links were independent:", ratio * overlap.mean())
     assert 0.6 < ratio < 1.4
     assert ratio * overlap.mean() > 4.0
-
-
-def test_the_displacement_of_one_camera_alone_is_the_best_of_its_own() -> None:
-    g = np.random.default_rng(2)
-    half, true_px = g.normal(0, 1, (12, 9)), np.zeros((3, 3))
-    true_px[1] = (0.3, -0.2, 0.1)
-    information = half.T @ half
-    estimate = CameraEstimate(
-        np.zeros((3, 3)), np.eye(9), np.zeros((1, 9, 9)), information, information @ true_px.ravel()
-    )
-    np.testing.assert_allclose(estimate.alone(1), true_px, atol=1e-9)
-    others = [estimate.alone(camera) for camera in (0, 2)]
-    assert all(not np.delete(d, camera, axis=0).any() for camera, d in zip((0, 2), others, strict=True))
-    assert estimate.fit(true_px) > max(*(estimate.fit(d) for d in others), estimate.fit(1.1 * true_px)) > 0
 
 
 BOARD = BoardType(name="b", unit="inch", outline=((0.0, 3.0), (2.0, 0.5)))

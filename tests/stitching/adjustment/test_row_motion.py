@@ -113,38 +113,12 @@ def test_marks_give_the_motion_without_links(workshop: Any) -> None:
     assert moved.motion.shift * -camera.px_per_mm == pytest.approx(MOVED_PX, abs=0.1)
 
 
-def test_a_mark_is_linked_to_where_the_belt_carried_it(workshop: Any) -> None:
-    moved = MARKS[::-1] + (3.0, STEP_PX - 4.0)
-    (links,) = mark_links([detections(0, 0, MARKS), detections(0, 1, moved)], (workshop.camera(),), BELT)
-    assert links.task == Task("rows", (0, 0), (0, 1))
-    assert links.a_px.tolist() == MARKS.tolist()
-    assert links.b_px == pytest.approx(MARKS + (3.0, STEP_PX - 4.0))
-    assert links.information[0] == pytest.approx(np.eye(2) / (2 * 0.02**2))
-
-
 def test_an_ambiguous_mark_is_not_linked(workshop: Any) -> None:
     camera = (workshop.camera(),)
     twice = np.concatenate([MARKS, MARKS[:1] + 2.0])
     for a, b in ((MARKS, twice + (0, STEP_PX)), (twice, MARKS + (0, STEP_PX))):
         (links,) = mark_links([detections(0, 0, a), detections(0, 1, b)], camera, BELT)
         assert sorted(links.a_px[:, 0]) == [90.0, 150.0]
-
-
-def test_marks_of_another_kind_or_too_far_away_are_not_linked(workshop: Any) -> None:
-    camera = (workshop.camera(),)
-    carried = MARKS + (0, STEP_PX)
-    for other in (detections(0, 1, carried, [1, 1, 1]), detections(0, 1, carried + (0, 20.0))):
-        (links,) = mark_links([detections(0, 0, MARKS), other], camera, BELT)
-        assert (len(links.a_px), links.note) == (0, "no mark is in both rows")
-
-
-def test_rows_without_marks_are_skipped_and_cameras_are_separate(workshop: Any) -> None:
-    cameras = (workshop.camera((0, 0)), workshop.camera((15, 0)))
-    none = np.zeros((0, 2))
-    seen = [detections(0, 2, MARKS + (0, 2 * STEP_PX)), detections(0, 1, none), detections(0, 0, MARKS)]
-    links = mark_links([*seen, detections(1, 1, MARKS)], cameras, BELT)
-    assert [(e.task.a, e.task.b) for e in links] == [((0, 0), (0, 2))]
-    assert len(links[0].a_px) == 3
 
 
 STEADY = nominal_motion(np.array([0.0, 0.1, 0.2, 0.3, 0.4]), np.array([0.0, 50.0]), np.array([0.0, 0.0]))
@@ -185,13 +159,3 @@ def test_rows_without_links_follow_the_nominal_belt(workshop: Any) -> None:
 def test_connected_rows_form_groups(workshop: Any, pairs: list[tuple[int, int]], groups: list[list[int]]) -> None:
     seen = chained(workshop.camera(), dict.fromkeys(pairs, 5.0))
     assert [g.tolist() for g in connected_rows(seen, 5, np.ones(len(seen), dtype=bool))] == groups
-
-
-def test_two_links_connect_no_rows(workshop: Any) -> None:
-    """Two links always fit some motion, whether they are right or not."""
-    seen = chained(workshop.camera(), dict.fromkeys([(0, 1), (1, 2)], 5.0))
-    used = np.ones(len(seen), dtype=bool)
-    used[np.flatnonzero(seen.q == 2)[2:]] = False
-    assert [g.tolist() for g in connected_rows(seen, 3, used)] == [[0, 1], [2]]
-    used[np.flatnonzero(seen.q == 2)[2]] = True
-    assert [g.tolist() for g in connected_rows(seen, 3, used)] == [[0, 1, 2]]

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.model import BoardType
-from vaoi_station.stitching.board.board_plane import board_plane, expected_angle, typical_camera
-from vaoi_station.stitching.expectation import Expectation
+from vaoi_station.stitching.board.board_plane import board_plane, typical_camera
 
 
 def board(y_axis: str = "up", side: str = "top") -> BoardType:
@@ -35,19 +34,6 @@ def test_handedness_is_the_table_of_the_conventions(
     assert (np.linalg.det(image_from_cad) < 0) == mirrors
 
 
-@pytest.mark.parametrize("side", ["top", "bottom"])
-@pytest.mark.parametrize("turn", [0.0, -1.2])
-@pytest.mark.parametrize("mounted", [0.0, -0.4])
-def test_expected_angle_follows_side_camera_and_expectation(
-    workshop: Any, side: str, turn: float, mounted: float
-) -> None:
-    """An image direction turned by `turn` is a tester direction turned by it, less the mounting of the camera."""
-    camera = workshop.camera(angle_rad=mounted)
-    found = expected_angle(board_plane(board(side=side), camera), camera, Expectation(angle_rad=turn))
-    expected = turn - mounted + (math.pi if side == "bottom" else 0.0)
-    assert math.cos(found - expected) == pytest.approx(1.0, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("rolls_deg", "typical"),
     [
@@ -62,17 +48,3 @@ def test_most_cameras_decide_what_is_upright(workshop: Any, rolls_deg: tuple[flo
     """A camera that is mounted otherwise than the rest does not see the board as it is expected."""
     cameras = [workshop.camera(angle_rad=math.radians(roll)) for roll in rolls_deg]
     assert typical_camera(cameras) is cameras[typical]
-
-
-@pytest.mark.parametrize("y_up", [False, True])
-@pytest.mark.parametrize("rolls_deg", [(10, -10, 10), (190, 170, 190), (100, 80)])
-def test_if_all_cameras_are_rolled_the_axes_of_the_tester_are_upright(
-    workshop: Any, rolls_deg: tuple[float, ...], y_up: bool
-) -> None:
-    cameras = [workshop.camera(angle_rad=math.radians(roll), y_up=y_up) for roll in rolls_deg]
-    upright = workshop.camera(angle_rad=math.radians(round(rolls_deg[0] / 90) * 90), y_up=y_up)
-    plane = board_plane(board(), upright)
-    for turn in (0.0, 0.4):
-        expected = expected_angle(plane, upright, Expectation(angle_rad=turn))
-        found = expected_angle(plane, typical_camera(cameras), Expectation(angle_rad=turn))
-        assert math.cos(found - expected) == pytest.approx(1.0, abs=1e-9)

@@ -25,15 +25,6 @@ def described(board_type: BoardType, *, turned: bool = False, **keys: Any) -> Bo
     return BoardType.model_validate({k: v for k, v in data.items() if v is not None})
 
 
-def test_three_fiducials_reveal_a_turned_board(filmed: Any) -> None:
-    less: list[dict[str, Any]] = [{}, {"outline": None}, {"outline": None, "components": []}]
-    for keys in less:
-        result = filmed.stitched(board_type=described(filmed.board_type, turned=True, **keys))
-        assert result.status is Status.FAILED, result.reasons
-        assert result.cad_matrix is None
-        assert "turned by" in result.reasons[0]
-
-
 def test_a_turned_board_is_found_if_expected_turned(filmed: Any) -> None:
     result = filmed.stitched(
         board_type=described(filmed.board_type, turned=True), expectation=Expectation(angle_rad=np.pi)
@@ -50,15 +41,6 @@ def test_two_fiducials_alone_are_never_ok(filmed: Any, turned: bool) -> None:
     result = filmed.stitched(board_type=kind)
     assert result.status is Status.DEGRADED
     assert any("turned by 180°" in r for r in result.reasons)
-
-
-def test_two_fiducials_and_an_outline_are_enough(filmed: Any) -> None:
-    marks = filmed.board_type.model_dump(mode="json")["fiducials"][:2]
-    right = filmed.stitched(board_type=described(filmed.board_type, fiducials=marks))
-    assert right.status is Status.OK
-    turned = described(filmed.board_type, turned=True)
-    turned = turned.model_copy(update={"fiducials": turned.fiducials[:2]})
-    assert filmed.stitched(board_type=turned).status is Status.FAILED
 
 
 def test_a_board_without_a_visible_edge_is_degraded(filmed: Any) -> None:

@@ -122,36 +122,6 @@ def test_fiducials_win_over_look_alikes(workshop: Any, seed: int, turn: float) -
     assert found.fiducials == (0, 1, 2)
 
 
-def test_two_fiducials_are_enough_and_one_is_not(workshop: Any) -> None:
-    camera = workshop.camera()
-    plane = board_plane(board(), camera)
-    marks = apply_similarity(placed(plane, camera), plane.fiducials)
-    two = find_board(plane, candidates_at(marks[:2]), 0.0, UPRIGHT, NOTHING)
-    assert isinstance(two, Hypothesis)
-    assert two.fiducials == (0, 1)
-    one = find_board(plane, candidates_at(marks[:1]), 0.0, UPRIGHT, NOTHING)
-    assert isinstance(one, Failure)
-    assert "1 place(s) look like fiducials" in one.reason
-    assert one.reason.endswith("; compare fiducials, expected position and angle with the board")
-    bare = board_plane(board(fiducials=FIDUCIALS[:1]), camera)
-    refused = find_board(bare, candidates_at(marks), 0.0, UPRIGHT, NOTHING)
-    assert isinstance(refused, Failure)
-    assert "has 1 fiducials; two are needed" in refused.reason
-
-
-def test_a_grid_of_sixty_fiducials_is_found(workshop: Any) -> None:
-    """It has 1,770 pairs, each of which fits the grid in dozens of places: a worker that tried all was ended."""
-    camera = workshop.camera()
-    grid = tuple((f"F{i}-{j}", 2.0 + 4.0 * i, 2.5 + 3.0 * j) for i in range(10) for j in range(6))
-    plane = board_plane(board(fiducials=grid), camera)
-    truth = placed(plane, camera, 0.01)
-    marks = candidates_at(apply_similarity(truth, plane.fiducials))
-    found = find_board(plane, marks, expected_angle(plane, camera, UPRIGHT), UPRIGHT, NOTHING)
-    assert isinstance(found, Hypothesis)
-    assert found.c == pytest.approx(truth, abs=1e-6)
-    assert len(found.fiducials) == 60
-
-
 def test_a_board_far_from_its_direction_is_refused_with_the_angle(workshop: Any) -> None:
     camera = workshop.camera()
     plane = board_plane(board(), camera)

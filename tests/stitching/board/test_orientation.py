@@ -79,15 +79,6 @@ def test_components_decide_where_the_outline_does_not(workshop: Any) -> None:
     assert wrong.contradicts
 
 
-def test_a_blank_picture_decides_nothing(workshop: Any) -> None:
-    found = compare_orientations(
-        board(outline=OUTLINE, components=PARTS), PLACED, TURNED, scene(workshop, [], 60.0), STILL
-    )
-    assert found is not None
-    assert not found.confirms
-    assert not found.contradicts
-
-
 def shifted(x_mm: float) -> NDArray[np.float64]:
     return np.asarray(np.array([[1.0, 0, x_mm], [0, 1, x_mm], [0, 0, 1]]) @ PLACED)
 

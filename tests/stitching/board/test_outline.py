@@ -114,13 +114,3 @@ def test_a_turn_is_measured(workshop: Any, mrad: float) -> None:
     assert found is not None
     assert 1e3 * found.turn_rad == pytest.approx(-mrad, abs=5)
     assert found.turned_mm == pytest.approx(1e-3 * abs(mrad) * 17, abs=0.1)
-
-
-def test_edges_out_of_view_leave_their_direction_open(workshop: Any) -> None:
-    """The board is wider than the view."""
-    wide = np.array([[1.0, 0, -60.0], [0, 1, -10.0], [0, 0, 1]])
-    found = measure_outline_shift(board(w=120.0), wide, scene(workshop, (500.0, 20.0)), STILL)
-    assert found is not None
-    assert found.sigma_mm[1] < 0.15
-    assert found.sigma_mm[0] > 1.0
-    assert found.excess_mm == 0.0

@@ -12,7 +12,7 @@ from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import Problem, to_observations
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.outline import beside, link_depths_mm, outline_confirmed, without_links_beside
+from vaoi_station.stitching.board.outline import link_depths_mm, outline_confirmed, without_links_beside
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
@@ -85,16 +85,6 @@ C = np.array([1.0, 0.0, 5.0, 0.0])
 """C that shifts the board by 5 mm along x."""
 
 
-def test_points_beside_any_outline_are_known() -> None:
-    box = plane_of([[0, 0], [20, 10]])
-    points = np.array([[10.0, 5.0], [5.5, 5.0], [4.5, 5.0], [3.0, 5.0], [15.0, 12.0]])
-    assert beside(box, C, points).tolist() == [False, False, False, True, True]
-    assert beside(box, C, points, -1.0).tolist() == [False, True, True, True, True]
-    # an L: the corner that is cut out lies beside the board
-    ell = plane_of([[0, 0], [20, 0], [20, 4], [8, 4], [8, 10], [0, 10]])
-    assert beside(ell, C, np.array([[9.0, 8.0], [20.0, 8.0]])).tolist() == [False, True]
-
-
 def test_links_between_cameras_beside_the_board_are_left_out(workshop: Any) -> None:
     """They lie on a bed at another height, which bends the estimated surface; those between rows show the motion."""
     cameras = (workshop.camera(), workshop.camera())
@@ -142,16 +132,6 @@ def with_bright_box(workshop: Any, middle: tuple[float, float], half: tuple[floa
     levels[(np.abs(tester - middle) <= half).all(-1)] = 220.0
     frame = PreparedFrame(workshop.digitised(levels + np.random.default_rng(1).normal(0, 2, levels.shape)))
     return Scene((camera,), ((0, 0),), lambda key: frame)
-
-
-def test_a_connector_along_a_side_is_no_other_edge_of_the_board(workshop: Any) -> None:
-    """Its edge, all along a side, is stronger than that of the board; only CAD data show what it is."""
-    scene = with_bright_box(workshop, (7.0, 0.0), (1.5, 6.5))
-    connector = {"ref": "J1", "center": [7.0, 0.0], "width": 3.0, "height": 13.0}
-    assert outline_confirmed(plane_of(OUTLINE, components=[connector]), np.eye(3), scene, STILL)
-    assert not outline_confirmed(plane_of(OUTLINE), np.eye(3), scene, STILL)
-    elsewhere = np.array([[1.0, 0, -2.0], [0, 1, 0], [0, 0, 1]])
-    assert not outline_confirmed(plane_of(OUTLINE, components=[connector]), elsewhere, scene, STILL)
 
 
 def test_a_marking_between_two_connectors_is_no_other_edge_of_the_board(workshop: Any) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import apply
-from vaoi_station.model import BoardType, Status, Stitch, Surface
+from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints
 from vaoi_station.stitching.board.board_plane import BoardPlane
@@ -51,16 +51,6 @@ def test_linked_points_have_the_cad_places_of_the_reference(workshop: Any) -> No
     assert points.px_per_mm == pytest.approx(10.0)
 
 
-def test_points_beside_the_board_are_left_out(workshop: Any) -> None:
-    """A bed or a belt lies elsewhere under every board: its links would move the board."""
-    camera = workshop.camera()
-    cad = np.array([[5.0, 3.0], [18.0, 12.0], [0.5, 8.0], [-2.0, 8.0], [12.0, 23.0]])
-    px = camera.project(apply(PLANE.matrix(C), cad))
-    points = cad_points([links(Task("reference", (0, 0), (0, 0)), px, px)], (camera,), PLANE, reference())
-    # The patch of the third one, 12 px of 0.1 mm, reaches beyond the outline.
-    np.testing.assert_allclose(points.cad, PLANE.flat(cad[:2]), atol=1e-9)
-
-
 def test_the_reference_keeps_the_cameras_of_its_own_run(workshop: Any) -> None:
     """A camera that was pushed since, with its old calibration: the reference's points lie where they lay."""
     camera = workshop.camera()
@@ -91,27 +81,6 @@ def test_many_links_on_one_part_know_its_place_no_better_than_it_is_placed(works
     # one of these points is an outlier as any other: no part lies half a millimetre from its place
     off = np.where(on, 5.0, 0.1)[:, None] * (1, 0)
     np.testing.assert_array_equal(inliers(points, off), ~on)
-
-
-def test_the_height_of_the_board_of_the_reference_moves_no_place(workshop: Any) -> None:
-    """The reference lay 1 mm above the calibrated plane: the camera saw its points further out."""
-    camera, g = workshop.camera(distance_mm=300.0), np.random.default_rng(3)
-    surface = Surface(lift_mm=1.0, tilt_mm=(0.1, 0), bow_mm=(0, 0, 0), about=(15.0, 10.0), half_span=(15.0, 10.0))
-    cad = g.uniform((5, 3), (18, 12), (20, 2))
-    there = apply(D[1], apply(PLANE.matrix(C), cad))
-    px = camera.project(there, surface.height_mm(cad))
-    task = Task("reference", (0, 1), (0, 1))
-    known = reference()
-    lifted = replace(known, stitch=known.stitch.model_copy(update={"surface": surface}))
-    points = cad_points([links(task, px, px)], (camera,), PLANE, lifted)
-    np.testing.assert_allclose(points.cad, PLANE.flat(cad), atol=2e-4)
-    flat = cad_points([links(task, px, px)], (camera,), PLANE, known)
-    assert np.abs(flat.cad - PLANE.flat(cad)).max() > 0.01
-
-
-def test_without_links_there_are_no_points(workshop: Any) -> None:
-    task = Task("reference", (0, 0), (0, 0))
-    assert len(cad_points([Links.empty(task, "no texture")], (workshop.camera(),), PLANE, reference()).row) == 0
 
 
 def test_the_first_c_is_that_of_the_reference_shifted_to_the_run() -> None:

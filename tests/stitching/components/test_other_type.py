@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from tests.hostile.judging import judge
 from vaoi_station.model import BoardType, ReasonCode, Status, Stitch
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.components.other_type import (
-    UnlistedParts,
-)
 from vaoi_station.stitching.work import stitch_frames
 
 
@@ -47,15 +43,6 @@ def test_a_board_in_much_less_light_is_no_other_type(filmed: Any, reference: Sti
     assert (result.status, result.reasons) == (Status.OK, ())
 
 
-LARGEST = 3
-
-
-def without_largest(board: BoardType) -> tuple[BoardType, list[Any]]:
-    """Return the board type without its largest components, and these."""
-    order = sorted(board.components, key=lambda c: -c.width * c.height)
-    return board.model_copy(update={"components": tuple(order[LARGEST:])}), order[:LARGEST]
-
-
 def other_board(filmed: Any, number: int) -> BoardType:
     """Return a board type of the same size and fiducials with other parts."""
     scenario = read_scenario(scenario_path("small"))
@@ -69,32 +56,6 @@ def test_a_board_of_another_type_without_a_reference_is_named(filmed: Any) -> No
     assert {result.status for result in results} == {Status.DEGRADED}
     named = [r for r in results if ReasonCode.UNLISTED_PARTS in r.reason_codes]
     assert len(named) >= 4, "in the others, parts look symmetric at the places of the data by chance"
-
-
-def test_a_list_without_some_parts_is_no_reason(filmed: Any) -> None:
-    """Connectors are often missing in pick-and-place data; the other components show that the type is right."""
-    some, _ = without_largest(filmed.board_type)
-    result = filmed.stitched(board_type=some)
-    assert ReasonCode.UNLISTED_PARTS not in result.reason_codes
-
-
-PLACES = np.array([(1.0, 2.0), (3.26, 4.0), (5.0, 6.0), (7.0, 8.0)])
-
-
-@pytest.mark.parametrize(
-    ("bare", "raised", "sunk", "places", "named"),
-    [
-        (100, 8, 0, 4, True),
-        (100, 8, 4, 4, False),  # false links lie above and below the board
-        (100, 2, 0, 4, False),  # one or two false links
-        (100, 8, 0, 2, False),  # one part that the list lacks
-        (0, 0, 0, 0, False),
-    ],
-)
-def test_many_corners_at_several_places_are_a_reason(
-    bare: int, raised: int, sunk: int, places: int, named: bool
-) -> None:
-    assert UnlistedParts(bare, raised, sunk, PLACES[:places]).other_type is named
 
 
 def test_a_drawing_of_another_type_that_was_wrong_is_named() -> None:

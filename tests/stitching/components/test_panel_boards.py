@@ -82,23 +82,6 @@ def test_shift_and_turn_of_a_board_are_those_of_its_fiducials(x: float, y: float
     assert place.off_mm < 1e-5
 
 
-def test_a_board_without_its_fiducials_is_as_uncertain_as_the_others_are_displaced() -> None:
-    found = places(displaced("A", (0.3, -0.3), 0.0))
-    lost = found.boards["B"]
-    assert lost.matrix is None
-    assert lost.refusal == "B0, B1 was not found"
-    sigma = found.sigma_mm
-    assert sigma["B/U0"] == sigma["B/U1"] == pytest.approx(0.3, abs=0.01)
-
-
-def test_one_fiducial_shifts_its_board_and_leaves_its_turn_open() -> None:
-    found = places({2: (0.1, 0.05)})
-    assert found.boards["A"].turn_rad == 0.0
-    assert found.boards["A"].lost == ("A1",)
-    sigma = found.sigma_mm
-    assert sigma["A/U1"] > 3 * sigma["A/U0"], "it lies farther from the fiducial"
-
-
 def test_large_and_contradicting_displacements_are_refused() -> None:
     far = places(displaced("A", (0.9, 0.9), 0.0)).boards["A"]
     assert (far.matrix, far.refusal) == (None, "A0, A1 would displace it by 1.27 mm (limit 1 mm)")
@@ -133,16 +116,6 @@ def test_the_board_that_determines_c_lies_where_c_puts_it() -> None:
     found = board_places(plane, adjusted, points, C)
     assert found["A"].matrix is C
     assert found["B"].shift_mm == pytest.approx([0.1, 0.1])
-
-
-def test_boards_of_a_panel_that_is_located_without_fiducials_are_not_placed() -> None:
-    adjusted: Any = SimpleNamespace(fiducial_px=np.zeros((0, 2)))
-    found = own_places(BoardPlane(panel(), True), adjusted, FiducialPoints.empty(), C)
-    assert {at: (p.matrix, p.refusal) for at, p in found.boards.items()} == {
-        "A": (None, "A0, A1 was not found"),
-        "B": (None, "B0, B1 was not found"),
-    }
-    assert found.sigma_mm["A/U0"] == pytest.approx(0.15)
 
 
 def test_local_fiducials_place_their_component_on_a_displaced_board() -> None:

@@ -6,54 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from vaoi_station.geometry import Camera, Lens
+from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frame_pair import (
     FramePair,
-    in_one_exposure,
-    in_one_grid,
-    is_warped,
     overlap_box,
     overlap_polygon,
-    overlap_share,
     predict,
 )
 from vaoi_station.stitching.matching.frames import PreparedFrame
 from vaoi_station.stitching.matching.link import link_neighbours
-
-
-def test_a_shift_cuts_off_the_part_that_leaves_the_frame(workshop: Any) -> None:
-    camera = workshop.camera()
-    assert overlap_box(camera, camera, np.array([3.0, 0.0])) == (0, 0, 170, 160)
-    assert overlap_box(camera, camera, np.array([-3.0, -4.0])) == (30, 40, 200, 160)
-    assert overlap_share(camera, np.array([10.0, 0.0])) == pytest.approx(0.5)
-
-
-@given(
-    angles=st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01)),
-    shift=st.tuples(st.floats(-18, 18), st.floats(-14, 14)),
-    bend=st.floats(-0.002, 0.002),
-)
-def test_both_frames_show_the_points_in_the_box(
-    workshop: Any, angles: tuple[float, float], shift: tuple[float, float], bend: float
-) -> None:
-    lens = Lens((99.5, 79.5), 128.0, (bend,))
-    a = workshop.camera((0, 0), angle_rad=angles[0], lens=lens)
-    b = workshop.camera((4, 1), angle_rad=angles[1], lens=lens)
-    box = overlap_box(a, b, np.array(shift))
-    y, x = np.mgrid[0:160:4, 0:200:4]
-    px = np.stack([x.ravel(), y.ravel()], -1).astype(float)
-    both = b.sees(predict(px, a, b, np.array(shift)), 4.0) & a.sees(px, 4.0)
-    if box is None:
-        assert not both.any()
-        return
-    inside = np.asarray(((px >= box[:2]) & (px < box[2:])).all(1))
-    assert b.sees(predict(px[inside], a, b, np.array(shift)), -4.0).all()
-    assert inside[both].all(), "no point that both see well is outside the box"
 
 
 @pytest.mark.parametrize("degrees", [-170.0, -90.0, -8.0, 5.0, 90.0, 180.0])
@@ -155,13 +119,6 @@ def test_neighbours_that_show_different_things_are_unmatched(workshop: Any) -> N
     assert link_neighbours(TASK, found).unmatched
 
 
-def test_frames_that_differ_by_a_shift_are_not_resampled(workshop: Any) -> None:
-    one, other = cameras(workshop, {"angle_rad": np.radians(0.8), "px_per_mm": 10.05})
-    found = pair(workshop, one, other)
-    assert in_one_grid(found) is found
-    assert not is_warped(one, one)
-
-
 @pytest.mark.parametrize("degrees", [5.0, 30.0])
 def test_an_overlap_without_room_for_a_patch_is_no_sign_of_a_displaced_camera(workshop: Any, degrees: float) -> None:
     one = workshop.camera((0.0, 0.0), size_px=SIZE)
@@ -197,22 +154,3 @@ def test_a_saturated_and_a_dark_frame_are_linked_where_both_show_the_board(
     off = off_px(links, found)
     assert np.hypot(*np.median(off, axis=0)) < 0.05
     assert np.sqrt(np.mean(off**2)) < 0.15
-
-
-def test_frames_of_nearly_one_exposure_stay_as_they_are(workshop: Any) -> None:
-    one, other = cameras(workshop, {})
-    alike = FramePair(exposed(workshop, one, 1.0, 1), exposed(workshop, other, 0.8, 2), one, other, AT)
-    box = alike.overlap()
-    assert box is not None
-    assert in_one_exposure(alike, box, AT) is alike
-
-
-def test_a_covered_frame_has_no_exposure_ratio(workshop: Any) -> None:
-    one, other = cameras(workshop, {})
-    noise = np.random.default_rng(1).normal(2, 1, (SIZE[1], SIZE[0]))
-    covered = PreparedFrame(np.clip(noise, 0, 255).astype(np.uint8))
-    dark = FramePair(exposed(workshop, one, 1.0, 1), covered, one, other, AT)
-    box = dark.overlap()
-    assert box is not None
-    assert in_one_exposure(dark, box, AT) is dark
-    assert not len(link_neighbours(TASK, dark).a_px)

@@ -17,18 +17,12 @@ from vaoi_station.stitching.matching.evidence import Task
 from vaoi_station.stitching.matching.frame_pair import FramePair
 from vaoi_station.stitching.matching.frames import PreparedFrame, read_only
 from vaoi_station.stitching.matching.link import (
-    STATIC_PX,
     CoarseShift,
     best_corners,
-    best_peaks,
-    choose_corners,
-    correlations,
     find_shift,
     link_neighbours,
     link_reference,
     link_rows,
-    shows_patches,
-    static_corners,
 )
 
 
@@ -105,45 +99,6 @@ def test_the_repetition_within_the_prior_is_taken(workshop: Any, slip: tuple[int
     found = find_shift(pins(0, 0), pins(slip[0], 144 + slip[1]), box((0, 144)), nominal, np.array([20.0, 20.0]))
     assert isinstance(found, CoarseShift)
     assert np.abs(found.px - slip).max() <= 2.0
-
-
-@pytest.mark.parametrize(("template", "window"), [((5, 9), (11, 30)), ((24, 87), (40, 95)), ((7, 6), (7, 6))])
-def test_correlations_are_those_of_opencv(template: tuple[int, int], window: tuple[int, int]) -> None:
-    g = np.random.default_rng(3)
-    t, w = (g.normal(0, 20, shape).astype(np.float32) for shape in (template, window))
-    w[:, : window[1] // 3] = 0
-    expected = np.nan_to_num(cv2.matchTemplate(w, t, cv2.TM_CCORR_NORMED), posinf=0.0, neginf=0.0)
-    empty = np.array(
-        [
-            [not w[y : y + template[0], x : x + template[1]].any() for x in range(expected.shape[1])]
-            for y in range(expected.shape[0])
-        ]
-    )
-    found = correlations(t, w)
-    assert not found[empty].any()
-    assert found[~empty] == pytest.approx(expected[~empty], abs=2e-6)
-
-
-def test_the_highest_maxima_are_listed_once_with_subsample_positions() -> None:
-    y, x = np.mgrid[:30, :40].astype(float)
-    hills = [(1.0, 11.3, 8.6), (0.9, 30.0, 20.25), (0.5, 4.5, 25.0)]
-    surface = sum(h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 18) for h, u, v in hills).astype(np.float32)
-    for most in (1, 2, 3, 5):
-        found = best_peaks(surface, most)
-        assert found == pytest.approx(np.array(hills[:most]), abs=0.05)
-    assert best_peaks(np.zeros((3, 4), np.float32), 2) == pytest.approx(np.zeros((1, 3)))
-
-
-def test_full_size_decides_between_several_peaks_of_half_size(workshop: Any) -> None:
-    """A weave whose pattern repeats but for its finest strokes."""
-    x = np.arange(float(SIZE[0]))
-    fine = workshop.waves(9, finest=9.0, coarsest=16.0).levels(*SIZE) - 128
-    weave = 60 * np.cos(2 * np.pi * x / 60)
-    a = PreparedFrame(workshop.digitised(128 + weave + 0.8 * fine))
-    b = PreparedFrame(workshop.digitised(np.roll(128 + weave + 0.8 * fine, (340, 60), (0, 1))))
-    found = find_shift(a, b, (0, 0, 640, 140), np.array([0.0, 340.0]), np.array([70.0, 30.0]))
-    assert isinstance(found, CoarseShift)
-    assert found.px == pytest.approx([60, 0], abs=2)
 
 
 FRAME_PX = (480, 360)
@@ -262,42 +217,3 @@ def test_the_reason_for_missing_links_is_noted(workshop: Any) -> None:
     reference = link_reference(ROWS, FramePair(black, board, camera, camera, np.zeros(2)))
     assert "empty" in reference.note
     assert not len(reference.a_px)
-
-
-def test_bare_belt_beside_a_board_has_no_corners(workshop: Any) -> None:
-    grey = np.full(FRAME_PX[::-1], 20, dtype=np.uint8)
-    grey[:, :240] = workshop.waves(1).picture(240, FRAME_PX[1])
-    at = choose_corners(PreparedFrame(grey), (0, 0, *FRAME_PX))
-    assert len(at) > 20
-    assert at[:, 0].max() < 250
-
-
-PLACES = np.array([[60.5, 50.5], [160.5, 120.5], [20.5, 120.5], [300.5, 200.5]])
-
-
-def test_a_patch_is_shown_only_where_its_texture_is(workshop: Any) -> None:
-    texture = workshop.waves(seed=3, finest=6.0)
-    a, moved = (PreparedFrame(texture.picture(320, 240, shift)).grey for shift in ((0.0, 0.0), (30.0, 0.0)))
-    shown, tested = shows_patches(a, moved, PLACES, PLACES + (30.0, 0.0), STATIC_PX)
-    assert tested.tolist() == [True, True, True, False]
-    assert shown.tolist() == [True, True, True, False]
-    in_place, _ = shows_patches(a, moved, PLACES, PLACES, STATIC_PX)
-    assert not in_place.any()
-    beyond, _ = shows_patches(a, moved, PLACES, PLACES + (33.0, 0.0), STATIC_PX)
-    assert not beyond.any()
-    none, _ = shows_patches(a, moved, np.zeros((0, 2)), np.zeros((0, 2)), STATIC_PX)
-    assert none.shape == (0,)
-
-
-def test_static_corners_are_those_that_stand_still(workshop: Any) -> None:
-    camera = workshop.camera(size_px=(320, 240), px_per_mm=10.0)
-    bed, board = (workshop.waves(seed=seed, finest=6.0) for seed in (3, 4))
-    still = bed.picture(320, 240)
-    half = still.copy()
-    half[:, 160:] = board.picture(320, 240)[:, 160:]
-    frames = [PreparedFrame(picture) for picture in (still, half, board.picture(320, 240))]
-    counts = [static_corners(FramePair(frames[0], b, camera, camera, np.zeros(2))) for b in frames]
-    assert counts[0] > 1.5 * counts[1] > 0
-    assert counts[2] == 0
-    away = FramePair(frames[0], frames[0], camera, camera, np.array([0.0, 100.0]))
-    assert static_corners(away) == 0

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vaoi_station.stitching.matching.patches import REACH_PX, Matches, are_inside_both, match_patches, patch_centres
-from vaoi_station.stitching.matching.refinement import MARGIN_PX
 
 SIZE = (360, 300)
 FRACTIONS = np.arange(10) / 10
@@ -97,26 +96,3 @@ def test_a_prediction_out_of_reach_never_gives_a_wrong_match_with_a_good_score(w
     found = match_patches(*shifted(workshop, shift), at, patch_centres(at) + np.round(shift) + (off, 0))
     wrong = np.hypot(*errors(found, at, shift).T) > 0.2
     assert not (found.found & wrong & (found.score > 0.8)).any()
-
-
-def test_information_of_an_edge_is_large_only_across_it() -> None:
-    x = np.arange(SIZE[0])
-    a = np.tile(np.round(128 + 80 * np.tanh((x - 180) / 2)), (SIZE[1], 1)).astype(np.uint8)
-    dented = np.asarray(a + np.where((np.arange(SIZE[1]) > 150)[:, None], 4, 0), dtype=np.uint8)
-    found = match_patches(dented, dented, np.array([[180, 150]]), np.array([[180.5, 150.5]]))
-    assert found.found.all()
-    assert found.information[0, 0, 0] > 50 * found.information[0, 1, 1] > 0
-    assert found.b_px[0] == pytest.approx([180.5, 150.5], abs=0.01)
-
-
-def test_a_straight_edge_gives_no_match() -> None:
-    x = np.arange(SIZE[0])
-    a = np.tile(np.round(128 + 80 * np.tanh((x - 180) / 2)), (SIZE[1], 1)).astype(np.uint8)
-    assert not match_patches(a, a, np.array([[180, 150]]), np.array([[180.5, 150.5]])).found.any()
-
-
-@given(st.integers(-50, 400), st.integers(-50, 400), st.floats(-50, 400), st.floats(-50, 400))
-def test_patches_that_are_kept_lie_inside_both_images(x: int, y: int, u: float, v: float) -> None:
-    kept = are_inside_both(SIZE[::-1], SIZE[::-1], np.array([[x, y]]), np.array([[u, v]]))
-    low, (right, bottom) = MARGIN_PX, np.array(SIZE) - MARGIN_PX - 1
-    assert kept[0] == all(low <= p <= right and low <= q <= bottom for p, q in ((x + 0.5, y + 0.5), (u, v)))

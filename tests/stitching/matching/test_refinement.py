@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import subprocess
 import sys
@@ -17,28 +16,12 @@ from numpy.typing import NDArray
 from vaoi_station.stitching.matching.frames import read_only
 from vaoi_station.stitching.matching.refinement import (
     BINOMIAL,
-    BLUR_REACH,
     FRACTIONS,
-    NOISE_SHARE,
     SINC,
     TAPS,
     WINDOW_PX,
     refine,
 )
-
-BLUR = np.array([*BINOMIAL[:0:-1], *BINOMIAL]) / 64
-
-
-def test_the_blur_keeps_grey_levels_and_removes_the_highest_frequency() -> None:
-    assert len(BLUR) == 2 * BLUR_REACH + 1
-    assert BLUR.sum() == 1
-    assert BLUR @ (-1.0) ** np.arange(len(BLUR)) == 0
-    deviation = math.sqrt(float(BLUR @ (np.arange(len(BLUR)) - BLUR_REACH) ** 2))
-    assert deviation == pytest.approx(1.22, abs=0.01)
-
-
-def test_the_noise_share_is_the_sum_of_squared_weights() -> None:
-    assert pytest.approx(float((np.outer(BLUR, BLUR) ** 2).sum())) == NOISE_SHARE
 
 
 @pytest.mark.parametrize("period_px", [6.0, 10.0, 25.0])

@@ -10,16 +10,13 @@ import pytest
 
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import (
-    REFERENCE,
     AdjustmentResult,
-    FiducialPoints,
     Problem,
     to_observations,
 )
 from vaoi_station.stitching.quality.uncertainty import (
     largest_sigma,
     matrix_sigmas,
-    reference_share,
     row_covariances,
 )
 
@@ -47,20 +44,6 @@ def drawn(adjusted: AdjustmentResult, count: int) -> list[Motion]:
     return [replace(MOTION, angle=MOTION.angle + r[:, 0], shift=MOTION.shift + r[:, 1:]) for r in rows]
 
 
-def test_row_covariances_match_drawn_motions(adjusted: AdjustmentResult) -> None:
-    predicted = row_covariances(adjusted)
-    assert not predicted[0].any(), "D_0 is the identity"
-    for j in (1, 2):
-        under_pivot = MOTION.board(np.array([j]), PIVOT[None])
-        seen = []
-        for motion in drawn(adjusted, 4000):
-            d = motion.row_from_tester(j)
-            seen.append([np.arctan2(d.matrix[1, 0], d.matrix[0, 0]), *d(under_pivot)[0]])
-        found = np.cov(np.array(seen).T)
-        scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
-        assert predicted[j] / scale == pytest.approx(found / scale, abs=0.06)
-
-
 def test_matrix_sigmas_match_drawn_motions(adjusted: AdjustmentResult, workshop: Any) -> None:
     cameras = [workshop.camera((2.0, 1.0), tilt=(1e-3, -2e-3)), workshop.camera((16.0, 1.0), angle_rad=0.02)]
     sigmas = matrix_sigmas(cameras, PIVOT, row_covariances(adjusted))
@@ -73,21 +56,3 @@ def test_matrix_sigmas_match_drawn_motions(adjusted: AdjustmentResult, workshop:
             px = np.array([camera.project(m.row_from_tester(j)(board)) for m in motions])
             spread = largest_sigma(np.array([np.cov(px[:, k].T) for k in range(5)]))
             assert sigmas[i, j] == pytest.approx([spread[0], spread[1:].max()], rel=0.07)
-
-
-def points(which: list[int], sigma_px: list[float]) -> FiducialPoints:
-    k, resolution = len(which), np.full(len(which), 20.0)
-    pairs, none = np.zeros((k, 2)), np.zeros(k, int)
-    sigma = np.array(sigma_px) / 20.0
-    return FiducialPoints(none, pairs, pairs, pairs, sigma, resolution, np.array(which), none)
-
-
-def test_the_share_is_that_of_the_information() -> None:
-    p = points([0, 1, REFERENCE, REFERENCE], [0.1, 0.1, 0.1, 0.1])
-    residuals = np.zeros((4, 2))
-    assert reference_share(p, residuals) == pytest.approx(0.5)
-    residuals[3] = (5.0, 0.0)
-    assert reference_share(p, residuals) == pytest.approx(1 / 3), "an outlier has no weight"
-    assert reference_share(points([REFERENCE], [0.03]), np.zeros((1, 2))) == 1
-    assert reference_share(points([0], [0.03]), np.zeros((1, 2))) == 0
-    assert reference_share(FiducialPoints.empty(), np.zeros((0, 2))) == 0

@@ -24,9 +24,8 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.quality.agreement import (
     fiducial_reasons,
     reference_reasons,
-    uncertain_detections,
 )
-from vaoi_station.stitching.quality.seams import seam_offset_px, seam_px
+from vaoi_station.stitching.quality.seams import seam_px
 from vaoi_station.stitching.quality.verdict import judge_result
 
 
@@ -50,13 +49,6 @@ def test_an_error_of_which_little_is_left_in_the_residuals_is_a_reason(
     assert text.startswith("the fiducials do not fit together: FID")
     assert f"FID{which + 1} by 0.05 mm" in text
     assert filmed.error_px(result) > 0.5
-
-
-def test_fiducials_within_the_tolerance_of_artwork_are_no_reason(filmed: Any) -> None:
-    for which in range(3):
-        result = filmed.stitched(board_type=moved(filmed, which, (0.006, -0.006)))
-        assert result.status is Status.OK, result.reasons
-        assert filmed.error_px(result) < 0.3
 
 
 MARKS = [(2.0, 2.0), (38.0, 3.0), (20.0, 18.0), (3.0, 17.0)]
@@ -138,12 +130,6 @@ def test_a_surface_of_which_only_the_sum_is_unlikely_is_a_reason() -> None:
     )
 
 
-def test_fiducials_without_a_good_detection_are_named() -> None:
-    seen = FiducialPoints.joined([points(2, 0.5), points(1, 0.05)])
-    assert uncertain_detections(PLANE, seen, 0.2).endswith("in a glare: F1 ± 0.50 px"), "F0 has a good one"
-    assert uncertain_detections(PLANE, points(), 0.2) == ""
-
-
 def referred(off_px: tuple[float, float], count: int = 30) -> tuple[FiducialPoints, np.ndarray]:
     """Two fiducials without residuals, and points of a reference that lie `off_px` away, with scatter."""
     two, g = points(2), np.random.default_rng(2)
@@ -166,23 +152,6 @@ def test_a_reference_that_agrees_or_has_only_false_links_is_no_reason() -> None:
     false_links = np.random.default_rng(5).uniform(-20, 20, off.shape)
     assert reference_reasons(seen, false_links) == []
     assert reference_reasons(replace(seen, which=np.full(len(off), REFERENCE)), off + 4) == []
-
-
-def test_links_beside_components_show_no_offset_of_a_seam_along_their_lean() -> None:
-    """Of 30 links between two cameras, 18 reach sides of components and are off by 0.4 px along the lean."""
-    near, pairs, row = np.arange(30) < 18, np.zeros((30, 2)), np.zeros(30, dtype=np.int_)
-    lean = np.tile((0.1, 0.0), (30, 1))
-    covariance = np.zeros((30, 2, 2))
-    links = Observations(*(row,) * 5, pairs, pairs, pairs, lean, covariance, np.full(30, 10.0), np.ones(30), ())
-    problem = replace(NO_PROBLEM, links=links, component=np.full(30, -1), near=np.where(near, 3, -1))
-    of_sides = replace(adjusted(), link_px=np.where(near[:, None], (0.4, 0.0), (0.01, 0.02)))
-    every = np.arange(30)
-    assert seam_offset_px(problem, of_sides, every, least=12) == pytest.approx(0.01, abs=1e-9)
-    assert seam_offset_px(problem, of_sides, every, least=13) == pytest.approx(0.0, abs=1e-9)
-    across = replace(of_sides, link_px=np.tile((0.0, 0.4), (30, 1)))
-    assert seam_offset_px(problem, across, every, least=13) == pytest.approx(0.4)
-    flat = replace(problem, links=replace(links, b_lean=pairs))
-    assert seam_offset_px(flat, of_sides, every, least=12) == pytest.approx(0.4)
 
 
 def test_a_seam_of_components_whose_links_were_rejected_shows_the_offset_across_their_lean() -> None:

@@ -63,31 +63,15 @@ def end_in(row: int) -> float:
     return END_MM + row * STEP_MM
 
 
-def test_an_end_in_its_place_confirms_a_frame(station: Station) -> None:
-    assert station.confirmed(station.picture((end_in(0), 40.0)), station.picture((end_in(1), 40.0), seed=2)) == {0, 1}
-    assert station.confirmed(None, station.picture((end_in(1), 40.0))) == {1}
-
-
 @pytest.mark.parametrize("off_mm", [-2.0, 0.4])
 def test_an_end_that_is_elsewhere_confirms_nothing(station: Station, off_mm: float) -> None:
     assert station.confirmed(station.picture((end_in(0) + off_mm, 40.0))) == set()
-
-
-def test_a_picture_of_the_row_before_is_not_confirmed(station: Station) -> None:
-    assert station.confirmed(station.picture((end_in(0), 40.0)), station.picture((end_in(0), 40.0), seed=2)) == {0}
 
 
 def test_a_repeated_picture_with_another_edge_in_this_place_is_not_confirmed(station: Station) -> None:
     """The rim of a carrier may end where the board's end should be a row later."""
     carrier = (end_in(0), 30.0), (end_in(1), 120.0)
     assert station.confirmed(station.picture(*carrier), station.picture(*carrier, seed=2)) == {0}
-
-
-@pytest.mark.parametrize("edges", [[], [(end_in(0), 5.0)], [(end_in(0), 40.0), (end_in(0) - 2.0, 30.0)]])
-def test_faint_ends_and_ends_among_other_lines_confirm_nothing(
-    station: Station, edges: list[tuple[float, float]]
-) -> None:
-    assert station.confirmed(station.picture(*edges)) == set()
 
 
 def test_a_frame_with_a_strip_of_the_board_on_a_bed_is_confirmed() -> None:

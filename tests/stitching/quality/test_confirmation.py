@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,17 +12,14 @@ from tests.stitching.quality.test_findings import findings_of
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import ReasonCode
 from vaoi_station.stitching.adjustment.motion import Motion
-from vaoi_station.stitching.adjustment.problem import REFERENCE, FiducialPoints, Observations
+from vaoi_station.stitching.adjustment.problem import Observations
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.quality.confirmation import (
     DarkLight,
-    Fits,
     confirmed_beside,
-    confirmed_by_points,
     dark_light_reasons,
     dark_lights,
-    linked_to_before,
 )
 from vaoi_station.stitching.quality.verdict import judge_result
 
@@ -55,55 +51,6 @@ def ways(*mm: float) -> Floats:
 ROWS = Task("rows", (0, 0), (0, 1))
 
 
-def test_a_frame_is_linked_to_the_one_before_by_used_links_of_its_camera() -> None:
-    """Links over two rows or to another camera do not show that it is no repetition, and neither do rejected ones."""
-    tasks = ROWS, Task("rows", (0, 0), (0, 2)), Task("neighbours", (0, 1), (1, 1)), Task("rows", (1, 0), (1, 1))
-    links = observed(*((task, ways(STEP_MM, STEP_MM)) for task in tasks))
-    assert linked_to_before(links, np.array([1, 1, 1, 1, 1, 1, 0.05, 0])) == {(0, 1)}
-    assert linked_to_before(links, np.array([0, 1, 1, 1, 1, 1, 0.2, 0])) == {(0, 1), (1, 1)}
-
-
-@pytest.mark.parametrize(
-    ("weight", "confirmed", "decided"),
-    [
-        ([1.0] * 2, False, False),
-        ([1.0] * 3, True, False),
-        ([1.0] * 3 + [0.0] * 9, False, True),
-        ([1.0] * 7 + [0.0] * 24, False, True),  # as many fit by chance in a picture of the row before
-        ([1.0] * 7 + [0.0] * 7, True, True),
-        ([0.0] * 5, False, True),
-    ],
-)
-def test_a_number_or_a_share_of_links_must_fit(weight: list[float], confirmed: bool, decided: bool) -> None:
-    links = observed((ROWS, ways(*[STEP_MM] * len(weight))))
-    both = {(0, 0), (0, 1)}
-    fits = Fits.of_links(links, np.array(weight) > 0.1)
-    assert (fits.enough(), fits.decided) == (both if confirmed else set(), both if decided else set())
-
-
-@pytest.mark.parametrize(
-    ("which", "residual_px", "confirmed", "decided"),
-    [
-        ([0], [0.01], True, False),  # one mark of the board
-        ([0], [50.0], False, False),
-        ([REFERENCE] * 2, [0.01] * 2, False, False),
-        ([REFERENCE] * 6, [0.01] * 3 + [50.0] * 3, True, True),
-        ([REFERENCE] * 6, [0.01] * 2 + [50.0] * 4, False, True),
-        ([0] + [REFERENCE] * 6, [0.01] + [50.0] * 6, True, True),
-    ],
-)
-def test_points_confirm_a_frame_by_their_residuals(
-    which: list[int], residual_px: list[float], confirmed: bool, decided: bool
-) -> None:
-    count = len(which)
-    points = replace(
-        FiducialPoints.empty(), row=np.full(count, 3), camera=np.full(count, 1), which=np.array(which),
-        sigma_mm=np.full(count, 0.001), px_per_mm=np.full(count, 20.0),
-    )  # fmt: skip
-    found = confirmed_by_points(points, np.column_stack([residual_px, np.zeros(count)]))
-    assert found == ({(1, 3)} if confirmed else set(), {(1, 3)} if decided else set())
-
-
 @pytest.mark.parametrize(
     ("way_mm", "confirmed"),
     [
@@ -117,14 +64,6 @@ def test_points_confirm_a_frame_by_their_residuals(
 def test_a_carrier_confirms_a_frame_only_if_it_moves_with_the_board(way_mm: float, confirmed: bool) -> None:
     beside = observed((ROWS, ways(*[way_mm] * 8)))
     assert confirmed_beside(beside, MOTION) == ({(0, 0), (0, 1)} if confirmed else set())
-
-
-def test_links_along_an_edge_beside_the_board_confirm_nothing() -> None:
-    """They fit by chance: along the edge, each is off by another amount, within the limit for what lies lower."""
-    along = np.column_stack([np.full(8, STEP_MM), (-0.1, -0.08, 0.0, 0.16, 0.18, 0.19, 0.24, 0.24)])
-    assert confirmed_beside(observed((ROWS, along)), MOTION) == set()
-    alike = np.column_stack([np.full(8, STEP_MM), np.linspace(0.18, 0.24, 8)])
-    assert confirmed_beside(observed((ROWS, alike)), MOTION) == {(0, 0), (0, 1)}
 
 
 def test_a_copy_is_not_confirmed_by_the_edge_of_a_carrier() -> None:
@@ -171,17 +110,6 @@ def test_a_light_that_fails_in_the_run_is_named_with_its_rows(workshop: Any) -> 
     first, second = dark_light_reasons(found(workshop, {1, 2, 5}))
     assert "light left: row 1 is dark (1 of its 3 rows)" in first.message
     assert "LED channels 0, 3" in second.message
-
-
-def test_blurred_covered_and_unnamed_rows_are_not_dark_lights(workshop: Any) -> None:
-    assert found(workshop, set(), unlinked={4}) == (), "bright, but without links"
-    covered = frames(set()) | {(0, 4): DARK}
-    bright = [key for key in covered if key[1] != 4]
-    assert dark_lights(scene(workshop, covered), LIGHTS, CHANNELS, bright) == (), "one camera shows light"
-    dim = {key: (pixels // 30).astype(np.uint8) for key, pixels in frames({4}).items()}
-    assert dark_lights(scene(workshop, dim), LIGHTS, CHANNELS, bright) == (), "all rows are dim"
-    assert dark_lights(scene(workshop, frames({4})), (), {}, bright) == ()
-    assert dark_lights(scene(workshop, frames({4})), LIGHTS, CHANNELS, []) == ()
 
 
 def test_the_verdict_of_a_run_names_the_light_and_not_its_frames(filmed: Any) -> None:

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.scenario import AbsentPart
@@ -55,16 +53,6 @@ def test_a_missing_part_has_no_height_of_a_body() -> None:
         assert abs(mm - true) < 3.5 * sigma
 
 
-def test_parts_with_bodies_are_never_taken_for_missing(filmed: Any) -> None:
-    heights, true = filmed.stitch.quality["heights_mm"], filmed.truth["heights"]
-    assert not [ref for ref, mm in heights.items() if mm < 0.1 < true[ref]]
-
-
-def test_without_a_working_distance_there_are_no_heights(filmed: Any) -> None:
-    flat = filmed.calibration.model_copy(update={"working_distance_mm": None})
-    assert filmed.stitched(calibration=flat).quality["heights_mm"] == {}
-
-
 Link = tuple[float, float, float]
 """Height and place (x, y) of a link, mm."""
 
@@ -99,11 +87,6 @@ def test_few_links_on_the_body_win_over_many_on_the_leads() -> None:
     assert 0.005 < sigma_mm < 0.04
 
 
-def test_without_links_on_the_body_its_height_is_unknown() -> None:
-    """A fitted part of 1.1 mm of which only leads and silk are linked is not missing."""
-    assert heights_of(LEADS * 3)[0] == (0, 0, 0)
-
-
 def test_body_may_fill_its_footprint_or_lie_off_its_centre() -> None:
     """A block has links at its rim. A connector ends before one edge of its footprint."""
     rim = [(1.5, x, y) for x in (-2.9, 0.0, 2.9) for y in (-2.9, 0.0, 2.9)]
@@ -112,15 +95,3 @@ def test_body_may_fill_its_footprint_or_lie_off_its_centre() -> None:
         assert links >= 9
         assert mm == pytest.approx(1.5, abs=0.005)
         assert sigma_mm < 0.02
-
-
-@given(st.lists(st.sampled_from([0.0, 0.04, 0.3, 0.9, 0.93, 1.6, -0.5]), max_size=9), st.integers(0, 99))
-def test_every_height_has_two_links_and_lies_among_them(values: list[float], seed: int) -> None:
-    places = np.random.default_rng(seed).uniform(-3.5, 3.5, (len(values), 2))
-    part = [(mm, float(x), float(y)) for mm, (x, y) in zip(values, places, strict=True)]
-    (mm, sigma_mm, links), empty = heights_of(part, [])
-    assert empty == (0.0, 0.0, 0)
-    assert (links >= 2) == (sigma_mm > 0)
-    if links:
-        assert min(values) - 1e-9 <= mm <= max(values) + 1e-9
-        assert links <= len(values)

@@ -80,25 +80,6 @@ def test_what_noise_does_not_explain_of_the_influence_of_one_place_widens_sigma(
     assert sigma.rows_px[2] == pytest.approx(np.hypot(np.hypot(0.1, beyond_px), MODEL_PX), abs=1e-3)
 
 
-def test_influence_beside_an_unobserved_unknown_is_computed(scene: Scene, plane: Any) -> None:
-    """A huge covariance is singular by rounding; another row keeps the influence of its own."""
-    found = adjusted([0.0, 0.0, 0.01])
-    found.covariance[1, 1:3, 1:3] = 1e20
-    change = np.zeros((1, ROWS, 7))
-    change[0, 2, 1] = 0.04
-    influence = Influence(change, np.zeros((1, ROWS, 7, 7)), np.ones((1, 4), np.bool_), 0)
-    sigma = predicted(scene, plane, replace(found, influence=influence))
-    assert sigma.rows_px[1] > 1e9
-    assert sigma.rows_px[2] == pytest.approx(np.hypot(0.1, 0.4), abs=0.01)
-
-
-def test_rows_without_a_component_in_view_have_the_sigma_of_their_motion(scene: Scene, plane: Any) -> None:
-    blind = replace(scene, present=((0, 0), (0, 1)))
-    sigma = predicted(blind, plane, adjusted([0.0, 0.01, 0.5]))
-    assert sigma.rows_px[2] == pytest.approx(np.hypot(5.0, MODEL_PX))
-    assert sigma.worst_px == pytest.approx(np.hypot(0.1, MODEL_PX))
-
-
 def test_jacobians_match_numeric_derivatives() -> None:
     """Of a detection's residual, by its row, C and the surface."""
     g = np.random.default_rng(4)

@@ -149,20 +149,6 @@ def test_a_component_that_hangs_over_the_array_is_named_unless_it_is_meant_to(fi
     assert (meant.status, meant.reasons) == (Status.OK, ())
 
 
-def test_what_is_asked_for_decides(filmed: Any) -> None:
-    """Components on the seam are seen, but not in one frame."""
-    kind = with_changes(filmed.board_type, visibility={"in_one_frame": True})
-    result = filmed.stitched(board_type=kind)
-    on_seam = set(result.quality["unseen"])
-    assert all(u["coverage"] == 1 and u["cause"] == "seam" for u in result.quality["unseen"].values())
-    some = {next(iter(filmed.stitch.components))}
-    many = filmed.stitched(board_type=asking(filmed.board_type, some, views=500))
-    assert set(many.quality["unseen"]) == some
-    assert "of 500 views" in many.reasons[0]
-    eased = filmed.stitched(board_type=asking(kind, on_seam, in_one_frame=False))
-    assert eased.quality["unseen"] == {}
-
-
 @pytest.mark.parametrize(
     ("lost", "unplaced", "words"),
     [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -24,32 +23,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("opening") / "run"
     write_passage(Twin(read_scenario(scenario_path("small"))).passage(0), out, with_truth=False)
     return out
-
-
-def test_files_of_the_recording_are_the_default(kept: Path) -> None:
-    opened = open_run(kept)
-    assert opened.calibration_path == kept / "calibration.json"
-    assert opened.board_path == kept / "board.json"
-    assert opened.setup.board_type is not None
-    assert opened.setup.method == "auto"
-    head = opened.recording.head
-    assert len(opened.present) == len(head.cameras) * head.rows
-
-
-def test_arguments_replace_the_files_of_the_recording(kept: Path, tmp_path: Path) -> None:
-    write_calibration(tmp_path / "other.json", read_calibration(kept / "calibration.json"))
-    shutil.copyfile(kept / "board.json", tmp_path / "type.json")
-    opened = open_run(kept, calibration=tmp_path / "other.json", board=tmp_path / "type.json", method="features")
-    assert (opened.calibration_path.name, opened.board_path) == ("other.json", tmp_path / "type.json")
-    assert opened.setup.method == "features"
-
-
-def test_without_a_board_type_there_is_none(kept: Path, tmp_path: Path) -> None:
-    shutil.copytree(kept, tmp_path / "bare", ignore=shutil.ignore_patterns("board.json"))
-    opened = open_run(tmp_path / "bare")
-    assert (opened.board_path, opened.setup.board_type) == (None, None)
-    with pytest.raises(InputError, match="a reference needs the board type of the run"):
-        open_run(tmp_path / "bare", reference=kept)
 
 
 def test_a_calibration_of_another_scale_is_refused(kept: Path, tmp_path: Path) -> None:

@@ -37,14 +37,6 @@ def parts(case: Path) -> tuple[Any, Any, Any]:
     return open_recording(case), read_calibration(case / "calibration.json"), read_board_type(case / "board.json")
 
 
-def test_a_result_of_another_board_is_refused_with_both_names(boards: tuple[Path, Path]) -> None:
-    result = stamped(boards[0])
-    check_origin(result, *parts(boards[0]), "r.json")
-    with pytest.raises(InputError, match=r"r\.json: belongs to another recording: .*'board-0'.*'board-1'.*frame") as no:
-        check_origin(result, *parts(boards[1]), "r.json")
-    assert no.value.action == "Give the result of this recording, or stitch it again."
-
-
 def test_a_copy_under_another_name_in_another_image_format_is_the_same_recording(
     boards: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -84,24 +76,8 @@ def test_a_result_of_a_version_without_kinds_of_fiducials_is_accepted() -> None:
     assert cad_digest(read_board_type(corpus / "board" / "tiny")) == older["quality"][KEY]["cad_data"]
 
 
-def test_a_result_of_an_older_version_is_accepted(boards: tuple[Path, Path]) -> None:
-    check_origin(RESULT, *parts(boards[1]), "r.json")
-
-
 @pytest.mark.parametrize("garbage", [None, 5, {}, {"name": "a"}])
 def test_an_unreadable_origin_is_refused(boards: tuple[Path, Path], garbage: Any) -> None:
     result = RESULT.model_copy(update={"quality": {KEY: garbage}})
     with pytest.raises(InputError, match=r"r\.json: quality\.recording"):
         check_origin(result, *parts(boards[0]), "r.json")
-
-
-def test_a_recording_without_frames_has_an_origin(boards: tuple[Path, Path], tmp_path: Path) -> None:
-    empty = Path(shutil.copytree(boards[0], tmp_path / "empty"))
-    head = json.loads((empty / "recording.json").read_text())
-    head["missing"] = [[i, j] for i in range(len(head["cameras"])) for j in range(head["rows"])]
-    (empty / "recording.json").write_text(json.dumps(head))
-    result = stamped(empty)
-    assert result.quality[KEY]["frame"] is None
-    check_origin(result, *parts(empty), "r.json")
-    with pytest.raises(InputError, match="belongs to another recording"):
-        check_origin(stamped(boards[0]), *parts(empty), "r.json")

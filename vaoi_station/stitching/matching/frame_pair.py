@@ -67,6 +67,13 @@ def overlap_box(a: Camera, b: Camera, shift_mm: Floats) -> Box | None:
     It is exact if the two frames differ by a shift, and accurate to a pixel or two at the small rotations of a camera
     array. For larger rotations, it is the smallest rectangle around the part that both frames show.
     """
+    # A belt of even speed repeats the same shift in every row.
+    return _overlap_box(a, b, float(shift_mm[0]), float(shift_mm[1]))
+
+
+@lru_cache(maxsize=_KEPT_MAPS)
+def _overlap_box(a: Camera, b: Camera, x_mm: float, y_mm: float) -> Box | None:
+    shift_mm = np.array([x_mm, y_mm])
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = _border_in(a, b, shift_mm).tolist()
     if bx - ax < _UPRIGHT * math.hypot(bx - ax, by - ay):
         return _box_around(overlap_polygon(a, b, shift_mm))
@@ -180,8 +187,11 @@ class FramePair:
 
     def offset_px(self, box: Box) -> Floats:
         """Return the predicted position in frame b minus the position in frame a (2,), in the middle of an overlap."""
-        middle = np.array([[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]])
-        return np.asarray((self.predict(middle) - middle)[0])
+        x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
+        if self.whole is None:
+            shift = float(self.shift_mm[0]), float(self.shift_mm[1])
+            return np.array(_offset_px(self.camera_a, self.camera_b, *shift, x, y))
+        return np.asarray(self.predict(np.array([[x, y]]))[0] - (x, y))
 
     def inside(self, corners: NDArray[np.int64], guess_px: Floats) -> tuple[NDArray[np.int64], Floats]:
         """Return those corners (k, 2) in a, and their guesses (k, 2) in b, whose patches lie inside both frames."""
@@ -189,7 +199,7 @@ class FramePair:
         if self.whole is not None:
             keep &= _holds(self.camera_a, self.a_from_grid, patch_centres(corners))
             keep &= _holds(self.camera_b, self.b_from_grid, guess_px)
-        return corners[keep], guess_px[keep]
+        return (corners, guess_px) if keep.all() else (corners[keep], guess_px[keep])
 
     def reaching(self, reach_px: float) -> FramePair:
         """Return the pair with a resampled part large enough for a search within ± `reach_px`."""
@@ -213,6 +223,13 @@ class FramePair:
             score=links.score[keep],
             coarse_px=None if links.coarse_px is None else tuple((linear @ links.coarse_px).tolist()),
         )
+
+
+@lru_cache(maxsize=_KEPT_MAPS)
+def _offset_px(a: Camera, b: Camera, x_mm: float, y_mm: float, x: float, y: float) -> tuple[float, float]:
+    """Return by how much a point (x, y) of frame a is predicted to move to frame b."""
+    ((u, v),) = predict(np.array([[x, y]]), a, b, np.array([x_mm, y_mm])).tolist()
+    return u - x, v - y
 
 
 def in_one_grid(pair: FramePair, reach_px: float = 0.0) -> FramePair:
@@ -313,17 +330,15 @@ def in_one_exposure(pair: FramePair, box: Box, correction_px: Floats) -> FramePa
     """
     a, b = pair.a.grey, pair.b.grey
     # The same part of the board in both frames, as nearly as the prediction says, in whole blocks.
-    by = np.rint(pair.offset_px(box) + correction_px).astype(int)
-    low = np.maximum(np.maximum(box[:2], 0), -by)
-    high = np.minimum(np.minimum(box[2:], a.shape[::-1]), b.shape[::-1] - by)
-    high -= np.maximum(high - low, 0) % _BLOCK_PX
-    if (high - low < 2 * _BLOCK_PX).any():
+    dx, dy = (round(v) for v in (pair.offset_px(box) + correction_px).tolist())
+    x0, x1 = _shared(box[0], box[2], a.shape[1], b.shape[1], dx)
+    y0, y1 = _shared(box[1], box[3], a.shape[0], b.shape[0], dy)
+    if min(x1 - x0, y1 - y0) < 2 * _BLOCK_PX:
         return pair
-    (x0, y0), (x1, y1), (dx, dy) = low, high, by
-    parts = a[y0:y1, x0:x1], b[y0 + dy : y1 + dy, x0 + dx : x1 + dx]
-    mean_a, mean_b = (float(part[::_BLOCK_PX, ::_BLOCK_PX].mean()) for part in parts)
+    mean_a, mean_b = _block_mean(pair.a, x0, y0, x1, y1), _block_mean(pair.b, x0 + dx, y0 + dy, x1 + dx, y1 + dy)
     if min(mean_a, mean_b) > _EQUAL * max(mean_a, mean_b):
         return pair
+    parts = a[y0:y1, x0:x1], b[y0 + dy : y1 + dy, x0 + dx : x1 + dx]
     first_is_dark = mean_a < mean_b
     levels = _levels(*(parts if first_is_dark else parts[::-1]))
     if levels is None:
@@ -342,6 +357,18 @@ def in_one_exposure(pair: FramePair, box: Box, correction_px: Floats) -> FramePa
     if first_is_dark:
         return replace(pair, a=brightened(pair.a), b=limited(pair.b))
     return replace(pair, a=limited(pair.a), b=brightened(pair.b))
+
+
+def _shared(low: int, high: int, size_a: int, size_b: int, by: int) -> tuple[int, int]:
+    """Return the part from `low` to `high` of one side of frame a that frame b has too, displaced, in whole blocks."""
+    first, last = max(low, 0, -by), min(high, size_a, size_b - by)
+    return first, last - max(last - first, 0) % _BLOCK_PX
+
+
+def _block_mean(frame: PreparedFrame, x0: int, y0: int, x1: int, y1: int) -> float:
+    """Return the mean grey level of a box, to within a block, from the reduced copy that searches read as well."""
+    n = _BLOCK_PX
+    return float(cv2.mean(frame.reduced(n)[y0 // n : y1 // n, x0 // n : x1 // n])[0])
 
 
 def _levels(dark: NDArray[np.uint8], bright: NDArray[np.uint8]) -> tuple[float, float] | None:

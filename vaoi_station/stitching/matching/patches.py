@@ -57,10 +57,9 @@ def are_inside_both(
 
     `a` and `b` are the shapes of the images.
     """
-    last_a, last_b = (np.array(shape[1::-1]) - MARGIN_PX - 1 for shape in (a, b))
-    at = patch_centres(corners)
-    inside = (np.minimum(at, guess_px) >= MARGIN_PX) & (at <= last_a) & (guess_px <= last_b)
-    return np.asarray(inside.all(1))
+    both = np.hstack([patch_centres(corners), guess_px])
+    last = np.array([a[1], a[0], b[1], b[0]]) - (MARGIN_PX + 1)
+    return np.asarray(((both >= MARGIN_PX) & (both <= last)).all(1))
 
 
 def match_patches(a: NDArray[np.uint8], b: NDArray[np.uint8], corners: NDArray[np.int_], guess_px: Floats) -> Matches:
