@@ -21,6 +21,10 @@ from vaoi_station.geometry import Camera, Projective, System
 from vaoi_station.geometry.transforms import Floats
 
 PARAMETERS = 3
+_CROSS = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64
+)
+"""Product with a vector: the entries of the matrix that multiplies by it as a cross product."""
 
 
 class CameraMatrices(NamedTuple):
@@ -58,15 +62,14 @@ class CameraMatrices(NamedTuple):
         A displaced camera (x, y, turn), (..., n, 3), has the matrix T·N_i. If the working distance is known, T is
         K·R·K⁻¹, the homography of a camera that turned about its projection centre by R.
         """
-        x, y, corner = np.moveaxis(displacement_px, -1, 0)
         # A turn is stated as the motion of the frame's corner.
-        p, q, r = -y / self.focal_px, x / self.focal_px, corner / np.hypot(*(self.center_px + 0.5).T)
-        nil = np.zeros_like(p)
-        cross = np.array([[nil, -r, q], [r, nil, -p], [-q, p, nil]])
-        cross = np.moveaxis(cross, (0, 1), (-2, -1))
+        radius_px = np.hypot(*(self.center_px + 0.5).T)
+        per_px = np.stack([-1 / self.focal_px, 1 / self.focal_px, 1 / radius_px], -1)
+        rotation = displacement_px[..., [1, 0, 2]] * per_px
+        cross = (rotation @ _CROSS).reshape(*rotation.shape, 3)
         # Rodrigues' formula, in a form that is exact for small angles
-        angle = np.sqrt(p * p + q * q + r * r)[..., None, None]
-        motion = np.eye(3) + np.sinc(angle / np.pi) * cross + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (cross @ cross)
+        half = np.sqrt(np.maximum((rotation * rotation).sum(-1), 1e-24))[..., None, None] / 2
+        motion = np.eye(3) + np.sin(2 * half) / (2 * half) * cross + (np.sin(half) / half) ** 2 / 2 * (cross @ cross)
         flat = np.isinf(self.focal_px)
         if flat.any():
             motion[..., :2, 2] += np.where(flat[:, None], displacement_px[..., :2], 0.0)

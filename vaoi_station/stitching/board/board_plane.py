@@ -51,7 +51,12 @@ class BoardPlane:
         f = -1.0 if self.mirrored else 1.0
         return np.array([[a, -b * f, x], [b, a * f, y], [0, 0, 1.0]])
 
-    @property
+    @cached_property
+    def extent(self) -> tuple[Floats, Floats]:
+        """The lowest and the highest corner of the board's extent, in CAD units."""
+        return self.board_type.extent()
+
+    @cached_property
     def fiducials(self) -> Floats:
         """Flat coordinates (k, 2) of the k fiducials of the board type."""
         return self.flat(np.array([(f.x, f.y) for f in self.board_type.fiducials]).reshape(-1, 2))

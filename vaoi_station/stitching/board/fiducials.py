@@ -7,10 +7,12 @@ must lie inside it.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.similarity import apply_similarity
-from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import Mark, find_candidates, locate_mark
 from vaoi_station.marks.candidate_search import reduction_factor
 from vaoi_station.marks.mark_shape import Shape
@@ -30,6 +32,8 @@ from vaoi_station.stitching.board.board_plane import BoardPlane
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import Detections, FrameKey, Task
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
+
+Complex = NDArray[np.complex128]
 
 _MOST_PER_FRAME, _MOST_WHEN_LOST = 12, 80
 """Largest number of detections per frame and kind: at first, and if no board was found among them."""
@@ -269,14 +273,15 @@ def find_board(
         return Failure(few, ReasonCode.TOO_FEW_FIDUCIALS)
     best: Hypothesis | None = None
     nearest: tuple[float, str] = (np.inf, "")
-    for pair in _pairs(plane, places, angle_rad, _SCALE_LIMIT):
+    search = _Search.of(plane, places, angle_rad, expectation)
+    for pair in search.pairs(_SCALE_LIMIT):
         off = max(abs(pair.turn_rad) / expectation.angle_tolerance_rad, abs(pair.scale) / _SCALE_LIMIT)
         if off > 1:
             # This text is used in the message of a failure only. It shows the engineer what was nearly accepted.
             what = f"turned by {np.degrees(pair.turn_rad):.1f}°, scale off by {pair.scale:.2%}"
             nearest = min(nearest, (off, what))
             continue
-        cost, used = _cost(plane, pair, places, expectation)
+        cost, used = search.cost(pair)
         if best is None or cost < best.cost:
             outside = outside_share(plane, pair.c, texture_mm)
             cost += 400.0 * max(outside - 0.02, 0.0)
@@ -296,9 +301,10 @@ def find_rough_places(
 ) -> list[Hypothesis]:
     """List the positions of the board that the detections allow while the motion is uncertain, most likely first."""
     limit, every = _ROUGH_FACTOR * _SCALE_LIMIT, []
-    for pair in _pairs(plane, places, angle_rad, limit):
+    search = _Search.of(plane, places, angle_rad, expectation)
+    for pair in search.pairs(limit):
         if abs(pair.turn_rad) <= expectation.angle_tolerance_rad and abs(pair.scale) <= limit:
-            every.append(Hypothesis(pair.c, *_cost(plane, pair, places, expectation, _ROUGH_FACTOR)))
+            every.append(Hypothesis(pair.c, *search.cost(pair, _ROUGH_FACTOR)))
     every.sort(key=lambda h: h.cost)
     kept: list[Hypothesis] = []
     middle = plane.fiducials.mean(0)[None] if len(plane.fiducials) else np.zeros((1, 2))
@@ -322,45 +328,59 @@ def _pairs_to_try(plane: BoardPlane) -> list[tuple[int, int]]:
     return panel[:_MOST_OWN_PAIRS] + others[:_MOST_PAIRS]
 
 
-def _pairs(plane: BoardPlane, places: FiducialCandidates, angle_rad: float, scale_limit: float) -> Iterator[_Pair]:
-    flat, kinds, mm_per_unit = plane.fiducials, _kind_numbers(plane.board_type), plane.board_type.mm_per_unit
-    at = places.mm @ np.array([1, 1j])
-    for i, j in _pairs_to_try(plane):
-        of_i, of_j = (np.flatnonzero(places.kind == kinds[n]) for n in (i, j))
-        to = complex(*(flat[j] - flat[i]))
-        arrow = at[of_j][None] - at[of_i][:, None]
-        slack = 2 * scale_limit * abs(to) * mm_per_unit + _SLACK_MM
-        for k, n in np.argwhere(np.abs(np.abs(arrow) - abs(to) * mm_per_unit) <= slack).tolist():
-            turn = complex(arrow[k, n]) / to
-            shift = complex(at[of_i[k]]) - turn * complex(*flat[i])
-            c = np.array([turn.real, turn.imag, shift.real, shift.imag])
-            off = float((np.angle(turn) - angle_rad + np.pi) % (2 * np.pi) - np.pi)
-            yield _Pair(c, {i: int(of_i[k]), j: int(of_j[n])}, off, abs(turn) / mm_per_unit - 1)
+class _Search(NamedTuple):
+    """A search of the board among n candidates, with all points as complex numbers x + iy."""
 
+    plane: BoardPlane
+    flat: Complex  # (f,) the fiducials, flat coordinates
+    corners: Complex  # (4,) of the board's extent, flat coordinates
+    at: Complex  # (n,) the candidates, tester coordinates
+    score: Floats  # (n,)
+    alike: NDArray[np.bool_]  # (f, n) whether a candidate is of the kind of a fiducial
+    angle_rad: float
+    expectation: Expectation
 
-def _cost(
-    plane: BoardPlane, pair: _Pair, places: FiducialCandidates, expectation: Expectation, rough: float = 1.0
-) -> tuple[float, tuple[int, ...]]:
-    """Return the cost of a C by scores of the candidates near its fiducials, scale, turn and place, and these."""
-    kinds, cost, used = _kind_numbers(plane.board_type), 0.0, []
-    for f, at in enumerate(apply_similarity(pair.c, plane.fiducials)):
-        k = pair.candidates.get(f, -1)
-        if k < 0:
-            distance = np.where(places.kind == kinds[f], np.hypot(*(places.mm - at).T), np.inf)
-            k = int(distance.argmin())
-            if not distance[k] < rough * _SAME_PLACE_MM:
-                cost += _UNMATCHED_COST
-                continue
-        cost += ((1 - places.score[k]) / _SCORE_SIGMA) ** 2
-        used.append(f)
-    cost += (pair.scale / (rough * _SCALE_SIGMA)) ** 2 + (2 * pair.turn_rad / expectation.angle_tolerance_rad) ** 2
-    low, high = plane.board_type.extent()
-    corners = plane.flat(np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]))
-    corner = apply_similarity(pair.c, corners).min(0)
-    for place, expected in zip(corner.tolist(), expectation.corner_mm, strict=True):
-        if expected is not None:
-            cost += ((place - expected) / expectation.tolerance_mm) ** 2
-    return float(cost), tuple(used)
+    @staticmethod
+    def of(plane: BoardPlane, places: FiducialCandidates, angle_rad: float, expectation: Expectation) -> _Search:
+        """Prepare a search for a board whose x axis is expected in a direction, tester coordinates."""
+        (x0, y0), (x1, y1) = plane.extent
+        corners = plane.flat(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
+        flat, corner, at = (np.asarray(p @ (1, 1j), np.complex128) for p in (plane.fiducials, corners, places.mm))
+        alike = np.array(_kind_numbers(plane.board_type))[:, None] == places.kind
+        return _Search(plane, flat, corner, at, places.score, alike, angle_rad, expectation)
+
+    def pairs(self, scale_limit: float) -> Iterator[_Pair]:
+        """Yield the C of all pairs of candidates whose distance is about that of two fiducials."""
+        flat, mm_per_unit = self.flat.tolist(), self.plane.board_type.mm_per_unit
+        of = [np.flatnonzero(alike) for alike in self.alike]
+        for i, j in _pairs_to_try(self.plane):
+            to = flat[j] - flat[i]
+            arrow = self.at[of[j]] - self.at[of[i]][:, None]
+            slack = 2 * scale_limit * abs(to) * mm_per_unit + _SLACK_MM
+            for k, n in np.argwhere(np.abs(np.abs(arrow) - abs(to) * mm_per_unit) <= slack).tolist():
+                turn = complex(arrow[k, n]) / to
+                shift = complex(self.at[of[i][k]]) - turn * flat[i]
+                c = np.array([turn.real, turn.imag, shift.real, shift.imag])
+                off = (cmath.phase(turn) - self.angle_rad + np.pi) % (2 * np.pi) - np.pi
+                yield _Pair(c, {i: int(of[i][k]), j: int(of[j][n])}, off, abs(turn) / mm_per_unit - 1)
+
+    def cost(self, pair: _Pair, rough: float = 1.0) -> tuple[float, tuple[int, ...]]:
+        """Return the cost of a C by scores of the candidates near its fiducials, scale, turn and place, and these."""
+        a, b, x, y = pair.c.tolist()
+        turn, shift, expectation = complex(a, b), complex(x, y), self.expectation
+        off = np.where(self.alike, np.abs(self.at - (turn * self.flat + shift)[:, None]), np.inf)
+        for fiducial, candidate in pair.candidates.items():
+            off[fiducial, candidate] = -1.0
+        nearest = off.argmin(1)
+        used = np.flatnonzero(off[np.arange(len(off)), nearest] < rough * _SAME_PLACE_MM)
+        cost = float((((1 - self.score[nearest[used]]) / _SCORE_SIGMA) ** 2).sum())
+        cost += _UNMATCHED_COST * (len(off) - len(used))
+        cost += (pair.scale / (rough * _SCALE_SIGMA)) ** 2 + (2 * pair.turn_rad / expectation.angle_tolerance_rad) ** 2
+        corners = turn * self.corners + shift
+        for place, expected in zip((corners.real.min(), corners.imag.min()), expectation.corner_mm, strict=True):
+            if expected is not None:
+                cost += ((float(place) - expected) / expectation.tolerance_mm) ** 2
+        return cost, tuple(used.tolist())
 
 
 def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
@@ -369,11 +389,12 @@ def outside_share(plane: BoardPlane, c: Floats, texture_mm: Floats) -> float:
     # A fixture has texture beside the board, so texture there is no sign of a wrong C.
     if board_type.outline is None or board_type.fixture_marks or not len(texture_mm):
         return 0.0
-    low, high = board_type.extent()
-    margin = _TEXTURE_MARGIN_MM / board_type.mm_per_unit
-    x, y = apply(np.linalg.inv(plane.matrix(c)), texture_mm).T
-    (x0, y0), (x1, y1) = low - margin, high + margin
-    return float(((x < x0) | (x > x1) | (y < y0) | (y > y1)).mean())
+    (x0, y0), (x1, y1) = plane.extent
+    margin, (a, b, x, y) = _TEXTURE_MARGIN_MM / board_type.mm_per_unit, c.tolist()
+    flat = (texture_mm @ (1, 1j) - complex(x, y)) / complex(a, b)
+    u, v = flat.real, -flat.imag if plane.mirrored else flat.imag
+    off = (u < x0 - margin) | (u > x1 + margin) | (v < y0 - margin) | (v > y1 + margin)
+    return float(off.mean())
 
 
 def assign_fiducials(

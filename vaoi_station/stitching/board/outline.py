@@ -315,7 +315,7 @@ def _steps(profiles: Floats) -> Floats:
 def _voted(steps: Floats, normal: Floats) -> Floats:
     tries = np.arange(-_VOTES, _VOTES + 1) * _VOTE_MM
     weight, grid = np.minimum(steps, _MOST_STEP), np.asarray(tries, np.float64)
-    votes = _vote_histogram(weight, normal, grid, _STEP_MM)
+    votes = _vote_histogram(weight, normal, grid)
     i, j = np.unravel_index(int(votes.argmax()), votes.shape)
     shift, near = np.array([tries[j], tries[i]]), np.abs(tries) <= _LIMIT_MM + _VOTE_MM / 2
     if near[i] and near[j]:
@@ -327,27 +327,23 @@ def _voted(steps: Floats, normal: Floats) -> Floats:
         (across > _MOVED_MM, _OPPOSED),
         (across < -_MOVED_MM, _OPPOSED),
     ):
-        support = _vote_histogram(weight[some], normal[some], grid, _STEP_MM)
+        support = _vote_histogram(weight[some], normal[some], grid)
         if support[i, j] < least * support[np.ix_(near, near)].max():
             row, column = np.unravel_index(int(votes[np.ix_(near, near)].argmax()), (near.sum(), near.sum()))
             return np.array([tries[near][column], tries[near][row]])
     return shift
 
 
-@compiled
-def _vote_histogram(steps: Floats, normal: Floats, tries: Floats, step_mm: float) -> Floats:
+def _vote_histogram(steps: Floats, normal: Floats, tries: Floats) -> Floats:
     """Sum the steps (k, samples) of all pieces for every shift: (t, t), shifts along y by shifts along x."""
-    count, samples = len(tries), steps.shape[1]
-    # Samples are added at the ends of the line, so that no shift reads beyond it and the inner loop needs no test.
-    out, far = np.zeros((count, count)), int(2 * np.abs(tries).max() / step_mm) + 1
-    line = np.zeros(samples + 2 * far)
-    for k in range(len(steps)):
-        line[far : far + samples] = steps[k]
-        across = normal[k, 0] / step_mm
-        for i in range(count):
-            first, to = far + samples // 2 + normal[k, 1] * tries[i] / step_mm + 0.5, out[i]
-            for j in range(count):
-                to[j] += line[int(first + across * tries[j])]
+    # Samples are added at the ends of the lines, so that no shift reads beyond them.
+    out, far = np.zeros((len(tries), len(tries))), int(2 * np.abs(tries).max() / _STEP_MM) + 1
+    # Pieces of one direction, of which a board has few, are summed first.
+    ways, side = np.unique(np.round(normal, 9) @ (1, 1j), return_inverse=True)
+    for number, way in enumerate(ways.tolist()):
+        line = np.pad(steps[side == number].sum(0), far)
+        at = (way.imag * tries[:, None] + way.real * tries) / _STEP_MM
+        out += line[(at + (far + steps.shape[1] // 2 + 0.5)).astype(np.int_)]
     return out
 
 
@@ -359,17 +355,26 @@ def _fitted(middle: Floats, normal: Floats, steps: Floats, shift: Floats) -> Out
         return None
     offset, n, arm = (offset[use] - _REACH) * _STEP_MM, normal[use], middle[use] - middle.mean(0)
     j = np.column_stack([n, arm[:, 0] * n[:, 1] - arm[:, 1] * n[:, 0], np.ones(len(n))])
-    weight, solved, scatter = np.ones(len(n)), np.zeros(4), _PIECE_SIGMA_MM
+    weight, scatter, prior = np.ones(len(n)), _PIECE_SIGMA_MM, np.diag(_PRIOR**-2.0)
     for _ in range(_ROUNDS):
-        inverse = np.linalg.inv((j * (weight / scatter**2)[:, None]).T @ j + np.diag(_PRIOR**-2.0))
-        solved = inverse @ (j.T @ (weight / scatter**2 * offset))
+        weighted = j.T * (weight / scatter**2)
+        normal = weighted @ j + prior
+        solved = np.linalg.solve(normal, weighted @ offset)
         residual = offset - j @ solved
         # 1.4826: from the median absolute deviation to the standard deviation of a normal distribution.
         scatter = max(1.4826 * float(np.median(np.abs(residual))), _PIECE_SIGMA_MM)
         weight = huber_weights(residual / scatter, _KNEE)
+    inverse = np.linalg.inv(normal)
     # A cutting error moves all pieces together, so the residuals of the fit do not show it.
     covariance, turn_sigma = inverse[:2, :2] + _MACHINED_MM**2 * np.eye(2), float(np.sqrt(inverse[2, 2]))
-    return OutlineShift(solved[:2], covariance, float(solved[2]), turn_sigma, float(np.hypot(*arm.T).max()), len(n))
+    return OutlineShift(
+        np.asarray(solved[:2], np.float64),
+        covariance,
+        float(solved[2]),
+        turn_sigma,
+        float(np.hypot(*arm.T).max()),
+        len(n),
+    )
 
 
 def _edges(steps: Floats, expected: Floats) -> tuple[Floats, Floats]:
