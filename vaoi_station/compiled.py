@@ -77,6 +77,31 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", _Deferred(function, partial(_jit, inline="always")))
 
 
+def _prefetch_intrinsic(_: Callable[..., Any]) -> Any:
+    from llvmlite import ir  # type: ignore[import-untyped]
+    from numba import types
+    from numba.extending import intrinsic
+
+    def prefetch(_context: Any, address: Any) -> Any:  # noqa: ARG001  (Numba takes the names of arguments)
+        def generate(_compiler: Any, builder: Any, _signature: Any, arguments: Any) -> None:
+            byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+            form = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+            instruction = builder.module.declare_intrinsic("llvm.prefetch", [byte], form)
+            # of data, to read them, into all levels of the cache
+            builder.call(instruction, [builder.inttoptr(arguments[0], byte), number(0), number(3), number(1)])
+
+        return types.void(types.uintp), generate
+
+    return intrinsic(prefetch)
+
+
+def _prefetch(address: int) -> None:
+    """Let the processor read the cache line at an address (`array.ctypes.data`) while compiled code computes."""
+
+
+prefetch = cast("Callable[[int], None]", _Deferred(_prefetch, _prefetch_intrinsic))
+
+
 def _jit(function: Callable[..., Any], **options: Any) -> Any:
     import numba
 

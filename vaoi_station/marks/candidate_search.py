@@ -56,16 +56,8 @@ def find_candidates(
     image = np.ascontiguousarray(image).view()
     # Numba compiles separate versions for writeable and read-only arrays, so all images are passed as read-only.
     image.flags.writeable = False
-    hits = _scan_candidates(image, template, ring, near, _MIN_CORRELATION)
-    apart = max(round(size_px / 2), 1)
-    order = np.argsort(-hits[:, 2], kind="stable")
-    best: list[int] = []
-    x, y = hits[order, :2].T
-    while len(order) and len(best) < most:
-        best.append(order[0])
-        left = (np.abs(x - x[0]) > apart) | (np.abs(y - y[0]) > apart)
-        order, x, y = order[left], x[left], y[left]
-    return hits[best, :2], hits[best, 2]
+    found = _scan_candidates(image, template, ring, near, _MIN_CORRELATION, max(round(size_px / 2), 1), most)
+    return found[:, :2], found[:, 2]
 
 
 @lru_cache(maxsize=64)
@@ -89,9 +81,17 @@ def _template(shape: Shape, size_px: float, arm: float) -> tuple[NDArray[np.floa
 
 @compiled
 def _scan_candidates(
-    image: NDArray[np.uint8], template: NDArray[np.float32], ring: NDArray[np.int_], near: int, least_score: float
+    image: NDArray[np.uint8],
+    template: NDArray[np.float32],
+    ring: NDArray[np.int_],
+    near: int,
+    least_score: float,
+    apart: int,
+    most: int,
 ) -> Floats:
     """Find pixels that differ from the rim around them and match the template: x, y and absolute correlation, (k, 3).
+
+    At most `most` are returned, the best first, and of those within `apart` pixels along both axes only the best one.
 
     `template` (s, s), s odd, has mean 0 and square sum 1; `ring` (_RING, 2) are the offsets of the rim in whole pixels,
     the first one along x; `near` is the distance, along the axes, of four pixels that belong to the core of a mark.
@@ -121,7 +121,25 @@ def _scan_candidates(
                 found = larger
             found[count, 0], found[count, 1], found[count, 2] = x, y, score
             count += 1
-    return found[:count]
+    return _best_apart(found, count, apart, most)
+
+
+@inlined
+def _best_apart(found: Floats, count: int, apart: int, most: int) -> Floats:
+    """Return at most `most` of the first `count` places, the best first, of close ones the best; scores are erased."""
+    best = np.empty((most, 3))
+    for k in range(most):
+        top = 0
+        for n in range(count):
+            if found[n, 2] > found[top, 2]:
+                top = n
+        if count == 0 or found[top, 2] <= 0:
+            return best[:k]
+        best[k, 0], best[k, 1], best[k, 2] = found[top, 0], found[top, 1], found[top, 2]
+        for n in range(count):
+            if abs(found[n, 0] - best[k, 0]) <= apart and abs(found[n, 1] - best[k, 1]) <= apart:
+                found[n, 2] = 0.0
+    return best
 
 
 @inlined

@@ -63,13 +63,28 @@ def _best_of_cells(
     score = np.zeros((ny * height, columns), np.float32)
     _corners(image, x0, y0, score)
     best, at = np.zeros(nx * ny, np.float32), np.zeros((nx * ny, 2), np.int64)
-    for n in range(nx * ny):
-        left, top = n % nx * width, n // nx * height
-        best[n] = -1.0
-        for y in range(top, top + height):
+    # Columns first, because their best values are computed in vector instructions.
+    columns_best = np.empty(columns, np.float32)
+    for j in range(ny):
+        top = j * height
+        for x in range(columns):
+            columns_best[x] = score[top, x]
+        for y in range(top + 1, top + height):
+            for x in range(columns):
+                columns_best[x] = max(columns_best[x], score[y, x])
+        for i in range(nx):
+            n, left = j * nx + i, i * width
+            best[n], at[n, 1] = columns_best[left], y0 + top + height
             for x in range(left, left + width):
-                if score[y, x] > best[n]:
-                    best[n], at[n, 0], at[n, 1] = score[y, x], x0 + x, y0 + y
+                best[n] = max(best[n], columns_best[x])
+            for x in range(left, left + width):
+                if columns_best[x] == best[n]:
+                    y = top
+                    while score[y, x] != best[n]:
+                        y += 1
+                    # of equal pixels the first one, line by line
+                    if y0 + y < at[n, 1]:
+                        at[n, 0], at[n, 1] = x0 + x, y0 + y
     return best, at
 
 
