@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -19,7 +18,6 @@ from vaoi_station.acquisition.controller.interface import (
     RunEnded,
     TriggerPlan,
 )
-from vaoi_station.acquisition.pairing.evidence import MAX_FRAME_ID
 from vaoi_station.acquisition.process.messages import (
     BoardMissed,
     FireOne,
@@ -32,21 +30,14 @@ from vaoi_station.acquisition.process.messages import (
 )
 from vaoi_station.acquisition.ring import OK
 from vaoi_station.acquisition.simulated import (
-    FIRST_ID,
-    JITTER_S,
     SimulatedCamera,
     SimulatedController,
-    barrier_edges,
-    predict_pulses,
 )
 from vaoi_station.config import StationConfig
 from vaoi_station.model import Verdict
 from vaoi_station.simulation import Passage, Twin, calibration_board, read_scenario
-from vaoi_station.simulation.scenario import SpeedChange
 
-PIXELS = np.full(64, 200, np.uint8)
 CLOCK = DeviceClock(offset_s=3600.0, drift_ppm=40.0)
-TIMEOUT_S = 10.0
 
 
 @pytest.fixture
@@ -63,46 +54,6 @@ def camera(arrivals: SimpleQueue[Any]) -> Iterator[SimulatedCamera]:
     camera.start(arrivals)
     yield camera
     camera.close()
-
-
-def past_s() -> float:
-    """Return a pulse time whose transfer is over already, so that its frame arrives at once."""
-    return time.monotonic() - 1.0
-
-
-def test_ids_wrap_to_1_and_a_lost_frame_is_counted(camera: SimulatedCamera, arrivals: SimpleQueue[Any]) -> None:
-    count = MAX_FRAME_ID - FIRST_ID + 3
-    start_s = past_s()
-    for n in range(count):
-        camera.trigger(start_s + n * (JITTER_S + 1e-3), PIXELS, lost=n == 2)
-    ids = [arrivals.get(timeout=TIMEOUT_S).frame_id for _ in range(count - 1)]
-    expected = [FIRST_ID + n for n in range(MAX_FRAME_ID - FIRST_ID + 1) if n != 2] + [1, 2]
-    assert ids == expected
-    with pytest.raises(Empty):
-        arrivals.get_nowait()
-
-
-@pytest.fixture
-def make_twin(tmp_path: Path, tiny: str) -> Callable[[str], Twin]:
-    """Return a function that makes the tiny twin with faults."""
-
-    def make(faults: str = "") -> Twin:
-        (tmp_path / "board.toml").write_text(tiny + faults)
-        return Twin(read_scenario(tmp_path / "board.toml"))
-
-    return make
-
-
-def test_pulses_follow_the_counts_of_a_belt_that_stops(make_twin: Callable[..., Twin]) -> None:
-    """The controller's rule and the twin's own timetable agree, row by row."""
-    twin = make_twin()
-    line = twin.scenario.line.model_copy(update={"encoder_counts_per_mm": 20.0})
-    belt = twin.scenario.belt.model_copy(update={"changes": (SpeedChange(at_s=0.12, for_s=0.3, factor=0.0),)})
-    passage = Twin(twin.scenario.model_copy(update={"line": line, "belt": belt})).passage(0)
-    pulses = predict_pulses(barrier_edges(passage), TriggerPlan.of(passage.twin.line), passage.encoder)
-    assert [p.time_s for p in pulses] == pytest.approx(passage.pulse_times_s, abs=1e-9)
-    assert len(pulses) == passage.rows > 2
-    assert max(np.diff([p.time_s for p in pulses])) > 0.3
 
 
 @pytest.fixture
@@ -237,53 +188,6 @@ def test_every_fault_ends_as_a_verdict_with_its_cause(start: Start, make_config:
                 assert bench.ring.layout.place(frame.slot)[0] == finished.bay
                 assert np.array_equal(bench.ring.frame(frame.slot), board.frame(frame.camera, frame.row))
     assert {f.verdict for f in second.frames} == {Verdict.OK}
-
-
-TRIGGER = """
-[[faults.ignored_triggers]]
-board = 0
-camera = 0
-row = 2
-[[faults.extra_frames]]
-board = 1
-camera = 1
-row = 1
-after_s = 0.022
-[[faults.exchanged_frames]]
-board = 2
-camera = 1
-row = 2
-[[faults.free_running]]
-board = 3
-camera = 0
-interval_s = 0.033
-"""
-
-
-def test_trigger_faults_are_found(start: Start, make_config: Config, tiny: str) -> None:
-    """Check that board 4 has no finding and the camera without faults is proven in every run."""
-    bench = start(make_config(tiny + TRIGGER))
-    bench.arm(runs=3)
-    runs = []
-    for n in range(5):
-        runs.append(bench.until(RunFinished))
-        if n < 2:
-            bench.grant(f"run {n + 3}", runs[-1].bay)
-    runs.sort(key=lambda finished: str(finished.run))  # those that wait for a frame finish later
-    for finished, faulty in zip(runs, (0, 1, 1, 0, None), strict=True):
-        for frame in finished.frames:
-            assert (frame.verdict is Verdict.OK and not frame.cause) or frame.camera == faulty
-    proofs = [finished.proof for finished in runs]
-    named = [{(f.camera, f.row, f.kind) for f in proof.findings} for proof in proofs]
-    assert named[0] == {(0, 2, "ignored-trigger")}
-    assert named[1] == {(1, 1, "extra-frame")}
-    assert named[2] == {(1, 2, "exchanged"), (1, 3, "early")}
-    assert named[3] == {(0, None, "runs-freely")}
-    assert named[4] == set()
-    assert [p.proven for p in proofs] == [True, True, False, False, True]
-    for proof in proofs:
-        for camera in proof.cameras:
-            assert camera.max_residual_us is None or not camera.proven or camera.max_residual_us < 20
 
 
 def test_a_board_without_memory_is_missed_and_the_next_is_filmed(start: Start, make_config: Config) -> None:

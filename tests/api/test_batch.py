@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import threading
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.api.held.replies import RUNS, documents, unpacked
-from vaoi_station.api.batch import PARTS_AHEAD, CutThreads, stream
+from vaoi_station.api.batch import PARTS_AHEAD, stream
 from vaoi_station.runs.batches.batch_job import CutPart
 from vaoi_station.runs.batches.batches import Batch, BatchPart
 from vaoi_station.runs.batches.containers import CONTAINERS, MEDIA_TYPES, Member, Packed, pack
@@ -110,30 +109,5 @@ def test_a_reader_that_waits_stops_the_work() -> None:
         assert len(begun) <= PARTS_AHEAD
         await answer.aclose()  # type: ignore[attr-defined]  # it is a generator
         assert len(begun) <= PARTS_AHEAD
-
-    asyncio.run(check())
-
-
-def test_a_part_whose_reader_has_gone_keeps_its_thread() -> None:
-    async def check() -> None:
-        begun, ready, may_end = [], threading.Event(), threading.Event()
-
-        def cut(_: Batch, part: BatchPart) -> tuple[CutPart, None]:
-            begun.append(part.image)
-            ready.set()
-            may_end.wait()
-            return reply(b"x"), None
-
-        threads, whole = CutThreads(1), batch(3)
-        left = asyncio.ensure_future(threads.ask(cut, whole, BatchPart((), 0)))
-        await asyncio.to_thread(ready.wait)
-        left.cancel()
-        waiting, last = (asyncio.ensure_future(threads.ask(cut, whole, BatchPart((), k))) for k in (1, 2))
-        await asyncio.wait([left])
-        waiting.cancel()
-        assert begun == [0]
-        may_end.set()
-        assert (await last)[0].images == 1
-        assert begun == [0, 2]
 
     asyncio.run(check())

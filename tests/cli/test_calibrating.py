@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.calibrations import read_layout
 from vaoi_station.files.images import read_image
-from vaoi_station.photometry import FlatFields
 from vaoi_station.simulation import Scenario, Twin, read_scenario, scenario_path
 from vaoi_station.simulation.calibration_board import write_calibration_recording
 from vaoi_station.simulation.recording_writer import write_passage
@@ -97,20 +95,6 @@ def test_missing_options_are_named(film: Path, tmp_path: Path) -> None:
         _run(film, "--out", tmp_path / "c.json", "--row", "3")
 
 
-def test_recording_of_several_rows_needs_a_row(film: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "film"
-    shutil.copytree(film, copy)
-    head = json.loads((copy / "recording.json").read_text())
-    (copy / "recording.json").write_text(json.dumps(head | {"rows": 2, "missing": [[0, 0], [1, 0]]}))
-    for camera in range(2):
-        (copy / "frames" / f"c{camera:02d}_r000.png").rename(copy / "frames" / f"c{camera:02d}_r001.png")
-    with pytest.raises(InputError, match=r"rows is 2, but must be 1\. Choose one row with --row"):
-        _run(copy, "--out", tmp_path / "c.json")
-    with pytest.raises(InputError, match="camera 0: its frame of the calibration board is listed as missing"):
-        _run(copy, "--out", tmp_path / "c.json", "--row", "0")
-    _run(copy, "--out", tmp_path / "c.json", "--row", "1")
-
-
 def _design(*arguments: str | Path) -> str:
     result = CliRunner().invoke(app, ["calibration-board", *map(str, arguments)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
@@ -161,18 +145,6 @@ def test_recordings_correct_a_displaced_camera(vaoi: Vaoi, cases: list[Path], tm
     assert (after.camera_matrices[0] == before.camera_matrices[0]).all()
     assert after.camera_matrices[2][1, 2] - before.camera_matrices[2][1, 2] == pytest.approx(-7.33, abs=0.1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new-difference.png", "new.json"]
-
-
-def test_flat_fields_are_written_with_their_figures(vaoi: Any, tmp_path: Path) -> None:
-    white_recordings.film(tmp_path / "white", white(120), lights=("even", "left"), rows=8)
-    white_recordings.film(tmp_path / "dark", white(0))
-    out = tmp_path / "flat"
-    said = vaoi("flatfield", tmp_path / "white", "--dark", tmp_path / "dark", "--out", out)
-    assert (said.code, said.err) == (0, "")
-    assert "camera 1: dark level 3.0" in said.out
-    assert "camera 0 under 'left': 0.4" in said.out
-    assert f"4 flat fields → {out}" in said.out
-    assert FlatFields.open(out).lights == ("even", "left")
 
 
 def test_unfit_targets_and_existing_paths_are_refused(vaoi: Any, tmp_path: Path) -> None:

@@ -10,9 +10,7 @@ from typing import Any
 import pytest
 
 from tests.plant.conftest import recording
-from vaoi_station.plant import cluster
 from vaoi_station.plant.archive import Archive, RunLabel
-from vaoi_station.plant.cluster import ClusterOptions, cluster_address, connection
 
 __all__ = ["recording"]
 
@@ -95,27 +93,6 @@ def test_wrong_options_and_an_absent_scheduler_are_named(
 ) -> None:
     done = vaoi("restitch", archive.url, "--out", tmp_path / "out", *options)
     assert (done.code, text in done.err) == (code, True), done.err
-
-
-def pretend_to_be_old() -> None:
-    """Run on a worker: have it state the software of a former release."""
-    setattr(cluster, "software", lambda: "vaoi_station 0.0.1")  # noqa: B010  (runs in the worker)
-
-
-def test_a_worker_with_other_software_is_named_and_the_exit_code_says_so(
-    vaoi: Callable[..., Any], archive: Archive, tmp_path: Path
-) -> None:
-    with cluster_address(ClusterOptions(workers=2)) as address, connection(address, 120) as client:
-        client.wait_for_workers(2, timeout=120)
-        link = client.dashboard_link
-        other, _ = client.scheduler_info()["workers"]
-        client.run(pretend_to_be_old, workers=[other])
-        done = vaoi("restitch", archive.url, "--out", tmp_path / "out", "--scheduler", address, "--patience", "120")
-    assert done.code == 1, done.err
-    assert f"worker {other} is not used: it has vaoi_station 0.0.1, but must have" in done.err
-    assert "1 of 1 runs stitched" in done.out
-    assert f"dashboard: {link}" in done.out
-    assert len(json.loads((tmp_path / "out" / "left-out.json").read_text())) == 1
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -208,32 +205,6 @@ def test_wrong_options_are_refused_and_nothing_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_map_is_written_beside_the_heights_and_a_region_off_the_board_is_refused(
-    vaoi: Any, case: tuple[Path, Path], tmp_path: Path
-) -> None:
-    run, result = case
-    part = next(c for c in json.loads((run / "board.json").read_text())["components"] if c["ref"] == "U2")
-    (x, y), w, h = part["center"], part["width"] / 2, part["height"] / 2
-    out, region = tmp_path / "heights.json", (x - w, y - h, x + w, y + h)
-    said = vaoi("heights", run, "--result", result, "--out", out, "--map", *region)
-    assert (said.code, said.err) == (0, "")
-    heights, sigma = (cv2.imread(str(tmp_path / f"heights.map{name}.tiff"), -1) for name in ("", "-sigma"))
-    assert heights is not None
-    assert sigma is not None
-    assert heights.dtype == np.float32
-    assert heights.shape == sigma.shape
-    middle = heights[heights.shape[0] // 3 : -(heights.shape[0] // 3), heights.shape[1] // 3 : -(heights.shape[1] // 3)]
-    truth = json.loads((run / "truth.json").read_text())["heights"]["U2"]
-    assert np.nanmedian(middle) == pytest.approx(truth, abs=0.15)
-    assert read_image(tmp_path / "heights.map.png").ndim == 3
-    assert "image_from_cad" in json.loads((tmp_path / "heights.map.json").read_text())
-    said = vaoi("heights", run, "--result", result, "--out", tmp_path / "no.json", "--map", 900, 900, 910, 910)
-    assert said.code == 2
-    assert "region is [900.0, 900.0, 910.0, 910.0]" in said.err
-    assert "must be on the board" in said.err
-    assert not (tmp_path / "no.json").exists()
-
-
 @pytest.fixture(scope="module")
 def coded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A recording of a small board with a code, and its result from the truth."""
@@ -252,50 +223,3 @@ def record(folder: Path, code: dict[str, Any]) -> tuple[Path, Path]:
     keys = ("image_matrices", "cad_matrix", "row_motion")
     write_stitch(folder / "result.json", Stitch(method="auto", status=Status.OK, **{key: truth[key] for key in keys}))
     return folder / "run", folder / "result.json"
-
-
-def test_code_is_printed_and_compared(vaoi: Any, coded: tuple[Path, Path], tmp_path: Path) -> None:
-    run, result = coded
-    said = vaoi("identify", run, "--result", result, "--expect", "SN000042", "--out", tmp_path / "identity.json")
-    assert (said.code, said.err) == (0, "")
-    first, last = said.out.splitlines()
-    assert first.startswith("datamatrix 'coded;SN000042' at (")
-    assert first.endswith(" 0 % of the error correction used")
-    assert last == "identity: agrees, board 'SN000042'"
-    document = json.loads((tmp_path / "identity.json").read_text())
-    assert (document["state"], document["codes"][0]["symbology"]) == ("agrees", "datamatrix")
-    said = vaoi("identify", run, "--result", result, "--expect", "SN1")
-    assert said.code == 0
-    assert "board-id-differs: The board's code states 'SN000042', the line was armed with 'SN1'." in said.out
-    assert "identity: differs" in said.out
-
-
-def test_shifted_and_mirrored_data_are_corrected_to_those_of_the_twin(
-    vaoi: Any, case: tuple[Path, Path], tmp_path: Path
-) -> None:
-    run, result = case
-    truth = json.loads((run / "board.json").read_text())
-    wrong = json.loads(json.dumps(truth))
-    for part in wrong["components"]:
-        part["center"] = [48.0 - part["center"][0], part["center"][1] + 1.5]
-        part["rotation"] = 180 - part["rotation"]
-    (tmp_path / "wrong.json").write_text(json.dumps(wrong | {"outline": None}))
-    out, corrected, picture = tmp_path / "check.json", tmp_path / "corrected.json", tmp_path / "check.png"
-    said = vaoi(
-        "check-board", run, "--result", result, "--board-type", tmp_path / "wrong.json", "--out", out,
-        "--corrected", corrected, "--revision", "C", "--picture", picture,
-    )  # fmt: skip
-    assert (said.code, said.err) == (0, "")
-    assert "check: the components lie mirrored" in said.out
-    report = json.loads(out.read_text())
-    assert report["format"] == "vaoi-board-check"
-    assert report["moved"] == ["components"], "the fiducials are where they are stated"
-    proposal = json.loads(corrected.read_text())
-    assert (proposal["state"], proposal["revision"]) == ("draft", "C")
-    pairs = list(zip(proposal["components"], truth["components"], strict=True))
-    assert max(math.dist(a["center"], b["center"]) for a, b in pairs) < 0.03
-    assert {round(a["rotation"] - b["rotation"]) % 360 for a, b in pairs} == {0}
-    assert read_image(picture).ndim == 3
-    again = vaoi("check-board", run, "--result", result, "--board-type", run / "board.json", "--out", out)
-    assert again.code == 2
-    assert "exists" in again.err

@@ -155,19 +155,6 @@ def test_exit_code_and_text(vaoi: Callable[..., Result], tmp_path: Path) -> None
     assert "2 faults" in done.out
 
 
-def test_a_configuration_in_utf_16_without_a_mark_is_a_fault_with_an_action(
-    vaoi: Callable[..., Result], tmp_path: Path
-) -> None:
-    path, _ = write_station_files(scenario_path("small"), tmp_path)
-    path.write_bytes(path.read_text().encode("utf-16-le"))
-    done = vaoi("check-config", path)
-    assert (done.code, "station.toml: has a zero character" in done.out, "Save it as UTF-8" in done.out) == (
-        2,
-        True,
-        True,
-    ), done
-
-
 @pytest.mark.parametrize(
     ("finding", "code"),
     [(ok("fine"), 0), (warning("x", "slow", "Hurry."), 1), (fault("x", "broken", "Repair it."), 2)],

@@ -132,27 +132,6 @@ def test_two_files_that_are_written_at_once_are_both_complete(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == [target]
 
 
-@pytest.fixture
-def board_types() -> Iterator[vaoi.StationBoardTypes]:
-    station = HeldStation()
-    station.film()
-    served = Served(station)
-    yield vaoi.connect(served.url).board_types
-    served.stop()
-
-
-def test_a_change_with_the_tag_of_an_earlier_version_is_refused(board_types: vaoi.StationBoardTypes) -> None:
-    board, tag = board_types.get_tagged("demo-board")
-    changed = board.model_copy(update={"revision": "B"})
-    assert board_types.put(changed, tag=tag).revision == "B"
-    with pytest.raises(vaoi.VaoiError) as refusal:
-        board_types.put(board, tag=tag)
-    assert refusal.value.code == "changed"
-    with pytest.raises(vaoi.VaoiError) as refusal:
-        board_types.put(board, new=True)
-    assert refusal.value.code == "changed"
-
-
 async def whole_cycle(served: Served) -> None:
     station = await vaoi.connect_async(served.url)
     assert (await station.arm("demo-board", board_id="SN-2", runs=1))["state"] == "armed"

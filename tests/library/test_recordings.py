@@ -74,18 +74,6 @@ def test_directions_and_coverage_are_those_of_the_simulator(
     assert checked > 20
 
 
-def test_the_pictures_of_all_components_are_those_of_each(stitched: vaoi.StitchedRun) -> None:
-    pictures = stitched.all_pictures(min_coverage=0.3)
-    assert tuple(pictures) == stitched.refs
-    for ref, found in pictures.items():
-        expected = [image.pixels for image in stitched.component(ref, min_coverage=0.3)]
-        assert len(found) == len(expected)
-        assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
-    assert stitched.all_pictures(px_per_mm=4.0)["U1"][0].shape < pictures["U1"][0].shape
-    with pytest.raises(vaoi.InputError, match="px_per_mm"):
-        stitched.all_pictures(px_per_mm=-1.0)
-
-
 def test_a_saved_result_comes_back_equal(
     recording: vaoi.RecordedRun, stitched: vaoi.StitchedRun, tmp_path: Path
 ) -> None:

@@ -67,16 +67,6 @@ def recorded(recording: Path, kept: Path, verdict: str, identity: dict[str, str]
     return kept
 
 
-def test_a_run_whose_codes_are_still_to_be_read_is_refused(tmp_path: Path, recording: Path) -> None:
-    kept = recorded(recording, tmp_path / "kept", "ok", {"state": "pending"}, "S7")
-    archive = Archive.create(tmp_path / "archive")
-    with pytest.raises(InputError, match="the verdict is not final until the codes of the board are read"):
-        archive.add(kept)
-    assert list(archive.storage.entries("blobs")) == []
-    recorded(recording, kept, "ok", {"state": "agrees", "board_id": "S8"}, "S7")
-    assert archive.add(kept).serial == "S8", "the id on the board, not that with which the line was armed"
-
-
 def test_a_later_record_lowers_the_verdict_of_an_archived_run_and_never_raises_it(
     tmp_path: Path, recording: Path
 ) -> None:
@@ -183,13 +173,6 @@ def test_a_reference_that_was_archived_stays(tmp_path: Path, recording: Path) ->
     assert (lowered.verdict, lowered.reference) == ("degraded", added.reference)
 
 
-def test_a_reference_that_is_incomplete_is_not_archived(tmp_path: Path, recording: Path) -> None:
-    run = placed(recording, tmp_path / "data", "a")
-    taught = Path(shutil.copytree(recording, tmp_path / "data" / "references" / "taught"))
-    (taught / "frames" / "c00_r001.png").unlink()
-    assert Archive.create(tmp_path / "archive").add(run).reference is None
-
-
 def test_an_addition_whose_manifest_waits_too_long_is_given_up(
     tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,20 +190,6 @@ def test_an_addition_whose_manifest_waits_too_long_is_given_up(
         Archive(PacedStorage(archive.storage, pace)).add(recording, label=RunLabel(run="after"))
     assert len(writes) == 2
     assert list(archive.runs()) == [kept]
-
-
-def test_folders_of_other_programs_are_reported_once_and_runs_are_read(tmp_path: Path) -> None:
-    storage = LocalStorage(tmp_path)
-    run = ArchivedRun(
-        run="r", station="s", time="9999-12-31T23:00:00Z", board_type="t", pixels=8, documents={}, frames=()
-    )
-    storage.write(run.key, run.text().encode())
-    for name in ("a.jpg", "b.jpg"):
-        storage.write(f"runs/s/@eaDir/{name}", b"")
-    faults: list[ArchiveFault] = []
-    assert list(Archive(storage).runs(RunSelection(until="9999-12-31"), faults.append)) == [run]
-    [fault] = faults
-    assert "runs/s/@eaDir: is no day" in fault.what
 
 
 def test_selected_runs_that_are_half_written_are_reported(tmp_path: Path) -> None:

@@ -5,12 +5,9 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
-from unittest.mock import Mock
 
 import pytest
 from distributed import LocalCluster
@@ -18,7 +15,6 @@ from distributed import LocalCluster
 from tests.plant.conftest import add_runs, task_of
 from vaoi_station import RecordedRun
 from vaoi_station.errors import DeviceError, InputError, StateError
-from vaoi_station.plant import cluster as module
 from vaoi_station.plant.archive import Archive
 from vaoi_station.plant.cluster import (
     ClusterOptions,
@@ -31,37 +27,6 @@ from vaoi_station.plant.cluster import (
     software,
 )
 from vaoi_station.plant.restitch import RunTask, Terms, read_outcome, restitch_run
-
-
-def test_a_worker_that_is_started_again_under_its_address_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Process a has old software; b is updated, but ends with its run; c gets that run once it was asked."""
-    process: dict[str, Any] = {"local_directory": "a", "nthreads": 1}
-    asked, kept, reported = list[str](), list[bytes](), list[str]()
-
-    def submit(function: Callable[..., Any], *_: object, **__: object) -> Mock:
-        future, now = Mock(), process["local_directory"]
-        if function is run and now == "b":
-            process["local_directory"] = "c"
-            return future
-        if function is not run:
-            asked.append(now)
-            process["local_directory"] = "b" if now == "a" else now
-        future.result.return_value = b"done" if function is run else "it is old" if now == "a" else ""
-        future.add_done_callback = lambda call: call(future)
-        return future
-
-    def run(_: Any) -> bytes:
-        raise AssertionError("it is not called here")
-
-    looks = iter([{"workers": {"tcp://w:1": process}}] * 500)  # bounded: a run that is lost must not be waited for
-    client = SimpleNamespace(status="running", submit=submit, scheduler=Mock(), sync=lambda *_, **__: next(looks))
-    monkeypatch.setattr(module, "connection", lambda *_: nullcontext(client))
-    monkeypatch.setattr(module, "_LOOK_S", 0.01)
-    task: Any = SimpleNamespace(archive="archive", key="r1")
-    dispatch: Dispatch[Any] = Dispatch("new", run, lambda _, outcome: kept.append(outcome), refuse, reported.append)
-    dispatch.work("tcp://s:1", [task], [], 60)
-    assert (asked, kept) == (["a", "b", "c"], [b"done"])
-    assert reported == ["worker tcp://w:1 is not used: it is old"]
 
 
 def refuse(task: RunTask, text: str) -> None:
@@ -183,26 +148,6 @@ def mounted(cluster: ClusterOptions, archive: Path, machines: Path) -> Iterator[
         finally:
             for address, folder in before.items():
                 client.run(os.chdir, folder, workers=[address])
-
-
-def test_workers_that_do_not_see_the_archive_are_named_until_they_do(
-    stored: Archive, cluster: ClusterOptions, tmp_path: Path
-) -> None:
-    tasks = [replace(task_of(stored, run.run), archive=str(tmp_path / "share")) for run in stored.runs()]
-    kept: list[RunTask] = []
-    reported: list[str] = []
-
-    def report(text: str) -> None:
-        reported.append(text)
-        if len(reported) == 2:
-            (tmp_path / "share").symlink_to(stored.url)
-
-    assert cluster.scheduler is not None
-    dispatch = Dispatch(software(), restitch_run, lambda task, _: kept.append(task), refuse, report)
-    dispatch.work(cluster.scheduler, tasks, [tasks[0].archive], cluster.patience_s, workers_patience_s=120)
-    assert len(reported) == 2, "each is reported once"
-    assert f"it cannot read an archive: {tmp_path / 'share'}: is no archive" in reported[0]
-    assert sorted(t.key for t in kept) == sorted(t.key for t in tasks)
 
 
 def test_a_worker_that_hangs_does_not_keep_the_others_from_their_work(stored: Archive, cluster: ClusterOptions) -> None:

@@ -23,18 +23,15 @@ from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import InputError
 from vaoi_station.files.results import stitch_document
 from vaoi_station.line_config import ExpectedBoard
-from vaoi_station.model import Status
 from vaoi_station.model.board_type import Visibility
 from vaoi_station.plant.archive import Archive, RunLabel, RunSelection
 from vaoi_station.plant.cluster import ClusterOptions, WorkerFault, software
-from vaoi_station.plant.manifest import StationRecord
 from vaoi_station.plant.restitch import (
     Session,
     Terms,
     open_archived,
     restitch,
     restitch_run,
-    with_lasting_reasons,
 )
 from vaoi_station.stitching.expectation import StitchTerms
 
@@ -81,18 +78,6 @@ def test_another_calibration_holds_for_the_reference_too(
     assert (opened.reference is not None, notes) == (True, [])
 
 
-def test_a_reference_of_another_board_type_is_not_used(board: RecordedRun, tmp_path: Path) -> None:
-    made = {"method": "auto", "reference": "taught", "terms": TERMS.model_dump(mode="json")}
-    run = extracted(board, tmp_path, made, reference=True)
-    other = json.loads((run / "board.json").read_text(encoding="utf-8"))
-    other["components"] = other["components"][1:]
-    (run / "reference" / "board.json").write_text(json.dumps(other), encoding="utf-8")
-    opened, notes = open_archived(run, tmp_path, Terms("any"))
-    assert opened.reference is None
-    assert "is not used" in notes[0]
-    assert "whose components are not those of" in notes[0]
-
-
 def test_the_result_is_that_of_the_station(stored: Archive, stitched: StitchedRun, tmp_path: Path) -> None:
     document = outcome_of(stored, "r1", tmp_path)
     ours, theirs = json.loads(json.dumps(document["result"])), json.loads(json.dumps(stitch_document(stitched.result)))
@@ -106,49 +91,6 @@ def test_the_result_is_that_of_the_station(stored: Archive, stitched: StitchedRu
     assert tables["runs"]["result"] == ["former", "new"]
     views = tables["views"]["x_px"]
     assert views[: len(views) // 2] == views[len(views) // 2 :]
-
-
-def test_reasons_that_another_result_does_not_mend_keep_a_run_degraded(stitched: StitchedRun) -> None:
-    """Two boards in one run, or another board than was armed, are no matter of the pictures."""
-    sound = stitched.result
-    former = sound.model_copy(
-        update={
-            "status": Status.DEGRADED,
-            "reasons": ("blank", "2 boards passed in this run"),
-            "reason_codes": ("overlap-blank", "boards-too-close"),
-        }
-    )
-    found = with_lasting_reasons(None, former, sound)
-    assert (found.status, found.reason_codes, found.reasons) == (
-        Status.DEGRADED,
-        ("boards-too-close",),
-        ("2 boards passed in this run",),
-    )
-    reasons = [
-        {"code": code, "message": code}
-        for code in ("stitch-degraded", "frames-missing", "board-id-differs", "board-type-draft")
-    ]
-    record = StationRecord.model_validate(
-        {"id": "r", "started": "2026-11-27T10:00:00Z", "verdict": "degraded", "reasons": reasons}
-    )
-    assert with_lasting_reasons(record, None, sound).reason_codes == ("board-id-differs",)
-    assert with_lasting_reasons(record.model_copy(update={"verdict": Status.OK}), None, sound) is sound
-    failed = sound.model_copy(update={"status": Status.FAILED})
-    assert with_lasting_reasons(record, former, failed).status is Status.FAILED
-    assert with_lasting_reasons(None, None, sound) is sound
-
-
-def test_another_board_type_holds_for_the_new_result_only(stored: Archive, board: RecordedRun, tmp_path: Path) -> None:
-    document = json.loads((board.directory / "board.json").read_text(encoding="utf-8"))
-    first, second, *others = document["components"]
-    moved = first | {"center": [first["center"][0] + 1.0, first["center"][1]]}
-    changed = json.dumps(document | {"components": [moved, *others]}).encode()
-    tables = outcome_of(stored, "r0", tmp_path, Terms(software(), board_type=changed))["tables"]
-    parts = tables["components"]
-    x_mm = {(r, c): x for r, c, x in zip(parts["result"], parts["component"], parts["x_mm"], strict=True)}
-    assert ("former", second["ref"]) in x_mm
-    assert ("new", second["ref"]) not in x_mm
-    assert abs(x_mm["new", first["ref"]] - x_mm["former", first["ref"]]) == pytest.approx(1.0, abs=0.01)
 
 
 def test_an_archive_that_is_not_seen_is_no_fault_of_the_run(board: RecordedRun, tmp_path: Path) -> None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from datetime import UTC, datetime
 from typing import Any
 
 import pytest
 
 from vaoi_station.errors import NotFoundError
 from vaoi_station.store import Store
-from vaoi_station.store.run_search import RunFilter
 
 
 def test_a_pin_survives_a_restart_and_is_removed(make_rig: Callable[..., Any], store: Store) -> None:
@@ -56,44 +54,3 @@ def test_an_error_in_what_follows_a_run_prevents_neither_its_announcement_nor_th
     assert announced.id == grant.run
     events = [event for event in rig.coordinator.events(0, 0.0) if event.code == "not-kept"]
     assert [event.message for event in events] == ["The trends of the run cannot be kept (RuntimeError: a fault)."]
-
-
-LONG_AGO = datetime(2000, 1, 1, tzinfo=UTC)
-
-
-@pytest.fixture
-def filmed(make_rig: Callable[..., Any]) -> tuple[Any, str]:
-    rig = make_rig()
-    rig.ready()
-    grant = rig.arm()
-    rig.board(grant)
-    rig.result_of(grant.run)
-    return rig, grant.run
-
-
-def test_a_run_that_is_not_on_disk_yet_is_found_once_and_as_it_ended(
-    filmed: tuple[Any, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rig, _ = filmed
-    history = rig.coordinator.kept.history
-    [summary] = rig.coordinator.runs()
-    ended = summary.model_copy(update={"verdict": "failed", "stored": False})
-    reads: list[str] = []
-    find, counted = history._archive.search.find, history._archive.search.verdicts
-    search = history._archive.search
-
-    def noted(source: str, read: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any) -> Any:
-            reads.append(source)
-            return read(*args)
-
-        return call
-
-    monkeypatch.setattr(history._archive, "unstored", noted("memory", lambda: (ended,)))
-    monkeypatch.setattr(search, "find", noted("disk", find))
-    monkeypatch.setattr(search, "verdicts", noted("disk", counted))
-    assert history.find(RunFilter(verdict=summary.verdict), 9, None) == ([], None)
-    assert history.find(RunFilter(verdict="failed"), 9, None) == ([ended], None)
-    counts = history.counts(LONG_AGO)
-    assert (counts.ok, counts.degraded, counts.failed, counts.complete) == (0, 0, 1, True)
-    assert reads == ["memory", "disk"] * 3, "a run that is written between the two is in the first"

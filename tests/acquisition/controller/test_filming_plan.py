@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -17,7 +16,6 @@ from vaoi_station.acquisition.controller.filming_plan import (
     filming_plan,
     line_of_board,
     require_none,
-    time_faults,
 )
 from vaoi_station.acquisition.controller.interface import BeltPacing
 from vaoi_station.config import StationConfig
@@ -130,17 +128,6 @@ def test_what_does_not_fit_is_refused_with_the_numbers(
         filming_plan(registers, board(program=program), RESOLUTION)
 
 
-def test_rows_lie_at_the_same_places_at_another_speed(serial: StationConfig) -> None:
-    config = _with_line(serial, speed_limits_mm_s=(50.0, 150.0))
-    line = line_of_board(config, board(line={"speed_mm_s": 50.0}))
-    assert line.conveyor_mm_s == (0.0, 50.0)
-    for key in ("start_delay_s", "trigger_period_s", "tail_s"):
-        assert getattr(line, key) == pytest.approx(2 * getattr(config.line, key))
-    assert line.rows_of_longest_board == config.line.rows_of_longest_board
-    plan = filming_plan(config, board(line={"speed_mm_s": 50.0}))
-    assert (plan.period_s, plan.conveyor_mm_s) == (line.trigger_period_s, (0.0, 50.0))
-
-
 def test_the_belt_spaces_the_rows_where_station_or_board_type_ask_for_it(serial: StationConfig) -> None:
     config = _with_line(serial, encoder={"counts_per_mm": 20.0})
     assert filming_plan(config).belt is None
@@ -156,18 +143,6 @@ def test_the_belt_spaces_the_rows_where_station_or_board_type_ask_for_it(serial:
         filming_plan(serial, board(line={"pacing": "encoder"}))
     with pytest.raises(InputError, match=r"line: encoder\.counts_per_mm is 20: rows lie 0\.02 mm, 0\.4 counts, apart"):
         filming_plan(config, board(line={"pacing": "encoder", "row_mm": 0.02}))
-
-
-def test_a_belt_too_fast_for_exposure_and_read_out_is_refused(serial: StationConfig) -> None:
-    config = _with_line(_with_cameras(serial, readout_us=30_000.0), pacing="encoder", encoder={"counts_per_mm": 20.0})
-    steps = [{"light": "left", "exposure_us": 9000.0, "on_us": 60.0}]
-    with pytest.raises(InputError, match=r"pulses follow every .* at 125 mm/s, the fastest of the encoder"):
-        filming_plan(_with_cameras(config, readout_us=35_000.0), board(program=steps, line={"row_mm": 5.0}))
-    plan = filming_plan(config, board(line={"row_mm": 5.0}))
-    assert plan.belt is not None
-    short = replace(plan, belt=replace(plan.belt, shortest_s=0.02))
-    with pytest.raises(InputError, match=r"at its fastest the belt brings a row every 0\.02 s"):
-        require_none(time_faults(short, config))
 
 
 @pytest.mark.parametrize(
@@ -195,20 +170,6 @@ def _with_cameras(config: StationConfig, **keys: Any) -> StationConfig:
 def _with_line(config: StationConfig, **keys: Any) -> StationConfig:
     line = type(config.line).model_validate({**config.line.model_dump(), **keys})
     return config.model_copy(update={"line": line})
-
-
-def test_a_sequencer_has_the_steps_of_one_turn(serial: StationConfig) -> None:
-    """Each camera its own exposure and gain, which no other way can give."""
-    config = _with_cameras(serial, exposure_by="sequencer")
-    steps = [
-        {"light": light, "exposure_us": [exposure_us, 200.0], "gain_db": [gain_db, 0.0]}
-        for light, exposure_us, gain_db in (("left", 200.0, 0.0), ("ring", 50.0, 6.0)) * 2
-    ]
-    plan = filming_plan(config, board(program=steps))
-    assert plan.by_trigger == ()
-    assert [wanted.sequence for wanted in exposures_of(plan, config)] == [((200.0, 0.0), (50.0, 6.0)), ()]
-    uneven = filming_plan(config, board(program=steps[:3]))
-    assert len(exposures_of(uneven, config)[0].sequence) == 3
 
 
 def _steps(*exposures: tuple[float, float]) -> BoardType:

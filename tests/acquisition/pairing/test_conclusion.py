@@ -15,7 +15,6 @@ from vaoi_station.acquisition.pairing.conclusion import (
     contradiction,
     judge_run,
 )
-from vaoi_station.acquisition.pairing.evidence import NO_PACKET
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import ObservedFrame, ObservedPulse, RunRecord
 from vaoi_station.model import FrameRecord, ProgramRow, Verdict
@@ -36,16 +35,6 @@ def test_an_outage_is_the_cause_from_its_begin_to_its_end() -> None:
         "the camera was lost: unplugged",
         "",
     ]
-
-
-def test_times_between_the_readings_of_a_clock_that_jumped_are_unknown() -> None:
-    outages = Outages()
-    jump = ClockJump(37.0, 10.0, 10.5)
-    outages.add_jump(1, jump)
-    assert [outages.jump_between(1, s, s) for s in (9.9, 10.2, 10.6)] == [None, jump, None]
-    assert outages.jump_between(1, 9.9, 10.1) is jump
-    assert outages.jump_between(0, 10.2, 10.2) is None
-    assert [outages.count_ended(1, s) for s in (10.4, 10.5)] == [0, 1], "its clock begins a new epoch"
 
 
 LEFT = ProgramRow("left", (200.0, 200.0), (0.0, 6.0), 80.0)
@@ -156,20 +145,6 @@ def test_a_camera_whose_clock_jumped_by_one_period_does_not_run_freely() -> None
     assert {frame.row for frame in missing} == {2}
     assert [(f.row, f.kind) for f in proof.findings] == [(row, "clock-jumped") for row in (0, 1, 3, 4)]
     assert {row for (_, row), frame in run.frames.items() if frame.usable} == {5, 6, 7}
-
-
-def test_a_frame_that_a_jump_moved_to_another_run_is_no_extra_frame_there() -> None:
-    run, outages = run_with_frames({row: row + 1 for row in range(6)}), Outages()
-    outages.add_jump(0, ClockJump(37.0, START_S - 37.5, START_S - 36.5))
-    moved = ObservedFrame(None, 7, START_S + 0.23, START_S + 0.23, START_S - 36.8)
-    _, proof = concluded(run, [[moved]], outages, 1e-4)
-    assert proof.findings == ()
-
-
-def test_a_camera_that_answers_and_never_sent_a_packet_is_named() -> None:
-    run = run_with_frames({}, rows=2)
-    run.silent = frozenset({0})
-    assert causes(run) == dict.fromkeys(range(2), NO_PACKET)
 
 
 def test_a_frame_of_another_light_than_the_program_has_is_not_proven() -> None:

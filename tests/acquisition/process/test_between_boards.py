@@ -21,7 +21,6 @@ from vaoi_station.acquisition.process.messages import (
     FireTrial,
     Grant,
     RunFinished,
-    RunStarted,
     TrialFailed,
 )
 from vaoi_station.config import StationConfig
@@ -192,41 +191,6 @@ def test_a_rewind_that_would_not_end_before_the_first_pulse_is_left_out_and_logg
     assert not start.is_due(3.071), "a fast belt brings the first row after 0.07 s"
 
 
-class Boards:
-    """Boards of one camera, whose rewinds are due only when the next board is in the barrier, by a scripted clock."""
-
-    def __init__(self, line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-        clock = [0.0]
-        monkeypatch.setattr("vaoi_station.acquisition.process.between_boards.time.monotonic", lambda: clock[0])
-        self.camera, self.sent = Slow(clock), list[Any]()
-        self._plan = replace(line.bench.plan, start_delay_s=START_S, period_s=PERIOD_S)
-        self.start = SequenceStart([self.camera], lambda s: s, self.sent.append)  # type: ignore[list-item]
-        self.start.follow(PulseFired(0, 1.0, 0), self._plan)
-        self._edge_s = 10.0
-
-    def rewound(self, took_s: float) -> bool:
-        """Let one board pass; return whether the sequence began anew for it."""
-        before, self._edge_s, self.camera.took_s = self.camera.rewound, self._edge_s + 10.0, took_s
-        self.start.follow(RunEnded(0, self._edge_s - 5, 1, "clear"), self._plan)
-        self.start.follow(BarrierBlocked(0, self._edge_s), self._plan)
-        self.start.rewind(self._edge_s + 0.01)
-        self.start.follow(PulseFired(0, self._edge_s + START_S, 0), self._plan)
-        return self.camera.rewound > before
-
-
-def test_one_slow_rewind_is_reported_and_tried_again_after_some_boards(
-    line: Line, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    boards = Boards(line, monkeypatch)
-    assert boards.rewound(3.0), "it is not known yet that it takes so long"
-    # 3 s, halved with each board until at most half of the start delay is expected.
-    assert [boards.rewound(0.03) for _ in range(8)] == [False] * 4 + [True] * 4
-    assert [trouble.code for trouble in boards.sent] == ["sequence-late"]
-    assert "took up to 3.00 s; the first pulse may come 0.30 s after" in boards.sent[0].message
-    boards.rewound(1.0)
-    assert len(boards.sent) == 2, "it was in time between"
-
-
 BRIGHT = (CameraExposure((900.0,), 6.0), CameraExposure((250.0,), 0.0))
 TRIAL = FireTrial(Grant("trial-1", 0), BRIGHT, "ring", 80.0)
 
@@ -268,18 +232,6 @@ def test_a_camera_that_was_going_away_gets_the_settings_of_the_station_when_it_i
     bench.session.trial.camera_back()
     bench.session.trial.camera_back()
     assert [camera.exposures[1:] for camera in bench.cameras] == [[own], [own, own]], "once"
-
-
-def test_a_pulse_that_the_controller_does_not_report_is_given_up(bench: SessionBench) -> None:
-    bench.session.fire_trial(TRIAL, 1.0)
-    assert bench.session.deadline_s(1.1) == 1.0 + UNREPORTED_S
-    bench.session.tick(1.0 + UNREPORTED_S)
-    [failed] = bench.of(TrialFailed)
-    assert (failed.run, failed.why.message) == ("trial-1", "The controller did not report the pulse.")
-    assert not bench.session.trial.is_under_way
-    bench.pulse(4.0, 0)  # too late: it is no missed board
-    bench.session.handle_event(RunEnded(0, 4.0, 1, "single"), 4.0)
-    assert bench.of(BoardMissed) == bench.of(RunStarted) == []
 
 
 @pytest.mark.parametrize("late", [False, True])

@@ -18,47 +18,14 @@ from vaoi_station.acquisition.process.filming import (
     fire_steadily,
 )
 from vaoi_station.acquisition.process.messages import Command, FireOne, Grant, Ready, RunFinished, Trouble
-from vaoi_station.acquisition.ring import FrameShape, Ring, RingLayout, ring_path
+from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import GoneError, InputError
 from vaoi_station.files import open_recording, read_calibration
-from vaoi_station.model import CameraHead, FrameRecord, RecordingHead, Verdict
-from vaoi_station.pixel_formats import PIXEL_FORMATS, picture
+from vaoi_station.model import RecordingHead
 from vaoi_station.simulation import Twin, read_scenario
 
 WIDTH, HEIGHT = 18, 16
-
-
-@pytest.mark.parametrize("names", [("Mono12p", "BayerRG8"), ("Mono10Packed", "BayerGB12p")])
-def test_a_recording_holds_pictures_of_packed_frames(tmp_path: Path, names: tuple[str, str]) -> None:
-    """Recordings hold 16 bit grey or colour pictures, whatever the cameras send."""
-    layout = RingLayout(1, 1, tuple(FrameShape(WIDTH, HEIGHT, name) for name in names))
-    with Ring.create(tmp_path / "packed.ring", layout) as ring, Ring.attach(ring.path) as reader:
-        generation = ring.claim(0)
-        sent = [
-            np.random.default_rng(k).integers(0, 256, PIXEL_FORMATS[name].nbytes(WIDTH, HEIGHT), dtype=np.uint8)
-            for k, name in enumerate(names)
-        ]
-        for camera, frame in enumerate(sent):
-            ring.memory(camera)[:] = frame
-        frames = tuple(FrameRecord(camera=k, row=0, verdict=Verdict.OK, slot=k) for k in range(2))
-        head = RecordingHead(
-            format="vaoi-recording",
-            version=1,
-            cameras=(CameraHead(width=WIDTH, height=HEIGHT, exposure_us=250.0),) * 2,
-            rows=1,
-            trigger_period_s=0.1,
-            conveyor_mm_s=(0.0, 100.0),
-        )
-        finished = RunFinished("001", 0, head, frames, 0.0, "clear")
-        recording = export_run(tmp_path / "kept", finished, reader, generation)
-        for camera, (frame, name) in enumerate(zip(sent, names, strict=True)):
-            seen = picture(frame, WIDTH, HEIGHT, PIXEL_FORMATS[name])
-            assert (reader.frame(camera) == seen).all()
-            kept = recording.frame(camera, 0)
-            assert kept is not None
-            assert kept.dtype == seen.dtype
-            assert (kept == seen).all()
 
 
 FAULT = "[[faults.lost_frames]]\ncamera = 1\nrow = 2\n"
@@ -156,22 +123,3 @@ def test_a_refused_pulse_is_requested_again_with_the_same_grant(make_config: Mak
         player.join()
     assert results == ["001", "the LEDs must cool down. Wait.", "002"]
     assert received == [Grant("001", 0), FireOne(), Grant("002", 0), FireOne(), FireOne()]
-
-
-def test_a_board_filmed_with_a_program_has_it_in_its_recording(make_config: Make, tiny: str, tmp_path: Path) -> None:
-    steps = [{"light": "ring"}, {"light": "low", "exposure_us": [50.0, 100.0], "gain_db": 6.0}]
-    config = make_config(tiny + "[lights.ring]\n[lights.low]\nazimuth_deg = 90.0\n", program=steps)
-
-    def keep(finished: RunFinished, ring: Ring, generation: int) -> None:
-        export_run(tmp_path / "kept", finished, ring, generation)
-
-    film(config, 1, FilmingHandlers(keep, lambda _: None))
-    recording = open_recording(tmp_path / "kept")
-    head = recording.head
-    assert head.doubts == ()
-    assert head.lights is not None
-    assert head.lights[:3] == ("ring", "low", "ring")
-    assert [(head.exposure_us(n, 1), head.gain(n, 1)) for n in (0, 1)] == [(50.0, 1.995262), (100.0, 1.995262)]
-    assert (head.exposure_us(0, 2), head.gain(0, 2)) == (250.0, 1.0)
-    dim, bright = (np.asarray(recording.frame(n, 3)).mean() for n in (0, 1))
-    assert dim < 0.8 * bright

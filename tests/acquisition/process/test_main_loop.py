@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import CameraBack, CameraExposure, CameraLost
+from vaoi_station.acquisition.cameras.interface import CameraExposure
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.interface import TriggerPlan
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process import main_loop
 from vaoi_station.acquisition.process.backends import open_devices
-from vaoi_station.acquisition.process.between_boards import SequenceStart
 from vaoi_station.acquisition.process.main_loop import Inbox
 from vaoi_station.acquisition.process.messages import (
-    Arm,
     Armed,
     FireOne,
     FireTrial,
@@ -34,7 +29,6 @@ from vaoi_station.acquisition.process.messages import (
 )
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError
 from vaoi_station.supervised_thread import SupervisedThread
 
 
@@ -132,39 +126,6 @@ def busy(poor: int) -> Callable[[StationConfig], Devices]:
     return BusyComputer(poor).open
 
 
-@dataclass
-class LooseCamera:
-    """Camera 1 with a loose cable."""
-
-    camera: Any
-    is_silent: bool = False
-    asked: threading.Semaphore = field(default_factory=counter)
-    """Counts readings of its clock while it is silent."""
-    events: Any = None
-
-    def start(self, events: Any) -> None:
-        self.events = events
-        self.camera.start(events)
-
-    def read_clock(self) -> ClockReading:
-        if self.is_silent:
-            self.asked.release()
-            raise DeviceError("camera c1: its clock cannot be read.", action="Check its cable.")
-        reading: ClockReading = self.camera.read_clock()
-        return reading
-
-    def report_lost(self) -> None:
-        """Report the loss as the backend does."""
-        error = DeviceError("camera c1: is lost.", action="Check its cable.")
-        self.events.put(CameraLost(1, time.monotonic(), "it does not answer", error))
-
-    def report_back(self) -> None:
-        self.events.put(CameraBack(1, time.monotonic(), self.camera.read_clock()))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.camera, name)
-
-
 def test_arming_waits_until_the_clocks_are_known(start: Start, make_config: Make) -> None:
     """Neither the readings before the process is ready nor three more suffice."""
     bench = start(make_config(), open_backend=busy(main_loop.FIRST_READINGS + 3))
@@ -193,21 +154,6 @@ def test_a_line_that_is_armed_during_a_trial_is_armed_after_its_last_frame(start
     assert bench.of(Trouble) == []
 
 
-def test_a_board_in_the_barrier_is_reported_with_the_arming(start: Start, make_config: Make) -> None:
-    """Otherwise the line would count as ready until the next heartbeat."""
-
-    def standing(config: StationConfig) -> Devices:
-        devices = open_devices(config)
-        devices.controller.barrier_blocked = lambda: True  # type: ignore[method-assign]  # the twin knows no such board
-        return devices
-
-    bench = start(make_config(), open_backend=standing)
-    bench.until(Health)
-    assert not bench.of(Health)[-1].standing, "nothing is filmed anyway"
-    bench.arm()
-    assert bench.until(Health).standing
-
-
 def test_a_board_that_is_passing_is_filmed_before_the_line_is_disarmed(start: Start, make_config: Make) -> None:
     bench = start(make_config())
     bench.grant("one", 0)
@@ -219,19 +165,6 @@ def test_a_board_that_is_passing_is_filmed_before_the_line_is_disarmed(start: St
     [finished] = bench.of(RunFinished)
     assert finished.reason == "clear"
     assert finished.head.missing == ()
-
-
-def test_a_board_that_does_not_leave_is_cut_short(
-    start: Start, make_config: Make, slow: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(TriggerPlan, "grace_s", 0.0)
-    bench = start(make_config(slow))
-    bench.grant("one", 0)
-    bench.arm()
-    bench.until(PulseReported)
-    bench.disarm()
-    [finished] = bench.of(RunFinished)
-    assert finished.reason == "disarmed"
 
 
 @pytest.mark.parametrize(
@@ -293,47 +226,6 @@ def test_each_thread_of_a_device_that_ends_or_hangs_ends_the_process(
     assert trouble.code == "thread-lost"
     what = "hangs for" if hangs else "has ended (RuntimeError: boom)"
     assert f"In the acquisition process: Thread {name!r} {what}" in trouble.message
-
-
-def test_the_clock_of_a_lost_camera_is_not_reported_again(
-    start: Start, make_config: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The loss was reported before, and any fault reported while the line is being armed ends the arming."""
-    forgotten, forget = list[int](), SequenceStart.forget
-
-    def noted_forget(of: SequenceStart, number: int) -> None:
-        forgotten.append(number)
-        forget(of, number)
-
-    monkeypatch.setattr(SequenceStart, "forget", noted_forget)
-    computer, cameras = BusyComputer(math.inf), list[LooseCamera]()
-
-    def open_devices_with_faults(config: StationConfig) -> Devices:
-        devices = computer.open(config)
-        cameras.append(LooseCamera(devices.cameras[1]))
-        return replace(devices, cameras=(devices.cameras[0], cameras[0]))
-
-    bench = start(make_config(), open_backend=open_devices_with_faults)
-    [camera] = cameras
-    camera.is_silent = True
-    assert bench.until(Trouble).message == "camera c1: its clock cannot be read."
-    camera.report_lost()
-    while bench.until(Trouble).message != "camera c1: is lost.":
-        continue
-    reported = len(bench.of(Trouble))
-    for _ in range(reported):
-        assert camera.asked.acquire(timeout=PATIENCE_S)
-    bench.grant("one", 0)
-    bench.send(Arm(TriggerPlan.of(bench.config.line)))
-    for _ in range(3):
-        assert camera.asked.acquire(timeout=PATIENCE_S)
-    computer.poor = 0
-    bench.until(Armed)
-    assert len(bench.of(Trouble)) == reported
-    assert not forgotten
-    camera.report_back()
-    assert bench.until(Trouble).message == "camera c1: its clock cannot be read."
-    assert forgotten == [1], "how long it took to begin its sequence anew may have changed"
 
 
 def test_a_ring_of_another_configuration_is_refused(make_config: Make) -> None:

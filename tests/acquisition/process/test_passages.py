@@ -14,7 +14,6 @@ from vaoi_station.acquisition.controller.interface import (
     BeltPacing,
     BoardTooSoon,
     PulseFired,
-    RunEnded,
     TriggerPlan,
 )
 from vaoi_station.acquisition.process.messages import BoardMissed
@@ -59,21 +58,6 @@ def watch() -> PassageWatch:
     armed = PassageWatch()
     armed.arm(BY_BELT, False)
     return armed
-
-
-def test_a_replay_that_reports_no_clear_barrier_leaves_none_blocked(watch: PassageWatch) -> None:
-    watch.add(BarrierBlocked(0, 1.0), 1.0)
-    assert watch.add(RunEnded(1, 1.5, 1, "clear"), 1.5)
-    assert not watch.passing
-
-
-def test_a_board_that_came_too_soon_is_in_the_barrier_until_it_left_or_its_edge_was_lost(watch: PassageWatch) -> None:
-    assert watch.add(BoardTooSoon(0, 1.0, 0.1), 1.0)
-    watch.forget_barrier()
-    assert not watch.passing
-    watch.add(BarrierBlocked(0, 1.0), 1.0)
-    watch.forget_barrier()
-    assert watch.passing, "the end of a run is always reported"
 
 
 def test_a_belt_that_spaces_the_rows_has_stopped_if_none_comes(watch: PassageWatch) -> None:
@@ -124,11 +108,3 @@ def test_a_board_whose_edge_is_not_reported_stands_once_it_is_clear_that_none_wi
     assert watch.standing, "the controller does not reply"
     watch.check_level(False, 13.0)
     assert not shown(watch)[0]
-
-
-def test_a_board_whose_run_was_cut_short_is_in_the_barrier_until_that_is_clear(watch: PassageWatch) -> None:
-    watch.add(BarrierBlocked(0, 1.0), 1.0)
-    watch.add(RunEnded(1, 1.5, 3, "the controller was reset"), 1.5)
-    assert (watch.passing, watch.standing) == (True, False)
-    watch.check_level(False, 1.9)
-    assert not shown(watch)[1]

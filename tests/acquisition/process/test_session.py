@@ -13,12 +13,7 @@ from vaoi_station.acquisition.cameras.interface import Arrival, CameraExposure, 
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
-    BarrierBlockedAgain,
-    BarrierClear,
-    BarrierClearAfterRun,
-    BeltPacing,
     PulseFired,
-    PulseSkipped,
     RunEnded,
     TriggerPlan,
 )
@@ -138,13 +133,6 @@ def test_slots_are_in_the_cameras_before_the_controller_is_armed(bench: SessionB
     assert len(bench.controller.plans) == 1, "the same plan again changes nothing"
 
 
-def test_arming_is_refused_while_a_clock_is_unknown(make_config: Callable[..., StationConfig]) -> None:
-    with session_bench(make_config(), (1e-5, 1e-5, 0.01)) as bench:
-        with pytest.raises(DeviceError, match="camera c1: times of its clock may be wrong by"):
-            bench.session.arm(bench.plan)
-        assert bench.controller.plans == []
-
-
 def test_a_controller_that_refuses_leaves_the_station_disarmed_and_memory_returnable(bench: SessionBench) -> None:
     bench.controller.refuses = True
     bench.session.grant(Grant("a", 0))
@@ -244,64 +232,3 @@ def test_a_refused_pulse_leaves_its_grant_to_the_next(bench: SessionBench) -> No
     bench.session.fire_one(1.1)
     bench.pulse(1.1, 0)
     assert [r.run for r in bench.of(RunStarted)] == ["a"]
-
-
-def pass_two(bench: SessionBench) -> None:
-    """Let a second board block the barrier within the tail of the first, and outlast the run."""
-    handle = bench.session.handle_event
-    handle(BarrierBlocked(0, 9.7), 9.7)
-    bench.pulse(10.0, 0)
-    bench.frames(10.0, 0)
-    handle(BarrierClear(1, 10.05), 10.05)
-    handle(BarrierBlockedAgain(2, 10.2), 10.2)
-    bench.pulse(10.3, 1)
-    bench.frames(10.3, 1)
-    handle(RunEnded(3, 10.31, 2, "max-rows"), 10.32)
-    handle(BarrierClearAfterRun(4, 10.6), 10.6)
-    bench.session.tick(20.0)
-
-
-def test_a_board_that_stood_in_the_barrier_when_the_line_was_armed_is_missed(bench: SessionBench) -> None:
-    bench.session.grant(Grant("a", 0))
-    bench.session.arm(bench.plan)
-    bench.session.handle_event(BarrierClearAfterRun(0, 5.0), 5.0)
-    (missed,) = bench.of(BoardMissed)
-    assert "it stood in the barrier when the line was armed" in missed.reason
-    pass_two(bench)
-    bench.session.finish_disarming(30.0)
-    bench.session.arm(bench.plan)
-    bench.session.handle_event(BarrierClearAfterRun(5, 40.0), 40.0)
-    assert len(bench.of(BoardMissed)) == 2
-
-
-def test_the_edge_of_a_board_without_a_pulse_is_not_that_of_the_next_one(bench: SessionBench) -> None:
-    bench.session.grant(Grant("a", 0))
-    bench.session.arm(bench.plan)
-    bench.session.handle_event(BarrierBlocked(0, 9.7), 9.7)
-    bench.session.handle_event(RunEnded(1, 9.9, 0, "clear"), 9.9)
-    assert len(bench.of(BoardMissed)) == 1
-    # The report of the next board's edge is lost.
-    bench.pulse(20.0, 0)
-    assert [(r.host_time_s, r.edge_known) for r in bench.of(RunStarted)] == [(20.0, False)]
-
-
-def test_a_run_on_a_fast_belt_is_described_by_what_the_belt_did(bench: SessionBench) -> None:
-    """The rows come every 0.8 periods; row 1 is skipped, and the report of row 3 is lost."""
-    period_s = bench.plan.period_s
-    plan = replace(bench.plan, belt=BeltPacing(20.0, 40, 200, 400, 0.7 * period_s))
-    bench.session.grant(Grant("a", 0))
-    bench.session.arm(plan)
-    bench.session.handle_event(BarrierBlocked(0, 9.7), 9.7)
-    for row in (0, 1, 2, 4):
-        at_s = 10.0 + 0.8 * row * period_s
-        if row == 1:
-            bench.session.handle_event(PulseSkipped(0, at_s, row, "too fast"), at_s)
-        else:
-            bench.pulse(at_s, row)
-    (record,) = bench.session._recorder.open_runs
-    assert record.least_period_s == pytest.approx(0.7 * period_s), "the plan allows it"
-    bench.session.handle_event(RunEnded(3, at_s, 5, "clear"), at_s)
-    bench.session.tick(30.0)
-    (finished,) = bench.of(RunFinished)
-    assert finished.head.trigger_times_s == pytest.approx([0.8 * row * period_s for row in range(5)])
-    assert finished.head.belt_mm == (0.0, 10.0, 20.0, 30.0, 40.0)

@@ -15,19 +15,6 @@ from vaoi_station.runs.states.run_ids import RunIds
 RUNS = "/api/v1/runs"
 
 
-def test_pages_of_the_list_have_no_gaps_or_repetitions(client: Any, station: Any) -> None:
-    made = [station.film() for _ in range(7)]
-    seen: list[str] = []
-    query: dict[str, Any] = {"limit": 3}
-    while True:
-        page = client.get(RUNS, params=query).json()
-        seen += [r["id"] for r in page["runs"]]
-        if "next" not in page:
-            break
-        query["before"] = page["next"]
-    assert seen == made[::-1]
-
-
 @pytest.mark.parametrize("filters", [{}, {"verdict": "ok"}, {"read_id": "A"}])
 def test_a_wrong_cursor_is_refused_and_one_of_a_deleted_run_goes_on(
     client: Any, station: Any, filters: dict[str, str]
@@ -104,20 +91,6 @@ def test_heights_are_measured_once_and_refused_without_a_working_distance(client
     assert None not in found["U1"].values()
     assert client.get(f"{RUNS}/{run}/heights").content == answer.content
     assert station.mosaics.jobs.count("table of heights") == 1
-
-
-def test_the_list_is_filtered_by_the_station(client: Any, station: Any) -> None:
-    good = station.film(board_id="SN-1")
-    bad = station.film(verdict=Status.FAILED, board_id="SN-2")
-
-    def found(**query: str) -> list[str]:
-        return [run["id"] for run in client.get(RUNS, params=query).json()["runs"]]
-
-    assert found(verdict="failed") == [bad]
-    assert found(board_id="SN-1", verdict="ok") == [good]
-    assert found(until="2000-01-01T00:00:00Z") == []
-    for query in ({"verdict": "fine"}, {"since": "yesterday"}, {"until": "2026-01-01T00:00:00"}):
-        assert client.get(RUNS, params=query).status_code == 422
 
 
 def test_a_decision_needs_a_name_and_a_reason_and_is_shown(client: Any, station: Any) -> None:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from threading import Event
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 
 from tests.api.held.setup_files import OPTIONS, PITCH_MM, film_board
 from tests.api.held_station import PX_PER_MM, HeldStation
-from vaoi_station.api.setup import calibration as setup_trials
 from vaoi_station.api.setup.calibration import TrialRequest, Trials, design_of
-from vaoi_station.api.setup.station_files import StationFiles, replace_with_backup
+from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.calibration.artwork import design_board
-from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
+from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files.calibrations import Layout
 
 TRIAL = "/api/v1/calibration/trial"
@@ -38,58 +33,6 @@ def test_a_trial_without_nominal_values_is_refused_before_it_begins(client: Any,
 def wanted(station: HeldStation, files: StationFiles) -> TrialRequest:
     layout = design_board(design_of(files, OPTIONS)).layout
     return TrialRequest(run=film_board(station, layout), row=0, layout=layout)
-
-
-def test_a_trial_is_judged_compared_and_accepted(
-    station: HeldStation, files: StationFiles, wanted: TrialRequest, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trials = Trials(station, files)
-    before = files.config.calibration.read_bytes()
-    assert trials.status().state == "none"
-    with pytest.raises(StateError):
-        trials.accept()
-    assert trials.begin(wanted).state == "reading"
-    with pytest.raises(StateError) as refused:
-        trials.begin(wanted)
-    assert refused.value.code == "trial-running"
-    trials.perform(wanted)
-    trial = trials.status()
-    assert (trial.state, trial.message, trial.frames_read) == ("judged", None, 3)
-    assert all(c.used >= 12 and c.residual_px is not None and c.residual_px < 0.1 for c in trial.cameras)
-    assert trial.shift_mm == pytest.approx((-0.4, 0.0), abs=0.02)
-    assert all(trials.picture(name).startswith(b"\xff\xd8") for name in ("marks", "difference"))
-    assert files.config.calibration.read_bytes() == before, "nothing is changed until it is accepted"
-    monkeypatch.setattr(setup_trials, "replace_with_backup", Mock(side_effect=DeviceError("the disk is full")))
-    with pytest.raises(DeviceError):
-        trials.accept()
-    assert (trials.status().state, files.config.calibration.read_bytes()) == ("judged", before)
-    writing, go_on = Event(), Event()
-
-    def slowly(path: Path, content: bytes) -> str | None:
-        writing.set()
-        assert go_on.wait(30)
-        return replace_with_backup(path, content)
-
-    monkeypatch.setattr(setup_trials, "replace_with_backup", slowly)
-    with ThreadPoolExecutor(1) as pool:
-        first = pool.submit(trials.accept)
-        assert writing.wait(30)
-        try:
-            for call in (trials.accept, lambda: trials.begin(wanted)):
-                with pytest.raises(StateError, match="A trial is being accepted") as refused:
-                    call()
-                assert refused.value.code == "trial-running"
-            assert trials.status().state == "judged"
-        finally:
-            go_on.set()
-        accepted = first.result()
-    assert (accepted.state, accepted.accepted_as) == ("accepted", "calibration.json")
-    assert files.config.calibration.read_bytes() == trials.document()
-    assert accepted.backup is not None
-    assert files.config.calibration.with_name(accepted.backup).read_bytes() == before
-    assert len(list(files.config.calibration.parent.glob("calibration.before-*"))) == 1
-    with pytest.raises(StateError):
-        trials.accept()
 
 
 def test_a_refused_trial_shows_why_and_changes_nothing(

@@ -10,7 +10,6 @@ from playwright.sync_api import Page, Route, expect
 
 from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import Origin
 from vaoi_station.runs.states.tables import StationState
 from vaoi_station.store.figures import BoardRow
 
@@ -94,22 +93,6 @@ def test_an_open_decision_stays_while_further_boards_come(page: Page, served: An
     expect(page.locator("#actions button")).to_have_count(0)
 
 
-def test_a_verdict_that_the_codes_lower_is_shown_at_once(page: Page, served: Any) -> None:
-    station = served.station
-    station.arm("demo-board")
-    page.goto(served.url)
-    run = station.film(board_id="SN-47")
-    expect(page.locator("#verdict-word")).to_have_text("Pictures good")
-    expect(page.locator("#counts .count-ok")).to_have_text("1")
-    differs = Reason(code="board-id-differs", message="The board's code states 'SN-46'.")
-    lowered = {"verdict": Status.DEGRADED, "reasons": (differs,)}
-    station.filmed[run] = station.filmed[run].model_copy(update=lowered)
-    station.kept.identities.read(run, "demo;SN-46")
-    expect(page.locator("#verdict-word")).to_have_text("Pictures with reservations")
-    expect(page.locator("#order")).to_have_text("Board SN-47: Identify the board.")
-    expect(page.locator("#counts .count-ok")).to_have_text("0")
-
-
 def test_a_board_that_ends_while_the_page_reads_is_counted_once(page: Page, served: Any) -> None:
     """It ends after the list of runs was read, and before the counts are."""
     station = served.station
@@ -128,32 +111,6 @@ def test_a_board_that_ends_while_the_page_reads_is_counted_once(page: Page, serv
     expect(page.locator("#counts .count-ok")).to_have_text("1")
     station.film(board_id="SN-2")
     expect(page.locator("#counts .count-ok")).to_have_text("2")
-
-
-def test_runs_of_another_station_are_no_boards_of_this_line(page: Page, served: Any) -> None:
-    station = served.station
-    station.arm("demo-board")
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url) if "/api/v1/runs" in request.url else None)
-    page.goto(served.url)
-    expect(page.locator("#counts")).to_be_visible()
-    settled(page, station)
-    asked.clear()
-    settled(page, station)
-    assert asked == [], "without any run, nothing is new"
-    station.film(board_id="SN-1")
-    for n in range(25):
-        run = fail(station, f"OTHER-{n}")
-        update = {"origin": Origin(station="other", exported=utc(), imported=utc())}
-        station.filmed[run] = station.filmed[run].model_copy(update=update)
-    page.reload()
-    expect(page.locator("#board-name")).to_have_text("SN-1")
-    expect(page.locator("#state-word")).to_have_text("Ready")
-    expect(page.locator("#strip li")).to_have_count(1)
-    settled(page, station)
-    asked.clear()
-    settled(page, station)
-    assert asked == []
 
 
 def settled(page: Page, station: Any) -> None:

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Page, expect
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.api.web.conftest import PATIENCE_MS
 from tests.api.web.test_views import SCHEMES, SIZES, examine
-from tests.peers.certificates import make_certificate
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
@@ -103,22 +101,3 @@ def test_a_login_ends_by_logout_also_for_its_cookie_and_when_its_key_is_revoked(
     closed.keys.revoke("operator")
     expect(page.locator("#login")).to_be_visible()
     expect(page.locator("main")).to_be_hidden()
-
-
-def test_the_page_by_tls_has_a_secure_cookie(browser: Browser, tmp_path: Path) -> None:
-    keys, audit = KeyFile(tmp_path / "keys.json"), AuditLog(tmp_path / "audit.jsonl")
-    access = AccessControl(keys, audit, open_loopback=False)
-    served = Served(HeldStation(), access=access, certificate=make_certificate(tmp_path))
-    served.client.close()
-    context = browser.new_context(ignore_https_errors=True)
-    try:
-        page = context.new_page()
-        page.set_default_timeout(PATIENCE_MS)
-        log_in(page, served.url, keys.create("operator", ["operate"]).secret)
-        expect(page.locator("#state-word")).to_have_text("Not armed")
-        (cookie,) = context.cookies()
-        assert cookie["secure"]
-    finally:
-        context.close()
-        served.stop()
-        audit.close()

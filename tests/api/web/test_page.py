@@ -72,23 +72,6 @@ def test_title_and_tone_follow_the_station_in_every_view(page: Page, served: Any
     assert page.evaluate("tones") == 3, "the sound is off"
 
 
-def test_a_drift_is_shown_while_boards_are_filmed(page: Page, served: Any) -> None:
-    served.station.arm("demo-board")
-    page.goto(served.url)
-    expect(page.locator("#state-word")).to_have_text("Ready")
-    expect(page.locator("#why")).to_be_hidden()
-    served.station.drift()
-    page.locator("#why").click()
-    expect(page.locator("#warnings li")).to_have_text(
-        ["Camera cam1 is displaced by 9.40 px from its calibration. Call the engineer."]
-    )
-    expect(page.locator("#order")).to_have_text("Let the next board in.")
-    served.station.warnings = ()
-    served.station.publish("calibration", "Camera cam1 is back at its calibrated position.")
-    expect(page.locator("#why")).to_be_hidden()
-    expect(page.locator("#details")).to_be_hidden()
-
-
 def test_arming_without_a_lost_camera_takes_a_second_press(page: Page, served: Any) -> None:
     page.goto(served.url)
     expect(page.locator("#board-type")).to_have_value("demo-board")
@@ -193,18 +176,6 @@ def test_old_data_are_marked_until_new_data_come(page: Page, station: Any, serve
     expect(page.locator("#stale")).to_be_hidden()
     expect(page.locator("#arm")).to_be_enabled()
     again.stop()
-
-
-def test_a_view_that_cannot_be_loaded_says_so_until_it_comes(page: Page, served: Any) -> None:
-    page.goto(served.url)
-    expect(page.locator("#verdict-word")).to_have_text("No board yet")
-    page.route("**/web/boards/boards.js", lambda route: route.abort())
-    page.get_by_role("link", name="Boards").click()
-    expect(page.get_by_role("alert").filter(has_text="This view could not be loaded")).to_be_visible()
-    expect(page.locator("#verdict-word")).to_have_count(0)  # nothing would renew it
-    page.unroute("**/web/boards/boards.js")
-    expect(page.locator("#list")).to_be_visible()
-    expect(page.get_by_role("button", name="Load again")).to_have_count(0)
 
 
 def reach(page: Page, target: str) -> None:

@@ -40,16 +40,6 @@ def test_a_zip_file_states_times_modes_and_no_compression() -> None:
     assert {i.external_attr >> 16 for i in infos} == {0o644}, "Info-ZIP gives members without a mode the mode 000"
 
 
-def test_a_zip_file_of_more_than_65535_members_is_read() -> None:
-    writer = ContainerWriter("zip", TIME_S)
-    content = b"".join(
-        writer.add(pack("zip", [Member(f"{n}/{k}", "", b"") for k in range(500)], TIME_S)) for n in range(132)
-    )
-    archive = zipfile.ZipFile(io.BytesIO(content + writer.end()))
-    assert len(archive.namelist()) == 66_000
-    assert archive.read("131/499") == b""
-
-
 def test_a_position_above_4_gib_stands_in_64_bits() -> None:
     writer, far = ContainerWriter("zip", TIME_S), 5 * 2**30
     writer._position = far

@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import gc
 import math
-import threading
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from vaoi_station.acquisition.process import messages
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
-from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.runs.control import pictures
-from vaoi_station.runs.control.pictures import SEATS, frame_record
+from vaoi_station.runs.control.pictures import frame_record
 from vaoi_station.runs.host import processes
 from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 from vaoi_station.runs.workers.evidence_log import EvidenceLog, shared_memory
 from vaoi_station.runs.workers.jobs import Numbered, Reply
-from vaoi_station.runs.workers.picture_jobs import RenderJob, TileJob
-from vaoi_station.runs.workers.worker import WorkerRuntime, perform_with_frames
+from vaoi_station.runs.workers.picture_jobs import RenderJob
+from vaoi_station.runs.workers.worker import WorkerRuntime
 
 
 def test_a_frame_that_may_still_arrive_is_refused_differently_from_one_that_cannot(rig: Any) -> None:
@@ -128,38 +124,6 @@ def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any, monkey
         reply = worker.reply(Numbered(1, job))
     assert isinstance(reply, Reply)
     assert reply.value == own
-
-
-def tile_of(rig: Any, run: str, **changes: Any) -> TileJob:
-    detail = rig.coordinator.run(run)
-    spec = TileSpec(width=256, height=200, hdr=False, cells_from_tile=np.eye(2, 3), parts=())
-    job = TileJob(run, detail.bay, detail.generation, {}, spec, (0.0, 1.0), "jpg")
-    return replace(job, **changes)
-
-
-def test_tiles_are_left_to_workers_while_a_board_passes(rig: Any, run: str) -> None:
-    assert rig.coordinator._frames.tile(tile_of(rig, run)) is not None
-    rig.begin(rig.peer.expect(messages.Grant))  # the line is still armed
-    rig.wait_for(rig.coordinator._frames.busy, "the board to be filmed")
-    assert rig.coordinator._frames.tile(tile_of(rig, run)) is None
-
-
-def test_no_more_than_its_seats_are_rendered_at_a_time(rig: Any, run: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    began, go_on = threading.Semaphore(0), threading.Event()
-
-    def slow(job: Any, ring: Any) -> Any:
-        began.release()
-        assert go_on.wait(60)
-        return perform_with_frames(job, ring)
-
-    monkeypatch.setattr(pictures, "perform_with_frames", slow)
-    with ThreadPoolExecutor(SEATS) as callers:
-        drawn = [callers.submit(rig.coordinator.image, run, "U1", 0) for _ in range(SEATS)]
-        for _ in drawn:
-            assert began.acquire(timeout=60)
-        assert rig.coordinator.image(run, "U1", 0) == b"picture"
-        go_on.set()
-        assert all(d.result(60).startswith(b"\x89PNG") for d in drawn)
 
 
 def test_each_of_two_callers_gets_its_own_reply_whatever_their_order(

@@ -22,8 +22,7 @@ from vaoi_station.backoff import BackoffPolicy
 from vaoi_station.config import ArchiveConfig
 from vaoi_station.files import open_recording, write_board_type
 from vaoi_station.identity.code_reader import Progress
-from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Reason, Status
-from vaoi_station.model.board_identity import IdentityDocument
+from vaoi_station.model import BoardCode, BoardIdentity, BoardReading, Status
 from vaoi_station.plant.archive import Archive
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.recordings import Recordings
@@ -152,22 +151,6 @@ def test_a_restart_forgets_no_run_that_is_recorded_for_the_archive_only(line: Li
         line.wait(lambda: line.recordings.path_of(runs[1]) is None, "the recording of the other is deleted")
     assert line.recordings.all() == (runs[0],)
     assert not (line.recordings.directory / runs[1]).exists()
-
-
-def test_a_run_that_is_degraded_after_its_end_is_recorded_for_the_archive(line: Line) -> None:
-    line.recordings._keep = line.recordings._keep.model_copy(update={"recordings_of_failed": False})
-    archive = Archive.create(line.folder)
-    with line.running() as handover:
-        run = line.board(Status.OK)
-        assert line.recordings.path_of(run.id) is None
-        identities = line.rig.coordinator.kept.identities
-        identities.on_changed(run.id)
-        assert handover.status().waiting == 0, "nothing has degraded it"
-        reason = Reason(code="board-id-unread", message="No code was read.", action="Clean the code.")
-        identities._keep(run.id, IdentityDocument(state="unread", required=True, reasons=(reason,)))
-        line.wait(lambda: handover.status().added == 1, "the run is in the archive")
-        line.wait(lambda: line.recordings.path_of(run.id) is None, "its recording is deleted")
-    assert [one.run for one in archive.runs()] == [run.id]
 
 
 def record_of(line: Line, run: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tests.mosaic.conftest import Film, Filmed, board, film
 from tests.runs.finished import held_run
 from tests.runs.mosaics.test_opened_mosaics import means
-from vaoi_station.errors import BusyError, DeviceError, GoneError
+from vaoi_station.errors import BusyError, DeviceError
 from vaoi_station.model import CameraHead, FrameRecord, Verdict
 from vaoi_station.model.stitch_result import Heights
 from vaoi_station.mosaic import MosaicPlan, TileRenderer
@@ -94,19 +94,6 @@ def test_lights_and_exposures_have_mosaics(film: Film) -> None:
         "board,light=left,exposure=50",
         "board,light=left,hdr",
     ]
-
-
-def test_a_tile_is_rendered_without_a_worker_where_this_process_can(
-    board: Filmed, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(picture_jobs, "OVERVIEW_PX", 20_000)
-    jobs, own = list[Any](), list[TileJob]()
-    mosaics = mosaics_of(board, jobs, own=lambda job: own.append(job) or b"own")  # type: ignore[func-returns-value]
-    assert mosaics.tile("r1", PictureName(), 1, (0, 0, 8, 8), "png") == b"own"
-    assert [type(job) for job in jobs] == [PlanJob]
-    by_worker = mosaics_of(board, jobs)
-    by_worker.tile("r1", PictureName(), 1, (0, 0, 8, 8), "png")
-    assert (own[0].bay, own[0].generation, own[0].slots) == (jobs[-1].bay, jobs[-1].generation, jobs[-1].slots)
 
 
 def test_plan_is_made_once_though_several_callers_ask(board: Filmed) -> None:
@@ -204,16 +191,3 @@ def test_reduced_tiles_are_cut_from_the_overview(
     differ, rendered_differ = (np.abs(picture[:-1, :-1] / unit - truth) for picture in (cut, rendered))
     assert np.median(differ) <= 1
     assert np.percentile(differ, 95) <= max(1.1 * np.percentile(rendered_differ, 95), 1)
-
-
-def test_an_overview_is_not_shown_when_the_frames_are_gone(board: Filmed) -> None:
-    mosaics = mosaics_of(board, [])
-    mosaics.small("r1", 20_000, spare)
-    mosaics._archive.get("r1").detail.frames_available = False  # type: ignore[misc]
-
-    def gone(run: str, purpose: str) -> Any:
-        raise GoneError("The frames are no longer in memory.", code="frames-gone")
-
-    mosaics._lease = gone
-    with pytest.raises(GoneError):
-        mosaics.tile("r1", PictureName(), 8, (0, 0, 16, 16), "jpg")

@@ -17,24 +17,12 @@ from vaoi_station.acquisition.process.messages import Grant
 from vaoi_station.errors import StateError
 from vaoi_station.runs.trends.trends import (
     TrendHistory,
-    compare,
 )
 from vaoi_station.store import Store
 from vaoi_station.store.figures import BoardRow, Span
 
 EVER = Span("2000-01-01T00:00:00.000Z", "2100-01-01T00:00:00.000Z")
 YEAR = Span("2026-01-01T00:00:00.000Z", "2027-01-01T00:00:00.000Z")
-
-
-def fill(store: Store, boards: int, kept: int = 10_000) -> TrendHistory:
-    """A board per 30 minutes from the begin of 2026 on."""
-    for n in range(boards):
-        time = f"2026-01-{1 + n // 48:02d}T{n % 48 // 2:02d}:{n % 2 * 30:02d}:00.000Z"
-        store.figures.add(
-            BoardRow(f"r{n:03d}", time, "b", {"ready_ms": float(n)}), {("software", ""): str(n // 9)}, kept
-        )
-    store.database.write(lambda _: None).result(10)
-    return TrendHistory(store.figures, ("a", "b"), 16)
 
 
 def test_figures_outlive_their_run(make_rig: Callable[..., Any], store: Store) -> None:
@@ -75,19 +63,6 @@ def test_figures_that_cannot_be_kept_hold_up_no_result(
         grant = rig.peer.expect(Grant)
 
 
-def test_long_spans_are_thinned(store: Store) -> None:
-    history = fill(store, 100)
-    one = history.trends(Span(YEAR.since, "2026-01-02T00:00:00.000Z"), (), 100)
-    assert (one.boards, one.bin_s, len(one.times)) == (48, None, 48)
-    binned = history.trends(Span(YEAR.since, "2026-01-04T00:00:00.000Z"), (), 24)
-    assert (binned.boards, binned.bin_s, len(binned.times)) == (100, 10800, 17)
-    assert binned.series[0].values[0] == 2.5
-    assert (binned.series[0].least or [None])[0] == 0
-    assert (binned.series[0].runs or [None])[0] == "r005"
-    assert [m.after for m in binned.marks] == [str(n) for n in range(1, 12)]
-    assert binned.complete
-
-
 @pytest.mark.parametrize("what", ["boards", "hours", "comparison"])
 def test_memory_does_not_grow_with_the_boards_that_are_read(store: Store, what: str) -> None:
     figures = {f"seam_px:{n}-{n + 1}": n / 8 for n in range(40)}
@@ -117,15 +92,3 @@ def boards(count: int, seed: int, **means: float) -> list[BoardRow]:
     random = np.random.default_rng(seed)
     columns = {name: mean + 0.1 * abs(mean) * random.standard_normal(count) for name, mean in means.items()}
     return [BoardRow(f"r{n}", "", "b", {k: float(v[n]) for k, v in columns.items()}) for n in range(count)]
-
-
-def test_the_largest_change_in_spreads_comes_first() -> None:
-    found = compare(
-        boards(50, 1, residual_px=1, seam_px=1, ready_ms=10, belt_mm_s=100),
-        boards(50, 2, residual_px=1.3, seam_px=2, ready_ms=10, belt_mm_s=50),
-    )
-    assert [c.figure for c in found] == ["seam_px", "belt_mm_s", "residual_px", "ready_ms"]
-    assert [c.changed for c in found] == [True, True, True, False]
-    assert [c.worse for c in found[:3]] == [True, None, True]
-    assert found[0].change == pytest.approx(1, abs=0.1)
-    assert found[0].before.spread == pytest.approx(0.1, rel=0.4)

@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import pickle
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.api.held_station import BOARD, HeldStation
 from tests.board_check.conftest import drawn_board, drawn_run
 from tests.hdr.exposed_views import FRAME, view
 from tests.heights.conftest import make_film
 from tests.mosaic.conftest import board, film
-from tests.runs.merging.finished_board import Merging, even_fields
-from vaoi_station.files.images import decode, write_image
+from vaoi_station.files.images import decode
 from vaoi_station.heights.estimates import combine_parts
-from vaoi_station.model import BoardType
 from vaoi_station.photometry import Taken
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
-from vaoi_station.runs.merging.merged_pictures import level_frames
-from vaoi_station.runs.workers import picture_jobs
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.picture_jobs import (
     BoardCheckJob,
     HeightsJob,
     MergedFrame,
     MergeJob,
-    RowLevelsJob,
 )
 
 
@@ -87,50 +79,10 @@ def test_frames_are_divided_by_the_flat_fields(tmp_path: Path) -> None:
     assert measured(None) != pytest.approx(truth, abs=0.1)
 
 
-def test_a_slice_uses_the_frames_that_it_has_converted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else each slice would convert the frames again, and measure one component."""
-    filmed, now_s = make_film(PARTS, rows=2), [0.0]
-    monkeypatch.setattr(picture_jobs, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
-    read: list[int] = []
-
-    def frame(slot: int) -> Any:
-        read.append(slot)
-        now_s[0] += 10 * picture_jobs.SLICE_S
-        return filmed.frames[0, slot - 7]
-
-    job = HeightsJob("r1", 0, 1, filmed.board_type, filmed.stitch, filmed.cameras, (), SLOTS)
-    assert list(job.perform(frame)) == ["U1", "U2"]
-    assert sorted(read) == [7, 8]
-
-
 def job(**options: object) -> MergeJob:
     shown = view(0, 0, (12.0, 9.0))
     frames = tuple(MergedFrame(shown, Taken(exposure), FRAME, slot) for slot, exposure in enumerate((100.0, 10.0)))
     return MergeJob("r1", 0, 1, 0, shown, "npy", frames=frames, **options)  # type: ignore[arg-type]
-
-
-def test_levels_follow_from_the_ring_and_from_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The lamp's level of each row, up to one factor per light, since their mean is 1."""
-    station = HeldStation()
-    fields = even_fields(tmp_path / "fields", station.cameras)
-    board_type = BoardType.model_validate(BOARD)
-    made = Merging(board_type, station.stitch(station.film()), station.cameras, fields, 0.08)
-    rows, finished = len(made.levels), made.finished
-    frames = level_frames(finished.detail.frames)
-    job = RowLevelsJob("r1", 1, 7, frames, board_type, finished.stitch, station.cameras, fields)
-    found = pickle.loads(pickle.dumps(job)).perform(made.pixels.__getitem__)
-    for light in (0, 1):
-        mine, true = found[light::2], made.levels[light::2]
-        np.testing.assert_allclose(mine / np.exp(np.log(mine).mean()), true / np.exp(np.log(true).mean()), atol=0.012)
-    for slot, pixels in made.pixels.items():
-        write_image(tmp_path / f"{slot}.png", pixels)
-    filed = tuple(f._replace(file=tmp_path / f"{f.camera * rows + f.row}.png") for f in frames)
-    recorded = RowLevelsJob("r1", 0, 0, filed, board_type, finished.stitch, station.cameras, fields, recorded=True)
-    np.testing.assert_array_equal(recorded.perform(lambda _: np.zeros(0)), found)
-    monkeypatch.setattr(picture_jobs, "MOST_DECODED", 1000)
-    np.testing.assert_array_equal(recorded.perform(lambda _: np.zeros(0)), 1.0)
-    np.testing.assert_array_equal(job.perform(made.pixels.__getitem__), found)
-    assert str(job) == "the brightness of the rows of run r1"
 
 
 __all__ = ["board", "film"]

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -95,13 +93,3 @@ def test_the_body_nearer_to_the_camera_hides_the_one_behind_it(make: Make) -> No
         camera, image = view(make, scene_of(*bodies))
         assert grey_at(camera, image, (5.4, 0.0), 1.0) == 220.0
         assert grey_at(camera, image, (6.8, 0.0), 1.0) == 120.0
-
-
-@pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 180.0, -90.0])
-def test_shadows_fall_away_from_the_lamp(make: Make, azimuth_deg: float) -> None:
-    light = LightSection(azimuth_deg=azimuth_deg, shadow=0.5, elevation_deg=45.0)
-    camera, image = view(make, scene_of(block("C1", (0.0, 0.0), 2.0, 2.0)), light)
-    a = math.radians(azimuth_deg)
-    towards, away = (math.cos(a) * 2.0, math.sin(a) * 2.0), (-math.cos(a) * 2.0, -math.sin(a) * 2.0)
-    assert grey_at(camera, image, towards) == BOARD
-    assert grey_at(camera, image, away) == pytest.approx(BOARD * 0.5, abs=1.0)

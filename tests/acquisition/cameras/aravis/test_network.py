@@ -36,18 +36,6 @@ def test_packets_are_as_large_as_camera_port_and_setting_permit(
     assert (size - smallest) % step == 0
 
 
-@given(st.integers(1000, 10**8), st.integers(576, 9000), st.integers(1, 24), st.floats(100, 1e5))
-def test_cameras_of_a_port_fill_it_and_no_more(payload: int, packet: int, cameras: int, link: float) -> None:
-    """A packet and its gap take as long as one packet of each camera: all together are as fast as the wire."""
-    on_wire_ns = (packet + network.ETHERNET_OVERHEAD) * 8000 / link
-    gap_ns = network.packet_delay_ns(packet, cameras, link)
-    rounding_ns = 1e-9 * cameras * on_wire_ns
-    assert -rounding_ns <= on_wire_ns + gap_ns - cameras * on_wire_ns <= 1 + rounding_ns
-    packets = network.packets_per_frame(payload, packet)
-    assert (packets - 1) * (packet - network.GVSP_OVERHEAD) < payload <= packets * (packet - network.GVSP_OVERHEAD)
-    assert network.transfer_s(payload, packet, cameras, link) == pytest.approx(packets * cameras * on_wire_ns * 1e-9)
-
-
 def test_a_port_that_cannot_carry_a_row_is_refused_with_the_numbers() -> None:
     frame = 1392 * 1040
     network.check_budget("eth1", [frame] * 4, 9000, 1000.0, 0.124)
@@ -111,29 +99,3 @@ def camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
         camera.bind(("127.0.0.1", 0))
         monkeypatch.setattr(network, "CONTROL_PORT", camera.getsockname()[1])
         yield camera
-
-
-def test_cameras_that_reply_to_the_broadcast_are_listed_by_address(
-    camera: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Replies are sent to the socket that asked; a short one is not a description of a camera."""
-    monkeypatch.setattr(network, "local_addresses", lambda: ("127.0.0.1",))
-    sent: list[tuple[bytes, tuple[str, int]]] = []
-
-    class Broadcast(socket.socket):
-        def sendto(self, datagram: bytes, address: tuple[str, int]) -> int:  # type: ignore[override]
-            sent.append((datagram, address))
-            header = struct.pack(">HHHH", 0, 0x0003, 0xF8, int.from_bytes(datagram[6:8], "big"))
-            for last, serial in ((10, b"S2"), (9, b"S1"), (9, b"S1")):
-                registers = bytearray(0xF8)
-                registers[0x24:0x28] = bytes([10, 0, 0, last])
-                registers[0xD8 : 0xD8 + len(serial)] = serial
-                camera.sendto(header + registers, self.getsockname())
-            camera.sendto(header + bytes(20), self.getsockname())
-            return len(datagram)
-
-    monkeypatch.setattr(socket, "socket", Broadcast)
-    found = network.discover(wait_s=0.1)
-    assert found == (network.FoundCamera("S1", "10.0.0.9"), network.FoundCamera("S2", "10.0.0.10"))
-    ((datagram, (address, _)),) = sent
-    assert (datagram[:6], address) == (bytes.fromhex("42 01 0002 0000"), "255.255.255.255")

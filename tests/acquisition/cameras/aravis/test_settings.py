@@ -8,28 +8,10 @@ import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
 from vaoi_station.acquisition.cameras.aravis import settings
-from vaoi_station.acquisition.cameras.aravis.settings import MAKES, Setting, Value, make_of
+from vaoi_station.acquisition.cameras.aravis.settings import Setting, Value
 from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader
 from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.errors import DeviceError
-
-
-@pytest.mark.parametrize(
-    ("vendor", "make", "line"),
-    [
-        ("FLIR", "flir", "Line0"),
-        ("Point Grey Research", "point grey", "Line0"),
-        ("Teledyne FLIR", "teledyne", "Line0"),
-        ("Basler", "basler", "Line1"),
-        ("Lucid Vision Labs", "lucid", "Line2"),
-        ("LUCID VISION LABS", "lucid", "Line2"),
-        ("Aravis", "aravis", "Line0"),
-    ],
-)
-def test_a_make_is_found_whatever_follows_its_name(vendor: str, make: str, line: str) -> None:
-    assert make_of(vendor) is MAKES[make]
-    assert make_of(vendor).line == line
-
 
 pytestmark = pytest.mark.usefixtures("_stand_in")
 
@@ -56,38 +38,6 @@ def test_a_refused_setting_is_named() -> None:
     ) as refused:
         settings.apply(camera, camera_config(features={"Sharpness": 3}))
     assert refused.value.code == "setting-refused"
-
-
-def test_a_setting_that_a_later_one_changes_is_found() -> None:
-    """The trigger is written last; this camera then falls back to single frames (Aravis #1045)."""
-    camera = StandInCamera()
-    original = camera.device.set_string_feature_value
-
-    def write(feature: str, value: str) -> None:
-        original(feature, value)
-        if feature == "TriggerActivation":
-            camera.device.features["AcquisitionMode"] = "SingleFrame"
-
-    camera.device.set_string_feature_value = write  # type: ignore[method-assign]
-    with pytest.raises(DeviceError, match="AcquisitionMode was set to 'Continuous', but reads 'SingleFrame'"):
-        settings.apply(camera, camera_config())
-
-
-def test_the_exposure_mode_is_that_of_the_way_and_is_left_alone_otherwise() -> None:
-    camera = StandInCamera()
-    camera.device.features["ExposureMode"] = "Timed"
-    camera.choices["ExposureMode"] = ["Timed", "TriggerWidth"]
-    settings.apply_exposure(camera, camera_config(exposure_by="trigger-width", exposure_us=80.0))
-    assert camera.device.features["ExposureMode"] == "TriggerWidth"
-    assert camera.device.features["ExposureTime"] == 10_000.0, "cameras lock it in this mode"
-    settings.apply_exposure(camera, camera_config(exposure_by="register", exposure_us=80.0))
-    assert (camera.device.features["ExposureMode"], camera.device.features["ExposureTime"]) == ("Timed", 80.0)
-    camera.device.features["ExposureMode"] = "Vendor"
-    settings.apply_exposure(camera, camera_config())
-    assert camera.device.features["ExposureMode"] == "Vendor"
-    camera.device.features["ExposureMode"] = "TriggerWidth"
-    settings.apply_exposure(camera, camera_config(features={"ExposureMode": "TriggerWidth"}))
-    assert camera.device.features["ExposureMode"] == "TriggerWidth", "station.toml states it"
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import pytest
 from tests.acquisition.cameras.aravis.stand_in import BufferStatus, StandInBuffer, StandInStream
 from vaoi_station.acquisition.cameras.aravis import stream as stream_module
 from vaoi_station.acquisition.cameras.aravis.stream import FrameCheck, FrameFormat, SlotResult, SlotStream
-from vaoi_station.acquisition.cameras.interface import Slot, StatedExposure
+from vaoi_station.acquisition.cameras.interface import Slot
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 
 pytestmark = pytest.mark.usefixtures("_stand_in")
@@ -135,34 +135,3 @@ def test_a_frame_that_does_not_end_is_broken_off(bench: Bench, monkeypatch: pyte
     result = bench.results.get(timeout=10)
     assert (result.slot, result.whole) == (SLOTS[0], False)
     assert "broken off" in result.fault
-
-
-class StandInReader:
-    """Reads what the test says."""
-
-    nbytes = 40
-
-    def __init__(self) -> None:
-        self.stated: StatedExposure | None = StatedExposure(250.0, 6.0)
-
-    def read(self, _buffer: StandInBuffer) -> StatedExposure | None:
-        return self.stated
-
-
-def test_chunk_data_lie_in_the_room_behind_the_slot_and_are_read(bench: Bench) -> None:
-    reader = StandInReader()
-    aravis_stream = StandInStream()
-    kind = FrameFormat(16, 16, PIXEL_FORMATS["Mono8"].code)
-    slots = SlotStream(aravis_stream, kind, bench.results.put, "chunks", reader)  # type: ignore[arg-type]
-    bench.aravis_stream = aravis_stream
-    try:
-        for slot in SLOTS[:3]:
-            slots.queue(Slot(slot.number, slot.memory, 4096))
-        assert aravis_stream.pushed[0].size == 256 + 4096
-        assert bench.fill(k=0, received=296, chunks=True).stated == StatedExposure(250.0, 6.0)
-        assert "does not state its exposure" in bench.fill(k=1).fault
-        reader.stated = None
-        unread = bench.fill(k=2, received=296, chunks=True)
-        assert (unread.whole, unread.fault) == (False, "the exposure in its chunk data cannot be read")
-    finally:
-        slots.close()

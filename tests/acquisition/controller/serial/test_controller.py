@@ -94,18 +94,6 @@ def test_rows_left_out_are_rows_of_the_run() -> None:
     assert (events[2].light, events[2].on_us) == ("light 1 of 101", 300.0)
 
 
-def test_boards_too_close_and_faults_are_reported() -> None:
-    events = Recorder().receive(
-        (Kind.SUPPRESSED, Suppressed.GAP, ROW_NONE, 40_000),
-        (Kind.FAULT, Fault.HEARTBEAT, 0, 0),
-        (Kind.FAULT, Fault.GUARD, 0, 0),
-    )
-    errors = [t.error for t in events if isinstance(t, DeviceFault)]
-    assert [e.code for e in errors] == ["board-too-soon", "controller-safe", "controller-safe"]
-    assert "0.020 s after the one before had left" in errors[0].message
-    assert all(e.action for e in errors)
-
-
 EVENTS = st.tuples(
     st.sampled_from(sorted(Kind)), st.integers(0, 5), st.sampled_from([0, 1, 2, 5, ROW_NONE]), st.integers(0, 9)
 )
@@ -244,14 +232,6 @@ def test_after_its_guard_tripped_it_stays_disarmed(
     assert device[1].in_state(State.SAFE)
     controller.arm(PLAN)
     assert device[1].in_state(State.ARMED)
-
-
-def test_a_run_whose_end_was_lost_ends_with_the_next_status(
-    controller: SerialController, events: EventQueue, device: Device
-) -> None:
-    controller.arm(PLAN)
-    device[1].emit(Kind.BARRIER, 1)
-    assert until(events, RunEnded).reason == "the controller's report of its end was lost"
 
 
 @pytest.mark.parametrize(

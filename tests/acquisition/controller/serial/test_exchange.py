@@ -5,37 +5,22 @@ from __future__ import annotations
 import fcntl
 import os
 import termios
-import time
 import tty
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.acquisition.controller.serial.fake_firmware import FakeFirmware
 from vaoi_station.acquisition.clocks import ClockModel
 from vaoi_station.acquisition.controller.protocol import (
-    MAX_TRIES,
-    RETRY_S,
     TICK_S,
-    ClockReply,
-    EventReceived,
-    EventsLost,
-    Link,
-    Request,
-    Type,
-    number_request,
 )
-from vaoi_station.acquisition.controller.serial import exchange as exchange_module
 from vaoi_station.acquisition.controller.serial.exchange import (
     BOOT_SPACING_S,
-    Exchange,
     Port,
-    PortLostError,
     Timebase,
     Waker,
 )
@@ -174,57 +159,3 @@ def test_closing_a_port_does_not_reset_the_board_behind_it(terminal: tuple[int, 
     Port(terminal[1], 250_000, waker).close()
     assert not termios.tcgetattr(handle)[2] & termios.HUPCL
     os.close(handle)
-
-
-Device = tuple[str, FakeFirmware]
-
-
-class Bench:
-    """An exchange and the events that it passed on."""
-
-    def __init__(self, name: str, waker: Waker) -> None:
-        self.port = Port(name, 250_000, waker)
-        self.events: list[EventReceived | EventsLost] = []
-        self.exchange = Exchange(self.port, Link(), lambda item, _now_s: self.events.append(item), name)
-
-
-@pytest.fixture
-def bench(device: Device) -> Iterator[Bench]:
-    with closing(Waker()) as waker:
-        bench = Bench(device[0], waker)
-        yield bench
-        bench.port.close()
-
-
-def test_a_reply_that_waits_in_the_port_is_not_missed(
-    bench: Bench, device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The reply to the last transmission arrives while the computer does not run this process."""
-    firmware = device[1]
-    firmware.mute = True
-    read, paused_s = bench.port.read, 0.0
-    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + paused_s)
-
-    def read_and_pause(wait_s: float) -> bytes:
-        nonlocal paused_s
-        data = read(wait_s)
-        if firmware.mute and len(firmware.requests) == MAX_TRIES:
-            firmware.reply_late()
-            paused_s = 1.5 * RETRY_S
-        return data
-
-    monkeypatch.setattr(bench.port, "read", read_and_pause)
-    monkeypatch.setattr(exchange_module, "time", clock)
-    replied = bench.exchange.request(number_request(Type.CLOCK, 77))
-    assert ClockReply.unpack(replied.payload).nonce == 77
-
-
-@pytest.mark.parametrize("failing", ["read", "write"])
-def test_a_port_that_goes(bench: Bench, monkeypatch: pytest.MonkeyPatch, failing: str) -> None:
-    def gone(*_arguments: object) -> bytes:
-        raise OSError(5, os.strerror(5))
-
-    monkeypatch.setattr(bench.port, failing, gone)
-    with pytest.raises(PortLostError, match="has gone") as lost:
-        bench.exchange.request(Request(Type.STATUS))
-    assert lost.value.code == "port-lost"

@@ -6,11 +6,10 @@ import re
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import Page, expect
 
 from tests.api.routes.test_board_types import proposing
 from tests.board_data.readers import samples
-from vaoi_station.model.board_type import OtherMark
 
 pytestmark = pytest.mark.browser
 
@@ -107,30 +106,6 @@ def test_a_file_becomes_an_approved_board_type(page: Page, engineer: Any, fits: 
     expect(page.get_by_role("heading", name="Deleted")).to_be_visible()
 
 
-def test_changes_that_overtake_the_reply_are_all_made(page: Page, engineer: Any) -> None:
-    """A person goes on to the next field while the station still imports the file with the former one."""
-    page.goto(f"{engineer.url}/#/setup/types")
-    choose_file(page, "#board-file", "places.csv", TABLE)
-    expect(page.get_by_role("heading", name="places.csv")).to_be_visible()
-    held: list[Route] = []
-    page.route("**/board-data/previews/*", lambda route: held.append(route) if not held else route.continue_())
-    page.get_by_label("Unit").select_option("mil")
-    page.get_by_label("Unit").select_option("mm")
-    page.get_by_text("The boards run as a panel of which the file has no data").click()
-    page.get_by_label("Boards along x and y").fill("2x1")
-    page.get_by_label("Name of the board type").fill("product-7")
-    store = page.locator("#confirm")
-    expect(store).to_be_disabled()  # it would store the board type before the changes
-    held[0].continue_()
-    expect(page.locator(".facts")).to_contain_text("mm (as given)")
-    expect(page.get_by_label("Boards along x and y")).to_have_value("2x1")
-    expect(page.get_by_label("Name of the board type")).to_have_value("product-7")
-    expect(page.get_by_label("Name of the board type")).to_be_focused()
-    page.keyboard.press("Tab")
-    expect(page.get_by_role("button", name="Store as product-7")).to_be_enabled()
-    expect(page.get_by_label("Unit")).to_have_value("mm")
-
-
 def test_what_the_station_refuses_is_shown(page: Page, engineer: Any) -> None:
     page.goto(f"{engineer.url}/#/setup/types")
     choose_file(page, "#board-file", "notes.txt", "nonsense")
@@ -199,34 +174,6 @@ def test_a_board_type_is_laid_over_a_filmed_board_and_moved_by_keys(page: Page, 
     station.release(run)  # a recording at most
     page.reload()
     expect(page.get_by_text("There is no board of this type with usable pictures in memory.")).to_be_visible()
-
-
-def test_marks_of_a_panel_are_named_and_read_by_choice(page: Page, engineer: Any) -> None:
-    types = engineer.station.types
-    board = types["demo-board"]
-    panel = tuple(part.model_copy(update={"panel": n}) for n, part in enumerate(board.components, start=1))
-    mark = OtherMark(name="BAD1", x=1.0, y=2.0, diameter=2.0, kind="bad-board", panel=1)
-    types["demo-board"] = board.model_copy(update={"components": panel, "other_marks": (mark,)})
-    page.goto(f"{engineer.url}/#/setup/types/of/demo-board")
-    expect(page.get_by_text("bad-board mark of board 1")).to_be_visible()
-    page.get_by_label("On a bad board it is").first.select_option("light")
-    page.get_by_text("Name a part as a mark").click()
-    expect(page.get_by_label("Of board", exact=True)).to_be_hidden()
-    page.get_by_label("Kind").select_option("bad-board mark")
-    page.get_by_label("Part", exact=True).fill(f"2/{panel[1].ref}")
-    page.get_by_label("Of board", exact=True).select_option("2")
-    page.get_by_role("button", name="Add").click()
-    expect(page.get_by_text("bad-board mark of board 2")).to_be_visible()
-    page.get_by_role("button", name="Store these marks").click()
-    expect(page.locator(".answer.done")).to_contain_text("Stored as a draft")
-    stored = types["demo-board"].other_marks
-    assert stored is not None
-    assert [(m.name, m.panel, m.bad) for m in stored] == [("BAD1", 1, "light"), (f"2/{panel[1].ref}", 2, "dark")]
-    for name in ("BAD1", "2/"):
-        page.get_by_label(re.compile(f"^{name}.* at ")).uncheck()
-    page.get_by_role("button", name="Store these marks").click()
-    expect(page.get_by_text("bad-board mark of board 1")).to_have_count(0)
-    assert types["demo-board"].other_marks is None
 
 
 def test_a_run_is_taught_as_reference(page: Page, engineer: Any) -> None:
