@@ -15,7 +15,6 @@ from vaoi_station.stitching.adjustment.problem import (
     SIGMA_MM,
     LinkStore,
     basis,
-    patch_overlap,
     prior_sigma_mm,
     to_observations,
     to_surface,
@@ -77,6 +76,14 @@ def test_links_projected_early_are_the_same_in_any_requested_order(workshop: Any
     assert np.array_equal(first.a_mm, a_mm), "what is laid later does not change observations"
 
 
+def test_only_patches_of_the_same_frames_overlap(workshop: Any) -> None:
+    """Of four patches two cover half of each other; in the frames of the other camera they are other pixels."""
+    px = np.array([[40.0, 40.0], [40.0 + WINDOW_PX / 2, 40.0], [120.0, 40.0], [40.0, 40.0 + WINDOW_PX]])
+    found = [links(Task("rows", (i, 0), (i, 1)), px, px) for i in range(2)]
+    cameras = (workshop.camera(), workshop.camera((15, 0)))
+    assert to_observations(found, cameras).overlap == pytest.approx([1.5, 1.5, 1.0, 1.0] * 2)
+
+
 def test_the_mean_of_patches_that_overlap_is_as_sure_as_their_overlap_says(workshop: Any) -> None:
     """Two pictures of one texture, with fresh noise in each of 60 repetitions; one patch begins every 8 px."""
     y, x = np.mgrid[30:90:8, 30:90:8]
@@ -90,7 +97,8 @@ def test_the_mean_of_patches_that_overlap_is_as_sure_as_their_overlap_says(works
     for _ in range(60):
         a, b = (np.clip(np.round(true + chance.normal(0, 4, true.shape)), 0, 255).astype(np.uint8) for _ in range(2))
         found = match_patches(a, b, corners, at)
-        overlap = patch_overlap(at, WINDOW_PX)
+        seen = links(Task("rows", (0, 0), (0, 1)), at, found.b_px, found.information)
+        overlap = to_observations([seen], (workshop.camera(),)).overlap
         weight = np.trace(found.information, axis1=1, axis2=2) / 2 / overlap
         squares.append((((found.b_px - at) * weight[:, None]).sum(0) / weight.sum()) ** 2)
         stated.append(1 / weight.sum())

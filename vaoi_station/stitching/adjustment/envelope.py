@@ -98,13 +98,13 @@ def add_equations(columns: Ints, a: Floats, b: Floats, normal: NormalEquations) 
                         values[at[row] + columns[k, j]] += a[k, r, i] * a[k, r, j]
 
 
-@compiled
 def hold_first_row(normal: NormalEquations) -> None:
     """Fix the gauge: replace the lines and columns of row 0 by those of the identity, so that row 0 does not move."""
-    first, at, values = normal.first, normal.at, normal.values
-    for i in range(len(first)):
-        for j in range(first[i], min(i + 1, 3)):
-            values[at[i] + j] = 1.0 if i == j else 0.0
+    for j in range(3):
+        below = j + np.flatnonzero(normal.first[j:] <= j)
+        normal.values[normal.at[below] + j] = 0.0
+        normal.values[normal.at[j] + normal.first[j] : normal.at[j] + j] = 0.0
+        normal.values[normal.at[j] + j] = 1.0
     normal.right[:3] = 0.0
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled, inlined
+from vaoi_station.compiled import compiled
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.camera import camera_arrays
 from vaoi_station.geometry.displacement import PARAMETERS
@@ -209,15 +209,23 @@ def _project_links(
 
     `information` (k, 2, 2) is the inverse covariance of the points in the second image, px⁻². The links of pair n of
     frames end before `ends[n]`; `pairs` (n, 2) are its cameras.
+
+    A patch by itself has an overlap of 1, each of two patches that cover half of each other 1.5. Patches that overlap
+    share the noise of the pixels in both: n equal ones show no more than a single one.
     """
     points, leans, eye = np.empty((2, len(a_px), 2)), np.empty((2, len(a_px), 2)), cameras.viewpoint
-    covariance, resolution, overlap, n = np.empty_like(information), np.empty(len(a_px)), np.empty(len(a_px)), 0
+    covariance, resolution, overlap = np.empty_like(information), np.empty(len(a_px)), np.ones(len(a_px))
+    n = begin = 0
     for k in range(len(a_px)):
         if k == ends[n]:
-            n += 1
-        if k == 0 or k == ends[n - 1]:
-            overlap[k : ends[n]] = patch_overlap(a_px[k : ends[n]], WINDOW_PX)
-        camera_a, camera_b = pairs[n]
+            n, begin = n + 1, k
+        for other in range(begin, k):
+            across, down = abs(a_px[k, 0] - a_px[other, 0]), abs(a_px[k, 1] - a_px[other, 1])
+            if across < WINDOW_PX and down < WINDOW_PX:
+                share = (1 - across / WINDOW_PX) * (1 - down / WINDOW_PX)
+                overlap[k] += share
+                overlap[other] += share
+        camera_a, camera_b = pairs[n, 0], pairs[n, 1]
         u = v = 0.0
         for end in range(2):
             i, px = (camera_a, a_px[k]) if end == 0 else (camera_b, b_px[k])
@@ -240,24 +248,6 @@ def _project_links(
         covariance[k, 0, 1] = covariance[k, 1, 0] = -xy / det
         resolution[k] = np.sqrt(abs(slope))
     return points[0], points[1], leans[0], leans[1], covariance, resolution, overlap
-
-
-@inlined
-def patch_overlap(px: Floats, side_px: float) -> Floats:
-    """Return by how much square patches at pixels (k, 2), with sides of `side_px`, cover each of them (k,).
-
-    A patch by itself has 1, each of two patches that cover half of each other 1.5. Patches that overlap share the noise
-    of the pixels in both: n equal ones show no more than a single one.
-    """
-    covered = np.ones(len(px))
-    for n in range(len(px)):
-        for m in range(n):
-            x, y = abs(px[n, 0] - px[m, 0]), abs(px[n, 1] - px[m, 1])
-            if x < side_px and y < side_px:
-                share = (1 - x / side_px) * (1 - y / side_px)
-                covered[n] += share
-                covered[m] += share
-    return covered
 
 
 USED = 0.1  # robust weight above which a link counts as used

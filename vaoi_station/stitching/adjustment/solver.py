@@ -190,7 +190,7 @@ surfaces or between rows of unlike exposure, do not err independently. Between t
 because of different light and of the different perspective of points slightly above the board, and at least the share
 `_PAIR_SHARE` of the noise floor and the share `_NOISE_SHARE` of the median image noise of the links: noise draws
 matches towards certain fractions of a pixel, which are the same in all rows of two cameras. What links have in common
-because their patches overlap is not in it: `patch_overlap` computes that."""
+because their patches overlap is not in it: `LinkArrays.overlap` has that."""
 _LIGHTS_SIGMA_PX = 0.3  # the same error between rows of different lights: the bright edges of metal move with the lamp
 _FLOOR_STEPS = 6
 """The noise floors are estimated in the first steps only, up to this number. Then they stay constant, so that steps
