@@ -46,6 +46,13 @@ def test_a_result_never_changes(store: Store, database: Database, make_run: Make
     assert store.result("r1") == '{"m": 1}'
 
 
+def test_a_result_is_replaced_only_by_its_complete_form_and_not_made_anew(store: Store, make_run: MakeRun) -> None:
+    store.save_run(make_run("r1", "ready", 1), None, '{"m": 1}').result(10)
+    store.complete_result("r1", '{"m": 1, "more": 2}').result(10)
+    store.complete_result("r2", '{"m": 3}').result(10)
+    assert (store.result("r1"), store.result("r2")) == ('{"m": 1, "more": 2}', None)
+
+
 def test_runs_are_listed_by_id_and_followed_by_finish_number(store: Store, make_run: MakeRun) -> None:
     for number, run in ((2, "r1"), (1, "r2"), (None, "r3")):
         store.save_run(make_run(run, "ready", number)).result(10)

@@ -134,7 +134,7 @@ def _paper(board: BenchmarkBoard) -> Any:
 
 
 def _ready_ms(board: BenchmarkBoard) -> float:
-    """Return the wall time, ms, from the last frame to the result, if all other tasks were done before."""
+    """Return the wall time, ms, from the last frame to matrices and verdict, if all other tasks were done before."""
     times_s = board.head.row_times_s()
     runner = TaskRunner(board.setup, board.frame)
     present = list(board.frames)
@@ -144,7 +144,7 @@ def _ready_ms(board: BenchmarkBoard) -> float:
     evidence: list[Evidence] = [runner.perform(t) for t in tasks if t not in set(late)]
     start = time.perf_counter()
     evidence += [runner.perform(t) for t in late]
-    runner.conclude(times_s, present, evidence)
+    runner.answer(times_s, present, evidence)
     return (time.perf_counter() - start) * 1e3
 
 

@@ -304,12 +304,16 @@ class Store:
         durable = row.finish_number is not None
         return self.database.write(write, patient=patient, durable=durable, size=size)
 
-    def complete_result(self, run: str, document: str) -> Future[int]:
+    def complete_result(self, run: str, document: str) -> Future[None]:
         """Write the complete result of a finished run in place of its first one; no effect if it was deleted."""
-        return self.database.execute(
-            "INSERT OR REPLACE INTO results SELECT run, ?, ? FROM results WHERE run = ?", (*packed(document), run),
-            patient=True, durable=False, size=len(document),
-        )  # fmt: skip
+
+        def write(connection: sqlite3.Connection) -> None:
+            # The trigger of the table refuses every update. Packing takes milliseconds, so that it is done here, in the
+            # database's thread.
+            replacement = "INSERT OR REPLACE INTO results SELECT run, ?, ? FROM results WHERE run = ?"
+            connection.execute(replacement, (*packed(document), run))
+
+        return self.database.write(write, patient=True, durable=False, size=len(document))
 
     def set_state(self, run: str, state: str) -> Future[int]:
         """Set the state of a finished run whose frames were released or evicted; no effect on an unfinished run."""

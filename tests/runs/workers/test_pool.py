@@ -140,6 +140,17 @@ def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(board_plant: BoardPl
     assert [len(p.answers) for p in (result, checked)] == [1, 1], "result and check of the slower worker are dropped"
 
 
+def test_a_result_whose_worker_dies_is_not_explained(board_plant: BoardPlant, ring_board: RingBoard) -> None:
+    board_plant.link_all([ring_board.link(task) for task in ring_board.tasks])
+    board_plant.all_idle()
+    result = board_plant.submit(ring_board.conclusion())
+    assert result.get().error is None
+    os.kill(board_plant.pid(1), signal.SIGKILL)
+    error = board_plant.submit(CHECK).get().error
+    assert isinstance(error, InternalError)
+    assert "the worker that concluded the run has ended" in error.message
+
+
 def test_a_worker_that_cannot_be_started_is_tried_again(plant: Plant) -> None:
     plant.all_idle()
     server = plant.pool.fork_server.status().pid
