@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -76,9 +77,11 @@ def test_processes_that_start_together_run_the_same_code(tmp_path: Path) -> None
     misses = [int(process.communicate()[0]) for process in processes]
     assert [process.returncode for process in processes] == [0, 0]
     assert sorted(misses) == [0, 1], "one compiles, the other finds the code"
-    [lock] = (tmp_path / "cache").rglob("vaoi-station.lock")
-    with lock.open("w") as loading:  # as a process does that loads code from the cache
-        fcntl.flock(loading, fcntl.LOCK_SH)
+    locks = [*(tmp_path / "cache").rglob("*.lock")]
+    assert sorted(lock.name for lock in locks) == ["__main__.half.lock", "__main__.quarter.lock"]
+    with ExitStack() as loading:  # as a process does that loads code from the cache
+        for lock in locks:
+            fcntl.flock(loading.enter_context(lock.open("w")), fcntl.LOCK_SH)
         third = [sys.executable, str(source)]
         done = subprocess.run(third, env=environment, input="now\n", capture_output=True, text=True, check=True)
     assert int(done.stdout) == 0

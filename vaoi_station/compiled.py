@@ -20,8 +20,6 @@ _ALLOWED = {"reassoc", "contract", "arcp", "nsz"}
 They allow it to reorder sums, so that sums run in vector registers. NaN and ∞ keep their meaning."""
 _functions: list[_Deferred] = []
 """The compiled functions of all modules that were imported."""
-_LOCK = "vaoi-station.lock"
-"""Name of the lock file, in the directory where Numba caches the machine code."""
 _in_this_process = threading.RLock()
 _before_compiling: list[Callable[[], object]] = []
 """What this process calls before it compiles for the first time."""
@@ -142,21 +140,22 @@ def signatures() -> set[tuple[str, str]]:
 
 
 def _alone(made: Any) -> Callable[[Any], Any]:
-    """Return `made.compile` with a lock: one process at a time compiles, the others wait and then load the cached code.
+    """Return `made.compile` with a lock: one process compiles a function, the others wait and then load its code.
 
     Two processes that compiled the same function could round differently, because not the same other functions are
     ready for inlining: the result of a station would differ from that of `vaoi stitch`.
     """
-    compile_it, load, cache = made.compile, made._cache.load_overload, Path(made.stats.cache_path)
+    compile_it, load, function = made.compile, made._cache.load_overload, made.py_func
+    file = Path(made.stats.cache_path) / f"{function.__module__}.{function.__qualname__}.lock"
 
     def compile_alone(signature: Any) -> Any:
         with _in_this_process, _without_collections(), ExitStack() as compiling:
 
             def load_or_lock(*request: Any) -> Any:
-                with _lock(cache, fcntl.LOCK_SH):
+                with _lock(file, fcntl.LOCK_SH):
                     found = load(*request)
                 if found is None:
-                    compiling.enter_context(_lock(cache, fcntl.LOCK_EX))
+                    compiling.enter_context(_lock(file, fcntl.LOCK_EX))
                     # Another process may have compiled it between the two locks.
                     found = load(*request)
                 if found is None and _before_compiling:
@@ -181,27 +180,28 @@ def _without_collections() -> Iterator[None]:
             gc.enable()
 
 
-_depth = 0
+_held: set[Path] = set()
+"""The lock files that this process holds."""
 
 
 @contextmanager
-def _lock(directory: Path, how: int) -> Iterator[None]:
-    """Exclude other processes from a cache directory: all (`LOCK_EX`), or those that compile into it (`LOCK_SH`).
+def _lock(path: Path, how: int) -> Iterator[None]:
+    """Exclude other processes from the code of a function: all (`LOCK_EX`), or the one that compiles it (`LOCK_SH`).
 
-    The lock is re-entrant, because compiling a function also loads or compiles those it calls.
+    Compiling a function also loads or compiles those that it calls, never one that calls it: no two processes wait for
+    each other.
     """
-    global _depth  # noqa: PLW0603  (one per process, changed under its lock)
     # an RLock excludes the other threads of this process; one thread may take it twice, which flock does not allow
     with _in_this_process:
-        # nested call: this thread holds the file lock already, and a second flock on another open file would block
-        if _depth:
+        # a second flock on another open file would block
+        if path in _held:
             yield
             return
-        directory.mkdir(parents=True, exist_ok=True)
-        with (directory / _LOCK).open("w") as file:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w") as file:
             fcntl.flock(file, how)
-            _depth += 1
+            _held.add(path)
             try:
                 yield
             finally:
-                _depth -= 1
+                _held.remove(path)

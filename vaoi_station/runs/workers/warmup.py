@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera, Lens, Projective, System
 from vaoi_station.heights.estimates import measure_heights
-from vaoi_station.marks.subpixel_localisation import locate_mark
+from vaoi_station.marks import find_candidates, locate_mark
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_frames, make_plan, render_tile
 from vaoi_station.rendering import ViewCalculator, render_all
@@ -40,23 +40,24 @@ def warm_up() -> Stitch:
     picture = _picture()
     # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
-    _locate_other_marks(picture)
-    lens = setup.cameras[0].lens
-    lens.undistort(lens.distort(np.zeros((1, 2))))
     runner = TaskRunner(setup, partial(_frame, picture))
-    tasks = all_tasks(present, dict(enumerate(times_s)), setup)
-    stitch = runner.conclude(times_s, present, [runner.perform(task) for task in tasks])
+    # Marks come after links: meanwhile the second process compiles what they need.
+    tasks = sorted(all_tasks(present, dict(enumerate(times_s)), setup), key=lambda task: task.kind == "marks")
+    evidence = [runner.perform(task) for task in tasks]
+    _locate_marks(picture)
+    stitch = runner.conclude(times_s, present, evidence)
     for call in _calls_for_pictures(setup, stitch, picture):
         call()
     return stitch
 
 
 def warm_up_from_the_end() -> None:
-    """Call what `warm_up` calls after it has stitched, in the opposite order, with the matrices of the synthetic board.
+    """Locate marks, and call what `warm_up` calls after it has stitched, with the matrices of the synthetic board.
 
     A second process does this while the first one warms up: neither waits long for what the other one compiles.
     """
     setup, picture = _setup(), _picture()
+    _locate_marks(picture)
     for call in reversed(_calls_for_pictures(setup, _true_stitch(setup), picture)):
         call()
 
@@ -83,8 +84,11 @@ def _true_stitch(setup: StitchSetup) -> Stitch:
     )
 
 
-def _locate_other_marks(picture: NDArray[np.uint8]) -> None:
-    locate_mark(picture, np.array(picture.shape[::-1]) / 2.0, "square", _MARK_MM * _PX_PER_MM)
+def _locate_marks(picture: NDArray[np.uint8]) -> None:
+    size_px, first_px = _MARK_MM * _PX_PER_MM, (np.array(_MARKS_MM[0]) + (0, _STEP_MM * (_ROWS - 1))) * _PX_PER_MM
+    find_candidates(picture, "circle", size_px)
+    for shape in ("circle", "square"):
+        locate_mark(picture, first_px, shape, size_px)
 
 
 def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: NDArray[np.uint8]) -> None:
