@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.compiled import compiled
+from vaoi_station.compiled import compiled, inlined
 from vaoi_station.geometry.homographies import of_part, to_part
 from vaoi_station.geometry.transforms import Floats, apply
 
@@ -126,6 +126,42 @@ def _warp(frame: NDArray[Any], matrix: Floats, picture: NDArray[Any]) -> None:
             cv2.warpPerspective(shown, to_part(own, *low.tolist()), (w, h), dst=part, flags=_FLAGS)
 
 
+@inlined
+def chord_px(m: Floats, x: float, y: float) -> int:
+    """Return over how many pixels from a place on a chord may replace a homography along a line."""
+    # A chord of n pixels deviates by n²/8 times the second derivative, which is 2·m20/w times the first.
+    w = m[2, 0] * x + m[2, 1] * y + m[2, 2]
+    return int(min(max(np.sqrt(3 * _BENT_PX * abs(w) / (abs(m[2, 0]) + 1e-12)), 1.0), _LONGEST_PX))
+
+
+@inlined
+def chord(m: Floats, x: int, y: int, count: int) -> tuple[float, float, float, float]:
+    """Return the position in the frame of a pixel, and its change per pixel along the line, less 1 to the right."""
+    w0, end = 1 / (m[2, 0] * x + m[2, 1] * y + m[2, 2]), x + count
+    w1 = 1 / (m[2, 0] * end + m[2, 1] * y + m[2, 2])
+    u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) * w0, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) * w0
+    du = ((m[0, 0] * end + m[0, 1] * y + m[0, 2]) * w1 - u) / count - 1
+    dv = ((m[1, 0] * end + m[1, 1] * y + m[1, 2]) * w1 - v) / count
+    return u, v, du, dv
+
+
+@inlined
+def run_at(u: float, v: float, du: float, dv: float, most: int) -> tuple[int, int, float, float, int]:
+    """Return the run of pixels from a position on whose neighbours in the frame are runs of pixels as well.
+
+    It has the column and row of the neighbour above and to the left of its first pixel, the weights there of the
+    neighbours to the right and below, and the number of pixels.
+    """
+    left, top = int(np.floor(u)), int(np.floor(v))
+    # Rounded, a difference may be 1.
+    right, down, count = min(u - left, _BELOW_1), min(v - top, _BELOW_1), most
+    if not 0 <= right + du * (most - 1) < 1:
+        count = min(count, int((1 - right) / du) + 1 if du > 0 else int(right / -du) + 1)
+    if not 0 <= down + dv * (most - 1) < 1:
+        count = min(count, int((1 - down) / dv) + 1 if dv > 0 else int(down / -dv) + 1)
+    return left, top, right, down, count
+
+
 @compiled
 def _resample(  # noqa: PLR0912, PLR0915  (one compiled function; helpers would be compiled as well)
     frame: NDArray[np.uint8],
@@ -161,8 +197,7 @@ def _resample(  # noqa: PLR0912, PLR0915  (one compiled function; helpers would 
             u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / w, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / w
             du, dv = (m[0, 0] - m[2, 0] * u) / w, (m[1, 0] - m[2, 0] * v) / w
             fits &= w > 0 and abs(du - 1) < _STEEPEST and abs(dv) < _STEEPEST
-            # A chord of n pixels deviates by n²/8 times the second derivative, which is 2·m20/w times the first.
-            longest = min(longest, int(np.sqrt(3 * _BENT_PX * abs(w) / (abs(m[2, 0]) + 1e-12))))
+            longest = min(longest, chord_px(m, x, y))
         done[k] = fits and longest >= min(_SHORTEST_PX, width)
         if not done[k]:
             continue
@@ -185,22 +220,10 @@ def _resample(  # noqa: PLR0912, PLR0915  (one compiled function; helpers would 
                 out[(begin + y * gap) * channels] = seen & 1
             for x0 in range(0, width, length):
                 some = min(length, width - x0)
-                w0, x1 = 1 / (m[2, 0] * x0 + m[2, 1] * y + m[2, 2]), x0 + some
-                w1 = 1 / (m[2, 0] * x1 + m[2, 1] * y + m[2, 2])
-                u, v = (m[0, 0] * x0 + m[0, 1] * y + m[0, 2]) * w0, (m[1, 0] * x0 + m[1, 1] * y + m[1, 2]) * w0
-                du = ((m[0, 0] * x1 + m[0, 1] * y + m[0, 2]) * w1 - u) / some - 1
-                dv = ((m[1, 0] * x1 + m[1, 1] * y + m[1, 2]) * w1 - v) / some
+                u, v, du, dv = chord(m, x0, y, some)
                 x = 0
                 while x < some:
-                    # A run ends where a neighbour changes.
-                    at_u, at_v = u + x * (du + 1), v + x * dv
-                    left, top = int(np.floor(at_u)), int(np.floor(at_v))
-                    # Rounded, a difference may be 1.
-                    right, down, count = min(at_u - left, _BELOW_1), min(at_v - top, _BELOW_1), some - x
-                    if not 0 <= right + du * (count - 1) < 1:
-                        count = min(count, int((1 - right) / du) + 1 if du > 0 else int(right / -du) + 1)
-                    if not 0 <= down + dv * (count - 1) < 1:
-                        count = min(count, int((1 - down) / dv) + 1 if dv > 0 else int(down / -dv) + 1)
+                    left, top, right, down, count = run_at(u + x * (du + 1), v + x * dv, du, dv, some - x)
                     at = np.uint64((begin + y * gap + x0 + x) * channels)
                     s0, t0, ds, dt = np.float32(right), np.float32(down), np.float32(du), np.float32(dv)
                     values, offset = count * channels, top * frame.shape[1] + left * channels

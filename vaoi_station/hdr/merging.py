@@ -16,9 +16,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vaoi_station.compiled import compiled
 from vaoi_station.errors import InputError
-from vaoi_station.geometry.homographies import of_part, to_part
+from vaoi_station.geometry.homographies import of_part
 from vaoi_station.geometry.polygon import pixels_inside
+from vaoi_station.geometry.resampling import chord, chord_px, run_at
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Component, Stitch
 from vaoi_station.model.stitch_result import known_height_mm
@@ -86,7 +88,8 @@ def region_component(
     return Component(ref=REGION, center=((x0 + x1) / 2, (y0 + y1) / 2), width=x1 - x0, height=y1 - y0)
 
 
-_BLOCK_PX = 256
+_PART_PX = 256
+"""Longest side of the parts in which the flat field counts as constant for the noise."""
 _LEAST_FLAT = 0.02
 """Flat field below which a pixel sees nothing."""
 _SHARPENING_PX2 = 0.25
@@ -95,15 +98,17 @@ _SHARPENING_PX2 = 0.25
 Bilinear interpolation blurs by f (1 − f) at a fraction f of a pixel: 1/4 at most, 1/6 on average. Beside bright metal
 this blur would add light to dark places: by several per cent over two decades of radiance.
 """
-_TAPS = np.array([-_SHARPENING_PX2 / 2, 1 + _SHARPENING_PX2, -_SHARPENING_PX2 / 2], np.float32)
-_MOST_NOISE = float((_TAPS**2).sum())
+_SIDE = -_SHARPENING_PX2 / 2
+"""Weight of the neighbours; that of the pixel itself is 1 − 2 · `_SIDE`."""
+_MOST_NOISE = (1 - 2 * _SIDE) ** 2 + 2 * _SIDE**2
 """Factor by which sharpening multiplies the variance of noise along one axis."""
-_LESS_NOISE = 2 * _MOST_NOISE - 4 * float(_TAPS[0] * _TAPS[1])
+_LESS_NOISE = 2 * _MOST_NOISE - 4 * _SIDE * (1 - 2 * _SIDE)
 """Interpolation at a fraction f of a pixel reduces this factor by `_LESS_NOISE` · f (1 − f): squares of the taps of
 both, convolved."""
+_EVEN = np.ones((1, 1), np.float32)
+"""Stands for a flat field that is 1 everywhere."""
 _MARGIN_PX = 4
 """Pixels around the used part of a frame, for interpolation and sharpening."""
-_FLAGS = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _GRID = 12
 """Points per side of the grid on which coverage is compared."""
 _COMPLETE = 0.995
@@ -189,10 +194,11 @@ def merge_views(views: Sequence[Exposed], *, groups: bool = True, sigma: bool = 
     found = []
     for n, part in enumerate(parts):
         total, weight = sums[:2, n]
-        shown = weight > 0
-        value = np.divide(total, weight, out=np.full_like(total, np.nan), where=shown)
-        # The variance of a mean is Σ(weight² · variance) / (Σ weight)².
-        spread = np.divide(np.sqrt(sums[2, n]), weight, out=np.full_like(total, np.inf), where=shown) if sigma else None
+        # NaN where there is no weight.
+        with np.errstate(invalid="ignore"):
+            value = total / weight
+            # The variance of a mean is Σ(weight² · variance) / (Σ weight)².
+            spread = np.nan_to_num(np.sqrt(sums[2, n]) / weight, nan=np.inf, posinf=np.inf) if sigma else None
         found.append(MergedPicture(tuple(v.view for v in part), len(distinct_exposures(part)), value, spread))
     return found
 
@@ -252,76 +258,178 @@ def _add(exposed: Exposed, groups: Sequence[int], sums: Floats32) -> None:
 
     They are the sums of value / variance, of 1 / variance, and of noise factor / variance.
     """
-    view, pixels = exposed.view, exposed.pixels()
-    full = int(np.iinfo(pixels.dtype).max)
-    if pixels.ndim == 3:
-        # Luminance hides that one channel is saturated, so it is marked as saturated as well.
-        at_limit = pixels_at_limit(pixels)
-        pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY))
-        pixels[at_limit] = full
-    for x0, y0, x1, y1, matrix in view.tiles or (Tile(0, 0, view.width, view.height, view.matrix),):
-        # In blocks that stay in the processor's cache.
-        for top in range(y0, y1, _BLOCK_PX):
-            for left in range(x0, x1, _BLOCK_PX):
-                part = sums[:, :, top : min(top + _BLOCK_PX, y1), left : min(left + _BLOCK_PX, x1)]
-                _add_block(exposed, pixels, full, of_part(matrix, left - x0, top - y0), groups, part)
-
-
-def _add_block(
-    exposed: Exposed, pixels: NDArray[Any], full: int, matrix: Floats, groups: Sequence[int], sums: Floats32
-) -> None:
-    """Add a frame to the sums of a block; `matrix` is that from its pixels to those of the frame."""
-    height, width = sums.shape[2:]
-    ends = apply(matrix, np.array([(0, 0), (width, 0), (0, height), (width, height)], np.float64) - 0.5)
-    x0, y0 = np.clip(np.floor(ends.min(0)).astype(int) - _MARGIN_PX, 0, pixels.shape[::-1]).tolist()
-    x1, y1 = np.clip(np.ceil(ends.max(0)).astype(int) + _MARGIN_PX, 0, pixels.shape[::-1]).tolist()
+    boxes, matrices = _parts(exposed.view)
+    pixels, maps = exposed.pixels(), exposed.maps
+    rows, columns = pixels.shape[:2]
+    scales, low_x, low_y, high_x, high_y = [], columns, rows, 0, 0
+    # Plain numbers: numpy takes ten times as long for so few.
+    for (x0, y0, x1, y1), m in zip(boxes.tolist(), matrices.tolist(), strict=True):
+        right, bottom = x1 - x0 - 0.5, y1 - y0 - 0.5
+        places = ((-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom), ((x1 - x0) // 2, (y1 - y0) // 2))
+        (ax, ay, aw), (bx, by, bw), (cx, cy, cw) = m
+        at = [
+            ((ax * x + ay * y + aw) / w, (bx * x + by * y + bw) / w)
+            for x, y, w in ((x, y, cx * x + cy * y + cw) for x, y in places)
+        ]
+        across, down = zip(*at, strict=True)
+        low_x, low_y = min(low_x, int(min(across)) - _MARGIN_PX), min(low_y, int(min(down)) - _MARGIN_PX)
+        high_x, high_y = max(high_x, int(max(across)) + _MARGIN_PX), max(high_y, int(max(down)) + _MARGIN_PX)
+        # Over a part the flat field counts as constant for the noise: it changes by a few per cent.
+        x, y = min(max(int(across[4]), 0), columns - 1), min(max(int(down[4]), 0), rows - 1)
+        scales.append(exposed.scale * (1.0 if maps.flat is None else max(float(maps.flat[y, x]), _LEAST_FLAT)))
+    x0, y0, x1, y1 = max(low_x, 0), max(low_y, 0), min(high_x, columns), min(high_y, rows)
     if x1 <= x0 or y1 <= y0:
         return
-    maps, area = exposed.maps, np.s_[y0:y1, x0:x1]
-    dark = maps.dark[area] if isinstance(maps.dark, np.ndarray) else np.float32(maps.dark)
-    grey, scale = pixels[area], exposed.scale
+    grey = pixels[y0:y1, x0:x1]
+    full = int(np.iinfo(grey.dtype).max)
+    if grey.ndim == 3:
+        # Luminance hides that one channel is saturated, so it is marked as saturated as well.
+        at_limit = pixels_at_limit(grey)
+        grey = np.asarray(cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY))
+        grey[at_limit] = full
+    # NaN where pixels are saturated.
     value = grey.astype(np.float32)
-    value *= np.float32(FULL_SCALE / full / scale)
-    value -= dark * np.float32(1 / scale)
-    lost = grey >= full
-    if maps.flat is not None:
-        flat = maps.flat[area]
-        lost |= flat <= _LEAST_FLAT
-        value /= np.maximum(flat, np.float32(_LEAST_FLAT))
-        # Over a block the flat field counts as constant for the noise: it changes by a few per cent.
-        x, y = apply(matrix, np.array([width // 2, height // 2], np.float64)).tolist()
-        at = min(max(int(y), 0), maps.flat.shape[0] - 1), min(max(int(x), 0), maps.flat.shape[1] - 1)
-        scale *= max(float(maps.flat[at]), _LEAST_FLAT)
-    np.putmask(value, lost, np.float32(np.nan))
-    # The taps turn NaN into NaN: the eight neighbours of a saturated pixel are out as well.
-    value = cv2.sepFilter2D(value, -1, _TAPS, _TAPS, borderType=cv2.BORDER_REPLICATE)
-    nan = (float("nan"),) * 4
-    value = cv2.warpPerspective(value, to_part(matrix, x0, y0), (width, height), flags=_FLAGS, borderValue=nan)
-    # The weight depends so little on the pixel's own noise that dark noise gains no weight.
-    variance = np.maximum(value, np.float32(0))
-    variance *= np.float32(maps.noise.shot * exposed.taken.gain / scale)
-    variance += np.float32((maps.noise.read / scale) ** 2)
-    weight = np.reciprocal(variance, out=variance)
-    for each in (value, weight):
-        cv2.patchNaNs(each, 0.0)
-    value *= weight
-    parts = [value, weight]
-    if len(sums) > len(parts):
-        parts.append(weight * _noise_factor(matrix, width, height))
-    for total, part in zip(sums, parts, strict=True):
-        for group in groups:
-            total[group] += part
+    if cv2.minMaxLoc(grey)[1] >= full:
+        value[grey >= full] = np.nan
+    black = 0.0
+    if isinstance(maps.dark, np.ndarray):
+        value -= maps.dark[y0:y1, x0:x1] * np.float32(full / FULL_SCALE)
+    else:
+        black = float(maps.dark) * full / FULL_SCALE
+    flat = _EVEN if maps.flat is None else maps.flat.view()
+    # Numba compiles separate versions for writeable and read-only arrays.
+    flat.flags.writeable = False
+    noise, gain = maps.noise, exposed.taken.gain
+    variance = np.array([(noise.shot * gain / scale, (noise.read / scale) ** 2) for scale in scales], np.float32)
+    to_radiance = FULL_SCALE / full / exposed.scale
+    part = _Part(value, x0, y0, black, to_radiance, flat)
+    _accumulate(part, matrices, boxes, variance, np.array(groups), sums)
 
 
-def _noise_factor(matrix: Floats, width: int, height: int) -> Floats32:
-    """Return the variance of noise (h, w) after sharpening and interpolation, divided by that of the frame's pixels."""
-    x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
-    u, v, w = ((row[0] * x + row[2]) + row[1] * y for row in matrix.astype(np.float32))
-    factor = np.ones((), np.float32)
-    for at in (u / w, v / w):
-        fraction = at - np.floor(at)
-        factor = factor * (np.float32(_MOST_NOISE) - np.float32(_LESS_NOISE) * fraction * (1 - fraction))
-    return np.asarray(factor)
+def _parts(view: View) -> tuple[NDArray[np.int64], Floats]:
+    """Return the parts (k, 4) of a picture in which the noise is computed, and the matrices from their pixels."""
+    if not view.tiles and max(view.width, view.height) <= _PART_PX:
+        return np.array([(0, 0, view.width, view.height)]), np.ascontiguousarray(view.matrix[None])
+    found = [
+        (left, top, min(left + _PART_PX, x1), min(top + _PART_PX, y1), of_part(matrix, left - x0, top - y0))
+        for x0, y0, x1, y1, matrix in view.tiles or (Tile(0, 0, view.width, view.height, view.matrix),)
+        for top in range(y0, y1, _PART_PX)
+        for left in range(x0, x1, _PART_PX)
+    ]
+    return np.array([part[:4] for part in found]), np.array([part[4] for part in found])
+
+
+class _Part(NamedTuple):
+    """A part of a frame, and how it becomes radiance."""
+
+    grey: Floats32
+    """(rows, columns) NaN counts as beside the frame."""
+    left: int
+    """Column and row of the first pixel in the frame."""
+    top: int
+    black: float
+    """Grey level of darkness."""
+    to_radiance: float
+    """Radiance of a grey level where the flat field is 1."""
+    flat: Floats32
+    """Flat field of the frame, read-only; (1, 1) if it is 1 everywhere."""
+
+
+@compiled
+def _accumulate(  # noqa: PLR0912, PLR0915  (one compiled function; helpers would be compiled as well)
+    part: _Part,
+    matrices: Floats,
+    boxes: NDArray[np.int64],
+    variance: Floats32,
+    groups: NDArray[np.int64],
+    sums: Floats32,
+) -> None:
+    """Resample a part of a frame into k parts of a picture, and add it to the sums of several merges with its weights.
+
+    Args:
+        part: the part of the frame; `grey` is overwritten.
+        matrices: (k, 3, 3) from pixels of the parts of the picture to those of the frame.
+        boxes: (k, 4) first column and row of the parts in the picture, and those after their last.
+        variance: (k, 2) variance per unit of radiance, and in darkness.
+        groups: (g,) numbers of the merges.
+        sums: (2 or 3, n, h, w).
+    """
+    grey, flat, left_px, top_px = part.grey, part.flat, part.left, part.top
+    side, middle, scale, least = (
+        np.float32(_SIDE),
+        np.float32(1 - 2 * _SIDE),
+        np.float32(part.to_radiance),
+        np.float32(_LEAST_FLAT),
+    )
+    half, dark_level = np.empty_like(grey), np.float32(part.black)
+    bare = np.empty(grey.shape[1] + 2, np.float32)
+    last, even = grey.shape[1] - 1, len(flat) == 1
+    # Sharpened along lines and then along columns; NaN spreads to the eight neighbours.
+    for y in range(grey.shape[0]):
+        line, out, field = grey[y], half[y], flat[0 if even else top_px + y, 0 if even else left_px :]
+        if even:
+            for x in range(last + 1):
+                bare[x + 1] = (line[x] - dark_level) * scale
+        else:
+            for x in range(last + 1):
+                share = field[x]
+                bare[x + 1] = (line[x] - dark_level) * scale / share if share > least else np.float32(np.nan)
+        bare[0], bare[last + 2] = bare[1], bare[last + 1]
+        for x in range(last + 1):
+            i = np.uint64(x)
+            out[i] = middle * bare[i + np.uint64(1)] + side * (bare[i] + bare[i + np.uint64(2)])
+    for y in range(grey.shape[0]):
+        above, line, below, out = half[max(y - 1, 0)], half[y], half[min(y + 1, grey.shape[0] - 1)], grey[y]
+        for x in range(last + 1):
+            out[x] = middle * line[x] + side * (above[x] + below[x])
+    rows, columns, source, target = grey.shape[0], grey.shape[1], grey.reshape(-1), sums.reshape(-1)
+    nothing, one, most, less = np.float32(0), np.float32(1), np.float32(_MOST_NOISE), np.float32(_LESS_NOISE)
+    plane, width = sums.shape[2] * sums.shape[3], sums.shape[3]
+    pitch, beside = np.uint64(columns), np.uint64(1)
+    line = np.empty((3, width), np.float32)
+    total, weights, noise = line[0], line[1], line[2]
+    for k in range(len(boxes)):
+        m, x_first, y_first, x_end, y_end = matrices[k], boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3]
+        shot, dark = variance[k, 0], variance[k, 1]
+        for y in range(y_end - y_first):
+            for x in range(x_end - x_first):
+                total[x] = weights[x] = noise[x] = nothing
+            longest = chord_px(m, 0.0, y)
+            for x0 in range(0, x_end - x_first, longest):
+                length = min(longest, x_end - x_first - x0)
+                u, v, du, dv = chord(m, x0, y, length)
+                x = 0
+                while x < length:
+                    left, top, right, down, count = run_at(u + x * (du + 1), v + x * dv, du, dv, length - x)
+                    left, top = left - left_px, top - top_px
+                    before, after = max(-left, 0), min(count, columns - 1 - left)
+                    if top < 0 or top + 1 >= rows:
+                        after = before
+                    ds, dt = np.float32(du), np.float32(dv)
+                    s0, t0 = np.float32(right + du * before), np.float32(down + dv * before)
+                    above, at = np.uint64(max(top * columns + left + before, 0)), np.uint64(x0 + x + before)
+                    # Unsigned: the compiler uses vector registers only if no index can be negative.
+                    for n in range(after - before):
+                        i, steps = np.uint64(n), np.float32(np.int32(n))
+                        upper, lower = above + i, above + i + pitch
+                        s, t = s0 + ds * steps, t0 + dt * steps
+                        a, c = source[upper], source[lower]
+                        a += s * (source[upper + beside] - a)
+                        c += s * (source[lower + beside] - c)
+                        value = a + t * (c - a)
+                        seen = value == value  # noqa: PLR0124  (NaN differs from itself)
+                        # The weight depends so little on the pixel's own noise that dark noise gains no weight.
+                        weight = one / (shot * max(value, nothing) + dark) if seen else nothing
+                        total[at + i] = weight * value if seen else nothing
+                        weights[at + i] = weight
+                        noise[at + i] = weight * (most - less * s * (one - s)) * (most - less * t * (one - t))
+                    x += count
+            for group in groups:
+                for sort in range(len(sums)):
+                    at = np.uint64((sort * sums.shape[1] + group) * plane + (y_first + y) * width + x_first)
+                    for n in range(x_end - x_first):
+                        i = np.uint64(n)
+                        target[at + i] += line[sort, i]
 
 
 class Body(NamedTuple):

@@ -122,7 +122,7 @@ class _Cutting:
         stitch = self._setup.stitch
         self._stitch = stitch.model_copy(update={"quality": {**stitch.quality, **job.quality}})
         self._members: list[Member] = []
-        self._images = self._refused = 0
+        self._images = self._refused = self._bytes = 0
         self._until_s = time.thread_time() + PART_S
 
     def cut(self) -> CutPart:
@@ -146,7 +146,11 @@ class _Cutting:
         return None
 
     def _full(self) -> bool:
-        return sum(len(m.content) for m in self._members) >= PART_BYTES or time.thread_time() > self._until_s
+        return self._bytes >= PART_BYTES or time.thread_time() > self._until_s
+
+    def _put(self, member: Member) -> None:
+        self._members.append(member)
+        self._bytes += len(member.content)
 
     def _choose(self, parts: Sequence[Component]) -> Iterator[ChosenImages | VaoiError]:
         """Choose the images of each component. One that is refused does not prevent the others."""
@@ -168,18 +172,18 @@ class _Cutting:
         folder = folder_of(part, region=not self._setup.address)
         if isinstance(chosen, VaoiError):
             self._refused += 1
-            self._members.append(views_member(folder, refusal_entry(part, chosen)))
+            self._put(views_member(folder, refusal_entry(part, chosen)))
             return None
         suffix, media = MEDIA[self._setup.format]
         if first == 0:
-            self._members.append(views_member(folder, self._entry(part, chosen, folder, suffix)))
+            self._put(views_member(folder, self._entry(part, chosen, folder, suffix)))
         for k, choice in enumerate(chosen.chosen[first:], first):
             # Every job renders a picture, also if the choice alone has taken its time: otherwise a batch may never end.
             if k > first and self._full():
                 return k
             other = None if choice.minus is None else self._pixels(choice.minus.view)
             picture = render_chosen(choice, self._pixels(choice.view), other)
-            self._members.append(picture_member(f"{folder}/{k}.{suffix}", media, picture, self._setup.format))
+            self._put(picture_member(f"{folder}/{k}.{suffix}", media, picture, self._setup.format))
             self._images += 1
         return None
 
