@@ -28,7 +28,7 @@ from vaoi_station.stitching.adjustment.problem import (
     to_observations,
 )
 from vaoi_station.stitching.adjustment.row_motion import motion_from_links
-from vaoi_station.stitching.adjustment.solver import NoiseFloors, adjust, noise_floor
+from vaoi_station.stitching.adjustment.solver import NoiseFloors, adjust, noise_floor, sample_of
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
@@ -295,3 +295,28 @@ def test_noise_of_a_pair_of_cameras_does_not_average_out(bench: Any, monkeypatch
         monkeypatch.setattr(adjustment, "_NOISE_SHARE", share)
         sigma.append(float(np.sqrt(adjust(noisy, started(noisy), C).covariance[1, 7, 7])))
     assert sigma[1] > 1.2 * sigma[0]
+
+
+def test_a_start_from_a_sample_of_the_links_ends_where_all_links_lead(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a surface, component heights, outliers, and cameras that may have moved."""
+    truth = bench(4, surface=(0.3, 0.05, 0.0, 0.1, 0.0, 0.0), heights=(1.5, 0.8, 2.0))
+    problem = replace(truth.with_fiducials(truth.problem(outliers=0.05), surface=True), cameras=truth.cameras)
+    every = adjust(problem, started(problem), C)
+    taken: list[int] = []
+
+    def take(problem: Problem, every: int) -> Problem:
+        taken.append(every)
+        return sample_of(problem, every)
+
+    monkeypatch.setattr(adjustment, "sample_of", take)
+    monkeypatch.setattr(adjustment, "_SAMPLE_LINKS", 150)
+    monkeypatch.setattr(adjustment, "_PER_ROW", 25)
+    sampled = adjust(problem, started(problem), C)
+    assert taken == [len(problem.links) // 150]
+    assert np.abs(sampled.motion.shift - every.motion.shift).max() < 2e-5
+    assert sampled.similarity == pytest.approx(every.similarity, abs=2e-5)
+    assert sampled.cameras is not None
+    assert every.cameras is not None
+    assert sampled.cameras.displacement_px == pytest.approx(every.cameras.displacement_px, abs=2e-3)

@@ -28,7 +28,7 @@ from vaoi_station.geometry.displacement import PARAMETERS, CameraMatrices, displ
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.stitching.adjustment.envelope import NormalEquations, solve_forward
 from vaoi_station.stitching.adjustment.equations import LinkState
-from vaoi_station.stitching.adjustment.problem import CameraEstimate, Problem
+from vaoi_station.stitching.adjustment.problem import CameraEstimate, Ints, Problem
 
 STILL_PX = 0.03  # standard deviation, over many runs, of x, y and turn of a camera that was not moved
 MOVED_PX = 2 * STILL_PX  # length of the displacement vector (x, y, turn) above which a camera counts as moved
@@ -304,6 +304,8 @@ class MovingCameras:
         self._unmoved_px: Floats = np.hypot(_UNMOVED_PX, stated_px)
         self._weight: Floats | None = None
         self._information, self._vector = np.zeros((self.unknowns,) * 2), np.zeros(self.unknowns)
+        # The entries of the displacements' lower triangle, as lines and columns, and where equations store them.
+        self._stored: tuple[tuple[Ints, Ints], Ints] | None = None
         self._rivals: tuple[int, ...] = ()
         self._spread: Floats | None = None
         self._considered = not self.unknowns
@@ -334,8 +336,13 @@ class MovingCameras:
         forward = solve_forward(normal)
         if not self.unknowns:
             return forward
-        at = normal.trailing(self.unknowns)
-        lower: Floats = np.tril(normal.values[at])
+        if self._stored is None:
+            self._stored = (
+                np.tril_indices(self.unknowns),
+                normal.trailing(self.unknowns)[np.tril_indices(self.unknowns)],
+            )
+        (stored, at), lower = self._stored, np.zeros((self.unknowns, self.unknowns))
+        lower[stored] = normal.values[at]
         reduced = lower @ forward[-self.unknowns :]
         information = lower @ lower.T
         information.flat[:: self.unknowns + 1] -= 1 / _ANYWHERE_PX**2
@@ -350,8 +357,7 @@ class MovingCameras:
             weight = prior_weights(self._attribution(self._still_px).displacement_px, self._still_px)
         prior = np.repeat(weight, PARAMETERS)
         lower = np.asarray(np.linalg.cholesky(with_prior(self._information, prior)), dtype=np.float64)
-        stored = np.tril_indices(self.unknowns)
-        normal.values[at[stored]] = lower[stored]
+        normal.values[at] = lower[stored]
         forward[-self.unknowns :] = np.linalg.solve(lower, reduced - prior * d)
         self._weight = None
         self._still_px = np.maximum(self._still_px / _TIGHTENING, self._final_px)
