@@ -20,7 +20,9 @@ from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.marks import disc_fit, symmetry_fit
 from vaoi_station.marks.asymmetry import asymmetry_sigma_px
+from vaoi_station.marks.blur import measure_blur_px
 from vaoi_station.marks.candidate_search import SURROUND
+from vaoi_station.marks.clean_edges import centre_by_clean_edges
 from vaoi_station.marks.mark_shape import CROSS_ARM, Shape
 from vaoi_station.marks.shadow_edge import compared_reach_px, even_light, find_shadow_edge, light_unevenness
 from vaoi_station.marks.template_correlation import SHAPE_CODE, correlate_with_shape
@@ -48,7 +50,7 @@ _MAX_SIZE_ERROR = 0.15
 _UNEVEN_CHI2 = 15.0
 """χ² of the light's unevenness above which a shadow's edge is searched. Undisturbed marks exceed it rarely."""
 _SHADOW_SIGMA = 0.2
-"""Standard deviation of a correction for a shadow's edge, as a share of its length."""
+"""Standard deviation of a correction for a shadow's edge or a smudge, as a share of its length."""
 _BEYOND_PX = 6
 """Width of what is cut out around a mark beyond its bare rim, px: the fit itself needs 4 px around its start."""
 
@@ -86,7 +88,10 @@ def locate_mark(
     found = _locate(image, (float(near_px[0]), float(near_px[1])), sought, precise)
     if isinstance(found, Failure):
         return found
-    return _without_shadow(image, *found, sought) if precise else found[0]
+    if not precise:
+        return found[0]
+    mark, asymmetric = _without_shadow(image, *found, sought)
+    return _by_clean_edges(image, mark, sought) if asymmetric and shape == "circle" else mark
 
 
 class _Sought(NamedTuple):
@@ -123,26 +128,40 @@ def _locate(
     return Mark(np.array(px), max(math.hypot(sigma, asymmetric), _MIN_SIGMA_PX), score, contrast > 0), asymmetric > 0
 
 
-def _without_shadow(image: NDArray[np.uint8], mark: Mark, asymmetric: bool, sought: _Sought) -> Mark:
-    """Return a located mark, located again in even light if the edge of a shadow displaces it."""
+def _without_shadow(image: NDArray[np.uint8], mark: Mark, asymmetric: bool, sought: _Sought) -> tuple[Mark, bool]:
+    """Return a located mark, located again in even light if the edge of a shadow displaces it.
+
+    The second value is whether it is less symmetric than usual, also in even light.
+    """
     (x, y), radius = mark.px.tolist(), sought.size_px / 2
     reach = compared_reach_px(sought.size_px, sought.surround)
     uneven, noise = light_unevenness(image, x, y, SHAPE_CODE[sought.shape], sought.size_px, sought.arm, reach)
     if math.isinf(noise) or (uneven < _UNEVEN_CHI2 and not asymmetric):
-        return mark
+        return mark, asymmetric
     half = math.ceil(sought.surround * radius) + _BEYOND_PX
     left, top = max(round(x) - half, 0), max(round(y) - half, 0)
     patch, centre = image[top : round(y) + half + 1, left : round(x) + half + 1], (x - left, y - top)
     shadow = find_shadow_edge(patch, centre, radius, reach, noise)
     found = _locate(even_light(patch, centre, shadow[0]), centre, sought, True) if shadow else None
     if shadow is None or found is None or isinstance(found, Failure):
-        return mark
+        return mark, asymmetric
     again, px = found[0], found[0].px + (left, top)
     correction = math.dist(px, mark.px)
     # A mark that is less symmetric in even light was not in the light that was found.
     if again.sigma_px > mark.sigma_px + correction:
+        return mark, asymmetric
+    sigma_px = math.hypot(again.sigma_px * shadow[1], _SHADOW_SIGMA * correction)
+    return replace(again, px=px, sigma_px=sigma_px), found[1]
+
+
+def _by_clean_edges(image: NDArray[np.uint8], mark: Mark, sought: _Sought) -> Mark:
+    """Return a disc, located again without its smudged or covered parts if these leave enough of its edge."""
+    blur_px = measure_blur_px(image, mark.px[None], sought.size_px)
+    found = centre_by_clean_edges(image, (float(mark.px[0]), float(mark.px[1])), sought.size_px / 2, blur_px)
+    if found is None:
         return mark
-    return replace(again, px=px, sigma_px=math.hypot(again.sigma_px * shadow[1], _SHADOW_SIGMA * correction))
+    sigma_px = math.hypot(found[1], _SHADOW_SIGMA * math.dist(found[0], mark.px))
+    return mark if sigma_px >= mark.sigma_px else replace(mark, px=found[0], sigma_px=max(sigma_px, _MIN_SIGMA_PX))
 
 
 Position = tuple[tuple[float, float], float]
