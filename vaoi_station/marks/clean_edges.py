@@ -54,8 +54,8 @@ def _centre(
     for _ in range(_ROUNDS):
         at = centre + (radius + across)[:, None, None] * way
         # OpenCV 5 samples linear positions exactly.
-        p = cv2.remap(image, *np.float32(np.moveaxis(at, 2, 0)), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        p = p.astype(np.float64)
+        x, y = at[:, :, 0].astype(np.float32), at[:, :, 1].astype(np.float32)
+        p = np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float64)
         inside, outside = p[:ends].mean(0), p[-ends:].mean(0)
         contrast = float(np.median(inside - outside))
         if not contrast or outside.min() < 1:
@@ -89,7 +89,7 @@ def _centre(
 
 def _gradient(light: Floats, level: Floats) -> Floats:
     """Fit a constant and a gradient across the mark to the levels (k,) of most directions."""
-    fit = np.array([float(np.median(level)), 0.0, 0.0])
+    fit: Floats = np.array([float(np.median(level)), 0.0, 0.0])
     for _ in range(_ROUNDS):
         off = level - light @ fit
         scale = max(1.4826 * float(np.median(np.abs(off))), 0.5)
@@ -100,7 +100,8 @@ def _gradient(light: Floats, level: Floats) -> Floats:
 
 def _fitted(j: Floats, edge: Floats, clean: Floats) -> tuple[Floats, Floats]:
     """Fit the unknowns of `j` (k, 3) to the edge (k,); return them, and the weights (k,) that directions had in it."""
-    weight, solved = clean, np.zeros(3)
+    weight: Floats = clean
+    solved: Floats = np.zeros(3)
     for _ in range(_ROUNDS):
         normal = (j * weight[:, None]).T @ j + 1e-9 * np.eye(3)
         solved = np.asarray(np.linalg.solve(normal, j.T @ (weight * edge)), np.float64)
