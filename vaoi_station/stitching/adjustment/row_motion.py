@@ -142,6 +142,11 @@ def connected_rows(links: Observations, rows: int, used: np.ndarray) -> list[np.
     return [np.flatnonzero(label == k) for k in np.unique(label)]
 
 
+_FEW_PER_ROW, _CONVERGED_MM = 60, 5e-4
+"""With fewer links per row, all of them are adjusted before the board is located, until no row moves by more than this.
+
+Where they are few and blurred, how much they scatter depends on the motion with which the estimation starts (seed
+120063)."""
 _TEXTURE_SAMPLE, _FIT, _FIT_MM = 4000, 5.0, 0.02
 """About how many points represent the texture of the board, and by how much their links may contradict the motion.
 
@@ -155,7 +160,10 @@ def motion_from_links(problem: Problem, nominal: Motion, steps: Sequence[RowStep
 
     `steps` are those that all links between rows show; without them, they are measured.
     """
-    return MovedRows(join_steps(problem, measured_steps(problem.links) if steps is None else steps, nominal), problem)
+    motion = join_steps(problem, measured_steps(problem.links) if steps is None else steps, nominal)
+    if 0 < len(problem.links) < _FEW_PER_ROW * len(nominal.angle):
+        motion = adjust(problem, motion, converged_mm=_CONVERGED_MM).motion
+    return MovedRows(motion, problem)
 
 
 def measured_steps(links: Observations) -> list[RowStep]:
