@@ -55,7 +55,7 @@ def test_profile_shows_tasks_stages_and_functions(vaoi: Any, small_recording: Pa
     said = vaoi("bench", "--profile", *options)
     assert (said.code, said.err) == (0, "")
     document = json.loads((tmp_path / "profile.json").read_text())
-    assert set(document["kinds_ms"]) == {"rows", "neighbours", "marks"}
+    assert set(document["kinds_ms"]) == {"rows", "neighbours", "marks", "prepare"}
     assert set(document["stages_ms"]) >= {"motion", "cad", "verdict"}
     names = {name for name, *_ in document["functions"]["rows, per frame"]}
     assert {"stitching/matching/link: find_shift", "stitching/matching/patches: match_patches"} <= names

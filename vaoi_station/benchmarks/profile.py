@@ -1,5 +1,7 @@
 """Show where the CPU time of stitching goes: by kind of task, by stage of the conclusion, and by function.
 
+`prepare` is what workers do of the conclusion while the board passes; the conclusion ends with matrices and verdict.
+
 Times of kinds and stages are measured without the profiler, which makes small functions look slower than they are.
 """
 
@@ -20,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from vaoi_station.benchmarks.boards import BenchmarkBoard, board_from_twin, cpu_ms, one_thread
-from vaoi_station.benchmarks.speed import stitch_board
+from vaoi_station.benchmarks.speed import prepare, stitch_board
 from vaoi_station.benchmarks.tables import number, table
 from vaoi_station.child_environment import child_environment
 from vaoi_station.stitching.work import TaskRunner, all_tasks
@@ -74,17 +76,23 @@ def measure_profile(board: BenchmarkBoard, repetitions: int = 5) -> Profile:
         runner, evidence, taken = TaskRunner(board.setup, board.frame), [], defaultdict[str, float](float)
         for task in tasks:
             taken[task.kind] += cpu_ms(lambda: evidence.append(runner.perform(task)))  # noqa: B023  (called at once)
+            runner.add_evidence(evidence[-1])
+            taken["prepare"] += cpu_ms(lambda: prepare(runner))  # noqa: B023
         for kind, ms in taken.items():
             kinds[kind].append(ms / frames)
         found: list[Any] = []
-        conclusions.append(cpu_ms(lambda: found.append(runner.conclude(times_s, present, evidence))))  # noqa: B023
+        conclusions.append(cpu_ms(lambda: found.append(runner.answer(times_s, present, evidence)[0])))  # noqa: B023
         for stage, ms in found[0].quality["timings_ms"].items():
             stages[stage].append(ms)
     profiles = defaultdict[str, cProfile.Profile](_profiler)
     runner = TaskRunner(board.setup, board.frame)
-    evidence = [profiles[task.kind].runcall(runner.perform, task) for task in tasks]
+    evidence = []
+    for task in tasks:
+        evidence.append(profiles[task.kind].runcall(runner.perform, task))
+        runner.add_evidence(evidence[-1])
+        profiles["prepare"].runcall(prepare, runner)
     conclusion = _profiler()
-    conclusion.runcall(runner.conclude, times_s, present, evidence)
+    conclusion.runcall(runner.answer, times_s, present, evidence)
     functions = {f"{kind}, per frame": _longest(profile, frames) for kind, profile in profiles.items()}
     functions["conclusion"] = _longest(conclusion, 1)
     median = statistics.median

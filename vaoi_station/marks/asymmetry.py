@@ -105,8 +105,12 @@ def measure_asymmetry(
                 noise += abs(over - image[row, column] + image[row, column - 1]) / 2
                 flat += 1
     arc = math.pi * radius / _SECTORS
-    odd = math.sqrt(2 * (excess**2).mean()) / (2 * abs(contrast) * arc)
-    bright = math.sqrt(2 * ((light / np.maximum(count, 1.0)) ** 2).mean()) / (2 * abs(contrast))
+    of_mark = of_rim = 0.0
+    for k in range(_SECTORS):
+        of_mark += excess[k] ** 2 / _SECTORS
+        of_rim += (light[k] / max(count[k], 1.0)) ** 2 / _SECTORS
+    odd = math.sqrt(2 * of_mark) / (2 * abs(contrast) * arc)
+    bright = math.sqrt(2 * of_rim) / (2 * abs(contrast))
     # For normally distributed values the mean absolute value is √(2/π) of the standard deviation.
     known = flat >= _LEAST_FLAT_PX
     return odd, bright, math.sqrt(math.pi / 2) * noise / flat / abs(contrast) if known else np.inf

@@ -53,39 +53,43 @@ def fit_disc(
     # Parameters: x, y, gx, gy (odd about the centre), then ground, contrast, radius, blur (even).
     p = np.zeros(8)
     p[0], p[1], p[6], p[7] = x, y, radius, max(_COARSE_BLUR * radius, 1.0)
-    odd, even = np.zeros((4, 5)), np.zeros((4, 5))
+    # The two systems of four equations, of the odd and of the even parameters.
+    equations = np.zeros((2, 4, 5))
     side = 2 * math.ceil(_MAX_REACH * radius) + 3
     pixels = np.empty((3, min(side * side, image.size)))
     coarse = max(math.ceil(radius / _COARSE_SAMPLES), 1)
-    # Coarse stage: a strongly blurred model on few pixels has a wide basin of convergence.
-    for step in range(_COARSE_STEPS):
-        _normal_equations(image, p, _COARSE_REACH * radius, coarse, np.inf, pixels, odd, even)
+    code, noise, fine, step = FITTED, np.inf, False, 0
+    # One loop for both stages, so that the parts of a step are compiled once. Coarse stage: a strongly blurred model on
+    # few pixels has a wide basin of convergence. Fine stage: all parameters, on a rim of a few pixels around the disc.
+    while step < (most_steps if fine else _COARSE_STEPS):
+        reach, every, limit, enough = _COARSE_REACH * radius, coarse, np.inf, 0.1 * coarse
+        if fine:
+            reach, every, enough = min(radius + max(3 * p[7], _RIM_PX), _MAX_REACH * radius), stride, enough_px
+            # Outlier weights are used from the third step on. Before that, residuals are large because of the shift.
+            limit = max(3 * noise, _OUTLIER * abs(p[5])) if step > 1 else np.inf
+        noise = _normal_equations(image, p, reach, every, limit, pixels, equations)
         # The first step estimates the grey levels only: without a contrast the slopes for a shift are all zero.
-        if not _update(p, odd, even, step > 0, False):
-            return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
-        if np.hypot(p[0] - x, p[1] - y) > furthest:
-            return TOO_FAR, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
-        if step > 1 and max(abs(odd[0, 4]), abs(odd[1, 4])) < 0.1 * coarse:
+        if not _update(p, equations, fine or step > 0, fine):
+            code = NO_EDGE
             break
-    if abs(p[5]) < _MIN_CONTRAST:
-        return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
-    # Fine stage: all parameters, on a rim of a few pixels around the disc.
-    p[7], noise = 1.0, np.inf
-    for step in range(most_steps):
-        rim = min(radius + max(3 * p[7], _RIM_PX), _MAX_REACH * radius)
-        # Outlier weights are used from the third step on. Before that, residuals are large because of the shift.
-        limit = max(3 * noise, _OUTLIER * abs(p[5])) if step > 1 else np.inf
-        noise = _normal_equations(image, p, rim, stride, limit, pixels, odd, even)
-        if not _update(p, odd, even, True, True):
-            return NO_EDGE, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
-        # Bounds keep the fit on this disc: a growing radius could otherwise reach copper next to the bare rim.
-        p[6] = min(max(p[6], 0.6 * radius), 1.5 * radius)
-        p[7] = min(max(p[7], _MIN_BLUR_PX), 0.5 * radius)
+        if fine:
+            # Bounds keep the fit on this disc: a growing radius could otherwise reach copper next to the bare rim.
+            p[6] = min(max(p[6], 0.6 * radius), 1.5 * radius)
+            p[7] = min(max(p[7], _MIN_BLUR_PX), 0.5 * radius)
         if np.hypot(p[0] - x, p[1] - y) > furthest:
-            return TOO_FAR, p[0], p[1], 0.0, p[6], p[7], p[4], p[5]
-        if step > 1 and max(abs(odd[0, 4]), abs(odd[1, 4])) < enough_px:
+            code = TOO_FAR
             break
-    return FITTED, p[0], p[1], noise * math.sqrt(position_variance(odd)), p[6], p[7], p[4], p[5]
+        settled = step > 1 and max(abs(equations[0, 0, 4]), abs(equations[0, 1, 4])) < enough
+        step += 1
+        if not fine and (settled or step == _COARSE_STEPS):
+            if abs(p[5]) < _MIN_CONTRAST:
+                code = NO_EDGE
+                break
+            fine, step, p[7] = True, 0, 1.0
+        elif settled:
+            break
+    sigma = noise * math.sqrt(position_variance(equations[0])) if code == FITTED else 0.0
+    return code, p[0], p[1], sigma, p[6], p[7], p[4], p[5]
 
 
 @inlined
@@ -96,8 +100,7 @@ def _normal_equations(  # noqa: PLR0915  (sums that stay in registers)
     stride: int,
     limit: float,
     pixels: NDArray[np.float64],
-    odd: NDArray[np.float64],
-    even: NDArray[np.float64],
+    equations: NDArray[np.float64],
 ) -> float:
     """Accumulate the normal equations of one step, and return the standard deviation of a pixel's grey level.
 
@@ -159,6 +162,7 @@ def _normal_equations(  # noqa: PLR0915  (sums that stay in registers)
         b3e += w3 * e
         total += weight * e * e
         weights += weight
+    odd, even = equations[0], equations[1]
     odd[0, 0], odd[0, 1], odd[0, 2], odd[0, 3], odd[0, 4] = a00, a01, a02, a03, a0e
     odd[1, 1], odd[1, 2], odd[1, 3], odd[1, 4] = a11, a12, a13, a1e
     odd[2, 2], odd[2, 3], odd[2, 4] = a22, a23, a2e
@@ -217,29 +221,28 @@ def _edge_profile(z: float) -> tuple[float, float]:
 
 
 @inlined
-def _update(
-    p: NDArray[np.float64], odd: NDArray[np.float64], even: NDArray[np.float64], moves: bool, shapes: bool
-) -> bool:
+def _update(p: NDArray[np.float64], equations: NDArray[np.float64], moves: bool, shapes: bool) -> bool:
     """Change the parameters p by one Gauss-Newton step. Return False if the equations are singular.
 
     The grey levels are always estimated. The centre is estimated if `moves` is true, radius and blur if `shapes` is
     true, and the gradient if both are true.
     """
-    if moves:
-        unknowns = 4 if shapes else 2
-        if not solve_cholesky(odd, unknowns):
+    for k in range(2):
+        a = equations[k]
+        if k == 0 and not moves:
+            continue
+        if not solve_cholesky(a, 4 if shapes else 2):
             return False
-        # A step of more than half a radius leaves the range in which the linearisation holds.
-        longest = max(abs(odd[0, 4]), abs(odd[1, 4]))
-        share = min(1.0, 0.5 * p[6] / max(longest, 1e-12))
-        for k in range(unknowns):
-            p[k] += share * odd[k, 4]
-    if not solve_cholesky(even, 4 if shapes else 2):
-        return False
-    p[4] += even[0, 4]
-    p[5] += even[1, 4]
-    # Radius and blur enter nonlinearly and are limited separately.
-    if shapes:
-        p[6] += min(max(even[2, 4], -0.2 * p[6]), 0.2 * p[6])
-        p[7] += min(max(even[3, 4], -0.4 * p[7]), 0.4 * p[7])
+        if k == 0:
+            # A step of more than half a radius leaves the range in which the linearisation holds.
+            share = min(1.0, 0.5 * p[6] / max(abs(a[0, 4]), abs(a[1, 4]), 1e-12))
+            for n in range(4 if shapes else 2):
+                p[n] += share * a[n, 4]
+        else:
+            p[4] += a[0, 4]
+            p[5] += a[1, 4]
+            # Radius and blur enter nonlinearly and are limited separately.
+            if shapes:
+                p[6] += min(max(a[2, 4], -0.2 * p[6]), 0.2 * p[6])
+                p[7] += min(max(a[3, 4], -0.4 * p[7]), 0.4 * p[7])
     return True

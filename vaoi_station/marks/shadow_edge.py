@@ -142,7 +142,9 @@ def light_unevenness(
     if other > _OTHER * (sums[0, 6] + sums[1, 6]):
         return 0.0, np.inf
     # Without pixels inside a small mark, the gradient on it is that of usual light.
-    sums[:, :5] /= 2 * noise * noise
+    for k in range(2):
+        for n in range(5):
+            sums[k, n] /= 2 * noise * noise
     sums[1, 0] += 1 / _USUAL_GRADIENT**2
     sums[1, 2] += 1 / _USUAL_GRADIENT**2
     dx = dy = xx = xy = yy = steep = 0.0

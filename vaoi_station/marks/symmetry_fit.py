@@ -37,7 +37,7 @@ def fit_symmetry(
     """
     side = 2 * reach + 3
     window, lines = np.empty((side, side), np.float32), np.empty((side + BEFORE + AFTER, side), np.float32)
-    normal = np.zeros((4, 5))
+    normal, right = np.zeros((4, 5)), np.zeros(4)
     cx, cy, noise = x, y, 0.0
     for stage in range(2):
         # The first stage estimates only the centre, on few pixels, because the gradient of the gain has little effect.
@@ -47,14 +47,17 @@ def fit_symmetry(
             _interpolate_window(image, cx, cy, reach + 1, window, lines)
             square, count = _normal_equations(window, stride, limit, normal)
             # The solution overwrites the right side, which is needed once more for the residual.
-            right = normal[:, 4].copy()
+            for k in range(4):
+                right[k] = normal[k, 4]
             # Along a straight edge the 2×2 matrix of the shift is singular: the aperture problem.
             if normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2 < 1e-6 * (normal[0, 0] + normal[1, 1]) ** 2:
                 return UNDETERMINED, cx, cy, 0.0
             if not solve_cholesky(normal, unknowns):
                 return UNDETERMINED, cx, cy, 0.0
             dx, dy = normal[0, 4], normal[1, 4]
-            noise = math.sqrt(max(square - (right * normal[:, 4])[:unknowns].sum(), 0.0) / max(count - unknowns, 1.0))
+            for k in range(unknowns):
+                square -= right[k] * normal[k, 4]
+            noise = math.sqrt(max(square, 0.0) / max(count - unknowns, 1.0))
             cx -= min(max(dx, -_MAX_STEP_PX), _MAX_STEP_PX)
             cy -= min(max(dy, -_MAX_STEP_PX), _MAX_STEP_PX)
             if max(abs(cx - x), abs(cy - y)) > furthest:
@@ -62,7 +65,11 @@ def fit_symmetry(
             if max(abs(dx), abs(dy)) < enough and step > stage:
                 break
             if stage == 1:
-                limit = max(3 * noise, _OUTLIER * (window.max() - window.min()))
+                low = high = window[0, 0]
+                for i in range(side):
+                    for j in range(side):
+                        low, high = min(low, window[i, j]), max(high, window[i, j])
+                limit = max(3 * noise, _OUTLIER * (high - low))
     return FITTED, cx, cy, noise * math.sqrt(position_variance(normal))
 
 
