@@ -19,11 +19,20 @@ from vaoi_station.demo.client import Client
 from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.files.contact_sheet import contact_sheet
 from vaoi_station.files.images import encode_png, read_image
-from vaoi_station.model import Status
+from vaoi_station.model import BoardType, Status
 from vaoi_station.simulation import scenario_path
 
 VIEWS = [{"k": k, "camera": 1, "row": 3 + k} for k in range(2)]
 RUN = {"id": "r1", "verdict": "ok"}
+BOARD = BoardType.model_validate(
+    {
+        "name": "b",
+        "components": [
+            {"ref": "U1", "panel": "2", "center": (1, 1), "width": 1, "height": 1},
+            {"ref": "R1", "center": (4, 1), "width": 1, "height": 1},
+        ],
+    }
+)
 
 
 class Station(Client):
@@ -33,10 +42,6 @@ class Station(Client):
 
     def __init__(self) -> None:
         super().__init__("http://station")
-
-    def get(self, path: str, **_: Any) -> Any:
-        assert path == "/runs/r1/components"
-        return {"components": [{"address": address} for address in ("2/U1", "R1")]}
 
     def content(self, path: str, **query: Any) -> bytes:
         assert (path, query) == ("/runs/r1/images", {"container": "zip"})
@@ -52,7 +57,7 @@ class Station(Client):
 
 
 def test_images_and_matrices_are_written_per_component_and_the_best_is_shown(tmp_path: Path) -> None:
-    (first, second), pictures = fetch_component_images(Station(), RUN, tmp_path)
+    (first, second), pictures = fetch_component_images(Station(), RUN, BOARD, tmp_path)
     assert pictures == 2
     assert first.picture is not None
     assert int(first.picture[0, 0]) == 1
@@ -68,7 +73,7 @@ def test_an_incomplete_answer_of_the_station_ends_the_demo(tmp_path: Path) -> No
         end: ClassVar = {"complete": False, "error": {"message": "The frames are released.", "action": "Hold the run."}}
 
     with pytest.raises(DeviceError, match="released") as refusal:
-        fetch_component_images(Released(), RUN, tmp_path)
+        fetch_component_images(Released(), RUN, BOARD, tmp_path)
     assert refusal.value.action == "Hold the run."
 
 

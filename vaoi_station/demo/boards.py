@@ -23,7 +23,7 @@ from vaoi_station.errors import DeviceError, InputError, NotFoundError
 from vaoi_station.files.contact_sheet import Tile, contact_sheet
 from vaoi_station.files.documents import write_json
 from vaoi_station.files.images import decode, write_image
-from vaoi_station.model import Status
+from vaoi_station.model import BoardType, Status
 
 REPORT, SHEET, PICTURES, MATRICES = "report.json", "contact-sheet.png", "components", "matrices.json"
 
@@ -65,7 +65,7 @@ def film_single_board(
             except NotFoundError:  # the run has failed early
                 matrices = {}
             concluded_s = time.monotonic()
-            tiles, pictures = fetch_component_images(client, run, out / PICTURES)
+            tiles, pictures = fetch_component_images(client, run, twin.board_type, out / PICTURES)
             pictures_s = time.monotonic() - concluded_s
             stage(f"The pictures of the board are there: {out / PICTURES}")
             service.request_end()  # it ends while the report is written
@@ -107,7 +107,9 @@ def prepare_output(out: Path) -> None:
         (out / name).unlink(missing_ok=True)
 
 
-def fetch_component_images(client: Client, run: dict[str, Any], folder: Path) -> tuple[list[Tile], int]:
+def fetch_component_images(
+    client: Client, run: dict[str, Any], board_type: BoardType, folder: Path
+) -> tuple[list[Tile], int]:
     """Write every image of every component to `folder`/REF/NN_cCC_rRRR.png, and its matrices to REF/views.json.
 
     Returns:
@@ -117,7 +119,8 @@ def fetch_component_images(client: Client, run: dict[str, Any], folder: Path) ->
     Raises:
         DeviceError: the station could not send all images.
     """
-    addresses = [component["address"] for component in client.get(f"/runs/{run['id']}/components")["components"]]
+    # Not from `runs/{id}/components`: the station would load its machine code only to choose the views that it lists.
+    addresses = [component.address for component in board_type.components]
     if run["verdict"] == Status.FAILED:
         return [Tile(None, address, "not seen") for address in addresses], 0
     path, tiles, pictures = f"/runs/{run['id']}/images", dict[str, Tile](), 0
