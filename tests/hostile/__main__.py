@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tests.hostile.drawing import FORM
 from tests.hostile.judging import Outcome, judge
-from tests.hostile.summary import line, open_classes, table, table_of_mistakes
+from tests.hostile.summary import line, open_classes, table, table_of_mistakes, table_of_reasons
 
 
 def _seeds(given: str) -> range:
@@ -43,7 +43,7 @@ def main() -> int:
     states = Counter(o.status for o in outcomes)
     expected = sum(o.expected for o in outcomes)
     print(f"\n{len(outcomes)} drawings, {expected} of which a right answer is expected; {dict(states)}\n")
-    print(table(outcomes), table_of_mistakes(outcomes), sep="\n\n")
+    print(table(outcomes), table_of_mistakes(outcomes), table_of_reasons(outcomes), sep="\n\n")
     return int(any(set(o.finds) - open_classes(o.seed) for o in outcomes))
 
 

@@ -48,6 +48,10 @@ class Outcome:
     mistakes: tuple[str, ...] = ()
     status: str = ""
     reasons: tuple[str, ...] = ()
+    codes: tuple[str, ...] = ()
+    """Codes of the reasons of a result, in their order."""
+    wrong: tuple[str, ...] = ()
+    """The classes of `OK_AND_WRONG` to which the result would belong if it were `ok`; none without positions."""
     views: int = 0
     rms_px: float = 0.0
     sigma_px: float = 0.0
@@ -88,22 +92,23 @@ def judge(seed: int) -> Outcome:
         except Exception:  # noqa: BLE001
             outcome.status, outcome.messages = "exception", (traceback.format_exc(limit=-4),)
     outcome.messages += tuple(sorted({f"{w.category.__name__}: {w.message} ({w.filename}:{w.lineno})" for w in warned}))
-    outcome.finds = tuple(name for name, found in _found(outcome, filmed).items() if found)
+    found, ok = _found(outcome, filmed), outcome.status == Status.OK.value
+    outcome.wrong = tuple(name for name in OK_AND_WRONG if found[name] and outcome.views)
+    outcome.finds = tuple(name for name, is_so in found.items() if is_so and (ok or name not in OK_AND_WRONG))
     outcome.seconds = time.perf_counter() - started
     return outcome
 
 
 def _found(o: Outcome, filmed: Film) -> dict[str, bool]:
-    """Return for each class whether the outcome belongs to it."""
-    ok = o.status == Status.OK.value
+    """Return for each class whether the outcome belongs to it; for those of `OK_AND_WRONG`, if it were `ok`."""
     limit = np.sqrt(-2 * np.log(FALSE_ALARM / max(o.views, 1)))
     return {
-        "too-sure": ok and o.rms_px > SURE_RATIO * o.sigma_px,
-        "outlier": ok and o.worst_sigma > limit,
-        "wrong": ok and o.worst_px > WRONG_PX,
-        "unseen": ok and least_seen(filmed, borders=False) < UNSEEN_SHARE,
+        "too-sure": o.rms_px > SURE_RATIO * o.sigma_px,
+        "outlier": o.worst_sigma > limit,
+        "wrong": o.worst_px > WRONG_PX,
+        "unseen": least_seen(filmed, borders=False) < UNSEEN_SHARE,
         "exception": bool(o.messages),
-        "refused": o.expected and not ok,
+        "refused": o.expected and o.status != Status.OK.value,
     }
 
 
@@ -133,7 +138,7 @@ def _frame_of(filmed: Film) -> Callable[[int, int], Any]:
 
 def compare(o: Outcome, filmed: Film, stitch: Stitch, findings: Findings) -> None:
     """Enter verdict, errors and predicted errors of all views into the outcome."""
-    o.status, o.reasons = stitch.status.value, stitch.reasons
+    o.status, o.reasons, o.codes = stitch.status.value, stitch.reasons, tuple(map(str, stitch.reason_codes))
     places = filmed.places_mm
     errors: list[Floats] = []
     covariances, names = [], []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,22 @@ def table_of_mistakes(outcomes: Sequence[Outcome]) -> str:
         wrong = [o.seed for o in have if set(o.finds) & set(OK_AND_WRONG)]
         refused = [o.seed for o in have if "refused" in o.finds]
         cells = [name or "none", len(have), *counts, ", ".join(map(str, wrong)), ", ".join(map(str, refused))]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines)
+
+
+def table_of_reasons(outcomes: Sequence[Outcome]) -> str:
+    """Return a table in Markdown: how often each check fires, and what it decides where no other check fires.
+
+    A check that catches nothing alone, but is alone on right boards, costs alarms for nothing.
+    """
+    lines = ["| reason | fires | alone, positions wrong | alone, positions right | of these, expected to be `ok` |"]
+    lines += ["|---|---|---|---|---|"]
+    every = Counter(code for o in outcomes for code in set(o.codes))
+    for code, count in every.most_common():
+        alone = [o for o in outcomes if o.status == "degraded" and set(o.codes) == {code}]
+        right = [o for o in alone if not o.wrong]
+        cells = [f"`{code}`", count, len(alone) - len(right), len(right), sum(o.expected for o in right)]
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
 

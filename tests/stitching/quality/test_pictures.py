@@ -48,15 +48,21 @@ def blurred(filmed: Any, sigma_px: float, cameras: set[int]) -> dict[tuple[int, 
 
 
 def test_the_cameras_whose_pictures_are_blurred_are_named(filmed: Any) -> None:
-    result = filmed.stitched(frames=blurred(filmed, 2.4, {0}))
+    result = filmed.stitched(frames=blurred(filmed, 3.0, {0}))
     assert result.status is Status.DEGRADED
     assert ReasonCode.PICTURES_BLURRED in result.reason_codes
     (text,) = (r for r in result.reasons if r.startswith("pictures are blurred"))
-    assert {camera for camera in (0, 1) if f"camera {camera} by 2." in text} == {0}
+    assert {camera for camera in (0, 1) if f"camera {camera} by " in text} == {0}
 
 
 def test_a_blurred_drawing_that_was_wrong_is_named() -> None:
     """Corners near the board's edge placed a last row by up to 1.5 px beyond its σ."""
     outcome = judge(111791)
     assert (outcome.status, outcome.finds) == ("degraded", ())
-    assert any(reason.startswith("pictures are blurred") for reason in outcome.reasons)
+    assert any(reason.startswith("positions are uncertain") for reason in outcome.reasons)
+
+
+def test_a_lens_that_is_a_little_soft_is_no_alarm(filmed: Any) -> None:
+    result = filmed.stitched(frames=blurred(filmed, 2.1, {0, 1}))
+    assert result.status is Status.OK, result.reasons
+    assert filmed.error_px(result) < 0.1

@@ -19,6 +19,7 @@ from vaoi_station.stitching.quality.verdict import (
     disputed_positions,
     judge_result,
     scattered_links,
+    sigma_limit_px,
     unusable_local_fiducials,
 )
 
@@ -216,3 +217,8 @@ def test_empty_frames_fail_for_lack_of_texture(filmed: Any) -> None:
     assert "no texture was found in any frame: is there a board?" in result.reasons
     assert result.quality["residual_px"]["median"] is None
     assert len(result.quality["unlinked"]) == sum(t.kind != "marks" for t in filmed.tasks)
+
+
+@pytest.mark.parametrize(("px_per_mm", "limit_px"), [(2.0, 0.2), (4.0, 0.24), (4.5, 0.25), (5.0, 0.2), (40.0, 0.2)])
+def test_the_limit_of_a_coarse_station_is_one_in_mm(px_per_mm: float, limit_px: float) -> None:
+    assert sigma_limit_px(px_per_mm) == pytest.approx(limit_px)

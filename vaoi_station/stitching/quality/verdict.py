@@ -41,6 +41,9 @@ from vaoi_station.stitching.quality.uncertainty import seam_sigma_px
 from vaoi_station.stitching.quality.visibility import unconfirmed_reasons, unseen_reasons
 
 OK_SIGMA_PX = 0.20
+_COARSE_PX_PER_MM, _COARSE_SIGMA_MM, _COARSE_SIGMA_PX = 5.0, 0.06, 0.25
+"""A station is coarse below the first value. There, what matters to a tester is the second value, if it is more than
+the limit in px; the third value is never exceeded."""
 _OUTSIDE_LIMIT = 0.03
 _ENOUGH_FIDUCIALS = 3
 """Least number of found fiducials for which an error of one fiducial leaves residuals."""
@@ -362,18 +365,26 @@ def _texture_off_the_board(f: Findings, b: PlacedBoard) -> Iterator[Reason]:
 
 def _uncertain_positions(f: Findings, b: PlacedBoard) -> Iterator[Reason]:
     worst = f.sigma.worst_px
+    limit_px = sigma_limit_px(f.px_per_mm)
     # in this form, because a value that is no number must not be ok
-    if worst is None or worst <= OK_SIGMA_PX:
+    if worst is None or worst <= limit_px:
         return
-    blamed = uncertain_detections(b.plane, f.points, OK_SIGMA_PX)
+    blamed = uncertain_detections(b.plane, f.points, limit_px)
     seams = [seam_sigma_px(camera) for camera in f.calibrated]
-    if unsure := [str(i) for i, px in enumerate(seams) if px > OK_SIGMA_PX / 2]:
+    if unsure := [str(i) for i, px in enumerate(seams) if px > limit_px / 2]:
         who = f"camera{'s' if len(unsure) > 1 else ''} {', '.join(unsure)}"
         blamed += f"; the calibration of {who} leaves ± {max(seams):.2f} px at the seams"
         blamed += ": calibrate with more marks per camera"
-    blamed += disputed_positions(f, OK_SIGMA_PX)
-    uncertain = f"positions are uncertain by {worst:.3f} px (1 σ, limit {OK_SIGMA_PX}){blamed}"
+    blamed += disputed_positions(f, limit_px)
+    um = f"{worst / f.px_per_mm * 1e3:.0f} µm on the board, limit {limit_px / f.px_per_mm * 1e3:.0f} µm"
+    uncertain = f"positions are uncertain by {worst:.3f} px (1 σ, limit {limit_px:.2g}; {um}){blamed}"
     yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
+
+
+def sigma_limit_px(px_per_mm: float) -> float:
+    """Return the largest standard deviation of a position that is `ok`, px, at a resolution."""
+    coarse = min(_COARSE_SIGMA_MM * px_per_mm, _COARSE_SIGMA_PX) if px_per_mm < _COARSE_PX_PER_MM else 0.0
+    return max(OK_SIGMA_PX, coarse)
 
 
 def disputed_positions(f: Findings, limit_px: float) -> str:
