@@ -39,6 +39,8 @@ _STEEPEST = 0.04
 _CLEAR_PX = 0.01
 """Distance from the frame's border that positions keep; it exceeds the deviation and every error of rounding."""
 _BELOW_1 = 1 - 1e-9
+_NO_STEP = 1e-12
+"""Smaller changes of position per pixel are none: over a line they come to a thousand-millionth of a pixel."""
 _BAND_PX, _CACHE_LINE = 64, 64
 """Lines of a picture that are read ahead, and the bytes that the processor reads from memory at once."""
 
@@ -142,7 +144,8 @@ def chord(m: Floats, x: int, y: int, count: int) -> tuple[float, float, float, f
     u, v = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) * w0, (m[1, 0] * x + m[1, 1] * y + m[1, 2]) * w0
     du = ((m[0, 0] * end + m[0, 1] * y + m[0, 2]) * w1 - u) / count - 1
     dv = ((m[1, 0] * end + m[1, 1] * y + m[1, 2]) * w1 - v) / count
-    return u, v, du, dv
+    # `run_at` divides by them, and the reciprocal of a denormal number is infinite.
+    return u, v, du if abs(du) > _NO_STEP else 0.0, dv if abs(dv) > _NO_STEP else 0.0
 
 
 @inlined
