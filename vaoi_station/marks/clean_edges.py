@@ -24,6 +24,9 @@ _ALIKE, _PER_LEVEL_PX = (0.02, 0.08, 0.25), 1.0
 """Differences of a level from those of the other directions, as a share of the contrast, that are accepted in turn,
 until enough directions are left; and displacement of an edge by the border of a smudge, px per share of the contrast.
 Measured: 0.8 px at most on painted marks (docs/measured/marks.md)."""
+_COMMON_LEVEL = 0.12
+"""Largest median of these differences: beyond it, what differs is no part of the mark but its light. Smudges of painted
+and filmed marks leave 0.02 to 0.08; a low lamp from one side, which also displaces the edges, 0.19 to 0.22."""
 _LEAST_CLEAN, _WIDEST_GAP = 0.5, 5 / 12
 """Least share of directions that are clean, and the widest gap between two of them as a share of the circle."""
 _ROUNDS, _KNEE, _BLOCKS = 6, 3.0, 8
@@ -77,7 +80,7 @@ def _centre(
         centre = centre + solved[:2]
         if np.hypot(*solved[:2]) < 1e-3:
             break
-    if not _enough(weight) or np.hypot(*(centre - px)) > radius / 3:
+    if not _enough(weight) or np.median(off) > _COMMON_LEVEL or np.hypot(*(centre - px)) > radius / 3:
         return None
     block = np.arange(count) * _BLOCKS // count
     j = np.column_stack([way, np.ones(count)])
