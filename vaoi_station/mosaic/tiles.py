@@ -79,17 +79,17 @@ def _render_plain(spec: TileSpec, frames: Frames) -> NDArray[Any] | None:
         size = np.array([(x1 - x0, y1 - y0)])
         [pixels] = resampled(source.pixels, of_part(source.matrix, x0, y0)[None], size)
         signal = pixels.astype(np.float32).reshape(y1 - y0, -1)
-        area = np.s_[:, y0:y1, x0 * channels : x1 * channels]
         fields = np.ones((2, *part.factor.shape), np.float32)
         fields[0] = part.factor
         if part.mine is not None:
             fields *= part.mine
         places = across[x0 * channels : x1 * channels] - part.cells[0], down[y0:y1] - part.cells[1]
         if part.wholly:
-            _blend(signal, part.dark * full / 255, fields, *places, sums[area])
+            _blend(signal, part.dark * full / 255, fields, *places, (x0 * channels, y0), sums)
         else:
             own = np.zeros((2, *signal.shape), np.float32)
-            _blend(signal, part.dark * full / 255, fields, *places, own)
+            _blend(signal, part.dark * full / 255, fields, *places, (0, 0), own)
+            area = np.s_[:, y0:y1, x0 * channels : x1 * channels]
             sums[area] += np.where(np.repeat(_outside(part, part.window), channels, axis=1), 0, own)
     if not formats:
         return None
@@ -104,7 +104,15 @@ def _render_plain(spec: TileSpec, frames: Frames) -> NDArray[Any] | None:
 
 
 @compiled
-def _blend(signal: Floats32, dark: float, fields: Floats32, across: Floats, down: Floats, sums: Floats32) -> None:
+def _blend(
+    signal: Floats32,
+    dark: float,
+    fields: Floats32,
+    across: Floats,
+    down: Floats,
+    at: tuple[int, int],
+    sums: Floats32,
+) -> None:
     """Add a frame to the sums of a tile: of weight · (grey − dark) · factor, and of the weights.
 
     Args:
@@ -113,7 +121,8 @@ def _blend(signal: Floats32, dark: float, fields: Floats32, across: Floats, down
         fields: (2, rows, columns) of the frame's cells: weight times factor, and weight.
         across: (w,) places of the columns of the signal between the centres of the cells.
         down: (h,) places of its lines.
-        sums: (2, h, w).
+        at: column and line of the first value in the sums.
+        sums: (2, rows, columns) of the tile.
     """
     rows, columns = fields.shape[1], fields.shape[2]
     height, width = signal.shape
@@ -135,7 +144,8 @@ def _blend(signal: Floats32, dark: float, fields: Floats32, across: Floats, down
                     a += share * (fields[field, top, right] - a)
                     b += share * (fields[field, below, right] - b)
                     lines[2 * field, x], lines[2 * field + 1, x] = a, b - a
-        share, grey, total, weights = np.float32(v - top), signal[y], sums[0, y], sums[1, y]
+        share, grey = np.float32(v - top), signal[y]
+        total, weights = sums[0, at[1] + y, at[0] :], sums[1, at[1] + y, at[0] :]
         for x in range(width):
             total[x] += (factor[x] + share * factor_step[x]) * (grey[x] - black)
             weights[x] += weight[x] + share * weight_step[x]

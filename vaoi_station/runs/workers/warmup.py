@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.hdr import Exposed, merge_views
 from vaoi_station.heights.estimates import measure_heights
 from vaoi_station.marks import find_candidates, locate_mark
 from vaoi_station.model import BoardType, Status, Stitch
 from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_frames, make_plan, render_tile
+from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
 from vaoi_station.rendering import ViewCalculator, render_all
 from vaoi_station.steps import completed
 from vaoi_station.stitching.matching.frames import resample
@@ -69,6 +71,7 @@ def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.
     return [
         lambda: render_all(views.compute_all(board_type.components), partial(_frame, picture)),
         partial(_plan, setup, board_type, stitch, picture),
+        partial(_merge, views, board_type, picture),
         partial(measure_heights, board_type, stitch, setup.cameras, partial(_frame, picture)),
     ]
 
@@ -105,6 +108,17 @@ def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: ND
         )
     )
     render_tile(TileRenderer(plan, projector, base).spec((0, 0, base.width, base.height)), partial(_frame, picture))
+
+
+def _merge(views: ViewCalculator, board_type: BoardType, picture: NDArray[np.uint8]) -> None:
+    [shown, *_] = views.compute_all(board_type.components).values()
+    maps = FieldMaps(np.ones((_HEIGHT_PX, _WIDTH_PX), np.float32), 2.0, NoiseModel())
+    merge_views(
+        [
+            Exposed(v, Taken(100.0), maps, (_WIDTH_PX, _HEIGHT_PX), partial(_frame, picture, v.camera, v.row))
+            for v in shown
+        ]
+    )
 
 
 def _setup() -> StitchSetup:
