@@ -58,7 +58,9 @@ def test_one_board_from_the_barrier_to_the_contact_sheet(start: Start, tmp_path:
     process = start("--scenario", "small", "--once", "--json", "--out", str(out))
     output, errors = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 0, errors
-    assert errors == ""
+    stages = errors.splitlines()
+    assert len(stages) == 5
+    assert all(re.fullmatch(r" *[0-9.]+ s  .+", stage) for stage in stages), errors
     report = DemoReport.model_validate_json(output)
     assert report.ok
     run = report.run

@@ -808,6 +808,8 @@ const warnings = {
   "armed-again": ["Die Linie ist mit dem Auftrag von vor dem Neustart aktiv.", "Die Nummer der nächsten Baugruppe angeben, wenn Baugruppen Nummern haben."],
   "not-armed-again": ["Die Linie war vor einem Neustart oder einer Störung aktiv und ist es nicht mehr.", "Die Ursache beheben; dann aktivieren."],
   stored: ["Ein Lauf, der aus dem Speicher gemeldet wurde, ist jetzt auf der Platte.", NOTHING],
+  explained: ["Das Ergebnis eines Laufs ist vollständig.", NOTHING],
+  "explanation-lost": ["Die Tabellen, die das Urteil eines Laufs nur erläutern, fehlen; Matrizen und Urteil sind vollständig.", "Wenn sie gebraucht werden: die Aufnahme des Laufs neu stitchen."],
   "board-type-draft": ["Der aktive Baugruppentyp ist ein Entwurf.", "Orte an einem Lauf prüfen, dann freigeben."],
   "flat-fields-unfit": ["Die Hellfelder passen nicht zu dieser Station oder zum Baugruppentyp.", "Weißes Ziel und Dunkelheit aufnehmen, dann vaoi flatfield."],
   "flat-fields-expired": ["Die Hellfelder sind älter als 180 Tage.", "Weißes Ziel und Dunkelheit aufnehmen, dann vaoi flatfield."],
