@@ -27,7 +27,7 @@ _EXACT_PX = 64
 It computes places in single precision. At 2000 px from the origin, their error is 0.0001 px, which moves an edge of
 65535 grey levels by more than one. In a part with its own origin, the error is 30 times as small."""
 _BLOCK = 16
-"""Values that are computed at once; so many more than those of the pictures may be written."""
+"""Number of values that are computed at once, and largest number that may be written beyond those of the pictures."""
 _BENT_PX = 0.0018
 """Largest deviation of a homography from the linear function that replaces it over part of a line.
 

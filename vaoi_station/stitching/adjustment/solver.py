@@ -179,7 +179,8 @@ CONVERGED_MM = 5e-5
 """The adjustment ends after a step that moves no row by more than this. Each step is about a tenth of the step before,
 so that an error of about a tenth of this limit remains."""
 _SAMPLE_LINKS, _PER_ROW = 8000, 250
-"""If there are at least twice as many links, the first steps use a sample of at least so many, and so many a row."""
+"""Least number of links in the sample that the first steps use: in all, and for each row. With less than twice as many
+links, all of them are used."""
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber); beyond `_CUT` they have no weight."""
 _PAIR_SIGMA_PX, _PAIR_SHARE, _NOISE_SHARE = (0.001, 0.011), 0.25, 0.5
