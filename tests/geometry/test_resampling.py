@@ -93,7 +93,7 @@ def test_several_pictures_of_one_frame_are_those_made_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("columns", [(0, 64, 100), (0, 90, 100), (0, 7, 12, 100)])
+@pytest.mark.parametrize("columns", [(0, 64, 100), (0, 90, 100), (0, 7, 12, 100), (0, 101)])
 def test_tiles_of_a_picture_leave_their_neighbours_alone(channels: int, columns: tuple[int, ...]) -> None:
     frame = frame_of(channels)
     ends = list(pairwise(columns))
@@ -103,6 +103,29 @@ def test_tiles_of_a_picture_leave_their_neighbours_alone(channels: int, columns:
     for (x0, y0, x1, y1), matrix in zip(boxes.tolist(), matrices, strict=True):
         part = exact(frame, matrix, x1 - x0, y1 - y0)
         assert np.abs(picture[y0:y1, x0:x1] - part).max() <= 1
+
+
+@pytest.mark.parametrize("width", [1, 15, 16, 17, 40, 101])
+@pytest.mark.parametrize("columns", [1, 2])
+def test_nothing_is_written_beyond_the_values_that_are_there(
+    width: int, columns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One column of tiles overwrote up to 15 bytes behind the picture."""
+    write, kept = resampling._write, []
+
+    def guarded(frame: Any, matrices: Any, places: Any, out: Any) -> list[int]:
+        behind = np.full(len(out) + 64, 77, np.uint8)
+        left = write(frame, matrices, places, behind[: len(out)])
+        out[:] = behind[: len(out)]
+        kept.append(behind[len(out) :])
+        return left
+
+    monkeypatch.setattr(resampling, "_write", guarded)
+    boxes = [(x * width, y * 7, (x + 1) * width, (y + 1) * 7) for y in range(3) for x in range(columns)]
+    resampled_in_tiles(frame_of(), np.array([np.eye(3)] * len(boxes)), np.array(boxes))
+    resampled(frame_of(), np.array([np.eye(3)] * 2), np.array([(width, 7)] * 2))
+    assert len(kept) == 2
+    assert all((guard == 77).all() for guard in kept)
 
 
 def test_the_loop_is_compiled_once_for_all_arguments() -> None:

@@ -78,11 +78,14 @@ def resampled_in_tiles(frame: NDArray[Any], matrices: Floats, boxes: NDArray[np.
             ends.
     """
     width, height = boxes[-1, 2:].tolist()
-    picture = np.empty((height, width, *frame.shape[2:]), frame.dtype)
+    # One column of tiles has no gaps between its lines: the loop writes beyond their last, as in `resampled`.
+    count = height * width * math.prod(frame.shape[2:])
+    out = np.empty(count + _BLOCK, frame.dtype)
+    picture = out[:count].reshape(height, width, *frame.shape[2:])
     places = np.column_stack(
         [boxes[:, 0] + boxes[:, 1] * width, np.full(len(boxes), width), boxes[:, 2:] - boxes[:, :2]]
     )
-    for k in _write(frame, matrices, places, picture.reshape(-1)):
+    for k in _write(frame, matrices, places, out):
         x0, y0, x1, y1 = boxes[k].tolist()
         _warp(frame, matrices[k], picture[y0:y1, x0:x1])
     return picture
