@@ -42,7 +42,8 @@ def bench(
     boards: Annotated[int, typer.Option(min=1, max=1000, help="With --station: number of boards at each rate.")] = 6,
     workers: Annotated[int, typer.Option(min=1, max=64, help="With --station: number of worker processes.")] = 2,
     films: Annotated[
-        Path | None, typer.Option(help="Keep rendered boards in this directory for the next call [not kept].")
+        Path | None,
+        typer.Option(help="With --station: keep rendered boards here for the next call [not kept]."),
     ] = None,
     ring: Annotated[Path, typer.Option(help="With --station: directory of the ring.")] = Path("/dev/shm"),  # noqa: S108  (as [ring] directory has it)
 ) -> None:
@@ -62,6 +63,8 @@ def bench(
     chosen = [option for option, (given, _) in kinds.items() if given]
     if len(chosen) > 1:
         raise InputError(f"{' and '.join(chosen)} exclude each other.", action="Give one of them.")
+    if compiling and (not profile or case is not None):
+        raise InputError("--compile measures a scenario.", action="Give --profile --compile, and no --case.")
     document = kinds[chosen[0]][1]() if chosen else _stitching(case, repetitions)
     if json is not None:
         from vaoi_station.files.documents import write_json

@@ -141,7 +141,7 @@ def test_a_result_is_announced_at_once_and_completed_by_its_explanation(station:
     assert finished.text == store.result(run) == stitch_text(whole)
     assert (finished.detail.state, finished.lean.status) == ("ready", "ok")
     [event] = [e for e in station.log.read(0, 0.0, 100) if e.code == "explained"]
-    assert (event.kind, event.state, event.run) == ("run", "ready", run)
+    assert (event.kind, event.state, event.run) == ("run", "", run), "for those who wait for runs, a run ends once"
 
 
 def test_an_explanation_that_is_lost_is_stated_and_leaves_the_verdict(

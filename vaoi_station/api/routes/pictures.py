@@ -193,7 +193,7 @@ def router(services: Services) -> APIRouter:
             return LIVE
         # Heights are measured after the result: until they are known, images on the tops of bodies may change.
         final = wanted is None or wanted.framing.plane != "top" or coordinator.heights.known(run) is not None
-        return IMMUTABLE if final else REVALIDATE
+        return IMMUTABLE if final and coordinator.is_complete(run) else REVALIDATE
 
     async def caching(run: str, wanted: ImageRequest | None = None) -> str:
         return await ask(caching_now, run, wanted)

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import Future, wait
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError, VaoiError
@@ -201,11 +201,13 @@ class Archive:
 
     def explain(self, run: str, document: str | None) -> None:
         """Put the complete result of a finished run in place of the first one; None: it will never come."""
-        with self._changed:
-            self._unexplained.discard(run)
-            self._changed.notify_all()
-        with contextlib.suppress(VaoiError):  # it may have been deleted meanwhile
-            self._explain(self.get(run), document)
+        try:
+            with contextlib.suppress(VaoiError):  # it may have been deleted meanwhile
+                self._explain(self.get(run), document)
+        finally:
+            with self._changed:  # after the complete result is in place, which callers wait for
+                self._unexplained.discard(run)
+                self._changed.notify_all()
 
     def _explain(self, read: FinishedRun, document: str | None) -> None:
         run = read.detail.id
@@ -217,14 +219,21 @@ class Archive:
                 quality = {key: value for key, value in finished.lean.quality.items() if key != "later"}
                 lean = finished.lean.model_copy(update={"quality": quality})
                 self._cache(replace(finished, document=document, stitch=lean))
-                self.store.complete_result(run, document)
+                saved = self.store.complete_result(run, document)
+                saved.add_done_callback(partial(self._completed, run))
         if document is None:
             message = "The tables that explain the verdict are missing: their worker ended before it had computed them."
             action = "Matrices and verdict are complete. For the tables, stitch the recording of the run."
             self._events.add("trouble", message, run=run, code="explanation-lost", action=action)
         else:
             message = "The result is complete: pairs of links, covariances and heights are there too."
-            self._events.add("run", message, state=finished.detail.state, run=run, code="explained")
+            # Without its state: for those who wait for runs, a run has ended once.
+            self._events.add("run", message, run=run, code="explained")
+
+    def _completed(self, run: str, saved: Future[None]) -> None:
+        if (fault := saved.exception()) is not None:
+            message = f"The complete result of run {run} could not be written: {fault}"
+            self._events.add("trouble", message, run=run, code="store")
 
     def explained(self, run: str) -> FinishedRun:
         """Return a finished run as `get` does, with its complete result; wait for that if it has ended just now."""
@@ -409,7 +418,7 @@ class Archive:
                 known = replace(known, detail=known.detail.model_copy(update={"stored": True}))
             self._cache(known)
         if fault is None and late:
-            self._events.add("run", "The result is on disk now.", state=known.detail.state, run=run, code="stored")
+            self._events.add("run", "The result is on disk now.", run=run, code="stored")
         self._announce(finished.finish_number)
 
     def _announce(self, finish_number: int) -> None:

@@ -240,7 +240,7 @@ class BatchAccess:
 
         def tables() -> Mapping[str, Mapping[str, Any]]:
             of_top = ("heights_mm", "height_sigma_mm") if on_top else ()
-            return {**tables_of(finished), **{key: result.quality[key] for key in of_top}}
+            return {**tables_of(finished), **{key: result.quality.get(key, {}) for key in of_top}}
 
         head = _head(self.published(detail), request, len(components), resolution)
         return Batch(run, request, components, setup, head, tables)

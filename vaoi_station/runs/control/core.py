@@ -204,12 +204,14 @@ class Core:
     def explained(self, job: ExplainJob, reply: Reply) -> None:
         """Take the complete result of a finished run, and the check of the calibration with it."""
         answer: Explained | None = reply.value
-        self._archive.explain(job.run, None if answer is None else answer.document)
-        check = reply if answer is None else answer.check
-        if job.check is not None and check is not None:
-            self.watch.checked(job.check, check)
         self._explaining.discard(job.run)
-        self._complete_stop_if_drained()
+        try:
+            self._archive.explain(job.run, None if answer is None else answer.document)
+            check = reply if answer is None else answer.check
+            if job.check is not None and check is not None:
+                self.watch.checked(job.check, check)
+        finally:
+            self._complete_stop_if_drained()
 
     def worker_ended(self, description: str) -> None:
         """Publish that a worker process has ended. The pool then restarts the process."""

@@ -229,9 +229,10 @@ class Mosaics:
         """Return what a plan depends on besides the frames.
 
         Flat fields may be replaced while the run is in memory, and HDR lays bodies in the planes of their tops as soon
-        as their heights are measured.
+        as their heights are measured or known by links.
         """
-        return run, name, changed_ns(self._flat_fields), name.hdr and self._heights(run) is not None
+        known = name.hdr and (self._heights(run) is not None, self._archive.get(run).complete)
+        return run, name, changed_ns(self._flat_fields), known
 
     def _open(self, run: str, name: PictureName, *, asked: bool) -> OpenedMosaic:
         """Return a mosaic with all that its tiles are made with; raises the errors of `grid`."""

@@ -181,6 +181,8 @@ class SteppedJob(PictureJob):
         return completed(self.steps(frame))
 
 
+EXPLAINABLE_RUNS = 4
+"""Number of concluded runs for which a worker keeps what their explanations need: mostly more than the ring holds."""
 Job = LinkJob | ConcludeJob | ExplainJob | PictureJob
 
 

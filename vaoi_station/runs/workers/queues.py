@@ -21,6 +21,7 @@ from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import STARTING, ProcessStatus
 from vaoi_station.runs.workers.fork_server_link import RESTART_POLICY, ChildProcess
 from vaoi_station.runs.workers.jobs import (
+    EXPLAINABLE_RUNS,
     ConcludeJob,
     ExplainJob,
     Job,
@@ -182,9 +183,9 @@ class JobQueues:
         self._queue_of(queued).appendleft(queued)
 
     def concluded(self, run: str, worker: Worker) -> None:
-        """Remember which worker has concluded a run, for its check; of the last two runs, as workers do."""
+        """Remember which worker has concluded a run, for its check; of the last runs, as workers do."""
         self._concluded_by[run] = worker.index
-        for former in [*self._concluded_by][:-2]:
+        for former in [*self._concluded_by][:-EXPLAINABLE_RUNS]:
             del self._concluded_by[former]
 
     def hasten(self, kind: type[PictureJob], run: str, callers: int) -> None:

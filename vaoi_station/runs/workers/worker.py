@@ -31,6 +31,7 @@ from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.model import RecordingHead, Stitch
 from vaoi_station.runs.workers.evidence_log import EvidenceLog
 from vaoi_station.runs.workers.jobs import (
+    EXPLAINABLE_RUNS,
     CloseRun,
     Concluded,
     ConcludeJob,
@@ -63,8 +64,6 @@ SLICE_S = 0.005
 """Time after which a stepped job is paused, s: about the time of a link, for which it may delay others."""
 GATHER_S = 0.02
 """Time between two looks at the other workers' logs while an owner has no job, s."""
-_EXPLAINABLE_RUNS = 2
-"""Number of concluded runs whose findings are kept for their explanation and check."""
 
 
 def run_worker(connection: Connection[Any, Any], ring_path: str, index: int, logs: mmap.mmap, workers: int) -> None:
@@ -257,7 +256,7 @@ class WorkerRuntime:
 
         stitch, findings = self._guarded(job.context, conclude)
         self._concluded[job.run] = opened, findings, stitch, job.head
-        if len(self._concluded) > _EXPLAINABLE_RUNS:
+        if len(self._concluded) > EXPLAINABLE_RUNS:
             self._concluded.popitem(last=False)
         return Concluded(without_components(stitch), stitch_text(stitch))
 
