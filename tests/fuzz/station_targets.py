@@ -15,7 +15,7 @@ import numpy as np
 
 from tests.fuzz.corpus import inputs
 from tests.runs.conftest import a_board_type, a_calibration, a_config
-from vaoi_station.acquisition.cameras.aravis import network
+from vaoi_station.acquisition.cameras.aravis import discovery, network
 from vaoi_station.acquisition.ring import HEADER, PAGE_BYTES, Ring, read_owner, remove_leftovers
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.station_files import to_toml
@@ -46,7 +46,7 @@ def gvcp_reply(data: bytes, folder: Path) -> None:
     """Read a datagram as replies of a camera: as it is, and with the header of a reply that is expected."""
     for datagram in (data, b"\0\0" + network.command(2, 1, data)[2:]):
         network.is_reply(datagram, 2, 1)
-        network.discovered(datagram, 1)
+        discovery.discovered(datagram, 1)
 
 
 def push_state(data: bytes, folder: Path) -> None:

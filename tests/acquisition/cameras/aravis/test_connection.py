@@ -16,7 +16,7 @@ from vaoi_station.acquisition.cameras.aravis.connection import (
     PortShare,
     find_clock,
 )
-from vaoi_station.acquisition.cameras.aravis.network import FoundCamera
+from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.errors import DeviceError, InputError
 

@@ -50,11 +50,11 @@ def test_two_ports_in_one_network_are_told_apart_by_their_address_and_named(monk
     first, second, other = (int.from_bytes(socket.inet_aton(a), "big") for a in ("10.9.0.1", "10.9.0.2", "10.8.0.1"))
     mask = 0xFFFFFF00
     ports = [
-        network._Port("eth0", first, mask),
-        network._Port("eth1", second, mask),
-        network._Port("eth2", other, mask),
+        network.Port("eth0", first, mask),
+        network.Port("eth1", second, mask),
+        network.Port("eth2", other, mask),
     ]
-    monkeypatch.setattr(network, "_ports", lambda: ports)
+    monkeypatch.setattr(network, "ports", lambda: ports)
     assert [network.interface_of(f"10.9.0.{k}") for k in (1, 2, 7)] == ["eth0", "eth1", "eth0"]
     assert network.interface_of("10.7.0.1") == "10.7.0.1"
     assert network.route_trouble("10.9.0.7").startswith("the ports eth0, eth1 of this computer are in the network of")

@@ -16,8 +16,9 @@ from functools import partial
 from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis import network, settings
+from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera, discover
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
-from vaoi_station.acquisition.cameras.aravis.network import FoundCamera, PacketLimits
+from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.acquisition.cameras.aravis.settings import Sets, Setting, error_text
 from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader, FrameFormat, SlotResult, SlotStream
 from vaoi_station.acquisition.cameras.interface import CameraLimits
@@ -69,7 +70,7 @@ def search() -> tuple[FoundCamera, ...]:
     usb = [k for k in listed if library.get_device_protocol(k) == "USB3Vision"]
     # GigE cameras are searched by our own datagrams, because Aravis lists only one of two cameras with the same name.
     return (
-        *network.discover(),
+        *discover(),
         *(FoundCamera(library.get_device_serial_nbr(k) or "", library.get_device_id(k)) for k in usb),
     )
 

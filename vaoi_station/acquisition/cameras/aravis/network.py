@@ -2,7 +2,7 @@
 
 Cameras of an array send at the same time, and those on one port share it: after every packet, each pauses for the time
 of one packet of every other camera. Aravis holds its lock for seconds while a camera is absent, and lists only one of
-two with the same name, so READREG and DISCOVERY (GVCP) are sent without it.
+two with the same name, so READREG (GVCP) is sent without it, and DISCOVERY (`discovery.py`).
 """
 
 from __future__ import annotations
@@ -11,16 +11,14 @@ import contextlib
 import ctypes
 import math
 import os
-import selectors
 import socket
 import stat
 import struct
-import time
 from dataclasses import dataclass
 from enum import Enum
 from itertools import count
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from vaoi_station.errors import DeviceError, InputError
 
@@ -43,7 +41,7 @@ class PacketLimits:
     step: int
 
 
-class _Port(NamedTuple):
+class Port(NamedTuple):
     """A network interface of this computer with its IPv4 address and network mask."""
 
     name: str
@@ -107,15 +105,15 @@ def mtu_to(address: str) -> int:
 
 def local_addresses() -> tuple[str, ...]:
     """Return all IPv4 addresses of the network interfaces of this computer."""
-    return tuple(socket.inet_ntoa(port.address.to_bytes(4, "big")) for port in _ports())
+    return tuple(socket.inet_ntoa(port.address.to_bytes(4, "big")) for port in ports())
 
 
 def interface_of(local_address: str) -> str:
     """Return the name of the interface that has an address, else of one whose network contains it, else the address."""
-    wanted, ports = _as_int(socket.inet_aton(local_address)), _ports()
+    wanted, every = _as_int(socket.inet_aton(local_address)), ports()
     # Two interfaces may be in the same network, so the address itself decides.
-    own = (port.name for port in ports if port.address == wanted)
-    return next(own, next((port.name for port in ports if port.reaches(wanted)), local_address))
+    own = (port.name for port in every if port.address == wanted)
+    return next(own, next((port.name for port in every if port.reaches(wanted)), local_address))
 
 
 def route_trouble(address: str) -> str:
@@ -124,7 +122,7 @@ def route_trouble(address: str) -> str:
         wanted = _as_int(socket.inet_aton(address))
     except OSError:
         return ""
-    names = sorted({port.name for port in _ports() if port.reaches(wanted)})
+    names = sorted({port.name for port in ports() if port.reaches(wanted)})
     if not names:
         return f"no network port of this computer has an address in the network of {address}"
     if len(names) > 1:
@@ -184,7 +182,7 @@ _InterfaceAddress._fields_ = (
 )
 
 
-def _ports() -> tuple[_Port, ...]:
+def ports() -> tuple[Port, ...]:
     """Return all IPv4 addresses of the interfaces of this computer; an interface may have several."""
     library = ctypes.CDLL(None, use_errno=True)
     first = ctypes.POINTER(_InterfaceAddress)()
@@ -197,7 +195,7 @@ def _ports() -> tuple[_Port, ...]:
             if item.address and item.mask and item.address.contents.family == socket.AF_INET:
                 address, mask = (_as_int(bytes(field.contents.address)) for field in (item.address, item.mask))
                 # An address may have a label: eth0:1.
-                found.append(_Port(item.name.decode().partition(":")[0], address, mask))
+                found.append(Port(item.name.decode().partition(":")[0], address, mask))
             entry = item.next
     finally:
         library.freeifaddrs(first)
@@ -208,20 +206,15 @@ def _as_int(address: bytes) -> int:
     return int.from_bytes(address, "big")
 
 
-DISCOVERY_S = 1.0
-"""Time to wait for replies to DISCOVERY; the standard allows cameras this long."""
 _KEY, _ACKNOWLEDGE = 0x42, 0x01
-_DISCOVERY, _READ_REGISTER = 0x0002, 0x0080
-"""Command numbers; the number of an acknowledgement is one higher."""
+_READ_REGISTER = 0x0080
+"""Command number; the number of an acknowledgement is one higher."""
 _VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
 _CONTROL_BITS = 0b11
 """Bits of the privilege register that are set while an application has exclusive access or control."""
 _HEADER = struct.Struct(">BBHHH")
 _SUCCESS = b"\0\0"
 """Status of success in the first two bytes of a reply. A refusal has another status and may have content as well."""
-_ADDRESS_OFFSET, _SERIAL_OFFSET = 8 + 0x24, 8 + 0xD8
-"""Offsets in a reply to DISCOVERY, which has a header of 8 bytes and then the bootstrap registers from 0 on."""
-_DISCOVERY_REPLY_BYTES = 8 + 0xF8
 _ids = count(1)
 
 
@@ -233,18 +226,9 @@ class Control(Enum):
     CONTROLLED = "controlled"
 
 
-@dataclass(frozen=True)
-class FoundCamera:
-    """A camera that replied to a search."""
-
-    serial: str
-    address: str
-    """IP address of a GigE camera, or Aravis' device id of a USB camera."""
-
-
-def command(number: int, request_id: int, content: bytes = b"") -> bytes:
-    """Return the bytes of a command that the camera must acknowledge."""
-    return _HEADER.pack(_KEY, _ACKNOWLEDGE, number, len(content), request_id) + content
+def command(number: int, request_id: int, content: bytes = b"", flags: int = 0) -> bytes:
+    """Return the bytes of a command that the camera must acknowledge; `flags` are those of this command."""
+    return _HEADER.pack(_KEY, _ACKNOWLEDGE | flags, number, len(content), request_id) + content
 
 
 def is_reply(datagram: bytes, number: int, request_id: int) -> bool:
@@ -271,45 +255,6 @@ def read_control(address: str, timeout_s: float = 0.2, tries: int = 3) -> Contro
     return Control.FREE if free else Control.CONTROLLED
 
 
-def discover(wait_s: float = DISCOVERY_S) -> tuple[FoundCamera, ...]:
-    """Return all GigE cameras that reply to a broadcast on the networks of this computer, sorted by address."""
-    request_id = _next_id()
-    with contextlib.ExitStack() as stack:
-        selector = stack.enter_context(selectors.DefaultSelector())
-        # One socket per interface: a broadcast leaves by the interface whose address the socket is bound to.
-        for local in local_addresses():
-            client = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-            client.setblocking(False)
-            with contextlib.suppress(OSError):  # an interface that is down
-                client.bind((local, 0))
-                client.sendto(command(_DISCOVERY, request_id), ("255.255.255.255", CONTROL_PORT))
-                selector.register(client, selectors.EVENT_READ)
-        found: set[FoundCamera] = set()
-        deadline_s = time.monotonic() + wait_s
-        while (left_s := deadline_s - time.monotonic()) > 0:
-            for key, _ in selector.select(left_s):
-                found.update(_received(cast("socket.socket", key.fileobj), request_id))
-    return tuple(sorted(found, key=lambda camera: socket.inet_aton(camera.address)))
-
-
-def discovered(datagram: bytes, request_id: int) -> FoundCamera | None:
-    """Return address and serial number from a reply to DISCOVERY; None for every other datagram."""
-    if not is_reply(datagram, _DISCOVERY, request_id) or len(datagram) < _DISCOVERY_REPLY_BYTES:
-        return None
-    serial = datagram[_SERIAL_OFFSET : _SERIAL_OFFSET + 16].split(b"\0")[0].decode("ascii", "replace")
-    return FoundCamera(serial, socket.inet_ntoa(datagram[_ADDRESS_OFFSET : _ADDRESS_OFFSET + 4]))
-
-
-def _received(client: socket.socket, request_id: int) -> list[FoundCamera]:
-    received = []
-    with contextlib.suppress(BlockingIOError):  # nothing more at present
-        while True:
-            if (camera := discovered(client.recv(1024), request_id)) is not None:
-                received.append(camera)
-    return received
-
-
 def _read_register(address: str, register: int, timeout_s: float, tries: int) -> bytes | None:
     """Return the content of a register; empty bytes if the camera refuses to read it, None if no camera replies."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
@@ -318,21 +263,23 @@ def _read_register(address: str, register: int, timeout_s: float, tries: int) ->
             client.connect((address, CONTROL_PORT))
         except OSError:
             return None
-        return next((reply for _ in range(tries) if (reply := _request_register(client, register)) is not None), None)
+        replies = (request(client, _READ_REGISTER, register.to_bytes(4, "big")) for _ in range(tries))
+        return next((reply for reply in replies if reply is not None), None)
 
 
-def _request_register(client: socket.socket, register: int) -> bytes | None:
-    """Send one READREG request and return the content of the register; b"" after a refusal, None without a reply."""
-    request_id = _next_id()
+def request(client: socket.socket, number: int, content: bytes) -> bytes | None:
+    """Send a command; return the content of the reply, b"" after a refusal, None without a reply."""
+    request_id = next_id()
     try:
-        client.send(command(_READ_REGISTER, request_id, register.to_bytes(4, "big")))
-        while not is_reply(reply := client.recv(1024), _READ_REGISTER, request_id):
+        client.send(command(number, request_id, content))
+        while not is_reply(reply := client.recv(1024), number, request_id):
             pass  # a late reply to an earlier request
     except OSError:  # no reply in time, or the port is closed there
         return None
     return reply[_HEADER.size :] if reply.startswith(_SUCCESS) else b""
 
 
-def _next_id() -> int:
+def next_id() -> int:
+    """Return the id of the next request."""
     # 0 is not a valid request id.
     return next(_ids) % 0xFFFF + 1
