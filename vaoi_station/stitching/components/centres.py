@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import cv2
@@ -89,7 +90,10 @@ def central_views(
     ends = np.append(first[1:], len(use))
     chosen = np.unique(np.linspace(0, len(first) - 1, min(len(first), _MOST)).round().astype(np.int_)).tolist()
     every = [use[first[n] : ends[n]] for n in chosen]
-    best = np.array([v[np.hypot(*(views.px[v] - centre[views.camera[v]]).T).argmin()] for v in every], np.int_)
+    at = np.concatenate([use[:0], *every])
+    (x, y), begin = (views.px.take(at, axis=0) - centre[views.camera[at]]).T, np.cumsum([0, *map(len, every)])
+    off = np.hypot(x, y)
+    best = np.array([at[a + off[a:b].argmin()] for a, b in pairwise(begin.tolist())], np.int_)
     # frame by frame, so that each frame is fetched only once
     best = best[np.lexsort((views.row[best], views.camera[best]))]
     part, camera, row, px = views.point[best], views.camera[best], views.row[best], views.px[best]
@@ -108,11 +112,12 @@ def reduced_patch(
     grey: NDArray[np.uint8], px: Floats, nodes: NDArray[np.int_], factor: int
 ) -> NDArray[np.float32] | None:
     """Return the patch of 2·`nodes` + 1 nodes per axis about the pixel nearest to `px`; None if it is not in view."""
-    (x, y), (far_x, far_y) = np.rint(px).astype(int), factor * nodes + factor // 2
+    (x, y), (u, v) = map(round, px.tolist()), nodes.tolist()
+    far_x, far_y = factor * u + factor // 2, factor * v + factor // 2
     if min(x - far_x, y - far_y) < 0 or x + far_x >= grey.shape[1] or y + far_y >= grey.shape[0]:
         return None
     patch = grey[y - far_y : y + far_y + 1, x - far_x : x + far_x + 1].astype(np.float32)
-    size = (2 * int(nodes[0]) + 1, 2 * int(nodes[1]) + 1)
+    size = 2 * u + 1, 2 * v + 1
     return np.asarray(cv2.resize(patch, size, interpolation=cv2.INTER_AREA) if factor > 1 else patch, np.float32)
 
 

@@ -156,7 +156,9 @@ class Findings:
             # Of fiducials that place a component, or the board of a panel on which it is.
             px_per_mm = np.array([c.px_per_mm for c in self.scene.cameras])[camera]
             error_px = np.hypot(error_px, np.array([own.get(name, 0.0) for name in names])[predicted.part] * px_per_mm)
-        demanded = np.array([name not in self.skipped_parts for name in names], np.bool_)
+        demanded = np.ones(len(names), np.bool_)
+        if self.skipped_parts:
+            demanded[[name in self.skipped_parts for name in names]] = False
         return predicted.with_errors(error_px, demanded[predicted.part])
 
     @cached_property

@@ -64,21 +64,25 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
     camera, many = o.camera_a[use], np.diff(first, append=len(use))
     centre_mm = np.array([c.ground(c.center_px) for c in cameras]).T[:, camera]
     radius_mm = np.array([float(np.hypot(*c.center_px)) / c.px_per_mm for c in cameras])[camera]
-    a_mm, b_mm, a_lean, b_lean = (np.ascontiguousarray(v[use].T) for v in (o.a_mm, o.b_mm, o.a_lean, o.b_lean))
-    a, b, lean = (a_mm - centre_mm) / radius_mm, (b_mm - centre_mm) / radius_mm, b_lean - a_lean
+    a_mm, b_mm, lean, link_px = (_columns(v, use) for v in (o.a_mm, o.b_mm, o.b_lean - o.a_lean, adjusted.link_px))
+    a, b = (a_mm - centre_mm) / radius_mm, (b_mm - centre_mm) / radius_mm
     off = a_mm - np.repeat(a_mm[:, first], many, axis=1)
-    # Derivatives (7, 2, k) by shift x and y, turn, tilt along x and y, and the error at the corner; last the residual.
-    j = np.zeros((7, 2, len(use)))
-    j[0, 0] = j[1, 1] = 1.0
-    j[2, 0], j[2, 1], j[3:5] = -off[1], off[0], lean * off[:, None]
-    j[5], j[6] = b * (b**2).sum(0) - a * (a**2).sum(0), adjusted.link_px[use].T / o.px_per_mm[use]
+    # Derivatives (5, 2, k) by turn, tilt along x and y, and the error at the corner; last the residual. The first two
+    # unknowns are the shift along x and y, whose derivatives are 1 and 0.
+    j = np.empty((5, 2, len(use)))
+    j[0, 0], j[0, 1], j[1:3] = -off[1], off[0], lean * off[:, None]
+    j[3], j[4] = b * (b[0] ** 2 + b[1] ** 2) - a * (a[0] ** 2 + a[1] ** 2), link_px / o.px_per_mm[use]
     xx, xy, yy = _weights(problem, adjusted, use, lean)
-    square = np.zeros((len(first), 7, 7))
-    for m, (x, y) in enumerate(j):
+    square = np.empty((7, 7, len(first)))
+    square[0, 0], square[0, 1], square[1, 1] = (np.add.reduceat(v, first) for v in (xx, xy, yy))
+    for m, (x, y) in enumerate(j, 2):
         weighted_x, weighted_y = xx * x + xy * y, xy * x + yy * y
-        for n in range(m + 1):
-            product = np.add.reduceat(weighted_x * j[n, 0] + weighted_y * j[n, 1], first)
-            square[:, m, n] = square[:, n, m] = product
+        square[0, m], square[1, m] = np.add.reduceat(weighted_x, first), np.add.reduceat(weighted_y, first)
+        for n in range(2, m + 1):
+            square[n, m] = np.add.reduceat(weighted_x * j[n - 2, 0] + weighted_y * j[n - 2, 1], first)
+    low = np.tril_indices(7, -1)
+    square[low] = square.swapaxes(0, 1)[low]
+    square = np.ascontiguousarray(np.moveaxis(square, 2, 0))
     product = square[:, 6]
     own = square[:, :5, :5] + _STABLE * np.trace(square[:, :5, :5], axis1=1, axis2=2)[:, None, None] * np.eye(5)
     follow = np.linalg.solve(own, square[:, :5, 5:6])[:, :, 0]
@@ -92,14 +96,19 @@ def lens_errors(problem: Problem, adjusted: AdjustmentResult, cameras: tuple[Cam
     }
 
 
+def _columns(values: Floats, at: Ints) -> Floats:
+    """Return the rows `at` (k,) of an array (n, 2) as columns (2, k)."""
+    return np.ascontiguousarray(values.take(at, axis=0).T)
+
+
 def _weights(problem: Problem, adjusted: AdjustmentResult, use: Ints, lean: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the weights (k,) xx, xy, yy of the residuals of the links `use`, mm⁻², by noise and robust weight.
 
     On a component, the residual along the `lean` (2, k) is explained by its height: it has no weight there.
     """
     o = problem.links
-    noise, floor_mm2 = o.noise_mm2[use], (adjusted.floor_px / o.px_per_mm[use]) ** 2
-    xx, xy, yy = noise[:, 1, 1] + floor_mm2, -noise[:, 0, 1], noise[:, 0, 0] + floor_mm2
+    noise, floor_mm2 = o.noise_mm2.reshape(-1, 4).take(use, axis=0), (adjusted.floor_px / o.px_per_mm[use]) ** 2
+    xx, xy, yy = noise[:, 3] + floor_mm2, -noise[:, 1], noise[:, 0] + floor_mm2
     share = adjusted.weight[use] / (xx * yy - xy**2)
     xx, xy, yy = xx * share, xy * share, yy * share
     at = np.flatnonzero((problem.reaches_component | (problem.component >= 0))[use])

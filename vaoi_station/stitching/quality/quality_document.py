@@ -76,17 +76,19 @@ def explanation(f: Findings) -> dict[str, Any]:
 
 def _links(f: Findings) -> dict[str, Any]:
     a, links, which = f.adjusted, f.problem.links, f.points.which
-    used, fits = a.weight > USED, inliers(f.points, a.fiducial_px)
+    used, fits, across = a.weight > USED, inliers(f.points, a.fiducial_px), links.camera_a != links.camera_b
+    residual_px2 = np.square(a.link_px[:, 0]) + np.square(a.link_px[:, 1])
     counted = {
-        "rows": (links.seam < 0, used),
-        "neighbours": (links.seam >= 0, used),
+        "rows": (~across, used),
+        "neighbours": (across, used),
         "fiducials": (which >= 0, fits),
         "fixture": (which == FIXTURE, fits),
         "reference": (which == REFERENCE, fits),
     }
     return {
         "links": {
-            kind: {"found": int(mine.sum()), "used": int((mine & good).sum())} for kind, (mine, good) in counted.items()
+            kind: {"found": int(np.count_nonzero(mine)), "used": int(np.count_nonzero(mine & good))}
+            for kind, (mine, good) in counted.items()
         },
         "unlinked": [
             {"a": list(e.task.a), "b": list(e.task.b or ()), "reason": e.note} for e in f.links if not len(e.a_px)
@@ -94,7 +96,7 @@ def _links(f: Findings) -> dict[str, Any]:
         "unplaced_rows": list(f.unplaced),
         "rows_apart": rows_apart(f),
         "residual_px": {
-            "median": _rounded(float(np.sqrt(np.median((a.link_px**2).sum(1)[used])))) if used.any() else None,
+            "median": _rounded(float(np.sqrt(np.median(residual_px2[used])))) if used.any() else None,
             "scatter": _rounded(a.floor_px),
             "sigma0": _rounded(a.sigma0),
         },

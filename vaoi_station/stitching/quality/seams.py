@@ -110,12 +110,13 @@ def seam_offset_px(problem: Problem, adjusted: AdjustmentResult, at: Ints, least
 
     Along the lean only links on the bare board count, if there are `least`: the others show heights.
     """
-    o, off_px = problem.links, adjusted.link_px[at]
-    lean = o.b_lean[at] - o.a_lean[at]
+    o, off_px = problem.links, adjusted.link_px.take(at, axis=0)
+    lean = o.b_lean.take(at, axis=0) - o.a_lean.take(at, axis=0)
     length = np.hypot(*lean.T)
     if not (length > 0).all():
         return float(np.hypot(*np.median(off_px, axis=0)))
-    (x, y), surely = (lean / length[:, None]).T, ~problem.reaches_component[at]
+    (x, y) = (lean / length[:, None]).T
+    surely = problem.near[at] < 0 if len(problem.near) else np.ones(len(at), np.bool_)
     along, across = off_px[:, 0] * x + off_px[:, 1] * y, off_px[:, 1] * x - off_px[:, 0] * y
     shown = float(np.median(along[surely])) if surely.sum() >= least else 0.0
     return float(np.hypot(shown, np.median(across)))

@@ -113,21 +113,22 @@ def predict_sigma(
         return PredictedSigma(tuple(of_rows), None, (), none, np.zeros((0, 2), dtype=np.int_), np.zeros((0, 2, 2)))
     whole = np.zeros((len(cameras), len(of_rows)), dtype=np.bool_)
     whole[tuple(np.array(scene.present, dtype=np.int_).reshape(-1, 2).T)] = True
-    last = np.array([(c.width_px - 1, c.height_px - 1) for c in cameras])[views.camera]
-    inside = (views.px >= 0).all(1) & (views.px <= last).all(1) & whole[views.camera, views.row]
-    part, camera, row = (numbers[inside] for numbers in (views.point, views.camera, views.row))
-    place, (names, cad) = views.place_mm[inside], landmarks(plane)
+    right, bottom = np.array([(c.width_px - 1, c.height_px - 1) for c in cameras]).T[:, views.camera]
+    x, y = views.px.T
+    at = np.flatnonzero((x >= 0) & (y >= 0) & (x <= right) & (y <= bottom) & whole[views.camera, views.row])
+    part, camera, row = (numbers.take(at) for numbers in (views.point, views.camera, views.row))
+    place, (names, cad) = views.place_mm.take(at, axis=0), landmarks(plane)
     *foot, inverse = np.array([c.viewpoint for c in cameras])[camera].T
     lean = (np.array(foot).T - place) * inverse[:, None]
     functions = basis(plane.board_type, cad) if len(adjusted.surface_mm) else np.zeros((len(cad), 0))
-    heights = motion.turned(row, lean)[:, :, None] * functions[part, None]
-    j = jacobians(motion.angle[row], place - motion.pivot, plane.flat(cad)[part], heights)
+    heights = motion.turned(row, lean)[:, :, None] * functions.take(part, axis=0)[:, None]
+    j = jacobians(motion.angle[row], place - motion.pivot, plane.flat(cad).take(part, axis=0), heights)
     covariance = _views_covariance(j, adjusted, cameras, camera, row)
     covariance = covariance + _unexplained_influence(j, row, adjusted, covariance)
     px_per_mm = np.array([c.px_per_mm for c in cameras])[camera]
     # The adjustment takes artwork and calibrated camera shapes as exact: their errors are added here.
     covariance = covariance * px_per_mm[:, None, None] ** 2 + MODEL_PX**2 * np.eye(2)
-    covariance = covariance + shape_covariances(cameras, camera, views.px[inside])
+    covariance = covariance + shape_covariances(cameras, camera, views.px.take(at, axis=0))
     rows = np.zeros(len(of_rows))
     np.maximum.at(rows, row, largest_sigma(covariance))
     by_row = tuple(float(v) or w for v, w in zip(rows, of_rows, strict=True))
@@ -160,13 +161,15 @@ def _carried(j: Floats, number: Ints, covariance: Floats) -> Floats:
     """Return the covariances (k, 2, 2) of views, from those (c, u, u) of the unknowns with their numbers (k,)."""
     order, many = np.argsort(number, kind="stable"), np.bincount(number)
     present, u = np.flatnonzero(many), j.shape[2]
-    together, ends = j[order].reshape(-1, u), [0, *np.cumsum(2 * many[present]).tolist()]
+    together, ends = j.take(order, axis=0).reshape(-1, u), [0, *np.cumsum(2 * many[present]).tolist()]
     half = np.empty_like(together)
     for n, first, end in zip(present.tolist(), ends, ends[1:], strict=False):
         np.matmul(together[first:end], covariance[n], out=half[first:end])
-    out = np.empty((len(j), 2, 2))
-    out[order] = half.reshape(-1, 2, u) @ together.reshape(-1, 2, u).swapaxes(1, 2)
-    return out
+    out = np.empty((2, 2, len(j)))
+    for a, b in ((0, 0), (0, 1), (1, 1)):
+        out[a, b, order] = np.einsum("ku,ku->k", half[a::2], together[b::2])
+    out[1, 0] = out[0, 1]
+    return np.ascontiguousarray(np.moveaxis(out, 2, 0))
 
 
 def _views_covariance(
@@ -244,7 +247,7 @@ def shape_covariances(cameras: Sequence[Camera], camera: Ints, raw_px: Floats) -
     at the seams, so that an error of the shape there shifts the whole picture. 0 where no covariance is known.
     """
     out = np.zeros((len(raw_px), 2, 2))
-    for i in np.unique(camera).tolist():
+    for i in np.flatnonzero([own.covariance_px2 is not None for own in cameras]).tolist():
         mine = camera == i
         own = _by_shape(cameras[i], cameras[i].lens.undistort(raw_px[mine]))
         # At a seam, the shape errors of both cameras count.

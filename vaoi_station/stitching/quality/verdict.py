@@ -161,10 +161,10 @@ def _groups_of_rows(f: Findings) -> list[Ints]:
     # A single row without links to other rows is in no group.
     o, marked = f.problem.links, f.points.row
     seen, placed = np.append(o.p, o.q), np.flatnonzero(f.placed)
-    for last, first in pairwise(placed.tolist()):
+    for last, first in ((a, b) for a, b in pairwise(placed.tolist()) if b > a + 1):
         sides = [((rows <= last).any(), (rows >= first).any()) for rows in (seen, marked)]
         spanned = ((o.p <= last) & (o.q >= first) | (o.q <= last) & (o.p >= first)).any()
-        if first > last + 1 and not spanned and all(sides[0]) and not all(sides[1]):
+        if not spanned and all(sides[0]) and not all(sides[1]):
             return [placed[placed <= last], placed[placed >= first]]
     return f.connected_groups
 
