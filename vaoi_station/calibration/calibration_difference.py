@@ -7,7 +7,7 @@ motion of the tester's plane, common to all cameras, is estimated, removed and r
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,8 @@ class CalibrationDifference:
     shift_mm: Floats
     """Shift (2,) at the centre of the array, of the rigid motion that was removed."""
     angle_rad: float
+    this_from_other: Floats
+    """The rigid motion (3, 3) that was removed."""
     one_board: bool = False
     """Whether both calibrations have the same tester coordinates. Then no motion was removed."""
 
@@ -66,10 +68,12 @@ def compare_calibrations(
     heads: Sequence[CameraHead],
     *,
     one_board: bool = False,
+    only: Collection[int] | None = None,
 ) -> CalibrationDifference:
     """Compute the difference of two calibrations of the same cameras over each frame.
 
     No motion is removed if both have the same tester coordinates (`one_board`), as a calibration and its correction.
+    The motion is that of the cameras `only`; None: of all.
     """
     counts = len(this.camera_matrices), len(other.camera_matrices), len(heads)
     if len(set(counts)) > 1:
@@ -82,12 +86,15 @@ def compare_calibrations(
     # One motion is estimated for all cameras together. A separate motion for each would hide a camera that was knocked.
     here = [camera.ground(g) for camera, g in zip(mine, grids, strict=True)]
     there = [camera.ground(g) for camera, g in zip(theirs, grids, strict=True)]
-    a, b = (np.concatenate([p.reshape(-1, 2) for p in places]) for places in (here, there))
+    fitted = range(len(heads)) if only is None else only
+    a, b = (np.concatenate([places[i].reshape(-1, 2) for i in fitted]) for places in (here, there))
     this_from_other, angle = (np.eye(3), 0.0) if one_board else _fit_rigid_motion(a, b)
     differences = [
         camera.project(apply(this_from_other, place)) - g for camera, place, g in zip(mine, there, grids, strict=True)
     ]
-    return CalibrationDifference(tuple(grids), tuple(differences), a.mean(0) - b.mean(0), angle, one_board)
+    return CalibrationDifference(
+        tuple(grids), tuple(differences), a.mean(0) - b.mean(0), angle, this_from_other, one_board
+    )
 
 
 def _grid(head: CameraHead) -> Floats:

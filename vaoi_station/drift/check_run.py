@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from vaoi_station.drift.checks import CameraCheck, LampCheck, RunCheck
+from vaoi_station.drift.checks import CameraCheck, LampCheck, RunCheck, still_px
 from vaoi_station.drift.estimate import DisplacementEstimate, estimate_displacements
 from vaoi_station.geometry.transforms import Floats
-from vaoi_station.stitching.adjustment.cameras import attribute_motion
+from vaoi_station.stitching.adjustment.cameras import STILL_PX, attribute_motion
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.recordings.opening import OpenedRun
 from vaoi_station.stitching.work import all_tasks
@@ -17,7 +17,8 @@ from vaoi_station.stitching.work import all_tasks
 
 def check_run(run: str, time: str, board_type: str, findings: Findings, lamps: tuple[LampCheck, ...] = ()) -> RunCheck:
     """Return the displacements of all cameras as a finished run shows them; `board_type` is its name or digest."""
-    return make_run_check(run, time, board_type, estimate_displacements(findings), lamps)
+    still = still_px(findings.calibrated)
+    return make_run_check(run, time, board_type, estimate_displacements(findings), lamps, still)
 
 
 def check_recording(opened: OpenedRun) -> RunCheck:
@@ -32,10 +33,15 @@ def check_recording(opened: OpenedRun) -> RunCheck:
 
 
 def make_run_check(
-    run: str, time: str, board_type: str, estimate: DisplacementEstimate, lamps: tuple[LampCheck, ...] = ()
+    run: str,
+    time: str,
+    board_type: str,
+    estimate: DisplacementEstimate,
+    lamps: tuple[LampCheck, ...] = (),
+    still: Floats | float = STILL_PX,
 ) -> RunCheck:
     """Make the stored check of a run from the estimate of its cameras' displacements, and the brightness."""
-    found = attribute_motion(estimate.information, estimate.vector)
+    found = attribute_motion(estimate.information, estimate.vector, still)
     cameras = []
     for i, (d, sigma) in enumerate(zip(found.displacement_px, found.sigma_px, strict=True)):
         x, y, turn = (round(float(v), 5) for v in d)

@@ -8,10 +8,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from vaoi_station.geometry import Camera
+from vaoi_station.geometry.camera_error import place_sigma_px, uncalibrated
 from vaoi_station.geometry.displacement import PARAMETERS
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Strict
-from vaoi_station.stitching.adjustment.cameras import Attribution, attribute_motion
+from vaoi_station.stitching.adjustment.cameras import STILL_PX, Attribution, attribute_motion
 
 _SEEN = 4
 """A camera with at least this number of links to neighbouring cameras counts as seen in a run."""
@@ -112,7 +114,17 @@ class KeptBaselines(Strict):
     """One entry for each board type, `only_baselines`; the type that was filmed last is the last one."""
 
 
-def combine_runs(checks: Sequence[RunCheck]) -> Attribution:
+def still_px(cameras: Sequence[Camera]) -> Floats:
+    """Return the standard deviation (n,) px of the displacement of cameras that were not moved since calibration.
+
+    That of a camera that is not calibrated is what the calibration states: links to it then say nothing against others.
+    """
+    vague, px = uncalibrated(cameras), np.full(len(cameras), STILL_PX)
+    px[list(vague)] = [place_sigma_px(cameras[i].covariance_px2) for i in vague]
+    return px
+
+
+def combine_runs(checks: Sequence[RunCheck], still_px: Floats | float = STILL_PX) -> Attribution:
     """Estimate the displacements of the cameras from several runs together."""
     # The normal equations of independent runs can be added. So only these are stored, not the links of old runs.
     size = PARAMETERS * len(checks[0].cameras)
@@ -120,4 +132,4 @@ def combine_runs(checks: Sequence[RunCheck]) -> Attribution:
     for check in checks:
         i, v = check.normal_equations()
         information, vector = information + i, vector + v
-    return attribute_motion(information, vector)
+    return attribute_motion(information, vector, still_px)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 
-from vaoi_station.drift.checks import RunCheck, combine_runs
+from vaoi_station.drift.checks import RunCheck, combine_runs, still_px
 from vaoi_station.drift.watch import LEAST_PX
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import Camera
+from vaoi_station.geometry.camera_error import uncalibrated
 from vaoi_station.geometry.displacement import PARAMETERS, displace_camera, rms_displacement_px
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Calibration, CameraHead
@@ -27,6 +28,8 @@ _AGREE_PX, _AGREE_SIGMAS = 0.15, 5.0
 """Largest accepted difference between the displacement by one run and that by all runs.
 
 It is stated in px and in standard deviations; the larger of the two is the limit."""
+_LEFT_PX, _LEFT_FACTOR = 0.3, 3.0
+"""Largest accepted rms residual of an exchanged camera, px, and as a multiple of the smallest one of the others."""
 _STEP_PX = 0.05
 
 
@@ -73,10 +76,48 @@ def recalibrate(calibration: Calibration, heads: Sequence[CameraHead], checks: S
     runs or links, no run shows one of the cameras, or runs contradict one another.
     """
     cameras = calibration.cameras(tuple(heads))
-    _refuse_too_little(checks, len(cameras))
-    found = combine_runs(checks)
+    _refuse_too_little(checks, len(cameras), range(len(cameras)), LEAST_RUNS)
+    found, new = combine_runs(checks, still_px(cameras)), uncalibrated(cameras)
     # Only cameras that have clearly moved are corrected. The others keep their N_i to the last digit.
-    corrected = tuple(i for i in range(len(cameras)) if _has_moved(found, i))
+    corrected = tuple(i for i in range(len(cameras)) if i in new or _has_moved(found, i))
+    return _corrected(calibration, cameras, checks, found, corrected)
+
+
+def calibrate_exchanged(calibration: Calibration, heads: Sequence[CameraHead], checks: Sequence[RunCheck]) -> Proposal:
+    """Propose a calibration with N_i of the cameras that are not calibrated; one run may suffice. All others are held.
+
+    `checks` are those of runs that were stitched with the calibration. `InputError`: no camera is to be calibrated, the
+    runs show it too little, another camera has moved as well, or the camera sees otherwise than its predecessor.
+    """
+    cameras = calibration.cameras(tuple(heads))
+    new = uncalibrated(cameras)
+    if not new:
+        raise InputError("All cameras are calibrated.", action="Use vaoi recalibrate.", code="nothing-exchanged")
+    _refuse_too_little(checks, len(cameras), new, 1)
+    found = combine_runs(checks, still_px(cameras))
+    for i in range(len(cameras)):
+        if i not in new and _has_moved(found, i):
+            raise InputError(
+                f"camera {i} has moved as well, by {rms_displacement_px(found.displacement_px[i]):.2f} px: it cannot "
+                "be held.",
+                action="Calibrate the whole array with the calibration board.",
+                code="neighbours-moved",
+            )
+    proposal = _corrected(calibration, cameras, checks, found, new)
+    for i in new:
+        _refuse_other_view(proposal.after_px, i)
+    return proposal
+
+
+def _corrected(
+    calibration: Calibration,
+    cameras: tuple[Camera, ...],
+    checks: Sequence[RunCheck],
+    found: Attribution,
+    corrected: tuple[int, ...],
+) -> Proposal:
+    """Return the proposal in which these cameras are displaced as found; `InputError` if that is too uncertain."""
+    new = uncalibrated(cameras)
     for i in corrected:
         _refuse_vague(found, i)
         _refuse_contradictions(checks, found, i)
@@ -85,7 +126,9 @@ def recalibrate(calibration: Calibration, heads: Sequence[CameraHead], checks: S
         covariances = [_widened(c, cameras[i], found, i) if i in corrected else c for i, c in enumerate(covariances)]
     known = calibration.covariance
     if known is not None:
-        known = tuple(_with_displacement(c, found, i) if i in corrected else c for i, c in enumerate(known))
+        known = tuple(
+            _with_displacement(c, found, i, new=i in new) if i in corrected else c for i, c in enumerate(known)
+        )
     for i in corrected:
         matrices[i] = displace_camera(cameras[i], found.displacement_px[i]).image_from_row.matrix
     made = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -102,26 +145,26 @@ def _has_moved(found: Attribution, i: int) -> bool:
     return rms_displacement_px(d) >= LEAST_PX and distance > _SIGMAS
 
 
-def _refuse_too_little(checks: Sequence[RunCheck], cameras: int) -> None:
+def _refuse_too_little(checks: Sequence[RunCheck], cameras: int, which: Iterable[int], least_runs: int) -> None:
     if cameras < 2:
         raise InputError(
             "an array of one camera has no neighbours to compare it with.",
             action="Calibrate it with the calibration board.",
             code="too-little-evidence",
         )
-    if len(checks) < LEAST_RUNS:
+    if len(checks) < least_runs:
         raise InputError(
-            f"{len(checks)} run(s) are too few to correct a calibration; at least {LEAST_RUNS} are needed.",
+            f"{len(checks)} run(s) are too few to correct a calibration; at least {least_runs} are needed.",
             action="Let more boards pass, or give more recordings.",
             code="too-little-evidence",
         )
-    for i in range(cameras):
+    for i in which:
         links = sum(check.cameras[i].links for check in checks)
         marks = sum(check.cameras[i].fiducials for check in checks)
-        if links < LEAST_LINKS and marks < LEAST_RUNS:
+        if links < LEAST_LINKS and marks < least_runs:
             raise InputError(
                 f"camera {i} has {links} links to its neighbours (needed: {LEAST_LINKS}) and saw {marks} fiducials "
-                f"(needed: {LEAST_RUNS}) in {len(checks)} runs: its position is unknown.",
+                f"(needed: {least_runs}) in {len(checks)} runs: its position is unknown.",
                 action="Take runs of boards that this camera shows, or calibrate with the calibration board.",
                 code="too-little-evidence",
             )
@@ -139,6 +182,18 @@ def _refuse_vague(found: Attribution, i: int) -> None:
             action="Set the camera back roughly, or take more runs of boards with texture there, or calibrate with the "
             "calibration board.",
             code="too-little-evidence",
+        )
+
+
+def _refuse_other_view(after_px: Sequence[float | None], i: int) -> None:
+    """Raise InputError if a displacement alone does not explain what an exchanged camera sees."""
+    left, others = after_px[i], [px for k, px in enumerate(after_px) if k != i and px is not None]
+    limit = max(_LEFT_PX, _LEFT_FACTOR * min(others, default=0.0))
+    if left is not None and left > limit:
+        raise InputError(
+            f"camera {i} does not see as its predecessor did, moved: {left:.2f} px rms remain (limit {limit:.2f}).",
+            action="Check lens, focus and distance of the camera, or calibrate with the calibration board.",
+            code="camera-unlike",
         )
 
 
@@ -184,12 +239,17 @@ def _widened(covariance: list[list[float]], camera: Camera, found: Attribution, 
     return [[float(v) for v in row] for row in wider]
 
 
-def _with_displacement(covariance: Floats, found: Attribution, i: int) -> Floats:
-    """Return the covariance (9, 9) of a camera's error, with the accuracy of shift and turn after the correction."""
+def _with_displacement(covariance: Floats, found: Attribution, i: int, *, new: bool) -> Floats:
+    """Return the covariance (9, 9) of a camera's error, with the accuracy of shift and turn after the correction.
+
+    `new`: nothing was known of them before.
+    """
     # The correction replaces shift and turn, which are the first three fields, as the calibration knew them. Its
     # reference is the array as it was calibrated, so the covariances are added.
     at = slice(PARAMETERS * i, PARAMETERS * (i + 1))
     wider = np.array(covariance)
+    if new:
+        wider[:PARAMETERS], wider[:, :PARAMETERS] = 0.0, 0.0
     wider[:PARAMETERS, :PARAMETERS] += found.covariance[at, at]
     return wider
 

@@ -18,6 +18,8 @@ c_3 and c_8 are displacements at the corner. `Camera.covariance_px2` is the cova
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -25,6 +27,19 @@ from vaoi_station.geometry.camera import Camera
 from vaoi_station.geometry.transforms import Floats
 
 FIELDS = 9  # number of basis fields of which the error of a camera consists
+PLACE_FIELDS = 3  # the first fields, shift and turn: where a camera hangs
+VAGUE_PX = 5.0
+"""Standard deviation of shift or turn, px, from which on a camera counts as not calibrated, as after its exchange."""
+
+
+def place_sigma_px(covariance: Floats | None) -> float:
+    """Return the standard deviation, px, to which it is known where a camera hangs, by its covariance (9, 9), px²."""
+    return 0.0 if covariance is None else float(np.sqrt(np.diag(covariance)[:PLACE_FIELDS].max()))
+
+
+def uncalibrated(cameras: Sequence[Camera]) -> tuple[int, ...]:
+    """Return the cameras of which the calibration says that it does not know where they hang."""
+    return tuple(i for i, camera in enumerate(cameras) if place_sigma_px(camera.covariance_px2) > VAGUE_PX)
 
 
 def frame_radius_px(camera: Camera) -> float:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from vaoi_station.geometry import Camera, Lens, Projective, System
+from vaoi_station.geometry.camera_error import VAGUE_PX, place_sigma_px
 from vaoi_station.model.frozen_model import (
     MOST_MM,
     Finite,
@@ -74,6 +75,11 @@ class Calibration(FrozenModel):
             if value is not None and len(value) != n:
                 raise ValueError(f"{key} has {len(value)} entries, must have one per camera: {n}")
         return self
+
+    @property
+    def uncalibrated(self) -> tuple[int, ...]:
+        """The cameras whose place it does not know, as after an exchange; their N_i are those of their predecessors."""
+        return tuple(i for i, known in enumerate(self.covariance or ()) if place_sigma_px(known) > VAGUE_PX)
 
     def cameras(self, heads: tuple[CameraHead, ...]) -> tuple[Camera, ...]:
         """Return one calibrated camera per head. The heads give the frame sizes."""

@@ -27,6 +27,7 @@ class ReasonCode(StrEnum):
     LINKS_SCATTER = "links-scatter"
     WRONG_ROWS = "wrong-rows"
     CAMERA_DISPLACED = "camera-displaced"
+    CAMERA_NOT_CALIBRATED = "camera-not-calibrated"
     PICTURES_BLURRED = "pictures-blurred"
     LENS_DIFFERS = "lens-differs"
     OVERLAP_BLANK = "overlap-blank"

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from vaoi_station.geometry.camera_error import uncalibrated
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.model import Reason, ReasonCode, Status
 from vaoi_station.stitching.adjustment.problem import USED, Influence, Ints
@@ -92,6 +93,7 @@ def _reasons_of_run(f: Findings) -> Iterator[Reason]:
     yield from _cameras_in_wrong_rows(f)
     yield from _disagreeing_cameras(f)
     yield from _displaced_cameras(f)
+    yield from _uncalibrated_cameras(f)
     yield from _non_overlapping_cameras(f)
 
 
@@ -250,7 +252,10 @@ def _displaced_cameras(f: Findings) -> Iterator[Reason]:
         else ". A board off the calibrated plane, or bent, looks alike: without working_distance_mm in the calibration "
         "its height is not estimated"
     )
+    new = uncalibrated(f.calibrated)
     for camera, (x, y, turn), rivals in () if f.far_off_plane else f.displaced_cameras:
+        if camera in new:
+            continue
         pairs = [(i, i + 1) for i in (camera - 1, camera) if 0 <= i < len(f.scene.cameras) - 1]
         symptom = f"camera {camera} seems displaced by ({x:+.1f}, {y:+.1f}) px"
         repeated = (repeated_overlap(f.scene, f.links, pair, symptom) for pair in pairs)
@@ -263,6 +268,18 @@ def _displaced_cameras(f: Findings) -> Iterator[Reason]:
             f"camera {camera}{others} is displaced by ({x:+.2f}, {y:+.2f}) px, and by {turn:+.2f} px at its corners "
             f"by a turn, against its calibration (limit {DISPLACED_PX}). This run is corrected by it: "
             f"correct the calibration with `vaoi recalibrate`, or calibrate again{height}",
+        )
+
+
+def _uncalibrated_cameras(f: Findings) -> Iterator[Reason]:
+    estimate = f.adjusted.cameras
+    for camera in uncalibrated(f.calibrated):
+        x, y, turn = (0.0, 0.0, 0.0) if estimate is None else estimate.displacement_px[camera]
+        yield Reason(
+            ReasonCode.CAMERA_NOT_CALIBRATED,
+            f"camera {camera} was exchanged and is not calibrated yet. By this run alone its picture lies ({x:+.2f}, "
+            f"{y:+.2f}) px, and by {turn:+.2f} px at its corners by a turn, beside that of its predecessor: confirm "
+            "its calibration on the page Cameras, or use `vaoi recalibrate`",
         )
 
 

@@ -39,7 +39,7 @@ const BOARD_GROUPS = {
     "board-id-differs", "next-machine-differs", "codes-disagree", "product-differs", "code-unread", "identity-not-read", "board-id-uncertain",
     "edge-lost",
   ],
-  camera: ["wrong-rows", "camera-displaced", "lens-differs", "pictures-blurred", "not-explained"],
+  camera: ["wrong-rows", "camera-displaced", "camera-not-calibrated", "lens-differs", "pictures-blurred", "not-explained"],
   type: [
     "overlap-repetitive", "rows-repetitive", "no-board-type", "too-few-fiducials", "fiducial-size", "fiducial-wrong", "scale-wrong",
     "components-shifted", "orientation-ambiguous", "reference-not-found", "positions-uncertain", "no-error-measure", "reference-unusable",

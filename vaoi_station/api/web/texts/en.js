@@ -604,6 +604,7 @@ const reasons = {
   "links-scatter": "The links do not agree with a rigid board.",
   "wrong-rows": "The frames of a camera belong to the row before or after.",
   "camera-displaced": "A camera has moved since its calibration.",
+  "camera-not-calibrated": "A camera was exchanged and is not calibrated yet.",
   "lens-differs": "The picture of a camera is distorted against its calibration.",
   "overlap-blank": "Where two cameras overlap, nothing can be recognised.",
   "overlap-exposure": "Where two cameras overlap, a picture is saturated, black or much brighter.",
