@@ -72,9 +72,12 @@ class CameraConfig(Section):
     trigger_line: Word | None = None
     """Input of the camera to which the trigger is wired; None for the usual one of its vendor."""
     packet_bytes: Annotated[Whole, Field(ge=576, le=65535)] | None = None
-    """Largest packet in bytes; None for the MTU of the interface, at most 9000."""
+    """Largest packet in bytes; None for what the way from the camera passes, at most 9000."""
+    link: Word | None = None
+    """Name of a link between camera and port that several cameras share, as the uplink of a switch; cameras with the
+    same name share it."""
     link_mbit_s: Positive | None = None
-    """Speed of the port, which its cameras share; None for the speed that the interface reports."""
+    """Speed of `link`, without one of the port; None for the speed that the interface reports."""
     features: dict[str, bool | Whole | Finite | str] = Field(default={})
     """Further settings by their GenICam names, written in this order before the trigger settings."""
     nominal_center_mm: tuple[Finite, Finite] | None = None
@@ -116,6 +119,8 @@ class CameraConfig(Section):
 
     @model_validator(mode="after")
     def _one_of_a_kind(self) -> Self:
+        if self.link is not None and self.link_mbit_s is None:
+            raise ValueError(f"camera {self.name!r} has the link {self.link!r} without its speed, link_mbit_s")
         if self.backend == "aravis":
             if (self.serial is None) == (self.address is None):
                 raise ValueError(f"camera {self.name!r} needs a serial or an address, and not both")

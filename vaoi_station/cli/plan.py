@@ -45,7 +45,9 @@ def plan(
     bits_per_pixel: Annotated[Int, typer.Option(help="Bits per pixel on the links.  [8]")] = None,
     longest_board_mm: Annotated[Float, typer.Option(help="Longest board, along the motion.")] = None,
     runs_in_memory: Annotated[Int, typer.Option(help="Number of boards that the ring holds at once.  [3]")] = None,
-    link_mbit_s: Annotated[Float, typer.Option(help="Total rate of the links of all cameras.")] = None,
+    link_mbit_s: Annotated[Float, typer.Option(help="Link that all cameras share, or all ports.")] = None,
+    camera_link_mbit_s: Annotated[Float, typer.Option(help="Link of one camera, if it is slower.")] = None,
+    packet_bytes: Annotated[Int, typer.Option(help="Packet size with headers.  [9000]")] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of a table.")] = False,
 ) -> None:
     """Plan the optics: cameras, lens, exposure, pulses and memory, with the margin of every constraint."""

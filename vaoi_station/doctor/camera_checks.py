@@ -1,8 +1,9 @@
 """Check every camera: reachable, free, triggerable, and within the bandwidth of its network port.
 
-Without a running station, cameras are opened and read. The only value written is the control privilege, which is
-released again. The settings that the station will write (trigger, exposure, packets) are compared with what the
-camera offers. With a running station, the state is read from its REST service instead.
+Without a running station, cameras are opened and read. Written are only the control privilege, which is released
+again, and what sends test packets: the registers of the stream channel, which is closed again. The settings that the
+station will write (trigger, exposure, packets) are compared with what the camera offers. With a running station, the
+state is read from its REST service instead.
 """
 
 from __future__ import annotations
@@ -10,19 +11,21 @@ from __future__ import annotations
 import gc
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from vaoi_station.acquisition.cameras.aravis import library, network
+from vaoi_station.acquisition.cameras.aravis import library, links, network
 from vaoi_station.acquisition.cameras.aravis.connection import (
     OPENING_LOCK,
     USB3_MIN_VERSION,
+    find_packet_size,
     locate,
     open_device,
 )
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
+from vaoi_station.acquisition.cameras.aravis.network import TEST_STEP
 from vaoi_station.acquisition.cameras.aravis.settings import (
     TRIGGER_WIDTH,
     frame_trigger,
@@ -30,7 +33,7 @@ from vaoi_station.acquisition.cameras.aravis.settings import (
     trigger_line,
 )
 from vaoi_station.config import CameraConfig
-from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
+from vaoi_station.doctor.finding import Figures, Finding, Level, fault, not_applicable, ok, warning
 from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.errors import DeviceError, VaoiError
 
@@ -86,9 +89,13 @@ class Offered:
     trigger_mode: str
     """Present trigger mode of the camera. The station sets the mode when it starts."""
     port: str = ""
-    """Network interface of this computer that leads to the camera; empty for a USB camera."""
+    """Network interface of this computer that leads to the camera, or its USB controller."""
     address: str = ""
     packets: network.PacketLimits | None = None
+    passing: int | None = None
+    """Largest packet that came from the camera in one piece; None if it sends no test packets."""
+    speed_mbit_s: float | None = None
+    """Speed of its own link."""
     exposure_modes: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
 
@@ -148,13 +155,18 @@ def ask(camera: CameraConfig) -> Offered:
     with OPENING_LOCK, _opened(camera) as opened:
         device = opened.get_device()
         port = address = ""
-        packets = None
-        if opened.is_gv_device():
+        packets = passing = speed_mbit_s = None
+        if not opened.is_gv_device():
+            port = links.usb_controller(opened.get_device_serial_number() or "")
+        else:
             address = device.get_device_address().get_address().to_string()
-            port = network.interface_of(device.get_interface_address().get_address().to_string())
+            local = device.get_interface_address().get_address().to_string()
+            port = network.interface_of(local)
             smallest, largest = opened.get_integer_bounds("GevSCPSPacketSize")
             step = max(1, opened.get_integer_increment("GevSCPSPacketSize"))
             packets = network.PacketLimits(smallest, largest, step)
+            passing = find_packet_size(opened, camera, packets, address, local)[1]
+            speed_mbit_s = links.speed_mbit_s(opened, address)
         low, high = opened.get_exposure_time_bounds()
         width, height = opened.get_sensor_size()
         return Offered(
@@ -172,6 +184,8 @@ def ask(camera: CameraConfig) -> Offered:
             port=port,
             address=address,
             packets=packets,
+            passing=passing,
+            speed_mbit_s=speed_mbit_s,
         )
 
 
@@ -237,29 +251,66 @@ def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
 
 
 def judge_port(port: str, members: list[tuple[CameraConfig, Offered]], period_s: float) -> Finding:
-    """Judge the packet size and the bandwidth of one network port of this machine, for all cameras connected to it."""
+    """Judge packets and bandwidth of one network port or USB controller, for all cameras connected to it."""
+    if all(offered.packets is None for _, offered in members):
+        return _judge_row(port, members, [None] * len(members), period_s, "by USB")
     mtu = min(network.mtu_to(offered.address) for _, offered in members)
     try:
-        packet = min(network.packet_bytes(c.packet_bytes, mtu, o.packets) for c, o in members if o.packets)
-        link = members[0][0].link_mbit_s or network.link_mbit_s(port)
-        network.check_budget(port, [c.frame_bytes for c, _ in members], packet, link, period_s)
+        most = [network.packet_bytes(c.packet_bytes, mtu, o.packets) for c, o in members if o.packets]
     except VaoiError as error:
         return fault(error.code, error.message, error.action, port, mtu=mtu)
-    figures: Figures = {"mtu": mtu, "packet_bytes": packet, "link_mbit_s": link, "cameras": len(members)}
-    speed = f"{link:g} Mbit/s" if link else "link speed unknown"
-    message = f"{len(members)} camera{'s' if len(members) > 1 else ''}, MTU {mtu}, packets of {packet} bytes, {speed}"
+    sizes = [o.passing or size for (_, o), size in zip(members, most, strict=True)]
+    packet, unproven = min(sizes), [c.name for c, o in members if o.passing is None]
+    shown = f"MTU {mtu}, packets of {packet} bytes"
+    if unproven:
+        shown += f" (by the MTU alone: no test packets from {', '.join(unproven)})"
+    found = _judge_row(port, members, sizes, period_s, shown, mtu=mtu, packet_bytes=packet)
+    return _judge_packets(found, members, mtu, packet, min(most)) if found.level is Level.OK else found
+
+
+def _judge_packets(
+    found: Finding, members: list[tuple[CameraConfig, Offered]], mtu: int, packet: int, possible: int
+) -> Finding:
+    """Judge the size of packets that can carry a row. `possible` is the size that cameras and port permit."""
+    port = found.subject
     if wished := [c for c, _ in members if c.packet_bytes and c.packet_bytes > packet]:
         wish = wished[0].packet_bytes or 0
         # A larger MTU helps only up to the size that the camera itself can send.
         allowed = f"Set packet_bytes to {packet}: the cameras of this port send no larger packets."
         action = f"ip link set dev {port} mtu {wish}" if wish > mtu else allowed
-        message += f"; {wished[0].name} is configured for {wish}."
-        return warning("packets-above-mtu", message, action, port, **figures)
+        message = f"{found.message}; {wished[0].name} is configured for {wish}."
+        return warning("packets-above-mtu", message, action, port, **found.figures)
+    if packet < possible - TEST_STEP:
+        message = f"{found.message}; larger ones are dropped on the way."
+        action = "Switch jumbo frames on in the switches between cameras and computer."
+        return warning("packets-above-path", message, action, port, **found.figures)
     if packet < JUMBO:
-        message += "; larger packets cost less processor time."
-        action = f"ip link set dev {port} mtu 9000"
-        return warning("packets-small", message, action, port, **figures)
-    return ok(message, port, **figures)
+        message = f"{found.message}; larger packets cost less processor time."
+        return warning("packets-small", message, f"ip link set dev {port} mtu 9000", port, **found.figures)
+    return found
+
+
+def _judge_row(
+    port: str,
+    members: list[tuple[CameraConfig, Offered]],
+    sizes: Sequence[int | None],
+    period_s: float,
+    shown: str,
+    **known: int,
+) -> Finding:
+    senders = [
+        links.sender_of(camera, port if size else offered.serial, offered.speed_mbit_s, size)
+        for (camera, offered), size in zip(members, sizes, strict=True)
+    ]
+    try:
+        row_s = links.check_row(senders, period_s)
+    except VaoiError as error:
+        return fault(error.code, error.message, error.action, port, **known)
+    speed = senders[0].path[-1].mbit_s if senders[0].path else None
+    figures: Figures = {**known, "link_mbit_s": speed, "cameras": len(members), "row_ms": round(row_s * 1e3, 3)}
+    message = f"{len(members)} camera{'s' if len(members) > 1 else ''}, {shown}"
+    rate = f"{speed:g} Mbit/s, a row takes {row_s * 1e3:.1f} ms" if speed else "link speed unknown"
+    return ok(f"{message}, {rate}", port, **figures)
 
 
 def of_running_station(context: CheckContext) -> Iterator[Finding]:

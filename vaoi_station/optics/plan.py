@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from vaoi_station.optics import equations as eq
+from vaoi_station.optics.links import Link, Sender, slowest_row
 from vaoi_station.optics.requirements import Requirements
 
 _ROUNDING = 1e-9
@@ -87,6 +88,8 @@ class DataPlan:
 
     frame_bytes: int
     data_rate_mbit_s: float
+    row_transfer_s: float | None
+    """Time in which the links carry the frames of one row; None if their speed is unknown."""
     capture_duration_s: float | None
     rows: int | None
     """Number of pulses m while the longest board is in view."""
@@ -177,12 +180,17 @@ def _plan_array(q: Requirements, distance_mm: float) -> ArrayPlan:
 def _plan_data(q: Requirements, array: ArrayPlan, motion: MotionPlan) -> DataPlan:
     n, sensor = array.cameras, (q.sensor_px_h, q.sensor_px_v, q.bits_per_pixel)
     size, rate = eq.frame_bytes(*sensor), eq.data_rate_mbit_s(n, *sensor, motion.frame_rate_hz)
+    row_s = slowest_row([_sender(q, size)] * n).row_s or None
     if q.longest_board_mm is None:
-        return DataPlan(size, rate, None, None, None, None)
+        return DataPlan(size, rate, row_s, None, None, None, None)
     duration = eq.capture_duration_s(q.longest_board_mm, array.field_height_mm, q.speed_mm_s)
     rows = eq.rows_per_board(duration, motion.frame_rate_hz)
     ring = eq.buffer_bytes(n, rows, size, q.runs_in_memory)
-    return DataPlan(size, rate, duration, rows, eq.buffer_bytes(n, rows, size), ring)
+    return DataPlan(size, rate, row_s, duration, rows, eq.buffer_bytes(n, rows, size), ring)
+
+
+def _sender(q: Requirements, frame_bytes: int) -> Sender:
+    return Sender(frame_bytes, (Link("the shared link", q.link_mbit_s),), q.camera_link_mbit_s, q.packet_bytes)
 
 
 def _constraint(
@@ -230,8 +238,11 @@ def _constraints(
         f"exposure {motion.exposure_us:.0f} µs, readout {q.readout_us:.0f} µs",
     )
     yield _constraint("pulse period", "s + readout ≤ 1/t", busy, "≤", motion.trigger_period_us, "µs", note)
-    open_ = ("no capacity of the links given", ("link_mbit_s",)) if q.link_mbit_s is None else ("", ())
-    yield _constraint("links", "n·p_h·p_v·bits·t", data.data_rate_mbit_s, "≤", q.link_mbit_s, "Mbit/s", *open_)
+    row_us, open_ = None, ("no capacity of the links given", ("link_mbit_s",))
+    if data.row_transfer_s is not None:
+        row_us = data.row_transfer_s * 1e6
+        open_ = (f"limited by {slowest_row([_sender(q, data.frame_bytes)] * n).slowest}", ())
+    yield _constraint("links", "row on the links ≤ 1/t", row_us, "≤", motion.trigger_period_us, "µs", *open_)
 
 
 def _about_aperture(q: Requirements, lens: LensPlan) -> Iterator[Constraint]:

@@ -20,7 +20,7 @@ _FIELDS: dict[str, tuple[tuple[str, int], ...]] = {
     "exposure": (("exposure_us", _DOWN), ("speed_mm_s", _DOWN), ("blur_px", _UP)),
     "frame rate": (("frame_rate_hz", _UP), ("speed_mm_s", _DOWN), ("multiplicity_v", _DOWN)),
     "pulse period": (("exposure_us", _DOWN), ("frame_rate_hz", _DOWN), ("readout_us", _DOWN)),
-    "links": (("link_mbit_s", _UP), ("frame_rate_hz", _DOWN), ("speed_mm_s", _DOWN)),
+    "links": (("link_mbit_s", _UP), ("camera_link_mbit_s", _UP), ("frame_rate_hz", _DOWN), ("speed_mm_s", _DOWN)),
 }
 """For each constraint, the requirements that can mend it, the most usual first, and the direction of the change."""
 _FACTORS, _HALVINGS, _DIGITS = (1000.0, 10.0, 3.0, 1.5, 1.1), 40, 4

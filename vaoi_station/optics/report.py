@@ -133,6 +133,7 @@ def _results(plan: Plan) -> list[tuple[str, str, str]]:
         ("parallax, row to row", "", f"{t.parallax_px_per_mm:.2f} px per mm of height"),
         ("parallax, camera to camera", "", f"{a.parallax_px_per_mm:.2f} px per mm of height"),
         ("data rate", "", _quantity(d.data_rate_mbit_s, "Mbit/s", 1)),
+        ("transfer of a row", "", _quantity(d.row_transfer_s and d.row_transfer_s * 1e3, "ms", 1)),
         ("capture of the longest board", "", _quantity(d.capture_duration_s, "s", 2)),
         ("rows of the longest board", "m", _number(d.rows, 0)),
         ("memory for one board", "", _megabytes(d.run_bytes)),

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from vaoi_station.optics.equations import is_number, require, require_positive
+from vaoi_station.optics.links import GVSP_OVERHEAD, LARGEST_PACKET
 
 _WHERE = "requirements"
-_WHOLE = frozenset({"sensor_px_h", "sensor_px_v", "cameras", "bits_per_pixel", "runs_in_memory"})
+_WHOLE = frozenset({"sensor_px_h", "sensor_px_v", "cameras", "bits_per_pixel", "runs_in_memory", "packet_bytes"})
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,11 @@ class Requirements:
     runs_in_memory: int = 3
     """Number of boards that the ring holds at the same time."""
     link_mbit_s: float | None = None
-    """Total capacity of the links of all cameras."""
+    """Capacity of the link that all cameras share: port, uplink of a switch, or all their ports together."""
+    camera_link_mbit_s: float | None = None
+    """Speed of one camera's own link; None: not slower than the shared one."""
+    packet_bytes: int = LARGEST_PACKET
+    """Packet size with headers."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -76,6 +81,8 @@ class Requirements:
                 require(ok, field.name, value, "a whole number, 1 or above", _WHERE)
             else:
                 require_positive(_WHERE, field.name, value, or_zero=field.name == "readout_us")
+        low_packet = GVSP_OVERHEAD + 1
+        require(self.packet_bytes >= low_packet, "packet_bytes", self.packet_bytes, f"at least {low_packet}", _WHERE)
         require(self.bits_per_pixel <= 64, "bits_per_pixel", self.bits_per_pixel, "at most 64", _WHERE)
         for name in ("multiplicity_h", "multiplicity_v"):
             value = getattr(self, name)

@@ -89,6 +89,8 @@ class CameraLimits:
     gain_db: tuple[float, float] | None = None
     sets: int | None = None
     """Number of sets of its sequencer; None without one."""
+    row_s: float | None = None
+    """Time in which the links carry a row of all cameras, s; None if their speeds are not known."""
 
 
 @dataclass(frozen=True)

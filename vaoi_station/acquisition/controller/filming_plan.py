@@ -256,6 +256,18 @@ def time_faults(plan: TriggerPlan, config: StationConfig) -> Iterator[ProgramFau
             yield ProgramFault(error, camera=n)
 
 
+def link_faults(plan: TriggerPlan, row_s: float | None) -> Iterator[ProgramFault]:
+    """Yield a fault if rows of a plan come faster than the links carry them. `row_s` is None if that is not known."""
+    period_s = plan.shortest_period_s
+    if row_s is not None and row_s > period_s:
+        value, least = f"{period_s:g}", f"{row_s:.4g}"
+        limit = f"at least {least}: the links of the cameras carry a row in that time"
+        action = "Film rows farther apart, or give the cameras faster links."
+        values = {"value": value, "least": least}
+        error = refusal(OF_PROGRAM[0], "period_s", period_s, limit, action, code="rows-beyond-links", **values)
+        yield ProgramFault(error)
+
+
 def longest_lit_us(config: StationConfig, line: Line, camera: int, px_per_mm: Sequence[float]) -> float | None:
     """Return the longest time for which light may fall on a camera's sensor; None if its resolution is not known."""
     resolution = _resolution(config, camera, px_per_mm)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 
 from vaoi_station.acquisition.cameras.interface import Arrival, is_silent
 from vaoi_station.acquisition.clocks import ClockModel
-from vaoi_station.acquisition.controller.filming_plan import exposures_of, require_none, time_faults
+from vaoi_station.acquisition.controller.filming_plan import exposures_of, link_faults, require_none, time_faults
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     ControllerEvent,
@@ -139,7 +139,9 @@ class Session:
         if plan.max_rows > self._ring.layout.slots_per_camera:
             limit = f"at most the {self._ring.layout.slots_per_camera} slots per camera and run of the ring"
             raise InputError.field("trigger plan", "max_rows", plan.max_rows, limit)
-        require_none(time_faults(plan, self._config))
+        limits = [limits for camera in self._devices.cameras if (limits := camera.health().limits) is not None]
+        row_s = max((stated.row_s for stated in limits if stated.row_s is not None), default=None)
+        require_none([*time_faults(plan, self._config), *link_faults(plan, row_s)])
         self._require_clocks(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
         if plan != self.plan:
             if self._run is not None:

@@ -67,7 +67,9 @@ class PlanOptions(BaseModel):
     bits_per_pixel: int = Field(default=8, ge=1, le=64, description="Bits per pixel on the links.")
     longest_board_mm: Quantity | None = Field(default=None, description="Longest board, along the motion.")
     runs_in_memory: int = Field(default=3, ge=1, le=1000, description="Number of boards that the ring holds.")
-    link_mbit_s: Quantity | None = Field(default=None, description="Total capacity of the links of all cameras.")
+    link_mbit_s: Quantity | None = Field(default=None, description="Capacity of the link that all cameras share.")
+    camera_link_mbit_s: Quantity | None = Field(default=None, description="Speed of one camera's own link.")
+    packet_bytes: int = Field(default=9000, ge=576, le=65535, description="Packet size with headers.")
 
 
 class OpticsPlan(BaseModel):

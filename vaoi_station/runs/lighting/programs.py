@@ -16,6 +16,7 @@ from vaoi_station.acquisition.controller.filming_plan import (
     checked_plan,
     exposures_of,
     line_of_board,
+    link_faults,
     longest_lit_us,
     unknown_lights,
 )
@@ -184,6 +185,8 @@ class LightPrograms:
             for fault in program_faults(plan, self._config.controller, stated.firmware):
                 if fault.key != "light" or fault.step not in known:
                     yield fault
+        rows_s = [limits.row_s for limits in stated.cameras if limits is not None and limits.row_s is not None]
+        yield from link_faults(plan, max(rows_s, default=None))
         for n, (wanted, limits) in enumerate(zip(exposures_of(plan, self._config), stated.cameras, strict=True)):
             if limits is not None:
                 gains_db, label = [row.gains_db[n] for row in plan.program], self._config.cameras[n].label

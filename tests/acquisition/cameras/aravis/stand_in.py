@@ -270,6 +270,9 @@ class StandInCamera:
     def gv_set_stream_options(self, _options: object) -> None:
         pass
 
+    def gv_set_packet_size_adjustment(self, _adjustment: object) -> None:
+        pass
+
     def get_integer_bounds(self, feature: str) -> tuple[int, int]:
         return self.bounds.get(feature, (220, 9000))
 
@@ -308,6 +311,7 @@ LIBRARY = SimpleNamespace(
     Buffer=StandInBuffer,
     BufferStatus=BufferStatus,
     GcFloat=GcFloat,
+    GvPacketSizeAdjustment=SimpleNamespace(NEVER=0),
     GvStreamOption=SimpleNamespace(PACKET_SOCKET_DISABLED=1),
 )
 """Takes the place of the module `gi.repository.Aravis`."""

@@ -64,7 +64,7 @@ class StandInConnection:
         config: CameraConfig,
         where: str,
         sequence: tuple[tuple[float, float], ...] = (),
-        share: PortShare | None = None,
+        share: PortShare = PortShare(),  # noqa: B008
     ) -> None:
         self.config, self.where, self.sequence, self.share = config, where, sequence, share
         self.rewound, self.limits = 0, CameraLimits()

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from queue import SimpleQueue
 
 from vaoi_station.acquisition.cameras.aravis import network
@@ -22,6 +23,7 @@ from vaoi_station.acquisition.cameras.aravis.connection import (
     check_silence,
     locate,
 )
+from vaoi_station.acquisition.cameras.aravis.links import check_row
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
     Arrival,
@@ -36,6 +38,7 @@ from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.backoff import Backoff, BackoffPolicy
 from vaoi_station.config import CameraConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, VaoiError
+from vaoi_station.optics.links import share_links
 from vaoi_station.supervised_thread import SupervisedThread
 
 CHECK_S = 0.25
@@ -161,7 +164,7 @@ class AravisCamera:
             last_frame_s=self._last_frame_s,
             counters=tuple(sorted({**counters, "n_losses": self._losses}.items())),
             next_try_s=self._backoff.due_s,
-            limits=connection.limits if connection is not None else None,
+            limits=replace(connection.limits, row_s=self._share.row_s) if connection is not None else None,
         )
 
     def threads(self) -> tuple[SupervisedThread, ...]:
@@ -347,10 +350,13 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
                 by = camera.exposure_by if camera.exposure_by == "sequencer" else "register"
                 connections.append(Connection(camera.model_copy(update={"exposure_by": by}), where))
             _check_distinct(connections)
-            _share_ports(config, connections)
+            for connection in connections:
+                connection.measure_link()
+            _share_links(config, connections)
             for connection in connections:
                 connection.configure()
-            _check_budgets(config, connections)
+            # Shared again: a camera may keep a lower limit than its share.
+            _share_links(config, connections)
             for number, connection in enumerate(connections):
                 cameras.append(AravisCamera(number, connection))
             # Checked last, with all cameras started: a camera that sends now would have its frames in wrong rows.
@@ -382,21 +388,9 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
             )
 
 
-def _share_ports(config: StationConfig, connections: Sequence[Connection]) -> None:
-    on_port = Counter(connection.identity.interface for connection in connections)
-    for connection in connections:
-        camera, port = connection.config, connection.identity.interface
-        link_mbit_s = camera.link_mbit_s or (network.link_mbit_s(port) if port else None)
-        buffer_bytes = socket_bytes(camera, config.line.shortest_period_s)
-        connection.share = PortShare(on_port[port], link_mbit_s, buffer_bytes)
-
-
-def _check_budgets(config: StationConfig, connections: Sequence[Connection]) -> None:
-    ports: defaultdict[str, list[Connection]] = defaultdict(list)
-    for connection in connections:
-        if connection.is_gige:
-            ports[connection.identity.interface].append(connection)
-    for port, members in ports.items():
-        payloads = [connection.config.frame_bytes for connection in members]
-        packet = min(connection.packet_bytes for connection in members)
-        network.check_budget(port, payloads, packet, members[0].share.link_mbit_s, config.line.shortest_period_s)
+def _share_links(config: StationConfig, connections: Sequence[Connection]) -> None:
+    senders, period_s = [connection.sender for connection in connections], config.line.shortest_period_s
+    row_s = check_row(senders, period_s)
+    for connection, share in zip(connections, share_links(senders), strict=True):
+        buffer_bytes = socket_bytes(connection.config, period_s)
+        connection.share = PortShare(math.ceil(share.delay_s * 1e9), share.mbit_s, row_s or None, buffer_bytes)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from vaoi_station.acquisition.cameras.aravis import network, settings
+from vaoi_station.acquisition.cameras.aravis import links, network, settings
 from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera, discover
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
@@ -25,6 +25,7 @@ from vaoi_station.acquisition.cameras.interface import CameraLimits
 from vaoi_station.acquisition.clocks import ClockReading, timed_reading
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.optics.links import Sender
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -122,6 +123,16 @@ def open_device(config: CameraConfig, address: str) -> Any:
     return camera
 
 
+def find_packet_size(
+    camera: Any, config: CameraConfig, limits: PacketLimits, address: str, local_address: str
+) -> tuple[int, int | None]:
+    """Return the largest packet that camera, MTU and station.toml permit, and the largest that came here in a test."""
+    most = network.packet_bytes(config.packet_bytes, network.mtu_to(address), limits)
+    if (camera.get_vendor_name() or "") == FAKE_VENDOR:  # Aravis' fake camera sends no test packets
+        return most, None
+    return most, network.largest_passing(camera.get_device(), most, limits, local_address)
+
+
 def absence_error(config: CameraConfig, address: str, why: str) -> DeviceError:
     """Return the error for a camera that does not reply at its address. `why` is the cause, a text in brackets."""
     trouble = network.route_trouble(address)
@@ -153,10 +164,14 @@ class Identity:
 
 @dataclass(frozen=True)
 class PortShare:
-    """The network port that a camera uses: number of cameras on it, speed, and receive buffer."""
+    """What a camera gets of the links that it shares with others, and its receive buffer."""
 
-    cameras: int = 1
-    link_mbit_s: float | None = None
+    delay_ns: int = 0
+    """Pause after each packet."""
+    mbit_s: float | None = None
+    """Its rate, for cameras that are paced by a limit and not by pauses; None: nothing limits it."""
+    row_s: float | None = None
+    """Time in which all cameras of the station send a row; None if it is not known."""
     socket_bytes: int = 0
 
 
@@ -173,6 +188,10 @@ class Connection:
         self._stream: SlotStream | None = None
         self.is_gige = bool(self._camera.is_gv_device())
         self.packet_bytes = self._chunk_bytes = 0
+        self.packets_proven = False
+        """Whether a test packet of this size came here from the camera."""
+        self._speed_mbit_s: float | None = None
+        self._limit_mbit_s: float | None = None
         self._route_trouble = network.route_trouble(where) if self.is_gige else ""
         self.limits = CameraLimits()
         self.granted_bytes = 0
@@ -181,20 +200,35 @@ class Connection:
             self._clock_ns = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
-    def configure(self) -> None:
-        """Write all settings and read them back. For a GigE camera, also set packet size and packet delay."""
-        with self._device_access("does not take its settings"):
+    def measure_link(self) -> None:
+        """Find the packet size of a GigE camera, and what it states of its link. It is not acquiring afterwards."""
+        with self._device_access("does not state its link"):
             # An earlier program may have left the acquisition running, and a running camera locks its settings. The
             # error is ignored, because a camera that is not running may refuse the command.
             with contextlib.suppress(glib_error()):
                 self._camera.stop_acquisition()
+            if self.is_gige:
+                self._find_packet_size()
+                self._speed_mbit_s = links.speed_mbit_s(self._camera, self.identity.address)
+
+    @property
+    def sender(self) -> Sender:
+        """What the camera sends, and over which links."""
+        place = self.identity.interface if self.is_gige else self.identity.serial
+        speeds = [speed for speed in (self._speed_mbit_s, self._limit_mbit_s) if speed]
+        return links.sender_of(self.config, place, min(speeds, default=None), self.packet_bytes or None)
+
+    def configure(self) -> None:
+        """Write all settings and read them back. For a GigE camera, also set packet size and packet delay."""
+        if not self.packet_bytes:
+            self.measure_link()
+        with self._device_access("does not take its settings"):
             settings.apply(self._camera, self.config)
             if self.config.chunk_room_bytes:
                 settings.switch_chunks_on(self._camera, self.config)
             if self.sequence:
                 settings.program_sequencer(self._camera, self.config, self.sequence)
-            if self.is_gige:
-                self._configure_packets()
+            self._configure_link()
             self.limits = settings.limits_of(self._camera)
             payload = self._camera.get_payload()
         self._chunk_bytes = payload - self.config.frame_bytes
@@ -336,23 +370,29 @@ class Connection:
         finally:
             self._camera.start_acquisition()
 
-    def _configure_packets(self) -> None:
+    def _find_packet_size(self) -> None:
+        camera, address = self._camera, self.identity.address
+        low, high = camera.get_integer_bounds("GevSCPSPacketSize")
+        limits = PacketLimits(low, high, max(1, camera.get_integer_increment("GevSCPSPacketSize")))
+        local = camera.get_device().get_interface_address().get_address().to_string()
+        most, passing = find_packet_size(camera, self.config, limits, address, local)
+        self.packet_bytes, self.packets_proven = passing or most, passing is not None
+
+    def _configure_link(self) -> None:
         camera, name = self._camera, self.config.label
+        paced = self.is_gige and camera.is_feature_available("GevSCPD")
+        self._limit_mbit_s = links.limit_throughput(camera, None if paced else self.share.mbit_s)
+        if not self.is_gige:
+            return
         # Packet sockets need CAP_NET_RAW, and stopping their thread takes 24 ms and drops packets (decisions/0009).
         camera.gv_set_stream_options(aravis().GvStreamOption.PACKET_SOCKET_DISABLED)
-        low, high = camera.get_integer_bounds("GevSCPSPacketSize")
-        step = max(1, camera.get_integer_increment("GevSCPSPacketSize"))
-        limits = PacketLimits(low, high, step)
-        # Aravis' automatic packet size is not used: it chose 12316 bytes at an MTU of 9000, which was 3 to 7 times
-        # slower (Aravis #1065).
-        size = network.packet_bytes(self.config.packet_bytes, network.mtu_to(self.identity.address), limits)
-        settings.write(camera, name, [Setting("GevSCPSPacketSize", size)])
-        self.packet_bytes = size
+        # Else Aravis tests the size again when the stream is created, and may choose another one (Aravis #425, #1065).
+        camera.gv_set_packet_size_adjustment(aravis().GvPacketSizeAdjustment.NEVER)
+        settings.write(camera, name, [Setting("GevSCPSPacketSize", self.packet_bytes)])
         # Without gaps between packets, cameras on one link take the bandwidth from each other (Aravis #71, #710).
-        delay = network.packet_delay_ns(size, self.share.cameras, self.share.link_mbit_s)
-        if delay or camera.is_feature_available("GevSCPD"):
+        if paced or (self.share.delay_ns and self._limit_mbit_s is None):
             tick_ns = 1e9 / (camera.get_device().get_timestamp_tick_frequency() or 1e9)
-            settings.write(camera, name, [Setting("GevSCPD (ns)", delay, tick_ns)])
+            settings.write(camera, name, [Setting("GevSCPD (ns)", self.share.delay_ns, tick_ns)])
 
     def _identity(self, where: str) -> Identity:
         camera = self._camera

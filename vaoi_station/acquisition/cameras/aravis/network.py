@@ -1,33 +1,29 @@
-"""The network of GigE cameras: packet size and delay, the kernel's receive buffer, and requests without control.
+"""The network of GigE cameras: packet size, the kernel's receive buffer, and requests without control.
 
-Cameras of an array send at the same time, and those on one port share it: after every packet, each pauses for the time
-of one packet of every other camera. Aravis holds its lock for seconds while a camera is absent, and lists only one of
-two with the same name, so READREG (GVCP) is sent without it, and DISCOVERY (`discovery.py`).
+Aravis holds its lock for seconds while a camera is absent, and lists only one of two with the same name, so READREG
+(GVCP) is sent without it, and DISCOVERY (`discovery.py`).
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import math
 import os
 import socket
 import stat
 import struct
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from itertools import count
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.acquisition.cameras.aravis.library import glib_error
+from vaoi_station.errors import InputError
+from vaoi_station.optics.links import LARGEST_PACKET
 
-LARGEST_PACKET = 9000
-"""Largest packet size in bytes: that of an Ethernet jumbo frame. Only loopback would take larger packets."""
-GVSP_OVERHEAD = 36
-"""Bytes of the IP (20), UDP (8) and GVSP (8) headers of a packet. The packet size of a camera includes them."""
-ETHERNET_OVERHEAD = 38
-"""Bytes that Ethernet adds to each packet on the wire: preamble 8, header 14, checksum 4, gap 12."""
 CONTROL_PORT = 3956
 _IP_MTU = 14
 
@@ -65,35 +61,64 @@ def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
     return fitting
 
 
-def packets_per_frame(payload_bytes: int, packet: int) -> int:
-    """Return the number of packets with pixels in one frame. Leader and trailer packets are small and not counted."""
-    return math.ceil(payload_bytes / (packet - GVSP_OVERHEAD))
+_UDP_HEADERS = 28
+"""Bytes of the IP and UDP headers, which the packet size of a camera includes."""
+_STREAM_PORT, _PACKET_SIZE, _STREAM_ADDRESS = 0x0D00, 0x0D04, 0x0D18
+"""Registers of the first stream channel: port, packet size and address to which it sends (GigE Vision)."""
+_FIRE, _DO_NOT_FRAGMENT, _FLAGS = 1 << 31, 1 << 30, 0xFFFF0000
+"""Bits of the register of the packet size."""
+TEST_S, TEST_TRIES, TEST_STEP = 0.05, 3, 64
+"""Wait for a test packet, s, and how often one is sent; sizes are tried until two of them are as close as this."""
 
 
-def packet_delay_ns(packet: int, cameras: int, link_mbit_s: float | None) -> int:
-    """Return the pause, ns, that a camera makes after each packet: time for one packet of every other camera."""
-    if link_mbit_s is None:
-        return 0
-    return math.ceil((cameras - 1) * (packet + ETHERNET_OVERHEAD) * 8000 / link_mbit_s)
+def largest_passing(device: Any, most: int, limits: PacketLimits, local_address: str) -> int | None:
+    """Return the largest packet size up to `most` that comes here from a camera in one piece; None if none comes.
+
+    The camera sends test packets with *don't fragment*, as GigE Vision has it: a switch that is too narrow for them
+    drops them. The camera must be controlled and not acquiring. Its stream channel is closed afterwards.
+    """
+    # Aravis' automatic packet size is not used: it may exceed the MTU (Aravis #1065), and its search begins at the
+    # present size and ends at the smallest one with cameras that fire one test packet only (#425).
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        try:
+            receiver.bind((local_address, 0))
+            flags = device.read_register(_PACKET_SIZE) & _FLAGS & ~_FIRE
+            device.write_register(_STREAM_ADDRESS, _as_int(socket.inet_aton(local_address)))
+            device.write_register(_STREAM_PORT, receiver.getsockname()[1])
+            found = _largest(lambda size: _passes(device, receiver, size), most, limits)
+            device.write_register(_STREAM_PORT, 0)
+            device.write_register(_PACKET_SIZE, flags | (found or most))
+        except (glib_error(), OSError):
+            return None  # the camera does not let its registers be written: it has no test packet for us
+    return found
 
 
-def transfer_s(payload_bytes: int, packet: int, cameras: int, link_mbit_s: float | None) -> float:
-    """Return the time in which all cameras of a port, sending at once, transfer one frame each."""
-    if link_mbit_s is None:
-        return 0.0
-    return packets_per_frame(payload_bytes, packet) * cameras * (packet + ETHERNET_OVERHEAD) * 8e-6 / link_mbit_s
+def _largest(passes: Callable[[int], bool], most: int, limits: PacketLimits) -> int | None:
+    if passes(most):
+        return most
+    low, high = limits.smallest, most
+    if low >= most or not passes(low):
+        return None
+    while high - low >= 2 * max(limits.step, TEST_STEP // 2):
+        middle = low + (high - low) // 2 // limits.step * limits.step
+        low, high = (middle, high) if passes(middle) else (low, middle)
+    return low
 
 
-def check_budget(port: str, payloads: list[int], packet: int, link_mbit_s: float | None, period_s: float) -> None:
-    """Raise DeviceError if the cameras of a port cannot send the frames of one row within a trigger period."""
-    needed_s = transfer_s(max(payloads), packet, len(payloads), link_mbit_s)
-    if needed_s > period_s:
-        raise DeviceError(
-            f"{len(payloads)} cameras on port {port} need {needed_s * 1e3:.1f} ms for a row at "
-            f"{link_mbit_s:.0f} Mbit/s, but a row comes every {period_s * 1e3:.1f} ms.",
-            action="Give some of them a port of their own, use a faster link or a shorter pixel format.",
-            code="link-too-slow",
-        )
+def _passes(device: Any, receiver: socket.socket, size: int) -> bool:
+    """Whether a test packet of a size arrives."""
+    for _ in range(TEST_TRIES):
+        # Written without the bit first: a camera that keeps it fires only when it changes (Aravis #425).
+        device.write_register(_PACKET_SIZE, _DO_NOT_FRAGMENT | size)
+        device.write_register(_PACKET_SIZE, _FIRE | _DO_NOT_FRAGMENT | size)
+        until_s = time.monotonic() + TEST_S
+        while (left_s := until_s - time.monotonic()) > 0:
+            receiver.settimeout(left_s)
+            with contextlib.suppress(TimeoutError):
+                # A late packet of another size does not count.
+                if len(receiver.recv(0x10000)) == size - _UDP_HEADERS:
+                    return True
+    return False
 
 
 def mtu_to(address: str) -> int:
@@ -210,6 +235,9 @@ _KEY, _ACKNOWLEDGE = 0x42, 0x01
 _READ_REGISTER = 0x0080
 """Command number; the number of an acknowledgement is one higher."""
 _VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
+_CAPABILITY_REGISTER, _LINK_SPEED_REGISTER = 0x0934, 0x0670
+_STATES_LINK_SPEED = 1 << 28
+"""Bit of the capabilities: the register of the link's speed exists."""
 _CONTROL_BITS = 0b11
 """Bits of the privilege register that are set while an application has exclusive access or control."""
 _HEADER = struct.Struct(">BBHHH")
@@ -253,6 +281,17 @@ def read_control(address: str, timeout_s: float = 0.2, tries: int = 3) -> Contro
     # loss is reported that did not occur.
     free = len(reply) >= 4 and not int.from_bytes(reply[:4], "big") & _CONTROL_BITS
     return Control.FREE if free else Control.CONTROLLED
+
+
+def camera_link_mbit_s(address: str) -> float | None:
+    """Read the speed of a camera's own link, Mbit/s; None if the camera does not state it in its register."""
+    capabilities = _number(address, _CAPABILITY_REGISTER)
+    return float(_number(address, _LINK_SPEED_REGISTER)) or None if capabilities & _STATES_LINK_SPEED else None
+
+
+def _number(address: str, register: int) -> int:
+    """Return the number in a register; 0 if it cannot be read."""
+    return int.from_bytes((_read_register(address, register, 0.2, 3) or b"")[:4], "big")
 
 
 def _read_register(address: str, register: int, timeout_s: float, tries: int) -> bytes | None:

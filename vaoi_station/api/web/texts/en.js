@@ -508,7 +508,7 @@ const optics = {
     sensor_px_h: "Frame, across the motion", sensor_px_v: "Frame, along the motion", sensor_width_mm: "Width of the sensor", bits_per_pixel: "Bits per pixel", circle_of_confusion_mm: "Acceptable blur spot on the sensor",
     distance_max_mm: "Largest distance of the cameras", distance_min_mm: "Smallest distance of the cameras", lens_mm: "Focal length of the lens", f_number: "Aperture",
     speed_mm_s: "Speed of the belt", exposure_us: "Exposure", readout_us: "Read-out that no exposure overlaps", frame_rate_hz: "Pulses per second", blur_px: "Acceptable motion blur", multiplicity_v: "Frames of a camera that show each point",
-    cameras: "Number of cameras", multiplicity_h: "Cameras that see each point", link_mbit_s: "Links of all cameras", runs_in_memory: "Boards in memory",
+    cameras: "Number of cameras", multiplicity_h: "Cameras that see each point", link_mbit_s: "Link that the cameras share", camera_link_mbit_s: "Link of one camera", packet_bytes: "Packet", runs_in_memory: "Boards in memory",
   },
   from: (source) => (source === "paper" ? "of the paper" : `from ${source}`),
   chosen: "chosen by the plan if empty",
@@ -539,7 +539,7 @@ const optics = {
   columns: ["Constraint", "Value and limit", "Margin", "State"],
   constraintNames: {
     cameras: "Width of all frames", "highest place": "Highest place of the cameras", "lowest place": "Lowest place of the cameras", "depth of field": "Depth of field", diffraction: "Diffraction",
-    "motion blur": "Motion blur", exposure: "Exposure", "frame rate": "Pulses per second", "pulse period": "Exposure and read-out in the period", links: "Data rate of the links",
+    "motion blur": "Motion blur", exposure: "Exposure", "frame rate": "Pulses per second", "pulse period": "Exposure and read-out in the period", links: "Transfer of a row in the period",
   },
   wrong: (names) => `Impossible, or contradicting other values: ${names.join(", ")}.`,
   met: "met",

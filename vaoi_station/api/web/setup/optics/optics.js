@@ -8,18 +8,18 @@ import { lineDrawing } from "./line_drawing.js";
 
 const UNITS = {
   width_mm: "mm", longest_board_mm: "mm", resolution_px_per_mm: "px/mm", depth_of_field_mm: "mm", sensor_px_h: "px", sensor_px_v: "px", sensor_width_mm: "mm", circle_of_confusion_mm: "mm", distance_max_mm: "mm",
-  distance_min_mm: "mm", lens_mm: "mm", speed_mm_s: "mm/s", exposure_us: "µs", readout_us: "µs", frame_rate_hz: "1/s", blur_px: "px", link_mbit_s: "Mbit/s",
+  distance_min_mm: "mm", lens_mm: "mm", speed_mm_s: "mm/s", exposure_us: "µs", readout_us: "µs", frame_rate_hz: "1/s", blur_px: "px", link_mbit_s: "Mbit/s", camera_link_mbit_s: "Mbit/s", packet_bytes: "B",
 };
 const GROUPS = {
   board: ["width_mm", "longest_board_mm", "resolution_px_per_mm", "depth_of_field_mm"],
   sensor: ["sensor_px_h", "sensor_px_v", "sensor_width_mm", "circle_of_confusion_mm", "bits_per_pixel"],
   lens: ["distance_max_mm", "distance_min_mm", "lens_mm", "f_number"],
   motion: ["speed_mm_s", "blur_px", "exposure_us", "readout_us", "frame_rate_hz", "multiplicity_v"],
-  array: ["cameras", "multiplicity_h", "link_mbit_s", "runs_in_memory"],
+  array: ["cameras", "multiplicity_h", "link_mbit_s", "camera_link_mbit_s", "packet_bytes", "runs_in_memory"],
 };
 const REQUIRED = ["width_mm", "resolution_px_per_mm", "speed_mm_s", "sensor_px_h", "sensor_px_v", "sensor_width_mm", "distance_max_mm"];
 const CHOSEN = ["lens_mm", "f_number", "cameras", "frame_rate_hz", "exposure_us"];
-const OPEN = ["distance_min_mm", "depth_of_field_mm", "circle_of_confusion_mm", "longest_board_mm", "link_mbit_s"];
+const OPEN = ["distance_min_mm", "depth_of_field_mm", "circle_of_confusion_mm", "longest_board_mm", "link_mbit_s", "camera_link_mbit_s"];
 const ALL = Object.values(GROUPS).flat();
 
 const shown = (value, unit = "") => {
