@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.needs import lacking, need
-from vaoi_station.acquisition.cameras.aravis.camera import socket_bytes
+from vaoi_station.acquisition.cameras.aravis.camera import receive_limit_bytes
 from vaoi_station.config import read_config
 from vaoi_station.doctor.finding import Level
 from vaoi_station.doctor.machine_checks import USB_PARAMETER, judge_buffers, judge_usb_memory
@@ -24,10 +24,11 @@ def lines(name: str) -> list[str]:
     return [line for line in text.splitlines() if line and not line.startswith("#")]
 
 
-def test_socket_buffers_hold_one_second_of_the_papers_cameras() -> None:
+def test_socket_buffers_hold_two_frames_of_each_of_the_papers_cameras() -> None:
     (line,) = lines("60-vaoi.conf")
     key, value = line.split(" = ")
-    needed = max(socket_bytes(camera, PAPER.line.trigger_period_s) for camera in PAPER.cameras)
+    needed = receive_limit_bytes(PAPER.cameras, PAPER.line.trigger_period_s)
+    assert needed == 2 * len(PAPER.cameras) * 1392 * 1040
     assert key == "net.core.rmem_max"
     assert judge_buffers(int(value), needed).level is Level.OK
 

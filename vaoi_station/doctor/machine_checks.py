@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vaoi_station import version
-from vaoi_station.acquisition.cameras.aravis.camera import socket_bytes
+from vaoi_station.acquisition.cameras.aravis.camera import receive_limit_bytes
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import Machine, format_bytes, is_directory, writable
 from vaoi_station.doctor.running_station import CheckContext
@@ -221,12 +221,12 @@ def socket_buffers(context: CheckContext) -> Iterator[Finding]:
         return
     # The kernel reduces a larger request to this limit and reports no error.
     period_s = context.config.line.shortest_period_s
-    needed = max(socket_bytes(camera, period_s) for camera in context.real_cameras)
+    needed = receive_limit_bytes(context.real_cameras, period_s)
     yield judge_buffers(context.machine.sysctl("net.core.rmem_max"), needed)
 
 
 def judge_buffers(granted: int | None, needed: int) -> Finding:
-    """Judge whether a socket buffer of the permitted size holds the data that one camera sends in one second."""
+    """Judge whether a socket buffer of the permitted size holds what arrives while the machine stalls."""
     figures: Figures = {"rmem_max_bytes": granted, "needed_bytes": needed}
     if granted is None:
         action = "Run sysctl net.core.rmem_max and correct what it reports."
@@ -234,7 +234,7 @@ def judge_buffers(granted: int | None, needed: int) -> Finding:
     message = f"net.core.rmem_max is {format_bytes(granted)}, "
     if granted >= needed:
         return ok(f"{message}{format_bytes(needed)} are needed", **figures)
-    message += f"but a camera sends {format_bytes(needed)} in a second: frames are lost when the machine stalls."
+    message += f"but {format_bytes(needed)} are needed, two frames of every camera: frames are lost when it stalls."
     action = f"sysctl -w net.core.rmem_max={2 ** math.ceil(math.log2(needed))}; permanently: "
     action += "install -m 644 deploy/60-vaoi.conf /etc/sysctl.d/"
     return warning("socket-buffer-small", message, action, **figures)

@@ -56,6 +56,33 @@ def test_frames_that_had_begun_when_a_packet_came_twice_are_suspect(monkeypatch:
     assert check.fault(frame(began_ns=6_000), 256) == ""
 
 
+def test_packets_that_were_asked_for_again_may_come_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = StandInStream()
+    monkeypatch.setattr(time, "time_ns", lambda: 5_000)
+    stream.counters |= {"n_resend_requests": 3, "n_duplicated_packets": 0}
+    careless, strict = FrameCheck(stream, KIND), FrameCheck(stream, KIND, misnumbers=True)
+    assert careless.fault(frame(began_ns=1_000), 256) == ""
+    stream.counters["n_duplicated_packets"] = 2
+    assert careless.fault(frame(began_ns=2_000), 256) == "", "asked for while the frame before was received"
+    assert "a packet came twice" in strict.fault(frame(began_ns=2_000), 256)
+    assert careless.fault(frame(began_ns=3_000), 256) == ""
+    stream.counters["n_duplicated_packets"] = 3
+    assert "a packet came twice" in careless.fault(frame(began_ns=4_000), 256), "nobody had asked for it"
+
+
+@pytest.mark.parametrize(
+    ("vendor", "model", "misnumbers"),
+    [
+        ("Point Grey Research", "Blackfly BFLY-PGE-14S2C", True),
+        ("FLIR", "Blackfly BFLY-PGE-13H2M", True),
+        ("FLIR", "Blackfly S BFS-PGE-50S4C", False),
+        ("Basler", "acA2440-20gm", False),
+    ],
+)
+def test_only_the_generation_of_311_is_not_trusted(vendor: str, model: str, misnumbers: bool) -> None:
+    assert stream_module.misnumbers_resends(vendor, model) is misnumbers
+
+
 def test_a_clock_that_was_set_back_makes_no_later_frame_suspect(monkeypatch: pytest.MonkeyPatch) -> None:
     """As by NTP some time after the start: all frames of an hour would be suspect."""
     now = [5_000_000]

@@ -376,6 +376,12 @@ def socket_bytes(camera: CameraConfig, period_s: float) -> int:
     return max(2, math.ceil(STALL_S / period_s)) * camera.frame_bytes
 
 
+def receive_limit_bytes(cameras: Sequence[CameraConfig], period_s: float) -> int:
+    """Return what net.core.rmem_max should permit: two frames of every camera, and all that one sends in `STALL_S`."""
+    rows = 2 * len(cameras) * max(camera.frame_bytes for camera in cameras)
+    return max(rows, *(socket_bytes(camera, period_s) for camera in cameras))
+
+
 def _check_distinct(connections: Sequence[Connection]) -> None:
     counts = Counter(connection.identity.serial for connection in connections)
     for serial, count in counts.items():

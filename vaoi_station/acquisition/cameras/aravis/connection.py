@@ -20,7 +20,13 @@ from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera, disco
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.acquisition.cameras.aravis.settings import Sets, Setting, error_text
-from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader, FrameFormat, SlotResult, SlotStream
+from vaoi_station.acquisition.cameras.aravis.stream import (
+    ChunkReader,
+    FrameFormat,
+    SlotResult,
+    SlotStream,
+    misnumbers_resends,
+)
 from vaoi_station.acquisition.cameras.interface import CameraLimits
 from vaoi_station.acquisition.clocks import ClockReading, timed_reading
 from vaoi_station.config import CameraConfig
@@ -290,7 +296,9 @@ class Connection:
                 self.granted_bytes = network.widen_receive_buffer(stream.get_port(), self.share.socket_bytes)
             kind = FrameFormat(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
             reader = ChunkReader(self._camera, self._chunk_bytes) if self._chunk_bytes else None
-            self._stream = SlotStream(stream, kind, on_slot, f"camera-{self.config.name}", reader)
+            named = self._camera.get_vendor_name() or "", self._camera.get_model_name() or ""
+            name, misnumbers = f"camera-{self.config.name}", misnumbers_resends(*named)
+            self._stream = SlotStream(stream, kind, on_slot, name, reader, misnumbers)
             self._camera.start_acquisition()
 
     @property

@@ -2,7 +2,8 @@
 
 A slot belongs either to the stream or to the caller. Aravis reports success when all packet numbers of a frame were
 seen; after a packet with a number outside the frame, or a trailer that comes early, the memory keeps older pixels
-(tried with 0.8.26). A packet that comes twice may be another one under a wrong number (Aravis #311).
+(tried with 0.8.26). A packet that comes twice is one that was late and was sent again, or another one under a wrong
+number (Aravis #311): of two packets with one number, every 0.8 keeps the first.
 """
 
 from __future__ import annotations
@@ -30,8 +31,17 @@ WITH_CHUNKS = "the camera adds chunk data to its frames: its ChunkModeActive was
 WITHOUT_CHUNKS = (
     "the frame does not state its exposure: the camera's ChunkModeActive was switched off; switch the camera off and on"
 )
-_DUPLICATES = "n_duplicated_packets"
-"""Counter of a GigE stream: packets of which the number had been seen in the same frame."""
+_DUPLICATES, _REQUESTS = "n_duplicated_packets", "n_resend_requests"
+"""Counters of a GigE stream: packets of which the number had been seen in the same frame; packets asked for again."""
+
+
+def misnumbers_resends(vendor: str, model: str) -> bool:
+    """Return whether a camera may send packets under wrong numbers while it sends others again (Aravis #311).
+
+    Reported of a Blackfly (BFLY) of Point Grey; the GigE cameras of that generation share its firmware.
+    """
+    first_generation = ("blackfly bfly", "flea3 fl3", "grasshopper2", "bfly-", "fl3-")
+    return "point grey" in vendor.lower() or model.lower().startswith(first_generation)
 
 
 @dataclass(frozen=True)
@@ -49,14 +59,17 @@ class FrameFormat:
 class FrameCheck:
     """The check of all frames of one stream. Use it for every frame of the stream, in the order of their ends."""
 
-    def __init__(self, stream: Any, kind: FrameFormat, chunk_bytes: int = 0) -> None:
-        """Prepare the check."""
+    def __init__(self, stream: Any, kind: FrameFormat, chunk_bytes: int = 0, misnumbers: bool = False) -> None:
+        """Prepare the check. `misnumbers`: no packet that came twice is trusted (`misnumbers_resends`)."""
         self._stream, self._format, self._chunk_bytes = stream, kind, chunk_bytes
         names = [stream.get_info_name(k) for k in range(stream.get_n_infos())]
         self._counts_duplicates = _DUPLICATES in names  # a USB stream does not
+        self._counts_requests = _REQUESTS in names and not misnumbers
         self._duplicates = 0
+        self._requests = (0, 0)
+        """Packets asked for again up to the last two checks."""
         self._duplicates_ns = 0
-        """Wall clock time, ns, at which the counter of duplicates was last seen to have grown."""
+        """Wall clock time, ns, at which more packets were last seen to have come twice than were asked for again."""
 
     def fault(self, buffer: Any, frame_bytes: int) -> str:
         """Return what is wrong with a frame that has ended; an empty text if it is complete."""
@@ -83,12 +96,16 @@ class FrameCheck:
         return ""
 
     def _began_before_duplicate(self, buffer: Any) -> bool:
-        """Whether a packet came twice since the first packet of a frame, in this frame or in one received with it."""
+        """Whether a doubtful packet came twice since a frame began, in this frame or in one received with it."""
         if not self._counts_duplicates:
             return False
         duplicates = self._stream.get_info_uint64_by_name(_DUPLICATES)
-        if duplicates != self._duplicates:
-            self._duplicates, self._duplicates_ns = duplicates, time.time_ns()
+        requests = self._stream.get_info_uint64_by_name(_REQUESTS) if self._counts_requests else 0
+        # Each request brings one packet again, and the late packet itself may still come: so many may come twice
+        # with the same content. The request may be one of the frame before, which was received at the same time.
+        if duplicates - self._duplicates > requests - self._requests[0]:
+            self._duplicates_ns = time.time_ns()
+        self._duplicates, self._requests = duplicates, (self._requests[1], requests)
         # If the clock was set back since, frames of now would seem to have begun before the duplicate, for as long.
         self._duplicates_ns = min(self._duplicates_ns, time.time_ns())
         # The counter is of the stream and not of the frame. If this thread was late, the duplicate may be of a frame
@@ -147,10 +164,11 @@ class SlotStream:
         on_slot: Callable[[SlotResult], None],
         name: str,
         chunks: ChunkReader | None = None,
+        misnumbers: bool = False,
     ) -> None:
         """Create the stream of slots and start its thread."""
-        self._stream, self._chunks = stream, chunks
-        self._check, self._on_slot = FrameCheck(stream, kind, chunks.nbytes if chunks is not None else 0), on_slot
+        self._stream, self._chunks, self._on_slot = stream, chunks, on_slot
+        self._check = FrameCheck(stream, kind, chunks.nbytes if chunks is not None else 0, misnumbers)
         self._filling = aravis().BufferStatus.FILLING
         self._lock = threading.Lock()
         self._buffer_pulled = threading.Condition(self._lock)

@@ -897,7 +897,7 @@ const findings = {
   "aravis-absent": ["Die Bibliothek der Kameras ist nicht zu gebrauchen.", "Die Pakete installieren, die der Satz der Station nennt."],
   "aravis-old": [({ aravis }) => `Aravis ${aravis} ist mit USB3-Kameras unzuverlässig.`, "GigE-Kameras mit ihrer Adresse benennen; für USB3 Aravis ab 0.8.30 verwenden (Debian 13)."],
   "socket-buffer-unknown": ["net.core.rmem_max ist nicht zu lesen.", "sysctl net.core.rmem_max ausführen und berichtigen, was es meldet."],
-  "socket-buffer-small": ["Der Empfangspuffer fasst weniger, als eine Kamera in einer Sekunde sendet: Stockt der Rechner, gehen Einzelbilder verloren.", "Als Verwalter: install -m 644 deploy/60-vaoi.conf /etc/sysctl.d/"],
+  "socket-buffer-small": ["Der Empfangspuffer fasst weniger als zwei Einzelbilder jeder Kamera: Stockt der Rechner, gehen Einzelbilder verloren.", "Als Verwalter: install -m 644 deploy/60-vaoi.conf /etc/sysctl.d/"],
   "usb-memory-small": [({ usbfs_memory_mb, needed_mb }) => `usbfs_memory_mb ist ${usbfs_memory_mb}, die Kameras an USB brauchen ${needed_mb}: Die letzten starten nicht.`, "Als Verwalter: install -m 644 deploy/vaoi-usb-memory.conf /etc/tmpfiles.d/"],
   "link-too-slow": ["Die Kameras dieses Anschlusses brauchen für eine Reihe länger als die Periode.", "Ein anderer Anschluss, eine schnellere Verbindung oder ein kürzeres Pixelformat."],
   "packets-above-mtu": [({ packet_bytes, mtu }) => `Pakete haben hier ${packet_bytes} Byte (MTU ${mtu}), weniger als eingestellt.`, "Die MTU des Anschlusses erhöhen, oder packet_bytes in station.toml senken."],

@@ -11,6 +11,7 @@ import pytest
 from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Stage, noise
 from tests.gige.camera import Camera, as_it_is
+from tests.gige.description import MODEL_ADDRESS, VENDOR_ADDRESS
 from tests.gige.packets import TRAILER
 from vaoi_station.acquisition.cameras.interface import CameraBack, CameraLost
 from vaoi_station.acquisition.pairing.evidence import id_step
@@ -99,6 +100,29 @@ def test_lost_packets_are_sent_again_and_a_storm_of_them_does_no_harm(plug: Plug
     camera.resend = lambda _packets: ()
     camera.expose(PIXELS, without_fifth)
     assert staged.arrival().fault == "parts of the frame did not arrive in time"
+
+
+def test_resent_packets_that_come_twice_spoil_no_frame_but_of_cameras_that_misnumber_them(
+    plug: Plug, stage: Begin
+) -> None:
+    """The fifth is late and was asked for, so it comes twice; the seventh, which is last, ends the frame."""
+    camera = plug()
+
+    def without_two(packets: list[bytes]) -> list[bytes]:
+        return [*packets[:5], packets[6], *packets[8:]]
+
+    camera.resend = lambda packets: [packet for packet in packets for _ in range(2)]
+    for model, vendor, whole in (("Scripted", "Test", True), ("Blackfly BFLY-PGE-14S2C", "Point Grey Research", False)):
+        for at, text in ((VENDOR_ADDRESS, vendor), (MODEL_ADDRESS, model)):
+            camera._memory[at : at + 32] = text.encode().ljust(32, b"\0")
+        staged = stage(camera)
+        camera.expose(PIXELS, without_two)
+        arrival = staged.arrival()
+        assert staged.counted("n_duplicated_packets") >= 1
+        assert arrival.complete is whole, arrival.fault
+        if whole:
+            assert staged.ring.memory(arrival.slot).tobytes() == PIXELS
+        staged.close()
 
 
 @pytest.mark.parametrize(
