@@ -27,6 +27,8 @@ LONG = is_yes(os.environ.get("VAOI_LONG", ""))
 """Whether fuzzers, repetitions and property tests run at full length; the suite has a short form of each."""
 FILMS = Path(__file__).resolve().parents[2] / "shared" / "cases"
 """Directory beside the checkout: `make.py` renders a recorded case, `score.py` compares a result with its truth."""
+DESCRIPTIONS = FILMS.with_name("cameras")
+"""Directory beside the checkout: GenICam descriptions of real cameras, compressed."""
 _PACKAGES = {
     "avr-gcc": "gcc-avr avr-libc",
     "cc": "gcc",
@@ -80,6 +82,12 @@ def need_films() -> None:
     """Require the programs that render the recorded cases and score their results."""
     if not (FILMS / "make.py").is_file():
         lacking(f"the recorded cases are not beside this checkout, in {FILMS}")
+
+
+def need_descriptions() -> None:
+    """Require the descriptions of real cameras."""
+    if not DESCRIPTIONS.is_dir():
+        lacking(f"the descriptions of cameras are not beside this checkout, in {DESCRIPTIONS}")
 
 
 def chromium() -> str:

@@ -21,8 +21,8 @@ from tests.gige.description import (
     VENDOR_ADDRESS,
     description,
 )
-from tests.gige.packets import IMAGE, WITH_CHUNKS, Stream
 from tests.gige.sequencer import Sequencer
+from vaoi_station.rig.gige.packets import IMAGE, WITH_CHUNKS, Stream
 
 CONTROL_PORT = 3956
 PRIVILEGE, CAPABILITIES, STREAM_PORT, STREAM_ADDRESS = 0xA00, 0x934, 0xD00, 0xD18

@@ -12,11 +12,11 @@ from tests.acquisition.cameras.aravis.stand_in import camera_config, station_con
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Stage, noise
 from tests.gige.camera import Camera, as_it_is
 from tests.gige.description import MODEL_ADDRESS, VENDOR_ADDRESS
-from tests.gige.packets import TRAILER
 from vaoi_station.acquisition.cameras.interface import CameraBack, CameraLost
 from vaoi_station.acquisition.pairing.evidence import id_step
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
+from vaoi_station.rig.gige.packets import TRAILER
 
 Open = Callable[[StationConfig], Stage]
 Plug = Callable[..., Camera]

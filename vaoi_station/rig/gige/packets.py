@@ -1,4 +1,4 @@
-"""Packets of GVSP (GigE Vision streaming protocol) for one frame, as a test wants them: leader, payload, trailer."""
+"""Packets of GVSP (GigE Vision streaming protocol) for one frame: leader, payload, trailer."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ MONO8 = 0x01080001
 
 @dataclass(frozen=True)
 class Stream:
-    """The region and the packet size that a client has set, and whether frame ids have 64 bits."""
+    """The region, format and packet size that a client has set, and whether frame ids have 64 bits."""
 
     width: int
     height: int
     packet_bytes: int
     extended: bool = False
+    pixel_format: int = MONO8
+    offset_px: tuple[int, int] = (0, 0)
 
     def header(self, content: int, frame_id: int, packet_id: int) -> bytes:
         """Return the header of a packet with status 0."""
@@ -28,15 +30,15 @@ class Stream:
             return struct.pack(">HHIQI", 0, 0, 0x80000000 | content << 24, frame_id, packet_id)
         return struct.pack(">HHI", 0, frame_id, content << 24 | packet_id)
 
-    def payload(self, frame_id: int, packet_id: int, content: bytes) -> bytes:
+    def payload(self, frame_id: int, packet_id: int, content: bytes | memoryview) -> bytes:
         """Return a packet with pixels."""
-        return self.header(PAYLOAD, frame_id, packet_id) + content
+        return b"".join((self.header(PAYLOAD, frame_id, packet_id), content))
 
-    def frame(self, pixels: bytes, frame_id: int, time_ns: int, payload_type: int = IMAGE) -> list[bytes]:
+    def frame(self, pixels: bytes | memoryview, frame_id: int, ticks: int, payload_type: int = IMAGE) -> list[bytes]:
         """Return all packets of a frame; the index of a packet is its packet id."""
         step = self.packet_bytes - (EXTENDED_HEADERS if self.extended else HEADERS)
         leader = struct.pack(
-            ">HHQIIIIIHH", 0, payload_type, time_ns, MONO8, self.width, self.height, 0, 0, 0, 0,
+            ">HHQIIIIIHH", 0, payload_type, ticks, self.pixel_format, self.width, self.height, *self.offset_px, 0, 0,
         )  # fmt: skip
         packets = [self.header(LEADER, frame_id, 0) + leader]
         for start in range(0, len(pixels), step):

@@ -1,0 +1,1 @@
+"""A GigE Vision camera that serves any GenICam description: its nodes, its registers, its behaviour."""

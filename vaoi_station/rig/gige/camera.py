@@ -1,0 +1,262 @@
+"""A GigE Vision camera that serves any description: triggers, exposure, frames and clocks, bound to its own nodes."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from vaoi_station.rig.gige.device import ACCESS_DENIED, PACKET_SIZE, Device
+from vaoi_station.rig.gige.first_values import BOOTSTRAP_END
+from vaoi_station.rig.gige.formula import Number
+from vaoi_station.rig.gige.packets import IMAGE, Stream
+
+Script = Callable[[list[bytes]], Sequence[bytes]]
+"""Function that makes from the packets of a frame those that are sent, in their order."""
+_FRAME_TRIGGERS = ("FrameStart", "FrameBurstStart", "AcquisitionStart", "ExposureStart")
+"""Triggers of which one edge gives one frame."""
+_EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
+_CLOCKS = {
+    "TimestampLatch": ("TimestampLatchValue", "Timestamp"), "GevTimestampControlLatch": ("GevTimestampValue",),
+    "TimestampControlLatch": ("TimestampLatchValue", "Timestamp", "TimestampValue"),
+}  # fmt: skip
+"""Command that latches the time → features that may hold it."""
+_LOCKED = ("Width", "Height", "OffsetX", "OffsetY", "PixelFormat")
+"""Features that cannot be written while frames are acquired."""
+
+
+def as_it_is(packets: list[bytes]) -> Sequence[bytes]:
+    """Send all packets once, in order."""
+    return packets
+
+
+class Camera(Device):
+    """One camera. `expose` sends the frame of an edge of its trigger input, in the thread of the caller."""
+
+    def __init__(self, address: str, description: str, *, extended: bool = False, **device: Any) -> None:
+        """Serve a camera; `extended`: frame ids have 64 bits, and packet ids 32."""
+        self.extended, self.next_id, self.acquiring = extended, 1, False
+        self.resend_script: Script = as_it_is
+        """Makes from the packets that a client asks for again those that are sent."""
+        self.resend_requests = 0
+        self._sent: list[bytes] = []
+        self._sending = threading.Lock()
+        self._sets: dict[int, tuple[dict[int, bytes], dict[tuple[str, tuple[Number, ...]], bytes]]] = {}
+        """User sets that were saved, by the value of UserSetSelector."""
+        super().__init__(address, description, **device)
+
+    def boot(self) -> None:
+        """Begin anew: first values, or those of the user set that is loaded at power-on; frame ids from 1."""
+        with self.lock:
+            super().boot()
+            self.next_id, self.acquiring = 1, False
+            self._commands = self._bind_commands()
+            for name in ("UserSetDefault", "UserSetDefaultSelector"):
+                if name in self.features and int(self.features.value(name)) in self._sets:
+                    self._load_set(int(self.features.value(name)))
+            self._update_payload()
+
+    # --- what tests and the rig ask
+
+    @property
+    def armed(self) -> bool:
+        """Whether a client controls the camera, has started it, and has turned its frame trigger on."""
+        with self.lock:
+            return self.controlled and self.acquiring and self.trigger() is not None
+
+    def trigger(self) -> str | None:
+        """Return the source of the trigger that starts a frame; None while none is on."""
+        if "TriggerMode" not in self.features:
+            return None
+        entries = self._model.entries("TriggerSelector") if "TriggerSelector" in self.features else {}
+        for name in [n for n in _FRAME_TRIGGERS if n in entries] or [""]:
+            with self.features.selecting({"TriggerSelector": name} if name else {}):
+                if self.features.text("TriggerMode") == "On":
+                    return self.features.text("TriggerSource") if "TriggerSource" in self.features else ""
+        return None
+
+    def value(self, name: str, **selection: Number | str) -> Number | str:
+        """Return the value of a feature in the camera's units; an enumeration's is the name of its entry."""
+        with self.lock, self.features.selecting(selection):
+            is_text = self._model.kind(name) in ("Enumeration", "String", "StringReg")
+            return self.features.text(name) if is_text else self.features.value(name)
+
+    def put(self, name: str, value: Number | str, **selection: Number | str) -> None:
+        """Change a feature, as no client has asked for."""
+        with self.lock, self.features.selecting(selection):
+            self.features.put(name, value)
+            self._update_payload()
+
+    def leave(self, leftovers: Sequence[tuple[str, Number | str, dict[str, Number | str]]], *, in_set: str = "") -> None:
+        """Let an earlier client have left these values: feature, value, selectors.
+
+        With `in_set` they are saved in that user set as well, which is loaded at power-on.
+        """
+        for name, value, selection in leftovers:
+            self.put(name, value, **selection)
+        if in_set:
+            with self.lock:
+                number = self._model.entries("UserSetSelector")[in_set]
+                for name in ("UserSetDefault", "UserSetDefaultSelector"):
+                    if name in self.features:
+                        self.features.put(name, number)
+                self._sets[number] = self.registers.copy(), dict(self.features.banks)
+
+    @property
+    def exposure_us(self) -> float:
+        """The exposure time of the next frame."""
+        with self.lock:
+            name = next((n for n in _EXPOSURES if n in self.features), "ExposureTimeRaw")
+            return float(self.features.value(name)) if name in self.features else 0.0
+
+    @property
+    def stream(self) -> Stream:
+        """What a client has set for the stream."""
+        with self.lock:
+            width, height, x, y = (int(self._geometry(n)) for n in ("Width", "Height", "OffsetX", "OffsetY"))
+            size = self.number(PACKET_SIZE) & 0xFFFF
+            code = int(self.features.value("PixelFormat")) & 0xFFFFFFFF if "PixelFormat" in self.features else 0x01080001
+            return Stream(width, height, size, self.extended, code, (x, y))
+
+    @property
+    def payload_bytes(self) -> int:
+        """Bytes of a frame."""
+        stream = self.stream
+        return stream.width * stream.height * max((stream.pixel_format >> 16 & 0xFF) // 8, 1)
+
+    def expose(self, pixels: bytes | memoryview, script: Script = as_it_is, edge_ns: int | None = None) -> int:
+        """Send the frame of a trigger edge; return its id. A camera that is not armed sends nothing: 0.
+
+        Args:
+            pixels: all bytes of the frame.
+            script: makes the packets that are sent.
+            edge_ns: monotonic time of the edge; None: now.
+        """
+        if not self.armed:
+            return 0
+        time_ns = self.clock_offset_ns + (time.monotonic_ns() if edge_ns is None else edge_ns)
+        time_ns += round(self.trigger_delay_us * 1000)
+        number, self.next_id = self.next_id, self.next_id + 1
+        if self.next_id > (2**64 - 1 if self.extended else 65535):
+            self.next_id = 1
+        packets = self.stream.frame(pixels, number, self.ticks(time_ns), IMAGE)
+        # Packets are sent again only after the frame, as a camera does it between two frames.
+        with self._sending:
+            self._sent = packets
+            self.send(script(packets))
+        return number
+
+    @property
+    def trigger_delay_us(self) -> float:
+        """The delay of the frame trigger."""
+        with self.lock:
+            for name in ("TriggerDelay", "TriggerDelayAbs"):
+                if name in self.features:
+                    entries = self._model.entries("TriggerSelector") if "TriggerSelector" in self.features else {}
+                    chosen = next((n for n in _FRAME_TRIGGERS if n in entries), None)
+                    with self.features.selecting({"TriggerSelector": chosen} if chosen else {}):
+                        return float(self.features.value(name))
+        return 0.0
+
+    # --- what the registers do
+
+    def refusal(self, address: int) -> int:
+        """Refuse what the faults say, and a change of the geometry while frames are acquired."""
+        if self.acquiring and any(self.is_at(name, address) for name in _LOCKED):
+            return ACCESS_DENIED
+        return super().refusal(address)
+
+    def on_release(self) -> None:
+        """Stop: a camera without a client sends nothing."""
+        self.acquiring = False
+
+    def on_write(self, address: int, count: int) -> None:
+        """Execute the commands that a write has set."""
+        if address < BOOTSTRAP_END:
+            return
+        for name, register, number in self._commands.get(address, ()):
+            if self.features.value(register) == number:
+                self._execute(name)
+        if not self.acquiring:
+            self._update_payload()
+
+    def resend(self, content: bytes, *, extended: bool) -> None:
+        """Send packets of the last frame again."""
+        first, last = (n & (0xFFFFFFFF if extended else 0xFFFFFF) for n in struct.unpack_from(">II", content, 4))
+        self.resend_requests += last - first + 1
+        with self._sending:
+            self.send(self.resend_script(self._sent[first : last + 1]))
+
+    def _bind_commands(self) -> dict[int, list[tuple[str, str, Number]]]:
+        """Return address → command, its register and the number that executes it."""
+        bound: dict[int, list[tuple[str, str, Number]]] = {}
+        for name, node in self._model.nodes.items():
+            register = self._model.register_of(name) if node.tag == "Command" else None
+            if register is None or not self.features.on_device(register):
+                continue
+            by_node = node.findtext("pCommandValue")
+            text = self._model.text_of(name, "CommandValue")
+            number = self.features.value(by_node.strip()) if by_node is not None else int(text or "1", 0)
+            for selection in itertools.islice(self.features.selections(name), 16):
+                with self.features.selecting(selection):
+                    at = self.features.address(register)
+                found = bound.setdefault(at, [])
+                if (name, register, number) not in found:
+                    found.append((name, register, number))
+        return bound
+
+    def _execute(self, command: str) -> None:
+        self.cure(command)
+        if command == "AcquisitionStart":
+            self.acquiring = True
+            return
+        if command in ("AcquisitionStop", "AcquisitionAbort"):
+            self.acquiring = False
+            return
+        if command in _CLOCKS:
+            for name in _CLOCKS[command]:
+                if name in self.features and (register := self._model.register_of(name)) is not None:
+                    self.features.put(register, self._latched())
+                    break
+        elif command in ("TimestampReset", "GevTimestampControlReset"):
+            self.clock_offset_ns = -time.monotonic_ns()
+        elif command == "UserSetLoad":
+            self._load_set(int(self.features.value("UserSetSelector")))
+        elif command == "UserSetSave":
+            self._sets[int(self.features.value("UserSetSelector"))] = self.registers.copy(), dict(self.features.banks)
+        elif command == "DeviceReset":
+            self.reset()
+            return
+        # It clears itself: a client may ask whether it is done.
+        if (register := self._model.register_of(command)) is not None and command not in _CLOCKS:
+            self.features.put(register, 0)
+
+    def _latched(self) -> int:
+        return self.ticks(self.time_ns())
+
+    def _load_set(self, number: int) -> None:
+        """Restore a user set; those that nobody has saved are the first values."""
+        assert self._first is not None
+        pages, banks = self._sets.get(number, self._first)
+        before = self.features.value("UserSetSelector") if "UserSetSelector" in self.features else 0
+        kept = {n: self.features.value(n) for n in ("UserSetDefault", "UserSetDefaultSelector") if n in self.features}
+        self.registers.restore(pages)
+        self.features.banks = dict(banks)
+        self.features.forget()
+        for name, value in kept.items():
+            self.features.put(name, value)
+        if "UserSetSelector" in self.features:
+            self.features.put("UserSetSelector", before)
+
+    def _geometry(self, name: str) -> Number:
+        return self.features.value(name) if name in self.features else 0
+
+    def _update_payload(self) -> None:
+        register = self._model.register_of("PayloadSize") if "PayloadSize" in self.features else None
+        if register is not None and self.features.on_device(register):
+            with contextlib.suppress(KeyError):
+                self.features.put(register, self.payload_bytes)

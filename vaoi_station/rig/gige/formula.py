@@ -1,0 +1,164 @@
+"""The formulas of GenICam descriptions (GenApi 2.1, section 2.8.10): parsed once, evaluated with variables."""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+
+Number = int | float
+Variables = Callable[[str], Number]
+Formula = Callable[[Variables], Number]
+
+_TOKEN = re.compile(
+    r"\s*(0[xX][0-9a-fA-F]+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*"
+    r"|\*\*|<<|>>|<=|>=|<>|!=|==|&&|\|\||[-+*/%&|^~!?:()<>=,])"
+)
+
+
+def _divide(a: Number, b: Number) -> Number:
+    if isinstance(a, float) or isinstance(b, float):
+        return a / b
+    return int(math.copysign(1, a * b)) * (abs(a) // abs(b)) if a else 0
+
+
+def _bits(function: Callable[[int, int], int]) -> Callable[[Number, Number], Number]:
+    return lambda a, b: function(int(a), int(b))
+
+
+def _truth(function: Callable[[Number, Number], bool]) -> Callable[[Number, Number], Number]:
+    return lambda a, b: int(function(a, b))
+
+
+_LEVELS: tuple[Mapping[str, Callable[[Number, Number], Number]], ...] = (
+    {"||": _truth(lambda a, b: bool(a or b))},
+    {"&&": _truth(lambda a, b: bool(a and b))},
+    {"|": _bits(operator.or_)},
+    {"^": _bits(operator.xor)},
+    {"&": _bits(operator.and_)},
+    {"=": _truth(operator.eq), "==": _truth(operator.eq), "<>": _truth(operator.ne), "!=": _truth(operator.ne)},
+    {"<": _truth(operator.lt), ">": _truth(operator.gt), "<=": _truth(operator.le), ">=": _truth(operator.ge)},
+    {"<<": _bits(operator.lshift), ">>": _bits(operator.rshift)},
+    {"+": operator.add, "-": operator.sub},
+    {"*": operator.mul, "/": _divide, "%": lambda a, b: math.fmod(a, b) if isinstance(a, float) else int(math.fmod(a, b))},
+    {"**": operator.pow},
+)  # fmt: skip
+"""Operators by precedence, the weakest first."""
+_SIGNS: Mapping[str, Callable[[Number], Number]] = {
+    "-": operator.neg, "+": operator.pos, "~": lambda a: ~int(a), "!": lambda a: int(not a),
+}  # fmt: skip
+_FUNCTIONS: Mapping[str, Callable[..., Number]] = {
+    "SGN": lambda a: (a > 0) - (a < 0), "NEG": operator.neg, "ABS": abs, "EXP": math.exp, "LN": math.log,
+    "LG": math.log10, "SQRT": math.sqrt, "TRUNC": math.trunc, "FLOOR": math.floor, "CEIL": math.ceil,
+    "ROUND": lambda a, digits=0: math.floor(a * 10**digits + 0.5) / 10**digits, "SIN": math.sin, "COS": math.cos,
+    "TAN": math.tan, "ASIN": math.asin, "ACOS": math.acos, "ATAN": math.atan,
+}  # fmt: skip
+_CONSTANTS = {"PI": math.pi, "E": math.e}
+
+
+class FormulaError(ValueError):
+    """A formula that cannot be parsed."""
+
+
+@lru_cache(maxsize=None)
+def parse(text: str) -> Formula:
+    """Return a formula as a function of its variables."""
+    tokens, at = [], 0
+    text = text.strip()
+    while at < len(text):
+        found = _TOKEN.match(text, at)
+        if found is None:
+            raise FormulaError(f"formula {text!r}: unexpected {text[at : at + 10]!r}.")
+        tokens.append(found[1])
+        at = found.end()
+    parser = _Parser(text, tokens)
+    formula = parser.choice()
+    if parser.tokens:
+        raise FormulaError(f"formula {text!r}: unexpected {parser.tokens[-1]!r}.")
+    return formula
+
+
+class _Parser:
+    def __init__(self, text: str, tokens: list[str]) -> None:
+        self.text, self.tokens = text, tokens[::-1]
+
+    def choice(self) -> Formula:
+        condition = self._binary(0)
+        if not self._take("?"):
+            return condition
+        then = self.choice()
+        self._expect(":")
+        other = self.choice()
+        return lambda v: then(v) if condition(v) else other(v)
+
+    def _binary(self, level: int) -> Formula:
+        if level == len(_LEVELS):
+            return self._signed()
+        left = self._binary(level + 1)
+        while self.tokens and self.tokens[-1] in _LEVELS[level]:
+            left = partial(_both, _LEVELS[level][self.tokens.pop()], left, self._binary(level + 1))
+        return left
+
+    def _signed(self) -> Formula:
+        if self.tokens and self.tokens[-1] in _SIGNS:
+            sign, inner = _SIGNS[self.tokens.pop()], self._signed()
+            return lambda v: sign(inner(v))
+        return self._atom()
+
+    def _atom(self) -> Formula:
+        if self._take("("):
+            inside = self.choice()
+            self._expect(")")
+            return inside
+        if not self.tokens:
+            raise FormulaError(f"formula {self.text!r} ends too early.")
+        token = self.tokens.pop()
+        if token[0].isdigit() or token[0] == ".":
+            number = number_of(token)
+            return lambda _: number
+        if token in _FUNCTIONS and self._take("("):
+            arguments = [self.choice()]
+            while self._take(","):
+                arguments.append(self.choice())
+            self._expect(")")
+            function = _FUNCTIONS[token]
+            return lambda v: function(*(argument(v) for argument in arguments))
+        if not (token[0].isalpha() or token[0] == "_"):
+            raise FormulaError(f"formula {self.text!r}: unexpected {token!r}.")
+        return lambda v: _variable(v, token)
+
+    def _take(self, token: str) -> bool:
+        if self.tokens and self.tokens[-1] == token:
+            self.tokens.pop()
+            return True
+        return False
+
+    def _expect(self, token: str) -> None:
+        if not self._take(token):
+            raise FormulaError(f"formula {self.text!r}: {token!r} is missing.")
+
+
+def _variable(variables: Variables, name: str) -> Number:
+    try:
+        return variables(name)
+    except KeyError:
+        if name in _CONSTANTS:
+            return _CONSTANTS[name]
+        raise
+
+
+def _both(operation: Callable[[Number, Number], Number], left: Formula, right: Formula, variables: Variables) -> Number:
+    return operation(left(variables), right(variables))
+
+
+def number_of(text: str) -> Number:
+    """Return a number as descriptions write it: decimal, hexadecimal or with a point."""
+    text = text.strip()
+    if text.lower().lstrip("+-").startswith("0x"):
+        return int(text, 16)
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
