@@ -329,6 +329,11 @@ class StationConfig(Section):
         """Number of slots per camera and run in the ring."""
         return self.line.rows_of_longest_board + self.ring.spare_rows
 
+    def with_serial(self, camera: int, serial: str) -> StationConfig:
+        """Return the configuration with another real camera at a place, which is found by its serial number."""
+        other = self.cameras[camera].model_copy(update={"serial": serial, "address": None})
+        return self.model_copy(update={"cameras": (*self.cameras[:camera], other, *self.cameras[camera + 1 :])})
+
     @property
     def heads(self) -> tuple[CameraHead, ...]:
         """The camera heads of this station's recordings."""

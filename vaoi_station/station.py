@@ -111,10 +111,10 @@ class Station:
             events = EventLog(store)
             # Workers and the acquisition process open the ring by its path, so the ring must exist before they start.
             workers = WorkerPool(config.workers, ring.path)
-            link = AcquisitionLink(self._launch or spawn_launcher(config, ring.path))
+            link = AcquisitionLink(self._launch or spawn_launcher(lambda: self.config, ring.path))
             grants = BayGrants(ring.blacken, link)
             archive = Archive(store, events)
-            watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras])
+            watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras], config.heads)
             cameras, board_types = calibration.cameras(config.heads), BoardTypeDirectory(config.board_types)
             shelf = ReferenceStore(config.data / REFERENCES, store, cameras)
             shelf.sweep()
@@ -146,6 +146,9 @@ class Station:
                     resumed,
                     lambda: (*missing, *(reason for receiver in receivers for reason in receiver.reasons())),
                     tuple(camera.px_per_mm for camera in cameras),
+                    store.standing,
+                    partial(_use_calibration, config, shelf, make_order),
+                    partial(self._use_config, store),
                 ),
                 ring,
                 board_types,
@@ -199,6 +202,11 @@ class Station:
         assert self._supervisor is not None, "start() sets it"
         self._supervisor.watch(thread)
 
+    def _use_config(self, store: Store, config: StationConfig) -> None:
+        """Use another configuration for the next acquisition process, and for the runs of later orders."""
+        self.config = config
+        store.configurations.begin(config.model_dump_json(), utc())
+
     def _report(self, events: EventLog, faults: Sequence[ThreadFault]) -> None:
         """Publish that threads have ended or hang, then let the owner act."""
         for fault in faults:
@@ -251,6 +259,13 @@ def _calibration(config: StationConfig) -> tuple[Calibration, StateError | None]
         action="Film the calibration board (vaoi record --still), calibrate (vaoi calibrate), and restart the station.",
         code="no-calibration",
     )
+
+
+def _use_calibration(config: StationConfig, shelf: ReferenceStore, orders: MakeOrder, other: Calibration) -> None:
+    """Use another calibration for references, and for the runs of later orders."""
+    shelf.use_cameras(other.cameras(config.heads))
+    if isinstance(orders, OrderFactory):
+        orders.use_calibration(other)
 
 
 def _handover(config: StationConfig, events: EventLog, archive: Archive) -> Handover | None:

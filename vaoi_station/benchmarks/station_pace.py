@@ -22,7 +22,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, CameraExposure, CameraHealth, Slot
+from vaoi_station.acquisition.cameras.interface import (
+    Arrival,
+    CameraDevice,
+    CameraEvent,
+    CameraExposure,
+    CameraHealth,
+    Slot,
+)
 from vaoi_station.acquisition.clocks import ClockReading, DeviceClock
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process.main_loop import run_acquisition
@@ -149,7 +156,7 @@ class SenderConnection:
             self._arrivals.put(Arrival(request.camera, request.slot, True, frame_id, time_s, time.monotonic()))
 
 
-class SenderCamera:
+class SenderCamera(CameraDevice):
     """A `CameraDevice` whose slots are filled by the sender process."""
 
     def __init__(self, number: int, clock: DeviceClock, sender: SenderConnection) -> None:

@@ -111,6 +111,10 @@ class CameraHealth:
     action: str = ""
     limits: CameraLimits | None = None
     """None for a camera without limits of its own, or one that is not connected."""
+    serial: str = ""
+    model: str = ""
+    address: str = ""
+    """What the camera at this place is; empty for one that is no device."""
 
 
 def is_silent(health: CameraHealth) -> bool:
@@ -170,6 +174,13 @@ class CameraDevice(Protocol):
         """Let the next frame be exposed with the first set of the sequencer. Called between two runs.
 
         It does nothing without a sequencer. A camera that does not answer counts as lost; that is reported as usual.
+        """
+        return
+
+    def replace(self, serial: str, address: str) -> None:  # noqa: ARG002
+        """Use the camera with this serial number from now on, with the settings of the one before.
+
+        `address` is where it answers now. It is opened as soon as possible; only a real camera can be exchanged.
         """
         return
 

@@ -38,6 +38,7 @@ from vaoi_station.acquisition.process.messages import (
     Health,
     PermitBoard,
     Ready,
+    ReplaceCamera,
     Shutdown,
     TrialFailed,
 )
@@ -135,7 +136,7 @@ def run_acquisition(
 
 _DISARMED = object()
 """A marker in the inbox: all events from before the controller was disarmed are in front of it."""
-_Command = Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard
+_Command = Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard | ReplaceCamera
 
 
 @dataclass(frozen=True)
@@ -272,6 +273,9 @@ class _MainLoop:
             self._session.grant(command)
         elif isinstance(command, PermitBoard):
             self._devices.controller.permit_board(command.permit)
+        elif isinstance(command, ReplaceCamera):
+            self._session.note_serial(command.camera, command.serial)
+            self._devices.cameras[command.camera].replace(command.serial, command.address)
         elif isinstance(command, EndTrial):
             self._session.trial.restore()
         elif isinstance(command, Disarm):

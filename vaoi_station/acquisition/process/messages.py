@@ -62,11 +62,20 @@ class EndTrial:
 
 
 @dataclass(frozen=True)
+class ReplaceCamera:
+    """Use the camera with this serial number, which answers at this address, in the place of another one."""
+
+    camera: int
+    serial: str
+    address: str
+
+
+@dataclass(frozen=True)
 class Shutdown:
     """Close cameras and controller, and end the process."""
 
 
-Command = Grant | Arm | Disarm | PermitBoard | FireOne | FireTrial | EndTrial | Shutdown
+Command = Grant | Arm | Disarm | PermitBoard | FireOne | FireTrial | EndTrial | ReplaceCamera | Shutdown
 
 
 @dataclass(frozen=True)

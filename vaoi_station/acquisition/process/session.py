@@ -102,6 +102,10 @@ class Session:
         """Whether a board is being filmed as a run. Pulses of a board for which no bay was free belong to no run."""
         return self._run is not None and self._run.run is not None
 
+    def note_serial(self, camera: int, serial: str) -> None:
+        """State from now on in the recordings of runs that another camera has this place."""
+        self._config = self._config.with_serial(camera, serial)
+
     def deadline_s(self, after_s: float) -> float:
         """Return the first time after `after_s` at which `tick` has something to do; infinite if there is none."""
         times = (self._recorder.next_deadline_s(after_s), self._silent_s, self.trial.until_s)

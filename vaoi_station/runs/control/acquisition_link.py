@@ -73,14 +73,14 @@ Launch = Callable[[], tuple[Process, "Connection[Any, Any]"]]
 """Function that starts an acquisition process, and returns it with the station's end of the pipe to it."""
 
 
-def spawn_launcher(config: StationConfig, ring: Path) -> Launch:
-    """Return a function that starts the real acquisition process."""
+def spawn_launcher(config: Callable[[], StationConfig], ring: Path) -> Launch:
+    """Return a function that starts the real acquisition process, with the configuration of that moment."""
 
     def launch() -> tuple[Process, Connection[Any, Any]]:
         # "spawn": a forked child would inherit the station's threads' locks in an unknown state.
         spawn = multiprocessing.get_context("spawn")
         here, there = spawn.Pipe()
-        process = spawn.Process(target=acquire, args=(config, str(ring), there), name="vaoi-acquisition", daemon=True)
+        process = spawn.Process(target=acquire, args=(config(), str(ring), there), name="vaoi-acquisition", daemon=True)
         process.start()
         there.close()
         return process, here

@@ -12,11 +12,18 @@ from pydantic import ValidationError
 
 from vaoi_station.drift.checks import KeptBaselines, LampBaseline, RunCheck
 from vaoi_station.drift.lamp_watch import BASELINE_RUNS, DimLamp, find_dim_lamps, only_baselines, with_baselines
+from vaoi_station.drift.recalibrate import MOST_RUNS, Proposal, calibrate_exchanged
 from vaoi_station.drift.watch import VANISHED_RUNS, Drift, find_drifts, find_vanished_cameras
-from vaoi_station.errors import StateError
-from vaoi_station.model import Calibration, Reason
+from vaoi_station.errors import InputError, StateError
+from vaoi_station.model import Calibration, CameraHead, Reason
 from vaoi_station.runs.archive.event_log import EventLog
-from vaoi_station.runs.states.schemas import CalibrationStatus, CameraCalibration, CameraDrift, CameraMoment
+from vaoi_station.runs.states.schemas import (
+    CalibrationStatus,
+    CameraCalibration,
+    CameraDrift,
+    CameraExchange,
+    CameraMoment,
+)
 from vaoi_station.runs.workers.jobs import Reply, WantedCheck
 from vaoi_station.store.documents import CalibrationChecks, digest_of
 
@@ -37,21 +44,36 @@ class CalibrationWatch:
     """
 
     def __init__(
-        self, checks: CalibrationChecks, events: EventLog, calibration: Calibration, names: Sequence[str]
+        self,
+        checks: CalibrationChecks,
+        events: EventLog,
+        calibration: Calibration,
+        names: Sequence[str],
+        heads: Sequence[CameraHead] = (),
     ) -> None:
-        self._kept, self._events, self._names = checks, events, tuple(names)
+        self._kept, self._events, self._names, self._heads = checks, events, tuple(names), heads
         self.on_checked: Callable[[RunCheck], None] = lambda _check: None
         """Function that receives every check under the calibration in force. It must return at once."""
+        self.adopt(calibration)
+
+    def adopt(self, calibration: Calibration) -> None:
+        """Watch another calibration, which is in force from now on, by the checks that are stored of it."""
+        self._calibration = calibration
         self.digest, self._created = digest_of(calibration.model_dump_json()), calibration.created
-        documents = checks.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
+        documents = self._kept.documents(self.digest, FIRST_CHECKS, LATEST_CHECKS)
         known = [check for text in documents if (check := _parsed(text, len(self._names))) is not None]
         self._first, self._latest = known[:FIRST_CHECKS], deque(known[FIRST_CHECKS:], LATEST_CHECKS)
         # A board type may pause for more runs than are evaluated or stored; its baselines stay those of its first runs.
         self._last_of = {check.board_type: check for check in self._kept_baselines()}
         for check in known:
             self._remember(check)
-        self._runs = checks.count(self.digest)
+        self._runs = self._kept.count(self.digest)
         self._evaluate()
+
+    def proposal(self) -> Proposal:
+        """Return the calibration with its exchanged cameras, by the boards since; `InputError`: they do not suffice."""
+        checks = [*self._first, *self._latest][-MOST_RUNS:]
+        return calibrate_exchanged(self._calibration, self._heads, checks)
 
     def warnings(self) -> tuple[Reason, ...]:
         """Return one warning per drifted camera, per camera without evidence in the latest runs, and per dim light."""
@@ -99,12 +121,44 @@ class CalibrationWatch:
 
     def _evaluate(self) -> None:
         checks = [*self._first, *self._latest]
-        self._drifts = {drift.camera: drift for drift in find_drifts(checks)}
+        new = self._calibration.uncalibrated
+        self._exchanges = self._exchanged(new) if new else {}
+        self._drifts = {drift.camera: drift for drift in find_drifts(checks) if drift.camera not in new}
         self._warnings: dict[tuple[str, int | str], Reason] = {
             **{("drift", camera): self._drifted(drift) for camera, drift in self._drifts.items()},
             **{("unseen", camera): self._unseen(camera) for camera in find_vanished_cameras(checks)},
+            **{("exchanged", camera): self._uncalibrated(camera, found) for camera, found in self._exchanges.items()},
             **{("dim", lamp.light): self._dim(lamp) for lamp in find_dim_lamps(checks)},
         }
+
+    def _exchanged(self, new: tuple[int, ...]) -> dict[int, CameraExchange]:
+        """Return for every exchanged camera what the boards since then show."""
+        count = len(self._first) + len(self._latest)
+        try:
+            proposal = self.proposal()
+        except InputError as refusal:
+            # Without a board nothing is wrong yet.
+            why = (refusal.message, refusal.action or "") if count else ("", "")
+            return {camera: CameraExchange(boards=count, ready=False, message=why[0], action=why[1]) for camera in new}
+        found = {}
+        for camera in new:
+            x, y, turn = (round(float(v), 3) for v in proposal.found.displacement_px[camera])
+            sigma_px = round(float(proposal.found.sigma_px[camera].max()), 4)
+            found[camera] = CameraExchange(boards=count, ready=True, x_px=x, y_px=y, turn_px=turn, sigma_px=sigma_px)
+        return found
+
+    def _uncalibrated(self, camera: int, found: CameraExchange) -> Reason:
+        name = self._names[camera]
+        ready = f" {found.boards} board(s) show where it hangs, to {found.sigma_px} px." if found.ready else ""
+        return Reason(
+            code="camera-not-calibrated",
+            message=f"Camera {name} was exchanged and is not calibrated yet: every run is degraded.{ready}",
+            action=(
+                "Confirm its calibration on the page Cameras."
+                if found.ready
+                else "Let a board pass, then confirm its calibration on the page Cameras; or use the calibration board."
+            ),
+        )
 
     def _remember(self, check: RunCheck) -> bool:
         """Keep the latest baselines of the check's board type; return whether they have changed."""
@@ -168,6 +222,7 @@ class CalibrationWatch:
             state="drifted" if drift is not None else state,
             drift=None if drift is None else _drift_of(drift),
             history=tuple(_moment(check, i) for check in shown),
+            exchange=self._exchanges.get(i),
         )
 
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.acquisition.ring import Ring
+from vaoi_station.drift.recalibrate import Proposal
 from vaoi_station.errors import DeviceError, InputError, StateError
-from vaoi_station.model import BoardType, FrameRecord, Reason, Stitch
+from vaoi_station.model import BoardType, Calibration, FrameRecord, Reason, Stitch
 from vaoi_station.rendering import ChosenImages, ImageRequest
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
@@ -229,6 +230,28 @@ class StationCoordinator(BoardTypeRequests):
     def calibration(self) -> CalibrationStatus:
         """Return the calibration in force, with the displacement of every camera from it in the latest runs."""
         return self._inbox.ask(self._parts.watch.status)
+
+    def exchange_proposal(self) -> Proposal:
+        """Return the calibration with its exchanged cameras, by the boards since.
+
+        InputError: all cameras are calibrated, or the boards do not suffice; the message has the cause.
+        """
+        return self._inbox.ask(self._parts.watch.proposal)
+
+    def require_disarmed(self) -> None:
+        """Raise StateError unless the line is disarmed."""
+        self._inbox.ask(self._core.require_disarmed)
+
+    def exchange_camera(self, camera: int, serial: str, address: str, calibration: Calibration | None) -> None:
+        """Use the camera with this serial number and address in the place of another, with this calibration.
+
+        StateError: the line is armed.
+        """
+        self._inbox.ask(self._core.exchange_camera, camera, serial, address, calibration)
+
+    def use_calibration(self, calibration: Calibration) -> None:
+        """Use another calibration from now on. StateError: the line is armed."""
+        self._inbox.ask(self._core.use_calibration, calibration)
 
     # --- runs
 

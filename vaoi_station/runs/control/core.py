@@ -21,11 +21,12 @@ from typing import assert_never
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError, VaoiError
-from vaoi_station.model import Reason, Status
+from vaoi_station.model import Calibration, Reason, Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
+from vaoi_station.runs.control.camera_places import CameraPlaces
 from vaoi_station.runs.control.line_control import Acquisition, Completion, LineControl
 from vaoi_station.runs.control.readiness import LinePermit
 from vaoi_station.runs.control.reasons import StationStateMachine, sentence
@@ -39,6 +40,7 @@ from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
 from vaoi_station.runs.workers.jobs import Explained, ExplainJob, Reply
 from vaoi_station.runs.workers.run_stitcher import Stitched, Workers
+from vaoi_station.store.documents import KeyedTexts
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,12 @@ class Parts:
     """Returns, at once, warnings of what the coordinator does not know: receivers of events, a missing calibration."""
     px_per_mm: tuple[float, ...] = ()
     """Resolution of every camera by its calibration; empty: the nominal ones of station.toml count."""
+    cameras: KeyedTexts | None = None
+    """Where it is stored what the cameras are; None if it is not."""
+    use_calibration: Callable[[Calibration], None] = lambda _: None
+    """Lets orders and references use another calibration from now on."""
+    use_config: Callable[[StationConfig], None] = lambda _: None
+    """Lets the next acquisition process and the next runs use another configuration."""
 
 
 class Core:
@@ -99,6 +107,7 @@ class Core:
         self.trigger = TriggerWatch([camera.label for camera in config.cameras])
         interlocked = config.controller.interlock == "on"
         self.permit = LinePermit(parts.acquisition.send if interlocked else None, events.add)
+        self.places = CameraPlaces(parts.cameras, len(config.cameras))
         self._stopping: list[Completion] = []
         on_evicted = partial(self.line.evicted, room_for="a trial of a camera")
         self.trial = CameraTrial(parts.acquisition, lambda: self.machine.state, self.memory, on_evicted)
@@ -174,6 +183,32 @@ class Core:
         self._stopping.append(completion)
         self._complete_stop_if_drained()
 
+    def require_disarmed(self) -> None:
+        """Raise StateError if boards may come: what their runs need must not change."""
+        if self.line.orders.order is not None or self.filming:
+            doing = "A board is passing" if self.filming else "The line is armed"
+            raise StateError(f"{doing}; nothing was changed.", action="Disarm the line, then do it.", code="line-armed")
+
+    def exchange_camera(self, camera: int, serial: str, address: str, calibration: Calibration | None) -> None:
+        """Use another camera in the place of one that is gone, and this calibration, if the station has one."""
+        self.require_disarmed()
+        before, name = self.places.cameras[camera].serial, self._config.cameras[camera].name
+        self._parts.acquisition.send(messages.ReplaceCamera(camera, serial, address))
+        self._config = self._config.with_serial(camera, serial)
+        self._parts.use_config(self._config)
+        message = f"Camera {name} was exchanged: {serial} is in the place of {before or 'an unknown one'}."
+        self._events.add("camera", message, subject={"camera": name}, code="camera-exchanged")
+        if calibration is not None:
+            self.use_calibration(calibration)
+
+    def use_calibration(self, calibration: Calibration) -> None:
+        """Use another calibration for the boards of all later orders."""
+        self.require_disarmed()
+        self._parts.use_calibration(calibration)
+        self.watch.adopt(calibration)
+        made = calibration.created or "unknown when"
+        self._events.add("calibration", f"Another calibration is in force, made {made}.")
+
     def devices(self) -> messages.Health | None:
         """Return the latest report of the devices; None while there is none."""
         return self.health
@@ -240,6 +275,7 @@ class Core:
                 for change in readiness.changes(self.health, message, self._config.cameras):
                     self._events.add("camera", change)
                 self.line.health = message
+                self.places.note(message)
             case messages.RunStarted():
                 self._on_run_started(message)
             case messages.RunFinished():

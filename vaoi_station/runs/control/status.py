@@ -164,7 +164,8 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
         waiting = core.machine.state in (StationState.STARTING, StationState.FAULTED)
         message = "not open yet" if waiting else "no report yet"
         return tuple(
-            CameraStatus(camera=k, name=c.name, connected=False, message=message) for k, c in enumerate(config.cameras)
+            CameraStatus(camera=k, name=c.name, connected=False, message=message, **core.places.cameras[k].model_dump())
+            for k, c in enumerate(config.cameras)
         )
     return tuple(
         CameraStatus(
@@ -178,6 +179,7 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
             last_frame_age_s=None if seen.last_frame_s is None else max(health.host_time_s - seen.last_frame_s, 0.0),
             next_try=None if seen.next_try_s is None else utc_of_host(seen.next_try_s),
             counters=dict(seen.counters),
+            **core.places.cameras[k].model_dump(),
         )
         for k, seen in enumerate(health.cameras)
     )

@@ -209,8 +209,12 @@ class OrderFactory:
         """Prepare orders; `lights` are those of rows without a light program, in turn; empty if not known."""
         self._config, self._lights = config, lights
         self._store, self._references = store, references
-        self._cameras = calibration.cameras(config.heads)
-        self._calibration_digest = store.keep_document("calibration", calibration.model_dump_json(), utc())
+        self.use_calibration(calibration)
+
+    def use_calibration(self, calibration: Calibration) -> None:
+        """Use another calibration for all orders from now on."""
+        self._cameras = calibration.cameras(self._config.heads)
+        self._calibration_digest = self._store.keep_document("calibration", calibration.model_dump_json(), utc())
 
     def __call__(self, board_type: BoardType, board_id: str | None, job_id: str | None) -> Order:
         """Make the order for a board type.

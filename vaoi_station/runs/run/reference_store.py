@@ -54,6 +54,11 @@ class ReferenceStore:
         self._opened: dict[str, tuple[BoardType, StoredReference]] = {}
         """Cache of the references that were opened last, by board type, so that arming does not wait for the disk."""
 
+    def use_cameras(self, cameras: tuple[Camera, ...]) -> None:
+        """Use the cameras of another calibration from now on: references that were filmed with others are refused."""
+        with self._lock:
+            self._cameras, self._opened = cameras, {}
+
     def method(self, board_type: str) -> MethodName | None:
         """Return the method that was set for a board type; None if the station's method applies."""
         method = self._store.methods.get(board_type)

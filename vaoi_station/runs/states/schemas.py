@@ -147,6 +147,10 @@ class CameraStatus(Strict):
     """Time of the next attempt to open the camera; None while the camera is connected or being opened."""
     counters: dict[str, int] = {}  # noqa: RUF012  pydantic copies it
     """Counters of the camera's driver for diagnosis, with the names that the driver uses."""
+    serial: str = ""
+    """Serial number of the camera that is, or was last, connected at this place; empty if none was a real one."""
+    model: str = ""
+    address: str = ""
 
 
 STARTING = "starting"
@@ -541,6 +545,23 @@ class CameraMoment(Strict):
     fiducials: int
 
 
+class CameraExchange(Strict):
+    """What boards show of a camera that was exchanged and is not calibrated yet."""
+
+    boards: int
+    """Number of boards since the exchange."""
+    ready: bool
+    """Whether its calibration can be confirmed; otherwise message and action say why not."""
+    x_px: float | None = None
+    """How its picture lies beside that of its predecessor, with the turn as a distance at the corner of the frame."""
+    y_px: float | None = None
+    turn_px: float | None = None
+    sigma_px: float | None = None
+    """Largest standard deviation of the three."""
+    message: str = ""
+    action: str = ""
+
+
 class CameraCalibration(Strict):
     """The state of one camera since its calibration, and its displacement in each of the latest runs."""
 
@@ -551,6 +572,8 @@ class CameraCalibration(Strict):
     checked."""
     drift: CameraDrift | None = None
     history: tuple[CameraMoment, ...] = ()
+    exchange: CameraExchange | None = None
+    """None for a camera that is calibrated."""
 
 
 class CalibrationStatus(Strict):

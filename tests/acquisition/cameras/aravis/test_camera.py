@@ -197,6 +197,24 @@ def test_another_camera_in_its_place_is_not_taken(bench: Bench, monkeypatch: pyt
     assert not bench.camera.health().connected
 
 
+@pytest.mark.parametrize("lost", [True, False])
+def test_a_camera_that_was_exchanged_is_opened_in_its_place_with_its_settings(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, lost: bool
+) -> None:
+    bench.camera.start(bench.events)
+    bench.camera.set_exposure(CameraExposure((77.0,), 3.0))
+    monkeypatch.setattr(StandInConnection, "serial", "S9")
+    if lost:
+        bench.lose()
+    bench.camera.replace("S9", "USB-9")
+    if not lost:
+        assert "another camera, S9" in bench.next(CameraLost).why
+    bench.next(CameraBack)
+    health = bench.camera.health()
+    assert (health.connected, health.serial) == (True, "S9")
+    assert (bench.connection.config.serial, bench.connection.config.exposure_us) == ("S9", 77.0)
+
+
 def test_an_exposure_that_is_set_while_the_camera_is_opened_comes_before_its_slots(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -111,6 +111,12 @@ class AravisCamera:
                 self.config, self._sequence = before
                 raise
 
+    def replace(self, serial: str, address: str) -> None:
+        """Use another camera from now on: the supervisor gives up the one before, if it is there, and opens it."""
+        with self._setting:
+            self.config = self.config.model_copy(update={"serial": serial, "address": None})
+            self._identity = replace(self._identity, serial=serial, address=address)
+
     def rewind(self) -> None:
         """Begin the sequence of exposures anew. A lost camera begins it when it is opened again."""
         connection = self._connection
@@ -165,6 +171,9 @@ class AravisCamera:
             counters=tuple(sorted({**counters, "n_losses": self._losses}.items())),
             next_try_s=self._backoff.due_s,
             limits=replace(connection.limits, row_s=self._share.row_s) if connection is not None else None,
+            serial=self._identity.serial,
+            model=self._identity.model,
+            address=self._identity.address,
         )
 
     def threads(self) -> tuple[SupervisedThread, ...]:
@@ -217,7 +226,16 @@ class AravisCamera:
                 self._on_loss(error)
 
     def _bring_up_to_date(self, connection: Connection) -> None:
-        """Write exposure, gain and sequence to the camera if they are not those in force."""
+        """Write exposure, gain and sequence to the camera if they are not those in force.
+
+        DeviceError: they are refused, or another camera has its place meanwhile.
+        """
+        if connection.config.serial != self.config.serial:
+            raise DeviceError(
+                f"{self.config.label}: another camera, {self.config.serial}, is to have its place.",
+                action="It is opened automatically.",
+                code="camera-lost",
+            )
         if not connection.has_exposure(self.config, self._sequence):
             connection.set_exposure(self.config, self._sequence)
 
@@ -315,7 +333,7 @@ class AravisCamera:
                     "serial number of the camera that came back",
                     connection.identity.serial,
                     f"{self._identity.serial!r}",
-                    "Restart the station, and calibrate anew, if the camera was exchanged.",
+                    "Exchange the camera on the page Cameras, or with `vaoi cameras replace`.",
                 )
             connection.configure()
             reading = connection.read_clock(self._epoch_ns)
@@ -323,7 +341,9 @@ class AravisCamera:
         except BaseException:  # also KeyboardInterrupt: release the camera, then raise it again
             connection.close()
             raise
-        self._identity = connection.identity
+        with self._setting:
+            if self._identity.serial == connection.identity.serial:  # not exchanged meanwhile
+                self._identity = connection.identity
         return connection, reading
 
     def _locate(self) -> str:

@@ -166,6 +166,7 @@ class Identity:
     address: str
     """IP address, or device id of a USB camera."""
     interface: str
+    model: str = ""
 
 
 @dataclass(frozen=True)
@@ -409,7 +410,7 @@ class Connection:
             device = camera.get_device()
             address = device.get_device_address().get_address().to_string()
             interface = network.interface_of(device.get_interface_address().get_address().to_string())
-        return Identity(camera.get_device_serial_number() or "", address, interface)
+        return Identity(camera.get_device_serial_number() or "", address, interface, camera.get_model_name() or "")
 
     @contextlib.contextmanager
     def _device_access(self, trouble: str) -> Iterator[None]:

@@ -794,6 +794,8 @@ const warnings = {
   "board-id-uncertain": ["Die nächste Baugruppe bekommt keine Nummer.", "Mit ihrer Nummer neu aktivieren."],
   "calibration-drift": ["Eine Kamera hat sich seit der Kalibrierung bewegt.", "vaoi recalibrate, oder neu kalibrieren."],
   "calibration-unseen": ["Die letzten Baugruppen zeigen nicht, wo eine Kamera steht.", "Prüfen, ob sie verstellt, verdeckt oder unscharf ist."],
+  "camera-not-calibrated": ["Eine Kamera wurde getauscht und ist noch nicht kalibriert: Bis dahin ist jeder Lauf eingeschränkt.", "Eine Baugruppe durchlaufen lassen, dann die Kalibrierung auf der Seite Kameras bestätigen."],
+  "camera-exchanged": ["Eine Kamera wurde getauscht.", "Ihre Kalibrierung bestätigen."],
   "lamp-dim": ["Unter einem Licht sind Baugruppen dunkler als die ersten ihres Typs.", "LEDs, Kabel, Treiber und Objektiv prüfen; danach neue Hellfelder aufnehmen."],
   "heights-not-measured": ["Höhen eines Laufs wurden nicht gemessen; die Orte stimmen.", LATER],
   "calibration-not-checked": ["Die Prüfung der Kalibrierung an einem Lauf ist gescheitert.", LATER],
