@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence, Set
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
 from vaoi_station.files.documents import parse, read_toml
 from vaoi_station.line_config import Line, NotNegative, Section
@@ -34,6 +34,10 @@ CHUNK_ROOM_BYTES = 4096
 
 LONGEST_GAP_S = 2147.0
 """Longest gap, in whole seconds, of the protocol: 32 bits of ticks of 0.5 µs (hw/protocol.md)."""
+
+
+def _as_list(features: Any) -> Any:
+    return (features,) if isinstance(features, dict) else features
 
 
 class CameraConfig(Section):
@@ -78,8 +82,13 @@ class CameraConfig(Section):
     same name share it."""
     link_mbit_s: Positive | None = None
     """Speed of `link`, without one of the port; None for the speed that the interface reports."""
-    features: dict[str, bool | Whole | Finite | str] = Field(default={})
-    """Further settings by their GenICam names, written in this order before the trigger settings."""
+    user_set: Word = "Default"
+    """User set of the camera that is loaded before all settings; "keep" keeps what is in the camera."""
+    features: Annotated[tuple[dict[str, bool | Whole | Finite | str], ...], BeforeValidator(_as_list)] = Field(
+        default=(), json_schema_extra={"type": "object"}
+    )
+    """Further settings by their GenICam names, written in this order before the trigger settings: one table, or a list
+    of tables, in which a selector can be visited more than once."""
     nominal_center_mm: tuple[Finite, Finite] | None = None
     """Nominal centre of the camera's view, in tester coordinates, mm; calibration needs it to within a few mm."""
     nominal_px_per_mm: Positive | None = None
@@ -91,6 +100,11 @@ class CameraConfig(Section):
     def label(self) -> str:
         """The camera's name in messages: "camera left", or the name itself if it begins with "camera"."""
         return self.name if self.name.lower().startswith("camera") else f"camera {self.name}"
+
+    @property
+    def named_features(self) -> tuple[tuple[str, bool | int | float | str], ...]:
+        """The further settings in their order."""
+        return tuple(pair for table in self.features for pair in table.items())
 
     @property
     def head(self) -> CameraHead:

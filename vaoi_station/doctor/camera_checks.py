@@ -1,9 +1,9 @@
 """Check every camera: reachable, free, triggerable, and within the bandwidth of its network port.
 
 Without a running station, cameras are opened and read. Written are only the control privilege, which is released
-again, and what sends test packets: the registers of the stream channel, which is closed again. The settings that the
-station will write (trigger, exposure, packets) are compared with what the camera offers. With a running station, the
-state is read from its REST service instead.
+again, selectors, which are put back, and what sends test packets: the registers of the stream channel, which is closed
+again. The settings that the station will write (trigger, exposure, packets) are compared with what the camera offers.
+With a running station, the state is read from its REST service instead.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import gc
 import sys
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,10 +26,13 @@ from vaoi_station.acquisition.cameras.aravis.connection import (
 )
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
 from vaoi_station.acquisition.cameras.aravis.network import TEST_STEP
+from vaoi_station.acquisition.cameras.aravis.sequencer import missing_features
 from vaoi_station.acquisition.cameras.aravis.settings import (
     TRIGGER_WIDTH,
+    Control,
+    deviations,
     frame_trigger,
-    missing_features,
+    limits_of,
     trigger_line,
 )
 from vaoi_station.config import CameraConfig
@@ -84,7 +87,7 @@ class Offered:
     triggers: tuple[str, ...]
     sources: tuple[str, ...]
     formats: tuple[str, ...]
-    exposure_us: tuple[float, float]
+    exposure_us: tuple[float, float] | None
     sensor: tuple[int, int]
     trigger_mode: str
     """Present trigger mode of the camera. The station sets the mode when it starts."""
@@ -98,6 +101,9 @@ class Offered:
     """Speed of its own link."""
     exposure_modes: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
+    left: tuple[str, ...] = ()
+    """What another program has left in the camera and the station changes: feature, value, new value and why."""
+    black_level: float | None = None
 
 
 def cameras(context: CheckContext) -> Iterator[Finding]:
@@ -167,18 +173,22 @@ def ask(camera: CameraConfig) -> Offered:
             packets = network.PacketLimits(smallest, largest, step)
             passing = find_packet_size(opened, camera, packets, address, local)[1]
             speed_mbit_s = links.speed_mbit_s(opened, address)
-        low, high = opened.get_exposure_time_bounds()
+        control = Control(opened, camera.label)
+        features = control.features
+        black_level = features.read("BlackLevel") if features.has("BlackLevel") else None
         width, height = opened.get_sensor_size()
         return Offered(
             vendor=opened.get_vendor_name() or "",
             model=opened.get_model_name() or "",
             serial=opened.get_device_serial_number() or "",
-            triggers=tuple(opened.dup_available_triggers()),
-            sources=tuple(opened.dup_available_enumerations_as_strings("TriggerSource")),
-            formats=tuple(opened.dup_available_pixel_formats_as_strings()),
-            exposure_us=(low, high),
-            exposure_modes=_exposure_modes(opened),
-            without=missing_features(opened),
+            triggers=features.entries("TriggerSelector"),
+            sources=features.entries("TriggerSource"),
+            formats=features.entries("PixelFormat"),
+            exposure_us=limits_of(opened).exposure_us,
+            exposure_modes=features.entries("ExposureMode"),
+            without=missing_features(features),
+            left=tuple(_left_over(control, camera)),
+            black_level=None if black_level is None else float(black_level),
             sensor=(width, height),
             trigger_mode=device.get_string_feature_value("TriggerMode"),
             port=port,
@@ -189,10 +199,10 @@ def ask(camera: CameraConfig) -> Offered:
         )
 
 
-def _exposure_modes(opened: Any) -> tuple[str, ...]:
-    if not opened.get_device().is_feature_available("ExposureMode"):
-        return ()
-    return tuple(opened.dup_available_enumerations_as_strings("ExposureMode"))
+def _left_over(control: Control, camera: CameraConfig) -> Iterator[str]:
+    with suppress(DeviceError):  # without a trigger, nothing else matters
+        for setting, got in deviations(control, camera):
+            yield f"{setting.name} is {got}, the station sets {setting.value}: {setting.why}"
 
 
 @contextmanager
@@ -213,15 +223,23 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     if not wrong:
         named = f"{offered.vendor} {offered.model} {offered.serial}".strip()
         mode = "on" if offered.trigger_mode == "On" else f"{offered.trigger_mode.lower()} now, the station turns it on"
-        figures: Figures = {"serial": offered.serial, "trigger_mode": offered.trigger_mode, "port": offered.port}
+        figures: Figures = {
+            "serial": offered.serial,
+            "trigger_mode": offered.trigger_mode,
+            "port": offered.port,
+            "black_level": offered.black_level,
+        }
         yield ok(f"{named} replies and is free; the trigger is {mode}", camera.name, **figures)
+    # Every opening sets these; here they explain why another program's pictures look different.
+    for left in offered.left:
+        yield ok(f"left over in the camera: {left}", camera.name)
 
 
 def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     name = camera.name
-    line = trigger_line(camera, offered.vendor)
+    line = trigger_line(camera, offered.vendor, offered.sources)
     one_of_these = "in station.toml to one of these."
-    if frame_trigger(offered.triggers) is None:
+    if offered.triggers and frame_trigger(offered.triggers) is None:
         shown = ", ".join(offered.triggers) or "nothing"
         message = f"offers the triggers {shown} only, but a frame trigger by wire is needed."
         yield fault("camera-without-trigger", message, "Use a camera with a trigger input.", name)
@@ -231,8 +249,8 @@ def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     if camera.pixel_format not in offered.formats:
         message = f"has no pixel format {camera.pixel_format}; it has {', '.join(offered.formats)}."
         yield fault("camera-without-format", message, f"Set pixel_format {one_of_these}", name)
-    low, high = offered.exposure_us
-    if not low <= camera.exposure_us <= high:
+    if offered.exposure_us and not offered.exposure_us[0] <= camera.exposure_us <= offered.exposure_us[1]:
+        low, high = offered.exposure_us
         message = f"cannot expose for {camera.exposure_us:g} µs; its range is {low:g} … {high:g} µs."
         yield fault("exposure-out-of-range", message, "Set exposure_us in station.toml within this range.", name)
     by_register = 'Set exposure_by = "auto" or "register" in station.toml.'

@@ -85,18 +85,35 @@ class StandInDevice:
         """Features whose access fails."""
         self.written: list[tuple[str, Any]] = []
         self.commands: list[str] = []
+        self.modes: dict[str, str] = {}
+        """Trigger that is not selected → its mode."""
         self.controlled = True
         self.tick_hz = 1_000_000_000
         self.entries: dict[str, tuple[str, ...]] = {}
+        """Entries of enumerations; by default the present one."""
+        self.bounds: dict[str, tuple[float, float]] = {}
+        """Limits of numbers."""
 
     def is_feature_available(self, feature: str) -> bool:
         return feature in self.features
 
-    def is_enumeration_entry_available(self, feature: str, entry: str) -> bool:
-        return entry in self.entries.get(feature, (entry,))
+    is_feature_implemented = is_feature_available
 
-    def get_feature(self, feature: str) -> object:
-        return GcFloat() if isinstance(self.features.get(feature), float) else object()
+    def get_feature(self, feature: str) -> Node | None:
+        return KINDS[type(self.features[feature])]() if feature in self.features else None
+
+    def dup_available_enumeration_feature_values_as_strings(self, feature: str) -> list[str]:
+        return list(self.entries.get(feature, (self.features[feature],)))
+
+    def get_float_feature_bounds(self, feature: str) -> tuple[float, float]:
+        return self.bounds.get(feature, (0.0, 1e6))
+
+    def get_integer_feature_bounds(self, feature: str) -> tuple[int, int]:
+        low, high = self.bounds.get(feature, (0, 1 << 40))
+        return int(low), int(high)
+
+    def get_integer_feature_increment(self, _feature: str) -> int:
+        return 1
 
     def is_controller(self) -> bool:
         return self.controlled
@@ -117,8 +134,13 @@ class StandInDevice:
         if feature not in self.features:
             raise StandInError(f"node {feature} is not found")
         self.written.append((feature, value))
-        if feature not in self.ignored:
-            self.features[feature] = value
+        if feature in self.ignored:
+            return
+        if feature == "TriggerSelector":
+            # Every trigger has a mode of its own.
+            self.modes[self.features[feature]] = self.features["TriggerMode"]
+            self.features["TriggerMode"] = self.modes.get(value, "Off")
+        self.features[feature] = value
 
     get_boolean_feature_value = get_integer_feature_value = read
     get_float_feature_value = get_string_feature_value = read
@@ -130,8 +152,47 @@ class StandInDevice:
             raise StandInError(f"{feature} is locked.")
 
 
-class GcFloat:
-    """Type of float features in Aravis."""
+class Node:
+    """A feature of a description."""
+
+    def __init__(self, unit: str | None = None) -> None:
+        self.unit = unit
+
+    def get_first_child(self) -> None:
+        return None
+
+    def get_unit(self) -> str | None:
+        return self.unit
+
+
+class GcBoolean(Node):
+    """A switch."""
+
+
+class GcInteger(Node):
+    """A whole number."""
+
+
+class GcFloat(Node):
+    """A number."""
+
+
+class GcEnumeration(Node):
+    """A choice."""
+
+
+class GcCommand(Node):
+    """A command."""
+
+
+class GcString(Node):
+    """A text."""
+
+
+KINDS: dict[type, type[Node]] = {
+    bool: GcBoolean, int: GcInteger, float: GcFloat, str: GcEnumeration, type(None): GcCommand,
+}  # fmt: skip
+"""Type of a value → kind of its feature."""
 
 
 class StandInStream:
@@ -180,15 +241,11 @@ class StandInCamera:
 
     def __init__(self, vendor: str = "Acme", *, is_gige: bool = False) -> None:
         self.vendor, self.is_gige = vendor, is_gige
-        self.triggers = ["FrameStart", "AcquisitionStart"]
-        self.choices: dict[str, list[str]] = {}
-        """Entries of enumerations."""
-        self.bounds: dict[str, tuple[int, int]] = {}
-        """Limits of integer features."""
         self.device = StandInDevice(
             {
                 "PixelFormat": "Mono16",
-                "Region": (0, 0, 64, 64),
+                "Width": 64,
+                "Height": 64,
                 "ExposureTime": 10_000.0,
                 "Gain": 5.0,
                 "BinningHorizontal": 2,
@@ -205,9 +262,19 @@ class StandInCamera:
                 "GevSCPSPacketSize": 1400,
                 "GevSCPD": 0,
                 "TimestampLatchValue": 5_000_000_000,
-                "TimestampLatch": 0,
+                "TimestampLatch": None,
             }
         )
+        self.device.entries = {
+            "PixelFormat": ("Mono8", "Mono16"),
+            "ExposureAuto": ("Off", "Continuous"),
+            "AcquisitionMode": ("SingleFrame", "Continuous"),
+            "TriggerSelector": ("FrameStart", "AcquisitionStart"),
+            "TriggerMode": ("Off", "On"),
+            "TriggerSource": ("Software", "Line0", "Line1", "Line2"),
+            "TriggerActivation": ("RisingEdge", "FallingEdge"),
+        }
+        self.device.bounds = {"ExposureTime": (20.0, 100_000.0), "Gain": (0.0, 24.0)}
         self.stream = StandInStream()
         self.payload = 256
         self.running = True
@@ -230,42 +297,11 @@ class StandInCamera:
     def get_payload(self) -> int:
         return self.payload
 
-    def dup_available_triggers(self) -> list[str]:
-        return self.triggers
-
-    def dup_available_enumerations_as_strings(self, feature: str) -> list[str]:
-        return self.choices.get(feature, [])
-
     def is_gain_available(self) -> bool:
         return "Gain" in self.device.features
 
     def is_feature_available(self, feature: str) -> bool:
         return self.device.is_feature_available(feature)
-
-    def get_region(self) -> SimpleNamespace:
-        x, y, width, height = self.device.read("Region")
-        return SimpleNamespace(x=x, y=y, width=width, height=height)
-
-    def set_region(self, *region: int) -> None:
-        self.device.write("Region", region)
-
-    def set_pixel_format_from_string(self, name: str) -> None:
-        self.device.write("PixelFormat", name)
-
-    def get_pixel_format_as_string(self) -> str:
-        return str(self.device.read("PixelFormat"))
-
-    def set_exposure_time(self, exposure_us: float) -> None:
-        self.device.write("ExposureTime", exposure_us)
-
-    def get_exposure_time(self) -> float:
-        return float(self.device.read("ExposureTime"))
-
-    def set_gain(self, gain_db: float) -> None:
-        self.device.write("Gain", gain_db)
-
-    def get_gain(self) -> float:
-        return float(self.device.read("Gain"))
 
     def gv_set_stream_options(self, _options: object) -> None:
         pass
@@ -274,13 +310,8 @@ class StandInCamera:
         pass
 
     def get_integer_bounds(self, feature: str) -> tuple[int, int]:
-        return self.bounds.get(feature, (220, 9000))
-
-    def get_exposure_time_bounds(self) -> tuple[float, float]:
-        return 20.0, 100_000.0
-
-    def get_gain_bounds(self) -> tuple[float, float]:
-        return 0.0, 24.0
+        low, high = self.device.bounds.get(feature, (220, 9000))
+        return int(low), int(high)
 
     def get_integer_increment(self, _feature: str) -> int:
         return 4
@@ -310,8 +341,13 @@ class StandInCamera:
 LIBRARY = SimpleNamespace(
     Buffer=StandInBuffer,
     BufferStatus=BufferStatus,
+    GcBoolean=GcBoolean,
+    GcCommand=GcCommand,
+    GcEnumeration=GcEnumeration,
     GcFloat=GcFloat,
     GvPacketSizeAdjustment=SimpleNamespace(NEVER=0),
+    GcInteger=GcInteger,
+    GcString=GcString,
     GvStreamOption=SimpleNamespace(PACKET_SOCKET_DISABLED=1),
 )
 """Takes the place of the module `gi.repository.Aravis`."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.acquisition.cameras.aravis.stand_in import GcFloat, StandInCamera, camera_config
+from tests.acquisition.cameras.aravis.stand_in import GcFloat, Node, StandInCamera, camera_config
 from vaoi_station.acquisition.cameras.aravis import links, network
 from vaoi_station.doctor import camera_checks
 from vaoi_station.errors import DeviceError
@@ -18,26 +18,12 @@ from vaoi_station.optics.report import PAPER
 pytestmark = pytest.mark.usefixtures("_stand_in")
 
 
-class Node:
-    """A feature with the unit of its description."""
-
-    def __init__(self, unit: str | None) -> None:
-        self.unit = unit
-
-    def get_unit(self) -> str | None:
-        return self.unit
-
-
-class FloatNode(Node, GcFloat):
-    """A feature whose value is a float."""
-
-
 def camera(unit: str | None = None, **features: Any) -> StandInCamera:
     made = StandInCamera(is_gige=True)
     made.device.features |= features
 
     def get_feature(name: str) -> Node:
-        return (FloatNode if isinstance(made.device.features[name], float) else Node)(unit)
+        return (GcFloat if isinstance(made.device.features[name], float) else Node)(unit)
 
     made.device.get_feature = get_feature  # type: ignore[method-assign, assignment]
     return made
@@ -67,19 +53,19 @@ def test_a_limit_is_lifted_where_pauses_pace_the_camera() -> None:
     assert links.limit_throughput(off, None) is None
     assert off.device.features["DeviceLinkThroughputLimitMode"] == "Off"
     always = camera(DeviceLinkThroughputLimit=10_000_000)
-    always.bounds["DeviceLinkThroughputLimit"] = (1_000_000, 125_000_000)
+    always.device.bounds["DeviceLinkThroughputLimit"] = (1_000_000, 125_000_000)
     assert links.limit_throughput(always, None) == 1000.0
     assert links.limit_throughput(camera(), None) is None
 
 
 def test_a_camera_without_pauses_is_limited_to_its_share() -> None:
     usb = camera("Bps", DeviceLinkThroughputLimit=380_000_000, DeviceLinkThroughputLimitMode="Off")
-    usb.bounds["DeviceLinkThroughputLimit"] = (1_000_000, 380_000_000)
+    usb.device.bounds["DeviceLinkThroughputLimit"] = (1_000_000, 380_000_000)
     assert links.limit_throughput(usb, 800.0) == 800.0
     assert usb.device.features["DeviceLinkThroughputLimitMode"] == "On"
     assert usb.device.features["DeviceLinkThroughputLimit"] == 100_000_000
     old = camera(StreamBytesPerSecond=115_000_000)  # Prosilica GC
-    old.bounds["StreamBytesPerSecond"] = (1_000_000, 124_000_000)
+    old.device.bounds["StreamBytesPerSecond"] = (1_000_000, 124_000_000)
     assert links.limit_throughput(old, 400.0) == 400.0
     stubborn = camera(StreamBytesPerSecond=2_000_000)
     stubborn.device.ignored.add("StreamBytesPerSecond")

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import StandInCamera, StandInError, camera_config
-from vaoi_station.acquisition.cameras.aravis import settings
-from vaoi_station.acquisition.cameras.aravis.settings import Setting, Value
+from vaoi_station.acquisition.cameras.aravis import sequencer, settings
 from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader
 from vaoi_station.acquisition.cameras.interface import StatedExposure
 from vaoi_station.errors import DeviceError
@@ -16,19 +15,17 @@ from vaoi_station.errors import DeviceError
 pytestmark = pytest.mark.usefixtures("_stand_in")
 
 
-def setting(wanted: Value, tolerance: float = 0.0) -> Setting:
-    return Setting("Feature", wanted, tolerance)
-
-
-@pytest.mark.parametrize(("vendor", "while_changing"), [("Basler", "On"), ("FLIR", "Off"), ("Acme", "Off")])
-def test_the_mode_while_the_source_changes_is_that_of_the_recipe(vendor: str, while_changing: str) -> None:
-    camera = StandInCamera(vendor)
+def test_the_triggers_are_off_while_everything_else_is_set_and_the_frames_trigger_is_on_at_last() -> None:
+    camera = StandInCamera()
+    camera.device.features["TriggerMode"] = camera.device.modes["FrameStart"] = "On"
     settings.apply(camera, camera_config())
-    written = camera.device.written
-    source = [feature for feature, _ in written].index("TriggerSource")
-    assert written[source - 1] == ("TriggerMode", while_changing)
-    assert written[-1] == ("TriggerMode", "On")
-    assert ("TriggerSelector", "AcquisitionStart") in written[:source], "the other trigger is switched off"
+    written = [pair for pair in camera.device.written if pair[0].startswith("Trigger")]
+    assert written[:4] == [
+        ("TriggerSelector", "FrameStart"), ("TriggerMode", "Off"),
+        ("TriggerSelector", "AcquisitionStart"), ("TriggerMode", "Off"),
+    ]  # fmt: skip
+    assert [pair for pair in written if pair[0] != "TriggerSelector"][-1] == ("TriggerMode", "On")
+    assert camera.device.features["TriggerSelector"] == "FrameStart"
 
 
 def test_a_refused_setting_is_named() -> None:
@@ -47,7 +44,7 @@ def test_a_camera_that_cannot_expose_for_the_width_is_refused(modes: list[str], 
     camera = StandInCamera()
     if modes:
         camera.device.features["ExposureMode"] = "Timed"
-        camera.choices["ExposureMode"] = modes
+        camera.device.entries["ExposureMode"] = tuple(modes)
     wanted = camera_config(exposure_by="trigger-width", exposure_us=80.0)
     with pytest.raises(DeviceError, match=rf"width of the trigger \({words}\).* the first 80 µs") as caught:
         settings.apply_exposure(camera, wanted)
@@ -63,21 +60,21 @@ def sequenced(vendor: str = "Acme", **changes: Any) -> StandInCamera:
     camera = StandInCamera(vendor)
     features = {
         "SequencerMode": "On", "SequencerConfigurationMode": "Off", "SequencerSetSelector": 0, "SequencerSetNext": 0,
-        "SequencerTriggerSource": "Off", "SequencerSetSave": 0, "SequencerSetLoad": 0, "SequencerSetStart": 3,
+        "SequencerTriggerSource": "Off", "SequencerSetSave": None, "SequencerSetLoad": None, "SequencerSetStart": 3,
         "SequencerPathSelector": 0, "SequencerFeatureSelector": "Gain", "SequencerFeatureEnable": False,
     }  # fmt: skip
     camera.device.features |= features | changes
-    camera.bounds = {"SequencerSetSelector": (0, 3)}
-    camera.choices = {
-        "SequencerTriggerSource": ["Off", "FrameEnd", "FrameStart"],
-        "SequencerFeatureSelector": ["ExposureTime", "Gain"],
+    camera.device.bounds["SequencerSetSelector"] = (0, 3)
+    camera.device.entries |= {
+        "SequencerTriggerSource": ("Off", "FrameEnd", "FrameStart"),
+        "SequencerFeatureSelector": ("ExposureTime", "Gain"),
     }
     return camera
 
 
 def refusal(camera: StandInCamera, steps: tuple[tuple[float, float], ...] = STEPS) -> DeviceError:
     with pytest.raises(DeviceError) as caught:
-        settings.program_sequencer(camera, CONFIG, steps)
+        sequencer.program_sequencer(camera, CONFIG, steps)
     return caught.value
 
 
@@ -95,7 +92,7 @@ def test_every_set_is_saved_with_its_exposure_gain_and_next_set() -> None:
             device.features |= kept[device.features["SequencerSetSelector"]]
 
     device.execute_command = keep  # type: ignore[method-assign]
-    settings.program_sequencer(camera, CONFIG, STEPS)
+    sequencer.program_sequencer(camera, CONFIG, STEPS)
     assert [(s["ExposureTime"], s["Gain"], s["SequencerSetNext"]) for s in kept.values()] == [
         (300.0, 0.0, 1), (90.0, 0.0, 2), (90.0, 6.0, 0),
     ]  # fmt: skip

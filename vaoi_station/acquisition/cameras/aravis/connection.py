@@ -15,11 +15,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from vaoi_station.acquisition.cameras.aravis import links, network, settings
+from vaoi_station.acquisition.cameras.aravis import families, links, network, sequencer, settings
 from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera, discover
+from vaoi_station.acquisition.cameras.aravis.features import Features
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
-from vaoi_station.acquisition.cameras.aravis.settings import Sets, Setting, error_text
+from vaoi_station.acquisition.cameras.aravis.sequencer import Sets
+from vaoi_station.acquisition.cameras.aravis.settings import Setting, error_text
 from vaoi_station.acquisition.cameras.aravis.stream import (
     ChunkReader,
     FrameFormat,
@@ -35,25 +37,22 @@ from vaoi_station.optics.links import Sender
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.supervised_thread import SupervisedThread
 
-LATCHES = (
-    ("TimestampLatch", "TimestampLatchValue"),
-    ("GevTimestampControlLatch", "GevTimestampValue"),
-)
-"""GenICam names of the latch command and of the latched value: SFNC 2 (value in ns), GigE Vision 1 (in ticks)."""
 FAKE_VENDOR = "Aravis"
 
 
 def find_clock(camera: Any, name: str) -> Callable[[], int]:
     """Return a function that reads the clock of a camera, ns."""
-    device = camera.get_device()
-    for command, value in LATCHES:
-        if device.is_feature_available(command) and device.is_feature_available(value):
-            hertz = device.get_timestamp_tick_frequency() if command.startswith("Gev") else 0
+    device, features = camera.get_device(), Features(camera)
+    for command, value in families.CLOCKS:
+        # A category of the description may have the name of a clock (AVT_Mako_G234B: Timestamp).
+        if features.has(command) and features.kind(value) in ("integer", "float") and features.has(value):
+            # Aravis converts the time stamps of GigE frames by the same frequency; SFNC 2 counts ns.
+            hertz = device.get_timestamp_tick_frequency() if command.startswith("Gev") or camera.is_gv_device() else 0
             return partial(_latch, device, command, value, 1e9 / hertz if hertz else 1.0)
     if (camera.get_vendor_name() or "") == FAKE_VENDOR:
         return time.time_ns
     raise DeviceError(
-        f"{name}: has no time stamp that can be latched ({', '.join(c for c, _ in LATCHES)}).",
+        f"{name}: has no time stamp that can be latched ({', '.join(' or '.join(pair) for pair in families.CLOCKS)}).",
         action="Use a camera whose clock can be latched; without it, frames cannot be assigned to pulses.",
         code="clock-unknown",
     )
@@ -232,9 +231,9 @@ class Connection:
         with self._device_access("does not take its settings"):
             settings.apply(self._camera, self.config)
             if self.config.chunk_room_bytes:
-                settings.switch_chunks_on(self._camera, self.config)
+                sequencer.switch_chunks_on(self._camera, self.config)
             if self.sequence:
-                settings.program_sequencer(self._camera, self.config, self.sequence)
+                sequencer.program_sequencer(self._camera, self.config, self.sequence)
             self._configure_link()
             self.limits = settings.limits_of(self._camera)
             payload = self._camera.get_payload()
@@ -259,17 +258,17 @@ class Connection:
                 settings.apply_exposure(self._camera, wanted)
             else:
                 with self._acquisition_stopped():
-                    settings.switch_sequencer_off(self._camera, wanted)
+                    sequencer.switch_sequencer_off(self._camera, wanted)
                     self.sequence = ()
                     if sequence:
-                        settings.require_sequencer(self._camera, wanted, sequence)
+                        sequencer.require_sequencer(self._camera, wanted, sequence)
                     settings.apply_exposure(self._camera, wanted)
                     if sequence:
                         try:
-                            settings.program_sequencer(self._camera, wanted, sequence)
+                            sequencer.program_sequencer(self._camera, wanted, sequence)
                         except DeviceError:
                             with contextlib.suppress(DeviceError):  # the first error says what is wrong
-                                settings.switch_sequencer_off(self._camera, wanted)
+                                sequencer.switch_sequencer_off(self._camera, wanted)
                             raise
             self.config, self.sequence, self._exposure_known = wanted, sequence, True
 
@@ -281,7 +280,7 @@ class Connection:
         """Let the next frame be exposed with the first set of the sequencer, if there is one."""
         if self.sequence:
             with self._device_access("does not begin its sequence anew"), self._acquisition_stopped():
-                settings.rewind_sequencer(self._camera, self.config)
+                sequencer.rewind_sequencer(self._camera, self.config)
 
     def start(self, on_slot: Callable[[SlotResult], None]) -> None:
         """Create the stream and start the acquisition. The stream calls `on_slot` when a frame has ended in a slot."""

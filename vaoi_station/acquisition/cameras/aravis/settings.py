@@ -1,73 +1,35 @@
-"""The settings of a camera as a list of (feature, value): each is written, read back and compared before it is used.
+"""The settings of a camera: each is written, read back and compared before the camera is used.
 
-If a camera ignores a setting, an error names the camera, the feature, the wanted and the actual value: frames with
-another exposure or region would be worse than no frames. A camera may round numbers to the steps of its sensor.
+A camera may still have what another program left in it, so a station begins with the user set *Default* and neutral
+values for all that changes pictures or times (`families.py`). If a camera ignores a setting, an error names the camera,
+the feature, the wanted and the actual value: frames with another exposure or region would be worse than no frames. A
+camera may round numbers to the steps of its sensor.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
+from vaoi_station.acquisition.cameras.aravis import families
+from vaoi_station.acquisition.cameras.aravis.families import Neutral, Wanted
+from vaoi_station.acquisition.cameras.aravis.features import At, Features, Value, answered
+from vaoi_station.acquisition.cameras.aravis.library import glib_error
 from vaoi_station.acquisition.cameras.interface import GAIN_TOLERANCE_DB, CameraLimits, exposure_tolerance_us
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
-
-Sets = Sequence[tuple[float, float]]
-"""Exposure (µs) and gain (dB) of the sets of a sequencer, which follow one another in a circle."""
-Value = bool | int | float | str | tuple[int, ...]
 
 FRAME_TRIGGERS = ("FrameStart", "FrameBurstStart", "AcquisitionStart")
 """Triggers that give one frame per pulse, in order of preference."""
 TRIGGER_WIDTH = "TriggerWidth"
 """The ExposureMode in which a camera exposes for as long as the trigger is high (SFNC)."""
 FEATURE_TOLERANCE = 0.01
-SEQUENCER = (
-    "SequencerMode", "SequencerConfigurationMode", "SequencerSetSelector", "SequencerSetNext",
-    "SequencerTriggerSource", "SequencerSetSave",
-)  # fmt: skip
-SEQUENCER_SOURCES = ("FrameStart", "ExposureStart", "FrameEnd", "ExposureEnd")
-"""Entries of SequencerTriggerSource that come once per frame, in order of preference."""
-_INSTEAD = "Let the on-time of the LEDs (on_us) make the difference between rows, or use a camera with a sequencer."
-
-
-@dataclass(frozen=True)
-class Make:
-    """What the cameras of one make need that others do not."""
-
-    line: str = "Line0"
-    off_while_changing: bool = False
-    """Whether the camera refuses to change TriggerSource while TriggerMode is On (Aravis #1045)."""
-    extra: tuple[tuple[str, str], ...] = ()
-    """(feature, value) of further settings, written if the camera has them."""
-    sequencer_path: int = 0
-    """The path of a sequencer that leads from set to set."""
-
-
-_FLIR = Make(off_while_changing=True, extra=(("TriggerOverlap", "ReadOut"),))
-MAKES = {
-    "flir": _FLIR,
-    "point grey": _FLIR,
-    "teledyne": _FLIR,
-    # Path 0 of Basler's sequencers only leads back to set 0 (ace U, "Sequencer").
-    "basler": Make("Line1", sequencer_path=1),
-    "lucid": Make("Line2", extra=(("TriggerOverlap", "PreviousFrame"),)),
-    "aravis": Make(),
-}
-"""The quirks of each make, given by the beginning of its vendor's name in lower case; the longest one counts."""
-GENERIC = Make(off_while_changing=True)
-"""An unknown make. Cameras of all makes accept that the mode is off while the source changes."""
-
-
-def make_of(vendor: str) -> Make:
-    """Return the quirks of a vendor's cameras; the generic ones if the vendor is not known."""
-    name = vendor.casefold()
-    start = max((start for start in MAKES if name.startswith(start)), key=len, default="")
-    return MAKES.get(start, GENERIC)
+KEEP = "keep"
+"""The `user_set` with which a camera keeps what is in it."""
+_WHAT_IT_CAN = "Set what this camera can do in station.toml, or update its firmware."
 
 
 @dataclass(frozen=True)
@@ -77,27 +39,214 @@ class Setting:
     feature: str
     value: Value
     tolerance: float = 0.0
-    shared: bool = False
-    """Whether a later setting of the same feature replaces this one, so that it cannot be compared at the end."""
+    at: At = ()
+    """Where selectors must stand while the feature is written or read."""
+    why: str = ""
+    """What another value would do to pictures or times."""
 
     def matches(self, got: object) -> bool:
         """Return whether a value that was read back equals the wanted one, within the tolerance."""
-        if isinstance(self.value, bool | str | tuple):
+        if isinstance(self.value, bool | str):
             return got == self.value
         return isinstance(got, int | float) and math.isclose(got, self.value, rel_tol=1e-6, abs_tol=self.tolerance)
 
+    @property
+    def name(self) -> str:
+        """The feature with its selectors, as in `TriggerMode[FrameStart]`."""
+        return self.feature + "".join(f"[{entry}]" for _, entry in self.at)
 
-_BY_ARAVIS = {
-    "PixelFormat": ("set_pixel_format_from_string", "get_pixel_format_as_string"),
-    "ExposureTime": ("set_exposure_time", "get_exposure_time"),
-    "Gain": ("set_gain", "get_gain"),
-    "Region": ("set_region", "get_region"),
+
+_PACKETS = {
     "GevSCPSPacketSize": ("gv_set_packet_size", "gv_get_packet_size"),
     "GevSCPD (ns)": ("gv_set_packet_delay", "gv_get_packet_delay"),
 }
-"""Features that functions of Aravis write and read, which know the names and units of older cameras."""
-_KINDS = {bool: "boolean", int: "integer", float: "float", str: "string"}
-"""Python type → its word in the names of Aravis' functions, as in `set_integer_feature_value`."""
+"""Settings of the stream, which functions of Aravis write and read."""
+
+
+class Gain(NamedTuple):
+    """The feature with which a camera sets its gain, and what its values mean."""
+
+    feature: str
+    at: At
+    db: Callable[[float], float]
+    """Value → dB."""
+    value: Callable[[float], float]
+    """DB → value."""
+
+
+class Control:
+    """Writes and reads the settings of one open camera. Its errors name camera, feature, value and limits."""
+
+    def __init__(self, camera: Any, name: str) -> None:
+        """Take an open camera, and its name in messages."""
+        self.camera, self.name = camera, name
+        self.features = Features(camera)
+        self.vendor, self.model = camera.get_vendor_name() or "", camera.get_model_name() or ""
+
+    def put(self, setting: Setting) -> None:
+        """Write a setting, read it back and compare; DeviceError if it is refused or ignored."""
+        self._require_within_limits(setting)
+        try:
+            if setting.feature in _PACKETS:
+                getattr(self.camera, _PACKETS[setting.feature][0])(setting.value)
+            else:
+                self.features.select(setting.at)
+                self.features.write(setting.feature, setting.value)
+        except glib_error() as error:
+            why = f"; otherwise {setting.why}" if setting.why else ""
+            raise DeviceError(
+                f"{self.name}: refuses {setting.name} = {setting.value!r} ({error_text(error)}){why}.",
+                action=_WHAT_IT_CAN,
+                code="setting-refused",
+            ) from error
+        self.compare(setting)
+
+    def compare(self, setting: Setting) -> None:
+        """Read a setting from the camera; raise DeviceError if its value is not the wanted one."""
+        try:
+            got = self.read(setting)
+        except glib_error() as error:
+            raise DeviceError(
+                f"{self.name}: {setting.name} cannot be read ({error_text(error)}).", code="setting-unread"
+            ) from error
+        if not setting.matches(got):
+            why = f"; otherwise {setting.why}" if setting.why else ""
+            raise DeviceError(
+                f"{self.name}: ignores a setting: {setting.name} was set to {setting.value!r}, but reads {got!r}{why}.",
+                action=_WHAT_IT_CAN,
+                code="setting-ignored",
+            )
+
+    def read(self, setting: Setting) -> Value:
+        """Return the value that a setting has in the camera; GLib.Error if it cannot be read."""
+        if setting.feature in _PACKETS:
+            got: int = getattr(self.camera, _PACKETS[setting.feature][1])()
+            return got
+        self.features.select(setting.at)
+        return self.features.read(setting.feature)
+
+    def execute(self, command: str, action: str) -> None:
+        """Execute a command and wait for its end; DeviceError if the camera refuses it."""
+        try:
+            self.features.execute(command)
+        except glib_error() as error:
+            raise DeviceError(
+                f"{self.name}: refuses {command} ({error_text(error)}).", action=action, code="setting-refused"
+            ) from error
+
+    def exposure(self) -> tuple[str, float]:
+        """Return the feature with which the camera sets its exposure, and its unit in µs."""
+        for feature in families.EXPOSURES:
+            if self.features.kind(feature) in ("float", "integer"):
+                unit = self.features.unit(feature)
+                if unit not in families.TIME_UNITS_US:
+                    raise self._lacks(f"states {feature} in {unit!r}, which is no unit of time")
+                return feature, families.TIME_UNITS_US[unit]
+        raise self._lacks(f"has no exposure to set ({', '.join(families.EXPOSURES)})")
+
+    def gain(self) -> Gain | None:
+        """Return how the camera sets its gain; None if it has no gain, or none whose dB are known."""
+        features = self.features
+        entry = next((e for e in ("All", "AnalogAll") if e in features.entries("GainSelector")), None)
+        at: At = (("GainSelector", entry),) if entry else ()
+        with answered():
+            features.select(at)
+        for feature in ("Gain", "GainRaw", "GainAbs"):
+            if features.kind(feature) == "float" and features.has(feature):
+                limits = features.limits(feature)
+                in_db = features.unit(feature).casefold() == "db" or families.make_of(self.vendor).gain_in_db
+                if in_db or limits is None or limits[0] < 1:
+                    return Gain(feature, at, lambda value: value, lambda db: db)
+                # SFNC: "an amplification factor", as of ViewWorks_VNP604.
+                return Gain(feature, at, lambda value: 20 * math.log10(value), lambda db: 10 ** (db / 20))
+        formula = families.raw_gain(self.vendor, self.model)
+        if formula is None or not features.has("GainRaw"):
+            return None
+        low = (features.limits("GainRaw") or (0.0, 0.0, 1.0))[0]
+        return Gain(
+            "GainRaw",
+            at,
+            lambda value: formula.db(value, low),
+            lambda db: float(round(formula.count(db, low))),
+        )
+
+    def _require_within_limits(self, setting: Setting) -> None:
+        if isinstance(setting.value, bool | str) or setting.feature in _PACKETS:
+            return
+        limits = None
+        # A camera that does not state its limits refuses a value beyond them itself.
+        with answered():
+            self.features.select(setting.at)
+            limits = self.features.limits(setting.feature)
+        if limits is None:
+            return
+        low, high, step = limits
+        if low > high or step < 0:
+            raise DeviceError(
+                f"{self.name}: its description contradicts itself: {setting.name} has the limits {low:g} … {high:g}, "
+                f"step {step:g}.",
+                action="Update its firmware, or use another camera.",
+                code="description-wrong",
+            )
+        slack = max(setting.tolerance, 1e-6 * abs(setting.value))
+        off_step = step > 1 and round(setting.value - low) % step
+        if not low - slack <= setting.value <= high + slack or off_step:
+            steps = f", step {step:g}" if step > 1 else ""
+            raise DeviceError(
+                f"{self.name}: {setting.name} = {setting.value:g} is outside of what the camera states: "
+                f"{low:g} … {high:g}{steps}.",
+                action=_WHAT_IT_CAN,
+                code="setting-beyond-limits",
+            )
+
+    def _lacks(self, what: str) -> DeviceError:
+        return DeviceError(f"{self.name}: {what}.", action="Use another camera.", code="feature-absent")
+
+
+def write(camera: Any, name: str, settings: Iterable[Setting]) -> None:
+    """Write settings in their order and read each back at once; raise DeviceError if one is refused or ignored."""
+    control = Control(camera, name)
+    for setting in settings:
+        control.put(setting)
+
+
+def apply(camera: Any, config: CameraConfig) -> None:
+    """Bring a camera into a known state: its user set, neutral values, the settings of station.toml, the trigger."""
+    control = Control(camera, config.label)
+    with _reporting(control):
+        _load_user_set(control, config)
+        wanted: dict[tuple[str, At], Setting] = {}
+        for setting in _known_start(control, config):
+            wanted.pop((setting.feature, setting.at), None)  # what is written last is compared last
+            wanted[setting.feature, setting.at] = setting
+        # All are compared once more at the end: writing one feature may change another (Aravis #1045). What
+        # station.toml names has the last word.
+        named = {feature for feature, _ in config.named_features}
+        for setting in wanted.values():
+            if setting.feature not in named:
+                control.compare(setting)
+        _require_global_shutter(control)
+
+
+def apply_exposure(camera: Any, config: CameraConfig) -> None:
+    """Write exposure and gain to a camera whose other settings are in force, read them back and compare."""
+    control = Control(camera, config.label)
+    with _reporting(control):
+        for setting in _exposure(control, config):
+            control.put(setting)
+
+
+def deviations(control: Control, config: CameraConfig) -> Iterator[tuple[Setting, Value]]:
+    """Yield neutral settings that a camera does not have now, with what it has. Only selectors are written."""
+    at = _require_trigger(control)
+    control.features.select(at)
+    line = trigger_line(config, control.vendor, control.features.entries("TriggerSource"))
+    entries = {"TriggerSelector": tuple(entry for _, entry in at), "LineSelector": (line,)}
+    named = {feature for feature, _ in config.named_features}
+    for setting, got in _neutral(control, (*BEFORE_FORMAT, *families.PICTURE, *AT_THE_TRIGGER), entries):
+        if not setting.matches(got) and setting.feature not in named:
+            yield setting, got
+    control.features.restore_selection()
 
 
 def frame_trigger(triggers: Sequence[str]) -> str | None:
@@ -105,93 +254,26 @@ def frame_trigger(triggers: Sequence[str]) -> str | None:
     return next((name for name in FRAME_TRIGGERS if name in triggers), None)
 
 
-def trigger_line(config: CameraConfig, vendor: str) -> str:
-    """Return the input that triggers a camera: the configured one, else that of its make."""
-    return config.trigger_line or make_of(vendor).line
-
-
-def write(camera: Any, name: str, settings: Iterable[Setting]) -> None:
-    """Write settings in their order and read each back at once; raise DeviceError if one is refused or ignored."""
-    for setting in settings:
-        try:
-            if setting.feature in _BY_ARAVIS:
-                values = setting.value if isinstance(setting.value, tuple) else (setting.value,)
-                getattr(camera, _BY_ARAVIS[setting.feature][0])(*values)
-            else:
-                set_value = getattr(camera.get_device(), f"set_{_KINDS[type(setting.value)]}_feature_value")
-                set_value(setting.feature, setting.value)
-        except glib_error() as error:
-            raise DeviceError(
-                f"{name}: refuses {setting.feature} = {setting.value!r} ({error_text(error)}).",
-                action="Set what this camera can do in station.toml, or update its firmware.",
-                code="setting-refused",
-            ) from error
-        compare(camera, name, [setting])
-
-
-def compare(camera: Any, name: str, settings: Iterable[Setting]) -> None:
-    """Read settings from the camera; raise DeviceError if a value is not the wanted one."""
-    for setting in settings:
-        try:
-            got = _read(camera, setting)
-        except glib_error() as error:
-            raise DeviceError(
-                f"{name}: {setting.feature} cannot be read ({error_text(error)}).", code="setting-unread"
-            ) from error
-        if not setting.matches(got):
-            raise DeviceError(
-                f"{name}: ignores a setting: {setting.feature} was set to {setting.value!r}, but reads {got!r}.",
-                action="Set what this camera can do in station.toml, or update its firmware.",
-                code="setting-ignored",
-            )
-
-
-def apply(camera: Any, config: CameraConfig) -> None:
-    """Write, read back and compare the settings of the picture, of named features and of the trigger."""
-    for part in (_picture, _named_features, _trigger):
-        settings = _listed(config.label, part(camera, config))
-        write(camera, config.label, settings)
-        # All are compared once more at the end: writing one feature may change another (Aravis #1045).
-        compare(camera, config.label, [setting for setting in settings if not setting.shared])
-
-
-def apply_exposure(camera: Any, config: CameraConfig) -> None:
-    """Write exposure and gain to a camera whose other settings are in force, read them back and compare."""
-    write(camera, config.label, _listed(config.label, _exposure(camera, config)))
-
-
-def switch_chunks_on(camera: Any, config: CameraConfig) -> None:
-    """Let each frame state exposure and, if the camera has one, gain behind its pixels (chunk data)."""
-    offered = (
-        camera.dup_available_enumerations_as_strings("ChunkSelector")
-        if _has(camera, "ChunkModeActive") and _has(camera, "ChunkSelector")
-        else ()
-    )
-    wanted = ["ExposureTime", *(["Gain"] if camera.is_gain_available() else [])]
-    if missing := [name for name in wanted if name not in offered]:
-        raise DeviceError(
-            f"{config.label}: its frames cannot state {' and '.join(missing)} as chunk data (ChunkSelector offers "
-            f"{', '.join(offered) or 'nothing'}), without which the exposures of its sequencer are not proven.",
-            action='Set exposure_by = "trigger-width" or "register" in station.toml for this camera.',
-            code="sequencer-absent",
-        )
-    write(camera, config.label, [Setting("ChunkModeActive", True)])
-    for name in wanted:
-        write(camera, config.label, [Setting("ChunkSelector", name), Setting("ChunkEnable", True)])
+def trigger_line(config: CameraConfig, vendor: str, sources: Sequence[str]) -> str:
+    """Return the input that triggers a camera: the configured one, else that of its make among its sources."""
+    return config.trigger_line or families.usual_line(vendor, sources)
 
 
 def limits_of(camera: Any) -> CameraLimits:
     """Return the limits that a camera states for exposure and gain, and how many sets its sequencer has."""
+    control = Control(camera, "")
     exposure, gain, sets = None, None, None
     # A camera that does not state a limit refuses a value beyond it when the line is armed.
-    with contextlib.suppress(glib_error()):
-        exposure = _bounds(camera.get_exposure_time_bounds())
-    with contextlib.suppress(glib_error()):
-        gain = _bounds(camera.get_gain_bounds()) if camera.is_gain_available() else (0.0, 0.0)
-    with contextlib.suppress(glib_error()):
-        if _has(camera, "SequencerSetSelector"):
-            low, high = camera.get_integer_bounds("SequencerSetSelector")
-            sets = high - low + 1
+    with contextlib.suppress(DeviceError), answered():
+        feature, unit_us = control.exposure()
+        exposure = _bounds(control.features.limits(feature), lambda value: value * unit_us)
+    with answered():
+        known = control.gain()
+        gain = _bounds(control.features.limits(known.feature), known.db) if known else (0.0, 0.0)
+    with answered():
+        if control.features.has("SequencerSetSelector"):
+            low, high, _ = control.features.limits("SequencerSetSelector") or (0, -1, 1)
+            sets = int(high - low) + 1
     return CameraLimits(exposure, gain, sets)
 
 
@@ -200,33 +282,138 @@ def error_text(error: Exception) -> str:
     return str(getattr(error, "message", error)).rstrip(".")
 
 
-# --- the lists of settings, in the order in which they are written
+# --- the settings, in the order in which they are written
 
 
-def _picture(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    # An earlier program may have left the sequencer on, which then would overwrite exposure and gain.
-    yield from _sequencer_off(camera)
-    yield from _available(
-        camera, ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"), 1
-    )
-    yield Setting("PixelFormat", config.pixel_format)
+BEFORE_FORMAT = (*families.MODES, *families.GEOMETRY)
+AT_THE_TRIGGER = (*families.ON_THE_LINE, *families.ON_THE_TRIGGER)
+
+
+def _load_user_set(control: Control, config: CameraConfig) -> None:
+    if config.user_set == KEEP:
+        return
+    offered = control.features.entries("UserSetSelector")
+    if config.user_set in offered and control.features.has("UserSetLoad"):
+        control.put(Setting("UserSetSelector", config.user_set))
+        control.execute("UserSetLoad", 'Set user_set = "keep" in station.toml for this camera.')
+        control.features.forget_selection()
+    elif config.user_set != CameraConfig.model_fields["user_set"].default:
+        raise DeviceError(
+            f"{control.name}: has no user set {config.user_set!r}; it has {', '.join(offered) or 'none'}.",
+            action="Set user_set in station.toml to one of these, or remove it.",
+            code="feature-absent",
+        )
+
+
+def _known_start(control: Control, config: CameraConfig) -> Iterator[Setting]:
+    """Write everything in an order that all makes accept; yield what was written or found to be so."""
+    features = control.features
+    trigger = _require_trigger(control)
+    yield from _neutralised(control, families.TRIGGERS)
+    if features.has("AcquisitionMode"):
+        yield from _put(control, [Setting("AcquisitionMode", "Continuous")])
+    yield from _neutralised(control, BEFORE_FORMAT)
+    yield from _put(control, _format_and_region(control, config))
+    yield from _neutralised(control, families.PICTURE)
+    _require_global_shutter(control, put=True)
+    yield from _put(control, _exposure(control, config))
+    yield from _put(control, _named_features(control, config))
+    features.forget_selection()  # named features may be selectors
+    features.select(trigger)
+    line = _require_line(control, config)
+    at_line = {"TriggerSelector": tuple(entry for _, entry in trigger), "LineSelector": (line,)}
+    yield from _put(control, [Setting("TriggerSource", line, at=trigger)])
+    if features.has("TriggerActivation"):
+        yield from _put(control, [Setting("TriggerActivation", "RisingEdge", at=trigger)])
+    yield from _neutralised(control, AT_THE_TRIGGER, at_line)
+    yield from _put(control, [Setting("TriggerMode", "On", at=trigger)])
+
+
+def _put(control: Control, settings: Iterable[Setting]) -> Iterator[Setting]:
+    for setting in settings:
+        control.put(setting)
+        yield setting
+
+
+def _neutralised(
+    control: Control, rows: Iterable[Neutral], entries: Mapping[str, tuple[str, ...]] = {}
+) -> Iterator[Setting]:
+    """Write what is not neutral; yield all settings that the camera has."""
+    for setting, got in _neutral(control, rows, entries):
+        if not setting.matches(got):
+            control.put(setting)
+        yield setting
+
+
+def _neutral(
+    control: Control, rows: Iterable[Neutral], entries: Mapping[str, tuple[str, ...]]
+) -> Iterator[tuple[Setting, Value]]:
+    """Yield neutral settings of the features that a camera has, and their present values."""
+    features = control.features
+    for row in rows:
+        if any(features.has(switch) for switch in row.unless) or not any(map(features.kind, row.names)):
+            continue
+        chosen = entries[row.per] if row.per in entries else features.entries(row.per) if row.per else ()
+        for entry in chosen or ("",):
+            at: At = ((row.per, entry),) if entry and features.has(row.per) else ()
+            for name in row.names:
+                # What cannot be read cannot be left over from another program: descriptions declare features that
+                # their camera lacks.
+                with answered():
+                    features.select(at)
+                    if not features.has(name):
+                        continue
+                    value = _in_kind(features, name, row.value)
+                    if value is not None:
+                        tolerance = FEATURE_TOLERANCE if isinstance(value, float) else 0.0
+                        yield Setting(name, value, tolerance, at, row.why), features.read(name)
+
+
+def _in_kind(features: Features, name: str, wanted: Wanted) -> Value | None:
+    """Return a wanted value in the kind of a feature; None if the feature cannot express it."""
+    kind = features.kind(name)
+    if kind == "choice":
+        offered = features.entries(name)
+        if wanted is families.OFF:
+            accepted: Sequence[str] = families.OFF_ENTRIES
+        elif wanted is families.ON:
+            accepted = families.ON_ENTRIES
+        else:
+            accepted = wanted if isinstance(wanted, tuple) else (f"X{wanted:g}", f"{wanted:g}")
+        return next((entry for entry in accepted if entry in offered), None)
+    if kind == "boolean":
+        return wanted is families.ON
+    if kind not in ("integer", "float") or isinstance(wanted, tuple):
+        return None
+    low, high, _ = features.limits(name) or (0.0, 0.0, 0.0)
+    if low == high:
+        return None  # there is no choice
+    number = low if wanted is families.LEAST else wanted if isinstance(wanted, int | float) else 0.0
+    return int(number) if kind == "integer" else float(number)
+
+
+def _format_and_region(control: Control, config: CameraConfig) -> Iterator[Setting]:
+    features = control.features
     # Chunk data would follow the pixels in every frame, which then would not fit its slot; a camera with a sequencer
     # states its exposures there.
-    if not config.chunk_room_bytes:
-        yield from _available(camera, ("ChunkModeActive",), False)
-    # A synchronised clock (PTP, under its names in SFNC 2 and GigE Vision) may jump; the station fits every clock.
-    yield from _available(camera, ("PtpEnable", "GevIEEE1588"), False)
-    yield Setting("Region", (*config.offset_px, config.width, config.height))
-    # Turned off before exposure and gain are set: while an automatic control is on, cameras refuse or overwrite values.
-    yield from _available(camera, ("ExposureAuto", "GainAuto", "BlackLevelAuto"), "Off")
-    yield from _available(camera, ("GammaEnable",), False)
-    yield from _exposure(camera, config)
+    if not config.chunk_room_bytes and features.has("ChunkModeActive"):
+        yield Setting("ChunkModeActive", False)
+    yield Setting("PixelFormat", config.pixel_format)
+    # At the corner of the sensor, every size fits; then the region is moved.
+    region = (("Width", config.width), ("Height", config.height))
+    offsets = (("OffsetX", config.offset_px[0]), ("OffsetY", config.offset_px[1]))
+    moved = [(name, wanted) for name, wanted in offsets if wanted or features.has(name)]
+    for name, _ in moved:
+        low, high, _ = features.limits(name) or (0, 0, 1)
+        if low < high:
+            yield Setting(name, int(low))
+    for name, wanted in (*region, *moved):
+        yield Setting(name, wanted)
 
 
-def _exposure(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    has_modes = _has(camera, "ExposureMode")
+def _exposure(control: Control, config: CameraConfig) -> Iterator[Setting]:
+    modes = control.features.entries("ExposureMode")
     if config.exposure_by == "trigger-width":
-        modes = camera.dup_available_enumerations_as_strings("ExposureMode") if has_modes else ()
         if TRIGGER_WIDTH not in modes:
             offered = f"its ExposureMode offers {', '.join(modes)}" if modes else "it has no feature ExposureMode"
             raise DeviceError(
@@ -236,207 +423,114 @@ def _exposure(camera: Any, config: CameraConfig) -> Iterator[Setting]:
                 code="exposure-mode",
             )
         yield Setting("ExposureMode", TRIGGER_WIDTH)
-        yield from _registers(camera, None, config.gain_db)
+        yield from registers(control, None, config.gain_db)
         return
-    # Written only to end the other mode: cameras have further modes, which station.toml does not know.
-    if has_modes and "ExposureMode" not in config.features:
-        by_width = Setting("ExposureMode", TRIGGER_WIDTH)
-        if by_width.matches(_read(camera, by_width)):
-            yield Setting("ExposureMode", "Timed")
-    yield from _registers(camera, config.exposure_us, config.gain_db)
+    # Cameras have further modes, which station.toml may name.
+    if "Timed" in modes and "ExposureMode" not in dict(config.named_features):
+        yield Setting("ExposureMode", "Timed")
+    yield from registers(control, config.exposure_us, config.gain_db)
 
 
-def _registers(camera: Any, exposure_us: float | None, gain_db: float) -> Iterator[Setting]:
+def registers(control: Control, exposure_us: float | None, gain_db: float) -> Iterator[Setting]:
+    """Yield the settings of an exposure, if there is one, and of a gain."""
     if exposure_us is not None:
-        yield Setting("ExposureTime", exposure_us, exposure_tolerance_us(exposure_us))
-    if gain_db or camera.is_gain_available():
-        yield Setting("Gain", gain_db, GAIN_TOLERANCE_DB)
-
-
-def _named_features(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    for feature, value in config.features.items():
-        if type(value) is int and isinstance(camera.get_device().get_feature(feature), aravis().GcFloat):
-            value = float(value)  # noqa: PLW2901  (a float feature also accepts a whole number)
-        yield Setting(feature, value, FEATURE_TOLERANCE * abs(value) if isinstance(value, float) else 0.0)
-
-
-def _trigger(camera: Any, config: CameraConfig) -> Iterator[Setting]:
-    """Yield the settings that make the camera send one frame per trigger pulse."""
-    make = make_of(camera.get_vendor_name() or "")
-    yield from _available(camera, ("AcquisitionMode",), "Continuous")
-    yield from _available(camera, ("AcquisitionFrameRateEnable",), False)
-    triggers = camera.dup_available_triggers()
-    ours = frame_trigger(triggers)
-    if ours is None:
+        feature, unit_us = control.exposure()
+        value = exposure_us / unit_us
+        if control.features.kind(feature) == "integer":
+            value = round(value)
+        yield Setting(feature, value, exposure_tolerance_us(exposure_us) / unit_us)
+    gain = control.gain()
+    if gain is not None:
+        value = gain.value(gain_db)
+        near = abs(gain.value(gain_db + GAIN_TOLERANCE_DB) - value)
+        kind = control.features.kind(gain.feature)
+        yield Setting(gain.feature, int(value) if kind == "integer" else value, near, gain.at)
+    elif gain_db:
+        limits = control.features.limits("GainRaw") if control.features.has("GainRaw") else None
+        has = f"its GainRaw counts {limits[0]:g} … {limits[1]:g} by no known formula" if limits else "it has no gain"
         raise DeviceError(
-            f"{config.label}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
-            action="Use a camera with a trigger input.",
+            f"{control.name}: cannot be set to a gain of {gain_db:g} dB: {has}.",
+            action="Set gain_db = 0 in station.toml"
+            + (", and GainRaw among its features, as its maker's manual says." if limits else "."),
+            code="gain-unknown",
         )
-    # Any other active trigger would delay or multiply frames. All triggers share one selector.
-    for other in triggers:
-        if other != ours:
-            yield Setting("TriggerSelector", other, shared=True)
-            yield Setting("TriggerMode", "Off", shared=True)
-    yield Setting("TriggerSelector", ours)
-    yield Setting("TriggerMode", "Off" if make.off_while_changing else "On", shared=True)
-    yield Setting("TriggerSource", trigger_line(config, camera.get_vendor_name() or ""))
-    yield Setting("TriggerActivation", "RisingEdge")
-    for feature, value in make.extra:
-        if _has(camera, feature) and camera.get_device().is_enumeration_entry_available(feature, value):
+
+
+def _named_features(control: Control, config: CameraConfig) -> Iterator[Setting]:
+    for feature, value in config.named_features:
+        # A selector that is named may stand anywhere from now on.
+        control.features.forget_selection()
+        number = not isinstance(value, bool | str)
+        if number and control.features.kind(feature) == "float":
+            yield Setting(feature, float(value), FEATURE_TOLERANCE * abs(float(value)))
+        else:
             yield Setting(feature, value)
-    yield Setting("TriggerMode", "On")
 
 
-# --- the sequencer: sets of exposure and gain, of which every frame uses the next one
+def _require_trigger(control: Control) -> At:
+    """Return the selector of the trigger that gives one frame per pulse; nothing if the camera has only one trigger."""
+    features = control.features
+    triggers = features.entries("TriggerSelector")
+    for name in (name for name in FRAME_TRIGGERS if name in triggers):
+        at: At = (("TriggerSelector", name),)
+        features.select(at)
+        # Descriptions list triggers that their camera lacks (Basler-scA1400-30gm).
+        if "On" in features.entries("TriggerMode"):
+            return at
+    if not triggers and "On" in features.entries("TriggerMode"):
+        return ()
+    raise DeviceError(
+        f"{control.name}: can be triggered by {', '.join(triggers) or 'nothing'} only, not by a wire.",
+        action="Use a camera with a trigger input.",
+        code="camera-without-trigger",
+    )
 
 
-def missing_features(camera: Any) -> tuple[str, ...]:
-    """Return the features of a sequencer that a camera does not have."""
-    return tuple(feature for feature in SEQUENCER if not _has(camera, feature))
-
-
-def program_sequencer(camera: Any, config: CameraConfig, sequence: Sets) -> None:
-    """Write a sequence of sets, read every set back, and switch the sequencer on.
-
-    The acquisition must be stopped, and the sequencer must be off.
-    """
-    name, source = config.label, require_sequencer(camera, config, sequence)
-    write(camera, name, [Setting("SequencerConfigurationMode", "On")])
-    _select_sequenced(camera, name)
-    sets = [list(_set(camera, sequence, number, source)) for number in range(len(sequence))]
-    for settings in sets:
-        write(camera, name, settings)
-        _execute(camera, config, "SequencerSetSave")
-    # Only what is loaded again is known to have been saved: until then the settings read back are those just written.
-    if _has(camera, "SequencerSetLoad"):
-        for selected, *settings in sets:
-            write(camera, name, [selected])
-            _execute(camera, config, "SequencerSetLoad")
-            compare(camera, name, settings)
-    write(camera, name, _available(camera, ("SequencerSetStart",), _first_set(camera)))
-    write(camera, name, [Setting("SequencerConfigurationMode", "Off"), Setting("SequencerMode", "On")])
-
-
-def rewind_sequencer(camera: Any, config: CameraConfig) -> None:
-    """Begin the sequence anew with its first set. The acquisition must be stopped."""
-    # The start set is taken when the sequencer is switched on; a mere start of the acquisition does it at some makes.
-    write(camera, config.label, [Setting("SequencerMode", "Off"), Setting("SequencerMode", "On")])
-
-
-def switch_sequencer_off(camera: Any, config: CameraConfig) -> None:
-    """Switch a sequencer off, if the camera has one. The acquisition must be stopped."""
-    write(camera, config.label, _sequencer_off(camera))
-
-
-def require_sequencer(camera: Any, config: CameraConfig, sequence: Sets) -> str:
-    """Return the source that advances the sequence. Raise DeviceError with numbers if the camera cannot hold it."""
-    if missing := missing_features(camera):
+def _require_line(control: Control, config: CameraConfig) -> str:
+    sources = control.features.entries("TriggerSource")
+    line = trigger_line(config, control.vendor, sources)
+    if line not in sources:
         raise DeviceError(
-            f"{config.label}: has no sequencer ({', '.join(missing)} missing), which exposure_by states and the "
-            f"light program needs: it has {len(sequence)} different steps for this camera.",
-            action=_INSTEAD,
-            code="sequencer-absent",
+            f"{control.name}: has no trigger input {line or 'by wire'}; it has {', '.join(sources) or 'none'}.",
+            action='Set trigger_line = "…" in station.toml to one of these.',
+            code="camera-without-input",
         )
-    low, high = camera.get_integer_bounds("SequencerSetSelector")
-    if len(sequence) > high - low + 1:
-        raise _beyond(config, f"its sequencer holds {high - low + 1} sets, but the light program needs {len(sequence)}")
-    bounds = [("exposure", "µs", camera.get_exposure_time_bounds())]
-    if camera.is_gain_available():
-        bounds.append(("gain", "dB", camera.get_gain_bounds()))
-    elif any(gain_db for _, gain_db in sequence):
-        raise _beyond(config, "it has no gain to set, but the light program changes it")
-    for number, step in enumerate(sequence):
-        for value, (name, unit, (least, most)) in zip(step, bounds, strict=False):
-            if not least <= value <= most:
-                limits = f"its {name} has the limits {least:g} … {most:g} {unit}"
-                raise _beyond(config, f"{limits}, but step {number} of the light program has {value:g} {unit}")
-    offered = camera.dup_available_enumerations_as_strings("SequencerTriggerSource")
-    source = next((name for name in SEQUENCER_SOURCES if name in offered), None)
-    if source is None:
-        raise _beyond(config, f"its sequencer advances by {', '.join(offered) or 'nothing'}, not once per frame")
-    return source
+    return line
 
 
-def _beyond(config: CameraConfig, why: str) -> DeviceError:
-    message = f"{config.label}: cannot follow the light program: {why}."
-    return DeviceError(message, action=_INSTEAD, code="sequencer-limits")
+def _require_global_shutter(control: Control, *, put: bool = False) -> None:
+    """Raise DeviceError if a camera exposes its lines one after the other; with `put`, switch its global shutter on."""
+    features = control.features
+    for name in families.SHUTTERS:
+        if features.kind(name) != "choice" or not features.has(name):
+            continue
+        got, offered = str(features.read(name)), features.entries(name)
+        best = next((entry for entry in families.GLOBAL_SHUTTERS if entry in offered), None)
+        if got in families.GLOBAL_SHUTTERS:
+            continue
+        if best is None or not put:
+            raise DeviceError(
+                f"{control.name}: {name} is {got}; it offers {', '.join(offered)}. Its lines are exposed one after the "
+                "other, and boards are filmed while they move.",
+                action="Use a camera with a global shutter.",
+                code="rolling-shutter",
+            )
+        control.put(Setting(name, best, why="lines would be exposed one after the other"))
 
 
-def _sequencer_off(camera: Any) -> Iterator[Setting]:
-    # Cameras whose sets were never programmed refuse any write to SequencerMode, so nothing is written in vain. The
-    # configuration ends first: while it is on, SequencerMode is locked.
-    for off in _available(camera, ("SequencerConfigurationMode", "SequencerMode"), "Off"):
-        if not off.matches(_read(camera, off)):
-            yield off
-
-
-def _select_sequenced(camera: Any, name: str) -> None:
-    """Let the sets hold exposure and gain. Cameras without a choice hold what they hold, which is compared later."""
-    if not _has(camera, "SequencerFeatureSelector"):
-        return
-    offered = camera.dup_available_enumerations_as_strings("SequencerFeatureSelector")
-    enabled = Setting("SequencerFeatureEnable", True)
-    for feature in ("ExposureTime", "Gain"):
-        if feature in offered:
-            write(camera, name, [Setting("SequencerFeatureSelector", feature)])
-            # Where a feature always belongs to the sets, its switch can be read only.
-            if not enabled.matches(_read(camera, enabled)):
-                write(camera, name, [enabled])
-
-
-def _set(camera: Any, sequence: Sets, number: int, source: str) -> Iterator[Setting]:
-    """Yield the settings of one set; the first one selects the set."""
-    first = _first_set(camera)
-    yield Setting("SequencerSetSelector", first + number)
-    yield from _registers(camera, *sequence[number])
-    path = make_of(camera.get_vendor_name() or "").sequencer_path
-    yield from _available(camera, ("SequencerPathSelector",), path)
-    yield Setting("SequencerSetNext", first + (number + 1) % len(sequence))
-    yield Setting("SequencerTriggerSource", source)
-
-
-def _first_set(camera: Any) -> int:
-    return int(camera.get_integer_bounds("SequencerSetSelector")[0])
-
-
-def _execute(camera: Any, config: CameraConfig, command: str) -> None:
+@contextlib.contextmanager
+def _reporting(control: Control) -> Iterator[None]:
+    """Turn GLib errors in a `with` block, raised while features are looked up, into a DeviceError."""
     try:
-        camera.get_device().execute_command(command)
+        yield
     except glib_error() as error:
         raise DeviceError(
-            f"{config.label}: refuses {command} ({error_text(error)}).",
-            action="Update its firmware, or set exposure_by in station.toml to another way.",
-            code="setting-refused",
+            f"{control.name}: does not report its features ({error_text(error)}).", code="setting-unread"
         ) from error
 
 
-# --- reading
-
-
-def _has(camera: Any, feature: str) -> bool:
-    return bool(camera.get_device().is_feature_available(feature))
-
-
-def _available(camera: Any, features: Sequence[str], value: Value) -> Iterator[Setting]:
-    """Yield one value for those of the features that the camera has."""
-    return (Setting(feature, value) for feature in features if _has(camera, feature))
-
-
-def _read(camera: Any, setting: Setting) -> Any:
-    if setting.feature in _BY_ARAVIS:
-        got = getattr(camera, _BY_ARAVIS[setting.feature][1])()
-        return (got.x, got.y, got.width, got.height) if setting.feature == "Region" else got
-    return getattr(camera.get_device(), f"get_{_KINDS[type(setting.value)]}_feature_value")(setting.feature)
-
-
-def _listed(name: str, settings: Iterator[Setting]) -> list[Setting]:
-    try:
-        return list(settings)
-    except glib_error() as error:
-        raise DeviceError(f"{name}: does not report its features ({error_text(error)}).") from error
-
-
-def _bounds(stated: Sequence[float]) -> tuple[float, float] | None:
+def _bounds(stated: tuple[float, float, float] | None, meaning: Callable[[float], float]) -> tuple[float, float] | None:
     """Return a lowest and a highest value; None if they are none, as of a feature without limits."""
-    low, high = stated
-    return (float(low), float(high)) if math.isfinite(low) and math.isfinite(high) and low < high else None
+    if stated is None or not (math.isfinite(stated[0]) and math.isfinite(stated[1]) and stated[0] < stated[1]):
+        return None
+    return meaning(stated[0]), meaning(stated[1])

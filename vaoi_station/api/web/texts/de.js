@@ -624,7 +624,8 @@ const settings = {
     "cameras[].packet_bytes": "Größtes Paket; leer: was der Weg von der Kamera durchlässt, höchstens 9000.",
     "cameras[].link": "Name einer Leitung vor dem Netzanschluss, die sich mehrere Kameras teilen, etwa der eines Switches; bei ihnen derselbe Name.",
     "cameras[].link_mbit_s": "Geschwindigkeit dieser Leitung, ohne sie die des Netzanschlusses; leer: die gemeldete.",
-    "cameras[].features": "Weitere Einstellungen mit GenICam-Namen, in dieser Reihenfolge vor dem Trigger geschrieben.",
+    "cameras[].user_set": "Benutzersatz der Kamera, der vor allen Einstellungen geladen wird; \"keep\" lässt alles, was in der Kamera ist.",
+    "cameras[].features": "Weitere Einstellungen mit GenICam-Namen, in dieser Reihenfolge vor dem Trigger geschrieben: eine Tabelle oder, um einen Wähler mehrmals zu stellen, eine Liste von Tabellen.",
     "cameras[].nominal_center_mm": "Sollmitte des Bildfelds in Testerkoordinaten; das Kalibrieren braucht sie auf wenige mm.",
     "cameras[].nominal_px_per_mm": "Sollauflösung auf dem Band; das Kalibrieren braucht sie.",
     "cameras[].nominal_roll_deg": "Drehung der montierten Kamera, von Bild-x nach Bild-y; 180: kopfüber.",
@@ -930,6 +931,11 @@ const findings = {
   "setting-refused": ["Diese Kamera weist eine Einstellung ab.", "In station.toml einstellen, was sie kann."],
   "setting-ignored": ["Diese Kamera übernimmt eine Einstellung nicht.", "In station.toml einstellen, was sie kann."],
   "setting-unread": ["Eine Einstellung dieser Kamera ist nicht zu lesen.", "In station.toml einstellen, was sie kann."],
+  "setting-beyond-limits": ["Eine Einstellung liegt außerhalb der Grenzen, die diese Kamera nennt.", "In station.toml einen Wert in diesen Grenzen einstellen."],
+  "feature-absent": ["Dieser Kamera fehlt etwas, was die Station braucht.", "In station.toml einstellen, was sie hat, oder eine andere Kamera verwenden."],
+  "description-wrong": ["Die Beschreibung dieser Kamera widerspricht sich.", "Ihre Firmware erneuern, oder eine andere Kamera verwenden."],
+  "gain-unknown": ["Wie viele dB die Verstärkung dieser Kamera hat, ist nicht bekannt.", "gain_db = 0 in station.toml, und GainRaw unter features."],
+  "rolling-shutter": ["Diese Kamera belichtet ihre Zeilen nacheinander.", "Eine Kamera mit Global Shutter verwenden."],
   "clock-jumped": ["Die Uhr einer Kamera ist gesprungen.", "Abschalten, was die Uhr stellt (PTP, IEEE 1588, ein anderes Programm); die Stromversorgung prüfen."],
 
   // Steuerung
