@@ -24,6 +24,7 @@ from vaoi_station.acquisition.cameras.aravis.connection import (
     locate,
     open_device,
 )
+from vaoi_station.acquisition.cameras.aravis.features import Features
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
 from vaoi_station.acquisition.cameras.aravis.network import TEST_STEP
 from vaoi_station.acquisition.cameras.aravis.sequencer import missing_features
@@ -168,9 +169,8 @@ def ask(camera: CameraConfig) -> Offered:
             address = device.get_device_address().get_address().to_string()
             local = device.get_interface_address().get_address().to_string()
             port = network.interface_of(local)
-            smallest, largest = opened.get_integer_bounds("GevSCPSPacketSize")
-            step = max(1, opened.get_integer_increment("GevSCPSPacketSize"))
-            packets = network.PacketLimits(smallest, largest, step)
+            smallest, largest, step = map(int, Features(opened).limits("GevSCPSPacketSize") or (0, 0, 1))
+            packets = network.PacketLimits(smallest, largest, max(1, step))
             passing = find_packet_size(opened, camera, packets, address, local)[1]
             speed_mbit_s = links.speed_mbit_s(opened, address)
         control = Control(opened, camera.label)

@@ -380,8 +380,8 @@ class Connection:
 
     def _find_packet_size(self) -> None:
         camera, address = self._camera, self.identity.address
-        low, high = camera.get_integer_bounds("GevSCPSPacketSize")
-        limits = PacketLimits(low, high, max(1, camera.get_integer_increment("GevSCPSPacketSize")))
+        low, high, step = map(int, Features(camera).limits("GevSCPSPacketSize") or (0, 0, 1))
+        limits = PacketLimits(low, high, max(1, step))
         local = camera.get_device().get_interface_address().get_address().to_string()
         most, passing = find_packet_size(camera, self.config, limits, address, local)
         self.packet_bytes, self.packets_proven = passing or most, passing is not None

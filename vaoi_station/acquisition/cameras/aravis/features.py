@@ -104,8 +104,11 @@ class Features:
         if kind not in ("integer", "float"):
             return None
         low, high = getattr(self._device, f"get_{kind}_feature_bounds")(name)
-        # A float without a step states the smallest number there is.
-        step = self._device.get_integer_feature_increment(name) if kind == "integer" else 0
+        # A float without a step states the smallest number there is. To Aravis, the step of a number that lies in a
+        # masked register is an error (AVT_Mako_G234B: GevSCPSPacketSize); by GenApi it is 1.
+        step = 1 if kind == "integer" else 0
+        with answered():
+            step = self._device.get_integer_feature_increment(name) if kind == "integer" else 0
         return low, high, step
 
     def unit(self, name: str) -> str:

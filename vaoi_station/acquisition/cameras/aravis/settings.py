@@ -22,7 +22,7 @@ from vaoi_station.acquisition.cameras.interface import GAIN_TOLERANCE_DB, Camera
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 
-FRAME_TRIGGERS = ("FrameStart", "FrameBurstStart", "AcquisitionStart")
+FRAME_TRIGGERS = ("FrameStart", "ExposureStart", "FrameBurstStart", "AcquisitionStart")
 """Triggers that give one frame per pulse, in order of preference."""
 TRIGGER_WIDTH = "TriggerWidth"
 """The ExposureMode in which a camera exposes for as long as the trigger is high (SFNC)."""
@@ -505,6 +505,8 @@ def _require_global_shutter(control: Control, *, put: bool = False) -> None:
         if features.kind(name) != "choice" or not features.has(name):
             continue
         got, offered = str(features.read(name)), features.entries(name)
+        if not offered:
+            continue  # FLIR_BFLY_PGE_13H2M declares shutters that it does not have
         best = next((entry for entry in families.GLOBAL_SHUTTERS if entry in offered), None)
         if got in families.GLOBAL_SHUTTERS:
             continue
