@@ -18,6 +18,7 @@ from vaoi_station.errors import StateError
 from vaoi_station.runs.trends.trends import (
     TrendHistory,
 )
+from vaoi_station.stitching.quality.verdict import sigma_limit_px
 from vaoi_station.store import Store
 from vaoi_station.store.figures import BoardRow, Span
 
@@ -61,6 +62,16 @@ def test_figures_that_cannot_be_kept_hold_up_no_result(
         rig.board(grant)
         assert rig.result_of(grant.run).verdict == "ok"
         grant = rig.peer.expect(Grant)
+
+
+def test_the_line_of_uncertainty_has_the_limit_of_a_coarse_station(store: Store) -> None:
+    history = TrendHistory(store.figures, ("a",), 16)
+    store.figures.add(BoardRow("r1", "2026-01-01T00:00:00.000Z", "b", {"sigma_px": 0.22}), {}, 10)
+    store.database.write(lambda _: None).result(10)
+    history.sigma_limit_px = sigma_limit_px(4.0)
+    [line] = history.trends(EVER, (), 100).series
+    assert line.figure == "sigma_px"
+    assert line.upper == pytest.approx(0.24)
 
 
 @pytest.mark.parametrize("what", ["boards", "hours", "comparison"])

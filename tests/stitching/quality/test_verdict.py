@@ -219,6 +219,11 @@ def test_empty_frames_fail_for_lack_of_texture(filmed: Any) -> None:
     assert len(result.quality["unlinked"]) == sum(t.kind != "marks" for t in filmed.tasks)
 
 
-@pytest.mark.parametrize(("px_per_mm", "limit_px"), [(2.0, 0.2), (4.0, 0.24), (4.5, 0.25), (5.0, 0.2), (40.0, 0.2)])
+@pytest.mark.parametrize(("px_per_mm", "limit_px"), [(2.0, 0.2), (4.0, 0.24), (4.5, 0.23), (5.0, 0.2), (40.0, 0.2)])
 def test_the_limit_of_a_coarse_station_is_one_in_mm(px_per_mm: float, limit_px: float) -> None:
     assert sigma_limit_px(px_per_mm) == pytest.approx(limit_px)
+
+
+def test_stations_of_nearly_the_same_resolution_have_nearly_the_same_limit() -> None:
+    limits_px = np.array([sigma_limit_px(px_per_mm) for px_per_mm in np.arange(2.0, 8.0, 0.01)])
+    assert np.abs(np.diff(limits_px)).max() < 0.001

@@ -53,6 +53,7 @@ from vaoi_station.runs.states.schemas import (
     StationSnapshot,
     Timeline,
 )
+from vaoi_station.stitching.quality.verdict import sigma_limit_px
 from vaoi_station.store import BoardTypeDirectory
 
 ARM_LIMIT_S = 30.0
@@ -110,6 +111,8 @@ class StationCoordinator(BoardTypeRequests):
         pictures = KeptMosaics(config.data / MOSAICS, config.keep, parts.archive, self.mosaics, access, events)
         self.kept = KeptRuns(config, parts.archive, events, access, self.heights, pictures, access.render)
         access.heights, parts.watch.on_checked = known, self.kept.trends.checked
+        if parts.px_per_mm:
+            self.kept.trends.sigma_limit_px = sigma_limit_px(sum(parts.px_per_mm) / len(parts.px_per_mm))
         recorded = access.recorded = self.kept.recordings.frame_file
         of_runs = parts.archive.explained, access.lease, recorded, access.render
         self.merged = MergedAccess(*of_runs, fields, known)

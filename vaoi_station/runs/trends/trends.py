@@ -21,6 +21,7 @@ from vaoi_station.model import Stitch, Strict
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import RunDetail
 from vaoi_station.runs.trends.figures import FIGURES, figures_of, figures_of_check, has_only_lower_limit, made_with_of
+from vaoi_station.stitching.quality.verdict import OK_SIGMA_PX
 from vaoi_station.store.figures import (
     BYTES_PER_BOARD,
     LEAST_BOARDS,
@@ -165,6 +166,8 @@ class TrendHistory:
         self._recent: OrderedDict[str, BoardRow] = OrderedDict()
         """Boards that wait for their check, and figures of checks that wait for the end of their run (no type)."""
         self._joining = threading.Lock()
+        self.sigma_limit_px = OK_SIGMA_PX
+        """Limit of the verdict at the station's resolution, which lines of `sigma_px` show."""
 
     def finished(self, detail: RunDetail, stitch_of: Callable[[str], Stitch | None]) -> None:
         """Keep the figures of a run that has ended; it returns at once, and raises nothing."""
@@ -204,6 +207,10 @@ class TrendHistory:
                 groups = groups_of_boards(self._figures.boards(runs), width_s)
             times, series = tuple(group.time for group in groups), series_of_groups(groups, wanted)
             counts = tuple(group.boards for group in groups)
+        series = [
+            line.model_copy(update={"upper": self.sigma_limit_px}) if line.figure == "sigma_px" else line
+            for line in series
+        ]
         return Trends(
             since=span.since,
             until=span.until,

@@ -1,7 +1,8 @@
 """The verdict on a stitch, ok, degraded or failed, decided by a list of checks of its findings.
 
-A result is ok if every position has a standard deviation of at most 0.2 px, each component is seen as much as is asked
-for, and no check fails. It is degraded if it is usable but a check fails, and failed if it contains no positions.
+A result is ok if every position has a standard deviation of at most 0.2 px (`sigma_limit_px`), each component is seen
+as much as is asked for, and no check fails. It is degraded if it is usable but a check fails, and failed if it contains
+no positions.
 """
 
 from __future__ import annotations
@@ -42,9 +43,9 @@ from vaoi_station.stitching.quality.uncertainty import seam_sigma_px
 from vaoi_station.stitching.quality.visibility import unconfirmed_reasons, unseen_reasons
 
 OK_SIGMA_PX = 0.20
-_COARSE_PX_PER_MM, _COARSE_SIGMA_MM, _COARSE_SIGMA_PX = 5.0, 0.06, 0.25
-"""A station is coarse below the first value. There, what matters to a tester is the second value, if it is more than
-the limit in px; the third value is never exceeded."""
+_COARSE_SIGMA_MM, _COARSE_SIGMA_PX = 0.06, 0.25
+"""On a coarse station, of 3.3 to 5 px/mm, what matters to a tester is the first value. The limit in px is never above
+the second one, and falls from there to `OK_SIGMA_PX` as it rose, so that no resolution has a limit of its own."""
 _OUTSIDE_LIMIT = 0.03
 _ENOUGH_FIDUCIALS = 3
 """Least number of found fiducials for which an error of one fiducial leaves residuals."""
@@ -381,8 +382,8 @@ def _texture_off_the_board(f: Findings, b: PlacedBoard) -> Iterator[Reason]:
 
 
 def _uncertain_positions(f: Findings, b: PlacedBoard) -> Iterator[Reason]:
-    worst = f.sigma.worst_px
-    limit_px = sigma_limit_px(f.px_per_mm)
+    worst, px_per_mm = f.sigma.worst_px, float(np.mean([camera.px_per_mm for camera in f.calibrated]))
+    limit_px = sigma_limit_px(px_per_mm)
     # in this form, because a value that is no number must not be ok
     if worst is None or worst <= limit_px:
         return
@@ -393,15 +394,15 @@ def _uncertain_positions(f: Findings, b: PlacedBoard) -> Iterator[Reason]:
         blamed += f"; the calibration of {who} leaves ± {max(seams):.2f} px at the seams"
         blamed += ": calibrate with more marks per camera"
     blamed += disputed_positions(f, limit_px)
-    um = f"{worst / f.px_per_mm * 1e3:.0f} µm on the board, limit {limit_px / f.px_per_mm * 1e3:.0f} µm"
+    um = f"{worst / px_per_mm * 1e3:.0f} µm on the board, limit {limit_px / px_per_mm * 1e3:.0f} µm"
     uncertain = f"positions are uncertain by {worst:.3f} px (1 σ, limit {limit_px:.2g}; {um}){blamed}"
     yield Reason(ReasonCode.POSITIONS_UNCERTAIN, uncertain)
 
 
 def sigma_limit_px(px_per_mm: float) -> float:
-    """Return the largest standard deviation of a position that is `ok`, px, at a resolution."""
-    coarse = min(_COARSE_SIGMA_MM * px_per_mm, _COARSE_SIGMA_PX) if px_per_mm < _COARSE_PX_PER_MM else 0.0
-    return max(OK_SIGMA_PX, coarse)
+    """Return the largest standard deviation of a position that is `ok`, px, at the calibrated cameras' resolution."""
+    largest_at_px_per_mm = _COARSE_SIGMA_PX / _COARSE_SIGMA_MM
+    return max(OK_SIGMA_PX, _COARSE_SIGMA_PX - _COARSE_SIGMA_MM * abs(px_per_mm - largest_at_px_per_mm))
 
 
 def disputed_positions(f: Findings, limit_px: float) -> str:
