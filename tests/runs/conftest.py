@@ -184,7 +184,7 @@ class ScriptedWorkers:
                 verdict = {"status": job.status, "reasons": job.reasons, "reason_codes": job.reason_codes}
                 document = stitch_text(explained(self.answered[job.run]).model_copy(update=verdict))
                 check = None if job.check is None else self.check_reply(job.check)
-                self.answer(job, Reply(Explained(document, check), None, 0.003))
+                self.answer(job, Reply(Explained(Reply(document, None, 0.0), check), None, 0.003))
             case _:
                 self.answer(job, Reply(b"picture", None, 0.001))
 

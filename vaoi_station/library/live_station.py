@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -64,6 +65,8 @@ from vaoi_station.runs.states.schemas import (
 
 _PAGE = 500
 """Largest number of runs in one reply of a station."""
+_AWAITED_S = 10.0
+"""Time from the first access to a result during which its later entries are awaited, s."""
 _CORNERS = ("x0", "y0", "x1", "y1")
 Box = tuple[float, float, float, float]
 """A part of a board: x0, y0, x1, y1, CAD coordinates in the unit of the board type."""
@@ -194,10 +197,12 @@ class StationRun:
     def result(self) -> Stitch:
         """Matrices, uncertainty and verdict of the run, fetched at the first access.
 
-        Directly after the run, `quality["later"]` names entries that follow: it is then fetched again at each access.
+        Directly after the run, `quality["later"]` names entries that follow within moments: for ten seconds, it is then
+        fetched again at each access. What is missing after that, the station does not have.
         """
         known: Stitch | None = self.__dict__.get("_result")
-        if known is None or "later" in known.quality:
+        until_s = self.__dict__.setdefault("_awaited_until_s", time.monotonic() + _AWAITED_S)
+        if known is None or ("later" in known.quality and time.monotonic() < until_s):
             known = self.__dict__["_result"] = self._client.read(Stitch, self._path("matrices"))
         return known
 

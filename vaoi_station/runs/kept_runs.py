@@ -63,7 +63,7 @@ class KeptRuns:
         self.history = RunHistory(archive, events)
         names = [camera.name for camera in config.cameras]
         self.trends = TrendHistory(archive.figures, names, config.keep.database_gb)
-        archive.on_finished = self._finished
+        archive.on_finished, archive.on_explained = self._finished, self.recordings.update
         self.identities.on_changed = self._identity_changed
 
     def start(self) -> None:

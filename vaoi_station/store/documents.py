@@ -313,7 +313,8 @@ class Store:
             replacement = "INSERT OR REPLACE INTO results SELECT run, ?, ? FROM results WHERE run = ?"
             connection.execute(replacement, (*packed(document), run))
 
-        return self.database.write(write, patient=True, durable=False, size=len(document))
+        # What callers were told to be complete is so after a power cut too.
+        return self.database.write(write, patient=True, size=len(document))
 
     def set_state(self, run: str, state: str) -> Future[int]:
         """Set the state of a finished run whose frames were released or evicted; no effect on an unfinished run."""

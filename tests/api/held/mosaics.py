@@ -35,7 +35,9 @@ class HeldMosaics(Mosaics):
         archive: Any = SimpleNamespace(get=self._finished, explained=self._finished, store=store)
         super().__init__(archive, self._held, self._perform)
         station.heights = MeasuredHeights(self._archive, self._held, self._render, self._bay, station)
-        station.batches = BatchAccess(self._timed, self._held, lambda *_: None, self._perform, station.merged)
+        station.batches = BatchAccess(
+            self._timed, self._timed, self._held, lambda *_: None, self._perform, station.merged
+        )
 
     def _bay(self, run: str) -> Any:
         with self._held(run, "look-up") as bay:

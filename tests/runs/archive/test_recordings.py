@@ -17,6 +17,7 @@ from vaoi_station.config import KeepConfig
 from vaoi_station.errors import DeviceError, GoneError
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch, write_board_type
 from vaoi_station.files.directories import remove_directory, size_below
+from vaoi_station.files.results import stitch_text
 from vaoi_station.model import BoardIdentity, Status, Verdict
 from vaoi_station.runs.archive import recordings as module
 from vaoi_station.runs.archive.event_log import EventLog
@@ -208,6 +209,28 @@ def test_a_recording_is_offered_once_its_record_is_known_and_never_of_another_st
     rig.wait_for(lambda: not keeper._updates, "the thread has taken it")
     keeper.stop()
     assert offered == [run.id]
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_recording_gets_the_complete_result_and_is_offered_with_it(rig: Any, tmp_path: Path, lost: bool) -> None:
+    run, archive, offered = a_board(rig), rig.archive, list[str]()
+    whole = archive.get(run.id)
+    first = whole.lean.model_copy(update={"quality": {**whole.lean.quality, "later": ["heights_mm"]}})
+    archive._cache(replace(whole, stitch=first, document=stitch_text(first)))
+    archive._unexplained.add(run.id)
+    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames)
+    keeper.on_kept, archive.on_explained = offered.append, keeper.update
+    keeper.start()
+    keeper.request(run.id)
+    wait_event(rig, run.id, "recording")
+    rig.wait_for(lambda: not (keeper._waiting or keeper._updates), "the recording")
+    result = tmp_path / "kept" / run.id / "result.json"
+    assert "later" in read_stitch(result).quality
+    assert offered == []
+    archive.explain(run.id, None if lost else whole.text, "its worker has ended.")
+    rig.wait_for(lambda: offered == [run.id], "the offer")
+    keeper.stop()
+    assert ("later" in read_stitch(result).quality) == lost
 
 
 @pytest.mark.parametrize("cause", ["quota", "disk", "fault"])

@@ -57,7 +57,7 @@ def test_frames_that_have_gone_are_read_from_a_recording(station: HeldStation, t
     station.release("r000001")
     with pytest.raises(GoneError):
         opened(access, request)
-    kept = BatchAccess(access.get, access.lease, recorded, access.render, access.merged)
+    kept = BatchAccess(access.get, access.explained, access.lease, recorded, access.render, access.merged)
     again = opened(kept, request)
     assert again.setup.files
     from_files = pictures(kept, again)

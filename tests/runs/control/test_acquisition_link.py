@@ -66,6 +66,20 @@ def test_an_unexpected_end_is_reported_and_followed_by_a_restart(
     assert link.status().restarts == 1
 
 
+def test_what_a_process_reported_while_workers_warmed_up_is_not_lost_with_it(
+    unstarted: AcquisitionLink, peer: Any, events: Recorded
+) -> None:
+    unstarted.start(events.messages.put, events.ends.put, lambda: False)
+    peer.wait_for_start(1)
+    lost = Trouble("camera-lost", "Camera 1 is lost.", "Check its cable.")
+    for report in (Ready(3), lost):
+        peer.report(report)
+    peer.die(1)
+    assert events.ends.get(timeout=PATIENCE_S)
+    assert events.messages.get_nowait() == lost, "it is not ready any more"
+    assert events.messages.empty()
+
+
 class RecordedBackoff(Backoff):
     """Records the pauses, and does not wait for them."""
 

@@ -21,7 +21,7 @@ from vaoi_station.runs.control.line_control import Completion
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.progress import CAUSE, Progress
 from vaoi_station.runs.states.run_ids import RunIds
-from vaoi_station.runs.workers.jobs import Concluded, ConcludeJob, Explained, ExplainJob, LinkJob
+from vaoi_station.runs.workers.jobs import Concluded, ConcludeJob, Explained, ExplainJob, LinkJob, Reply
 from vaoi_station.store import Store
 
 
@@ -134,7 +134,7 @@ def test_a_result_is_announced_at_once_and_completed_by_its_explanation(station:
     assert (first.detail.state, first.detail.verdict, first.complete) == ("ready", "ok", False)
     [job] = station.workers.of(ExplainJob, run)
     whole = explained(first.result)
-    station.workers.answer(job, Explained(stitch_text(whole), None))
+    station.workers.answer(job, Explained(Reply(stitch_text(whole), None, 0.0), None))
     finished = station.archive.explained(run)
     assert finished.complete
     store.set_state(run, "ready").result()  # writes are done in their order
@@ -144,22 +144,19 @@ def test_a_result_is_announced_at_once_and_completed_by_its_explanation(station:
     assert (event.kind, event.state, event.run) == ("run", "", run), "for those who wait for runs, a run ends once"
 
 
-def test_an_explanation_that_is_lost_is_stated_and_leaves_the_verdict(
-    station: Station, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("vaoi_station.runs.archive.finished_runs.EXPLAINED_S", 0.05)
+def test_an_explanation_that_is_lost_is_stated_and_leaves_the_verdict(station: Station) -> None:
     run = station.film()
     station.conclude(run, later=("heights_mm",))
-    assert not station.archive.explained(run).complete, "it is not awaited for ever"
+    assert not station.archive.explained(run, 0.05).complete, "it is not awaited for ever"
     [job] = station.workers.of(ExplainJob, run)
     station.workers.answer(job, None, InternalError("its worker has ended."))
     finished = station.archive.get(run)
     assert (finished.complete, finished.detail.state, finished.result.quality["later"]) == (
         False, "ready", ["heights_mm"],
     )  # fmt: skip
-    assert [e.code for e in station.log.read(0, 0.0, 100) if e.kind == "trouble"] == [
-        "explanation-lost", "calibration-not-checked",
-    ]  # fmt: skip
+    troubles = [e for e in station.log.read(0, 0.0, 100) if e.kind == "trouble"]
+    assert [e.code for e in troubles] == ["explanation-lost", "calibration-not-checked"]
+    assert "its worker has ended" in troubles[0].message
 
 
 def test_a_stop_waits_for_the_explanation_of_the_last_run(station: Station) -> None:
@@ -168,7 +165,9 @@ def test_a_stop_waits_for_the_explanation_of_the_last_run(station: Station) -> N
     station.conclude(run, later=("heights_mm",))
     assert not stopped.done()
     [job] = station.workers.of(ExplainJob, run)
-    station.workers.answer(job, Explained(stitch_text(explained(station.archive.get(run).result)), None))
+    station.workers.answer(
+        job, Explained(Reply(stitch_text(explained(station.archive.get(run).result)), None, 0.0), None)
+    )
     assert stopped.done()
 
 

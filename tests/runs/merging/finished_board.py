@@ -70,8 +70,9 @@ class Merging:
         )
         self.heights: dict[str, tuple[float, float]] | None = None
         """Measured heights of components and their standard deviations, mm."""
+        runs = (lambda _: self.finished, lambda _: self.finished)
         self.access = MergedAccess(
-            lambda _: self.finished, self._lease, self._recorded, self._render, flat_fields, lambda _: self.heights
+            *runs, self._lease, self._recorded, self._render, flat_fields, lambda _: self.heights
         )
 
     @contextmanager

@@ -153,7 +153,7 @@ def test_an_answer_becomes_the_result_of_the_library_by_its_explanation(
     lowered = ExplainJob("r1", Status.DEGRADED, ("the belt stopped",), ("belt",))
     explained = only(runtime, lowered).value
     assert explained.check is None
-    texts = answer.document, explained.document, library_text(ring_board)
+    texts = answer.document, explained.document.value, library_text(ring_board)
     first, whole, library = (json.loads(text) for text in texts)
     assert (whole["status"], whole["reasons"], whole["reason_codes"]) == ("degraded", ["the belt stopped"], ["belt"])
     later = first["quality"].pop("later")
@@ -166,6 +166,17 @@ def test_an_answer_becomes_the_result_of_the_library_by_its_explanation(
     error = only(runtime, lowered).error
     assert isinstance(error, InternalError)
     assert "the explanation of run r1 is not possible" in error.message
+
+
+def test_a_fault_of_the_explanation_leaves_the_check_of_the_calibration(
+    runtime: WorkerRuntime, ring_board: RingBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert only(runtime, ring_board.conclusion()).error is None
+    monkeypatch.setattr("vaoi_station.stitching.conclude.explanation", lambda _: 1 / 0)
+    answer = only(runtime, CHECK).value
+    assert isinstance(answer.document.error, InternalError)
+    assert "the explanation of run r1 failed: ZeroDivisionError" in answer.document.error.message
+    assert isinstance(answer.check.value, RunCheck)
 
 
 def library_text(board: RingBoard) -> str:

@@ -174,7 +174,7 @@ def router(services: Services) -> APIRouter:
         Places are CAD coordinates, as `image_from_cad` of a mosaic takes them. No frames are needed. 409: the run has
         no CAD mapping.
         """
-        return json_response(request, await ask(coordinator.mosaics.overlay, run))
+        return json_response(request, await services.explained.ask(coordinator.mosaics.overlay, run))
 
     @routes.post("/{run}/release")
     async def release_run(

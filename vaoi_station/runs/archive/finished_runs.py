@@ -140,6 +140,8 @@ class Archive:
         self.statistics = RunStatistics()
         self.on_finished: Callable[[RunDetail], None] = lambda _detail: None
         """Function that is called before a run is announced, with its document. It must return at once."""
+        self.on_explained: Callable[[str], None] = lambda _run: None
+        """Function that is called with a run once its result is complete, or stays as it is. It must return at once."""
         self.retention, self.search, self.identities, self.figures = (
             store.retention, store.search, store.identities, store.figures
         )  # fmt: skip
@@ -199,17 +201,18 @@ class Archive:
         saved.add_done_callback(lambda future: self._written(finished, future))
         return detail
 
-    def explain(self, run: str, document: str | None) -> None:
-        """Put the complete result of a finished run in place of the first one; None: it will never come."""
+    def explain(self, run: str, document: str | None, why: str = "") -> None:
+        """Put the complete result of a finished run in place of the first one; None: it will never come, and `why`."""
         try:
             with contextlib.suppress(VaoiError):  # it may have been deleted meanwhile
-                self._explain(self.get(run), document)
+                self._explain(self.get(run), document, why)
         finally:
             with self._changed:  # after the complete result is in place, which callers wait for
                 self._unexplained.discard(run)
                 self._changed.notify_all()
+            self.on_explained(run)
 
-    def _explain(self, read: FinishedRun, document: str | None) -> None:
+    def _explain(self, read: FinishedRun, document: str | None, why: str) -> None:
         run = read.detail.id
         with self._changed:
             finished = self._in_memory(run) or read
@@ -222,7 +225,7 @@ class Archive:
                 saved = self.store.complete_result(run, document)
                 saved.add_done_callback(partial(self._completed, run))
         if document is None:
-            message = "The tables that explain the verdict are missing: their worker ended before it had computed them."
+            message = f"The tables that explain the verdict are missing: {why}"
             action = "Matrices and verdict are complete. For the tables, stitch the recording of the run."
             self._events.add("trouble", message, run=run, code="explanation-lost", action=action)
         else:
@@ -235,11 +238,15 @@ class Archive:
             message = f"The complete result of run {run} could not be written: {fault}"
             self._events.add("trouble", message, run=run, code="store")
 
-    def explained(self, run: str) -> FinishedRun:
+    def explained(self, run: str, longest_s: float = EXPLAINED_S) -> FinishedRun:
         """Return a finished run as `get` does, with its complete result; wait for that if it has ended just now."""
         with self._changed:
-            self._changed.wait_for(lambda: run not in self._unexplained or self._closed, EXPLAINED_S)
+            self._changed.wait_for(lambda: not self.awaits_explanation(run) or self._closed, longest_s)
         return self.get(run)
+
+    def awaits_explanation(self, run: str) -> bool:
+        """Return whether the result of a finished run is still being completed."""
+        return run in self._unexplained
 
     def tick(self) -> None:
         """Announce runs from memory while the storage is in trouble. The coordinator calls this every tick."""

@@ -82,6 +82,8 @@ class Recordings:
         """Recordings whose records are to be brought up to date, and whether they are offered unchanged as well."""
         self._outdated: set[str] = set()
         """Runs whose records could not be brought up to date; they are tried again."""
+        self._unexplained: set[str] = set()
+        """Runs whose recording may have a result that is not complete yet."""
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self.thread = SupervisedThread(self._run, "recordings", TASK_LIMIT_S)
@@ -285,7 +287,9 @@ class Recordings:
             write_board_type(draft / "board.json", finished.board_type)
             write_bytes(draft / RUN_FILE, finished.detail.model_dump_json().encode())
             if finished.document is not None:
-                write_bytes(draft / RESULT_FILE, self._archive.explained(run).text.encode())
+                write_bytes(draft / RESULT_FILE, finished.text.encode())
+                if not finished.complete:
+                    self._unexplained.add(run)  # `_renewed` replaces it
             if program := finished.board_type.program or self.program:
                 steps = [step.model_dump(mode="json", exclude_none=True) for step in program]
                 write_json(draft / LIGHT_PROGRAM_FILE, steps)
@@ -311,20 +315,24 @@ class Recordings:
             self._outdated.add(run)
             return
         # An imported run is for its own station to hand over.
-        if record is not None and record.identity_decided and record.origin is None and (changed or offer):
+        final = record is not None and record.identity_decided and run not in self._unexplained
+        if final and record is not None and record.origin is None and (changed or offer):
             self.on_kept(run)
 
     def _renewed(self, run: str) -> tuple[RunDetail | None, bool]:
-        """Return the record in a recording, and whether it was written again; None if the recording was deleted.
+        """Return the record in a recording, and whether it has changed; None if the recording was deleted.
 
-        The record changes after the end of the run with the identity of its board, which may lower the verdict.
+        The record changes after the end of the run with the identity of its board, which may lower the verdict, and
+        the result is completed.
         """
         path = self.directory / run / RUN_FILE
         known: RunDetail | None = None
         with suppress(NotFoundError, InputError):
             known = parse(RunDetail, read_json(path), path)
+        finished = None
         try:
-            record: RunDetail | None = self._archive.get(run).detail
+            finished = self._archive.get(run)
+            record: RunDetail | None = finished.detail
         except (GoneError, NotFoundError):
             record = known
             if known is not None and not known.identity_decided:
@@ -337,10 +345,15 @@ class Recordings:
                 return None, False
             # An archive needs to know these of a record; the rest says where the frames are, which changes.
             lasting = (record.verdict, record.reasons, record.identity)
-            if known is not None and lasting == (known.verdict, known.reasons, known.identity):
-                return record, False
-            write_bytes(path, record.model_dump_json().encode())
-        return record, True
+            changed = known is None or lasting != (known.verdict, known.reasons, known.identity)
+            if changed:
+                write_bytes(path, record.model_dump_json().encode())
+            if run in self._unexplained and not self._archive.awaits_explanation(run):
+                changed = True
+                if finished is not None and finished.complete:
+                    write_bytes(path.with_name(RESULT_FILE), finished.text.encode())
+                self._unexplained.discard(run)
+        return record, changed
 
     def _make_room(self, needed: int) -> None:
         """Delete the oldest unpinned recordings until `needed` bytes fit; DeviceError if that is not possible."""

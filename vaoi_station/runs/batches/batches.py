@@ -184,6 +184,8 @@ class BatchAccess:
 
     get: Callable[[str], FinishedRun]
     """Function that returns a finished run."""
+    explained: Callable[[str], FinishedRun]
+    """Function that returns a finished run with its complete result, and waits for that if need be."""
     lease: Callable[[str, str], AbstractContextManager[Bay]]
     """Function that keeps a run's frames in memory in a `with` block."""
     recorded: Callable[[str, int, int], Path | None]
@@ -206,12 +208,13 @@ class BatchAccess:
             GoneError: the frames are no longer in memory, and no recording of the run is kept.
         """
         request = request.check()
-        finished = self.get(run)
+        on_top = request.images.framing.plane == "top"
+        # Of the entries that follow the verdict, only heights decide what a picture shows.
+        finished = self.explained(run) if on_top else self.get(run)
         calculator, detail = finished.view_calculator, finished.detail
         resolution = float(np.mean([c.px_per_mm for c in finished.cameras]))
         components = request.parts(finished.board_type, resolution)
         facts, slots = finished.frame_facts, finished.slots
-        on_top = request.images.framing.plane == "top"
         result = with_heights(finished.result, self.heights(run) or {}) if on_top else finished.lean
         files = self._files(run, slots)
         if components:
@@ -240,7 +243,7 @@ class BatchAccess:
 
         def tables() -> Mapping[str, Mapping[str, Any]]:
             of_top = ("heights_mm", "height_sigma_mm") if on_top else ()
-            return {**tables_of(finished), **{key: result.quality.get(key, {}) for key in of_top}}
+            return {**tables_of(self.explained(run)), **{key: result.quality.get(key, {}) for key in of_top}}
 
         head = _head(self.published(detail), request, len(components), resolution)
         return Batch(run, request, components, setup, head, tables)

@@ -217,9 +217,17 @@ class AcquisitionLink:
 
     def _listen(self, attempt: _Attempt) -> str:
         """Report the messages of the process until it ends or hangs, and return a phrase that describes its end."""
-        ended = "the acquisition process ended"
         # `Ready` and what follows it wait here for the workers.
         pending: deque[Report] = deque()
+        how = self._listen_until_end(attempt, pending)
+        # A process that has ended is not ready any more, but why it has ended concerns the operator.
+        for report in pending:
+            if isinstance(report, Trouble):
+                self._on_message(report)
+        return how
+
+    def _listen_until_end(self, attempt: _Attempt, pending: deque[Report]) -> str:
+        ended = "the acquisition process ended"
         while True:
             self.thread.beat()
             self._holds = bool(pending)

@@ -114,7 +114,7 @@ class StationCoordinator(BoardTypeRequests):
         if parts.px_per_mm:
             self.kept.trends.sigma_limit_px = sigma_limit_px(sum(parts.px_per_mm) / len(parts.px_per_mm))
         recorded = access.recorded = self.kept.recordings.frame_file
-        of_runs = parts.archive.explained, access.lease, recorded, access.render
+        of_runs = parts.archive.get, parts.archive.explained, access.lease, recorded, access.render
         self.merged = MergedAccess(*of_runs, fields, known)
         self.batches = BatchAccess(*of_runs, self.merged, known, self.kept.shown)
         self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core.trial, self._core.devices)

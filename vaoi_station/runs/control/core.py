@@ -241,7 +241,8 @@ class Core:
         answer: Explained | None = reply.value
         self._explaining.discard(job.run)
         try:
-            self._archive.explain(job.run, None if answer is None else answer.document)
+            document = reply if answer is None else answer.document
+            self._archive.explain(job.run, document.value, "" if document.error is None else document.error.message)
             check = reply if answer is None else answer.check
             if job.check is not None and check is not None:
                 self.watch.checked(job.check, check)

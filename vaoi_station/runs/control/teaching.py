@@ -29,6 +29,8 @@ from vaoi_station.store import BoardTypeDirectory
 
 Pixels = Callable[[int], Image]
 """Function that copies the frame in a slot of the ring. Raises `GoneError` if the memory was given to a later run."""
+_EXPLAINED_S = 30.0
+"""Longest wait for the complete result of a run that is taught, s: a reference keeps it for good."""
 
 
 def board_type_summary(stem: str, board_type: BoardType | None, fault: VaoiError | None) -> BoardTypeSummary:
@@ -138,7 +140,9 @@ class BoardTypeRequests:
             GoneError: the frames of the run are no longer in memory.
             DeviceError: the disk refuses the files.
         """
-        known, finished, store = self.board_type(board_type), self._parts.archive.explained(run), self._references
+        known, store = self.board_type(board_type), self._references
+        # The reference keeps the result as it is now.
+        finished = self._parts.archive.explained(run, _EXPLAINED_S)
         calibration = self._parts.archive.calibration_of(finished)
         with self._frames.lease(run, "taught as the reference") as bay:
             stitch = with_confirmed_orientation(finished.result) if confirm_orientation else finished.result

@@ -161,6 +161,8 @@ class MergedAccess:
 
     get: Callable[[str], FinishedRun]
     """Function that returns a finished run."""
+    explained: Callable[[str], FinishedRun]
+    """Function that returns a finished run with its complete result, and waits for that if need be."""
     lease: Lease
     recorded: Callable[[str, int, int], Path | None]
     """Function that returns the file of a frame in the run's recording; None if no recording is kept."""
@@ -172,7 +174,9 @@ class MergedAccess:
 
     def pictures(self, run: str, wanted: MergeRequest) -> tuple[MergedChoice, ...]:
         """Return the merged pictures of a request; see `merged_pictures`."""
-        return merged_pictures(self.get(run), wanted, self.heights(run))
+        # Those of a component lie on its top, whose height follows the verdict; those of a region on the board.
+        get = self.get if wanted.component is None else self.explained
+        return merged_pictures(get(run), wanted, self.heights(run))
 
     def image(
         self, run: str, wanted: MergeRequest, k: int | None, format: MergedFormat, *, sigma: bool = False
@@ -230,7 +234,8 @@ class MergedAccess:
         if wanted.region is None:
             return ()
         of, view = {(f.view.camera, f.view.row): f for f in frames}, frames[0].view
-        stitch = with_heights(finished.result, self.heights(finished.detail.id) or {})
+        run = finished.detail.id
+        stitch = with_heights(self.explained(run).result, self.heights(run) or {})
         bodies = bodies_in(view, finished.board_type, stitch)
         return tuple(
             MergedBody(body, tuple(of[v.camera, v.row]._replace(view=v) for v in views if (v.camera, v.row) in of))

@@ -210,9 +210,9 @@ class Reply:
 
 @dataclass(frozen=True)
 class Explained:
-    """The complete JSON document of a run's result, and the reply to the wanted check; None if none was wanted."""
+    """The reply with the complete JSON document of a run's result, and that to the wanted check; None: none wanted."""
 
-    document: str
+    document: Reply
     check: Reply | None
 
 
