@@ -21,7 +21,7 @@ from vaoi_station.store.database import Database
 from vaoi_station.store.figures import BoardFigures
 from vaoi_station.store.retention import RunRetention
 from vaoi_station.store.run_search import RunSearch
-from vaoi_station.store.schema import ANY_OF, DOUBTFUL, keys_of, packed, unpacked
+from vaoi_station.store.schema import ANY_OF, DOUBTFUL, QUICK, keys_of, packed, unpacked
 
 Kind = Literal["board-type", "calibration"]
 EVENTS_KEPT = 100_000
@@ -282,7 +282,8 @@ class Store:
             # They are missing if a damaged database was set aside.
             connection.executemany(_KEEP_DOCUMENT, documents)
             # An update, not INSERT OR REPLACE, which would delete the row that results and checks refer to.
-            detail, times = packed(row.detail), (None, None) if timeline is None else packed(timeline)
+            # Callers wait for the end of a run; its result is replaced by the complete one a moment later.
+            detail, times = packed(row.detail, QUICK), (None, None) if timeline is None else packed(timeline, QUICK)
             connection.execute(
                 """INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
                    ON CONFLICT (id) DO UPDATE SET state = excluded.state, finish_number = excluded.finish_number,
@@ -295,7 +296,7 @@ class Store:
                 ),
             )  # fmt: skip
             if result is not None:
-                connection.execute("INSERT INTO results VALUES (?, ?, ?)", (row.id, *packed(result)))
+                connection.execute("INSERT INTO results VALUES (?, ?, ?)", (row.id, *packed(result, QUICK)))
             if row.identity is not None:
                 write_identity(connection, row.id, row.identity)
 
