@@ -126,7 +126,7 @@ class Findings:
         """Number of rows (m in the paper)."""
         return len(self.adjusted.motion.angle)
 
-    @property
+    @cached_property
     def px_per_mm(self) -> float:
         """Mean resolution of the cameras in the calibrated plane."""
         return float(np.mean([camera.px_per_mm for camera in self.scene.cameras]))

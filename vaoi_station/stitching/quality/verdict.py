@@ -362,8 +362,8 @@ def _texture_off_the_board(f: Findings, b: PlacedBoard) -> Iterator[Reason]:
     left_out, o, adjusted = b.mapping.left_out, f.problem.links, f.adjusted
     if left_out is None:
         # Only links from row to row are used. Their points move with the board; those at a seam may lie on the belt.
-        use = (adjusted.weight > 0.5) & (o.p != o.q)
-        share = outside_share(b.plane, b.c, adjusted.motion.board(o.p[use], o.a_mm[use]))
+        use = np.flatnonzero((adjusted.weight > 0.5) & (o.p != o.q))
+        share = outside_share(b.plane, b.c, adjusted.motion.board(o.p.take(use), o.a_mm.take(use, axis=0)))
         if share > _OUTSIDE_LIMIT:
             off = f"{share:.0%} of the texture lies off the board (limit {_OUTSIDE_LIMIT:.0%})"
             yield Reason(ReasonCode.TEXTURE_OFF_BOARD, f"{off}: another type, or turned?")
