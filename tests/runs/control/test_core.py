@@ -150,6 +150,10 @@ def test_an_explanation_that_is_lost_is_stated_and_leaves_the_verdict(station: S
     assert not station.archive.explained(run, 0.05).complete, "it is not awaited for ever"
     [job] = station.workers.of(ExplainJob, run)
     station.workers.answer(job, None, InternalError("its worker has ended."))
+    _, again = station.workers.of(ExplainJob, run)
+    opening, conclusion = again.again
+    assert (opening.context.run, [conclusion]) == (run, station.workers.of(ConcludeJob, run))
+    station.workers.answer(again, None, InternalError("its worker has ended."))
     finished = station.archive.get(run)
     assert (finished.complete, finished.detail.state, finished.result.quality["later"]) == (
         False, "ready", ["heights_mm"],

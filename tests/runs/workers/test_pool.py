@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +142,9 @@ def test_a_conclusion_does_not_wait_for_a_worker_that_hangs(board_plant: BoardPl
     assert [len(p.answers) for p in (result, checked)] == [1, 1], "result and check of the slower worker are dropped"
 
 
-def test_a_result_whose_worker_dies_is_not_explained(board_plant: BoardPlant, ring_board: RingBoard) -> None:
+def test_a_result_whose_worker_dies_is_concluded_again_to_be_explained(
+    board_plant: BoardPlant, ring_board: RingBoard
+) -> None:
     board_plant.link_all([ring_board.link(task) for task in ring_board.tasks])
     board_plant.all_idle()
     result = board_plant.submit(ring_board.conclusion())
@@ -149,6 +153,11 @@ def test_a_result_whose_worker_dies_is_not_explained(board_plant: BoardPlant, ri
     error = board_plant.submit(CHECK).get().error
     assert isinstance(error, InternalError)
     assert "the worker that concluded the run has ended" in error.message
+    again = board_plant.submit(replace(CHECK, again=(ring_board.opening, ring_board.conclusion()))).get().value
+    first, whole = (json.loads(text) for text in (result.get().value.document, again.document.value))
+    assert whole["image_matrices"] == first["image_matrices"]
+    assert set(first["quality"].pop("later")) <= set(whole["quality"])
+    assert again.check.error is None
 
 
 def test_a_worker_that_cannot_be_started_is_tried_again(plant: Plant) -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import assert_never
 
@@ -236,9 +236,15 @@ class Core:
         progress.take(stitched)
         self._end_in_order()
 
-    def explained(self, job: ExplainJob, reply: Reply) -> None:
-        """Take the complete result of a finished run, and the check of the calibration with it."""
+    def explained(self, job: ExplainJob, reply: Reply, again: ExplainJob | None = None) -> None:
+        """Take the complete result of a finished run, and the check of the calibration with it.
+
+        If its worker has ended, another one does the job `again`.
+        """
         answer: Explained | None = reply.value
+        if answer is None and again is not None and not self._stopping:
+            self._parts.workers.submit(again, partial(self._post, self.explained, again))
+            return
         self._explaining.discard(job.run)
         try:
             document = reply if answer is None else answer.document
@@ -395,7 +401,10 @@ class Core:
             self.line.keep_memory_granted()
             if (job := progress.explain_job()) is not None:
                 self._explaining.add(job.run)
-                self._parts.workers.submit(job, partial(self._post, self.explained, job))
+                done, conclusion = self.explained, progress.stitcher.conclusion
+                if conclusion is not None:
+                    done = partial(done, again=replace(job, again=(progress.stitcher.opening, conclusion)))
+                self._parts.workers.submit(job, partial(self._post, done, job))
             self._complete_stop_if_drained()
 
     def _complete_stop_if_drained(self) -> None:

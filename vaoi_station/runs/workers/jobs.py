@@ -121,7 +121,7 @@ class WantedCheck:
 
 @dataclass(frozen=True)
 class ExplainJob:
-    """Complete the result of a run with what only explains its verdict, in the worker that has concluded it.
+    """Complete the result of a run with what only explains its verdict, mostly in the worker that has concluded it.
 
     The reply's value is an `Explained`. The verdict is that of the run's result, as its faults have left it.
     """
@@ -131,6 +131,8 @@ class ExplainJob:
     reasons: tuple[str, ...]
     reason_codes: tuple[str, ...]
     check: WantedCheck | None = None
+    again: tuple[OpenRun, ConcludeJob] | None = None
+    """With what a worker that has not concluded the run concludes it again, while its frames are in memory."""
     priority: ClassVar[Priority] = Priority.CHECK
 
     def __str__(self) -> str:

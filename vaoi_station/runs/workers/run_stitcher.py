@@ -81,6 +81,8 @@ class RunStitcher:
         self._head: RecordingHead | None = None
         self._errors: list[VaoiError] = []
         self._timings: list[TaskTiming] = []
+        self.conclusion: ConcludeJob | None = None
+        """The job that concludes the run, once all its tasks are done."""
         self._concluding = False
         # Workers of a test reply within `submit`.
         self._lock = threading.RLock()
@@ -171,7 +173,7 @@ class RunStitcher:
                 return
             self._concluding = True
             tasks = tuple(task for task in self._canonical if task not in self._failed)
-            job = ConcludeJob(self.opening.context, self._head, self._slots(self.present), tasks)
+            job = self.conclusion = ConcludeJob(self.opening.context, self._head, self._slots(self.present), tasks)
         if lost:
             self._answer(Reply(None, None, 0.0))
         else:

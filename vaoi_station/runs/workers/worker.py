@@ -261,6 +261,13 @@ class WorkerRuntime:
         return Concluded(without_components(stitch), stitch_text(stitch))
 
     def _explain(self, job: ExplainJob) -> Explained:
+        if job.run not in self._concluded and job.again is not None:
+            opening, conclusion = job.again
+            self._open(opening)
+            try:
+                self._conclude(conclusion)
+            finally:
+                self._runs.pop(job.run, None)
         if job.run not in self._concluded:
             raise InternalError(f"{job} is not possible: the worker that concluded the run has ended.")
         concluded = _, findings, stitch, _ = self._concluded.pop(job.run)
