@@ -20,6 +20,7 @@ from tests.peers.certificates import Certificate, make_authority, make_certifica
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
+from vaoi_station.library import live_station
 
 
 def test_the_latest_run_gives_images_of_a_component(served: Served) -> None:
@@ -110,6 +111,19 @@ def test_the_verdict_of_the_run_counts_with_its_reasons(run: vaoi.StationRun) ->
     degraded = replace(run, summary=run.summary | {"verdict": "degraded", "reasons": [differs]})
     assert degraded.result.status == "ok"
     assert (degraded.status, degraded.reasons) == ("degraded", (*run.result.reasons, "The code states SN-2."))
+
+
+@pytest.mark.parametrize(("awaited_s", "fetched"), [(10.0, 3), (0.0, 1)])
+def test_entries_that_a_result_still_lacks_are_awaited_for_a_time(
+    run: vaoi.StationRun, monkeypatch: pytest.MonkeyPatch, awaited_s: float, fetched: int
+) -> None:
+    monkeypatch.setattr(live_station, "_AWAITED_S", awaited_s)
+    first = run.result.model_copy(update={"quality": {**run.result.quality, "later": ["heights_mm"]}})
+    client = Mock(read=Mock(return_value=first))
+    own = vaoi.StationRun("r1", {}, client)
+    for _ in range(3):
+        assert own.result is first
+    assert client.read.call_count == fetched
 
 
 def test_two_files_that_are_written_at_once_are_both_complete(tmp_path: Path) -> None:
