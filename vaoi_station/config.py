@@ -261,6 +261,22 @@ class KeepConfig(Section):
     """Whether frames of failed and degraded runs are kept; those of pinned runs always are."""
 
 
+class CameraPowerConfig(Section):
+    """A command of the administrator that switches the power of one camera off and on, as at a switch with PoE."""
+
+    command: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
+    """Absolute path of the program, and its arguments, in which {name}, {address} and {serial} stand for the camera's.
+    It is run without a shell, and ends once the power is on again."""
+    limit_s: Annotated[Positive, Field(le=600)] = 30.0
+    """Longest time that the command may take; it is ended then."""
+
+    @model_validator(mode="after")
+    def _by_path(self) -> Self:
+        if not Path(self.command[0]).is_absolute():
+            raise ValueError(f"command begins with {self.command[0]!r}, but must begin with an absolute path")
+        return self
+
+
 class ArchiveConfig(Section):
     """The archive to which finished runs are handed: all that are kept as recordings, and some of the good ones."""
 
@@ -318,6 +334,7 @@ class StationConfig(Section):
     """When heights of components are measured: after each run, or when a caller requests them."""
     line: Line
     cameras: Annotated[tuple[CameraConfig, ...], Field(min_length=1)]
+    camera_power: CameraPowerConfig | None = None
     controller: ControllerConfig = ControllerConfig()
     simulation: SimulationConfig | None = None
     replay: ReplayConfig | None = None

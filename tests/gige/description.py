@@ -34,7 +34,7 @@ _NUMBERS = {
     "PayloadSize": (0, 1 << 24, 1), "ExposureTimeRaw": (1, 1_000_000, 1), "GainCentibel": (0, 2400, 1),
 }  # fmt: skip
 """Integer feature → smallest value, largest value, step."""
-_COMMANDS = ("AcquisitionStart", "AcquisitionStop", "TimestampLatch")
+_COMMANDS = ("AcquisitionStart", "AcquisitionStop", "TimestampLatch", "DeviceReset")
 _EIGHT_BYTES = "TimestampLatchValue"
 _SWITCHES = ("ChunkModeActive", "ChunkEnable")
 ADDRESSES = {

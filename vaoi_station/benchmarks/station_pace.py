@@ -188,6 +188,9 @@ class SenderCamera(CameraDevice):
     def rewind(self) -> None:
         """Do nothing: there is no sequencer."""
 
+    def sent_nothing(self, rows: int, since_s: float) -> None:
+        """Do nothing: it does not hang."""
+
     def queue(self, slot: Slot) -> None:
         """Queue memory for a frame that is to come."""
         self._slots.append(slot)

@@ -50,8 +50,14 @@ class ScriptedDevice:
             raise DeviceError(f"the camera refuses {value[0]:g} µs.")
         self.exposures.append(value)
 
+    silences: list[int] = field(default_factory=list)
+
     def rewind(self) -> None:
         """Do nothing: there is no sequencer."""
+
+    def sent_nothing(self, rows: int, since_s: float) -> None:
+        del since_s
+        self.silences.append(rows)
 
     def queue(self, slot: Slot) -> None:
         self.slots.append(slot)
@@ -171,6 +177,27 @@ def test_a_controller_that_stops_reporting_is_a_fault_and_the_run_is_finished(be
     (finished,) = bench.of(RunFinished)
     assert finished.head.rows == 1
     assert finished.reason == "the controller stopped reporting"
+
+
+def test_a_camera_is_told_that_it_sent_nothing_of_a_run_that_another_filmed(bench: SessionBench) -> None:
+    for run, (sends, outage) in enumerate((((0,), False), ((0,), True), ((), False), ((0, 1), False))):
+        start_s = 10.0 + 10 * run
+        bench.session.grant(Grant(f"run {run}", run % 2))
+        bench.session.arm(bench.plan)
+        bench.session.handle_event(BarrierBlocked(0, start_s - 0.1), start_s - 0.1)
+        if outage:
+            bench.session.outages.begin(1, start_s - 0.05, "unplugged")
+        for row in range(3):
+            bench.pulse(start_s + 0.1 * row, row)
+            for camera in sends:
+                at_s = start_s + 0.1 * row
+                arrival = Arrival(camera, bench.cameras[camera].slots.pop(0).number, True, row + 1, at_s, at_s + 0.01)
+                bench.session.handle_arrival(arrival, at_s + 0.01, at_s + 0.01)
+        bench.session.handle_event(RunEnded(0, start_s + 0.4, 3, "clear"), start_s + 0.4)
+        bench.session.tick(start_s + 8.0)
+        bench.session.outages.end(1, start_s + 9.0)
+        assert len(bench.of(RunFinished)) == run + 1
+    assert [camera.silences for camera in bench.cameras] == [[], [3]], "not if it was lost, or if all were silent"
 
 
 def test_late_events_of_a_given_up_run_begin_no_other_run(bench: SessionBench) -> None:

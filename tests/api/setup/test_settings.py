@@ -82,6 +82,18 @@ def test_secrets_stay_in_the_file_and_are_never_shown(files: StationFiles) -> No
     assert "user:T0-secret@" in files.path.read_text()
 
 
+def test_the_command_for_the_power_of_cameras_is_changed_only_in_the_file(files: StationFiles) -> None:
+    file = SettingsFile(files)
+    for change in (
+        _change(camera_power__command=["/bin/sh", "-c", "id"]),
+        _change(camera_power={"command": ["/bin/sh"]}),
+    ):
+        assert "names a command" in file.propose(change, file.content()).faults[0].message
+        with pytest.raises(InputError, match="names a command that the station runs"):
+            file.save(change, _accept)
+    assert "camera_power" not in files.path.read_text()
+
+
 def test_a_file_that_the_service_may_not_write_is_shown_checked_and_left(protected: StationFiles) -> None:
     file = SettingsFile(protected)
     read = file.read(file.content())

@@ -94,6 +94,18 @@ class CameraLimits:
 
 
 @dataclass(frozen=True)
+class CameraRecovery:
+    """The latest step against a camera that hangs."""
+
+    step: str
+    """`reopen`, `restart`, `reset`, `power`, or `spent` once all were taken as often as permitted."""
+    why: str
+    """`silent`: it answers and sends nothing; `absent`: it does not answer although its link is up."""
+    at_s: float
+    """time.monotonic() of the step."""
+
+
+@dataclass(frozen=True)
 class CameraHealth:
     """The state of one camera, for `GET station`, the page and `vaoi doctor`."""
 
@@ -115,6 +127,8 @@ class CameraHealth:
     model: str = ""
     address: str = ""
     """What the camera at this place is; empty for one that is no device."""
+    recovery: CameraRecovery | None = None
+    """None for a camera that films, or was lost for another cause."""
 
 
 def is_silent(health: CameraHealth) -> bool:
@@ -174,6 +188,13 @@ class CameraDevice(Protocol):
         """Let the next frame be exposed with the first set of the sequencer. Called between two runs.
 
         It does nothing without a sequencer. A camera that does not answer counts as lost; that is reported as usual.
+        """
+        return
+
+    def sent_nothing(self, rows: int, since_s: float) -> None:  # noqa: ARG002
+        """Take note that no frame of this camera belongs to a run of so many rows since a time of time.monotonic().
+
+        Others filmed the run. Never blocks.
         """
         return
 

@@ -337,7 +337,20 @@ class Session:
         if self._disarming and not self._recorder.open_runs:
             self._return_grants()
 
+    def _report_silence(self, record: RunRecord) -> None:
+        """Tell the cameras of which nothing came of a run. If none sent anything, the trigger is the likelier cause."""
+        cameras = range(len(self._devices.cameras))
+        sent, rows = {camera for camera, _ in record.taken}, sorted(record.pulses)
+        if len(rows) < 2 or not (sent or len(cameras) == 1):
+            return
+        times_s = record.pulses[rows[0]].host_s, record.pulses[rows[-1]].host_s
+        for camera in cameras:
+            # One outage after the other may cover a run; the first and the last row are enough to see that.
+            if camera not in sent and not any(self.outages.cause_at(camera, time_s) for time_s in times_s):
+                self._devices.cameras[camera].sent_nothing(len(rows), times_s[0])
+
     def _finish(self, finished: Finished, now_s: float) -> None:
+        self._report_silence(finished.record)
         self.trial.finish(finished.record.run)
         bay = finished.record.bay
         assert bay is not None

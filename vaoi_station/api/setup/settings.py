@@ -228,6 +228,10 @@ class SettingsFile:
         return text, parse_toml(text, self._path)
 
 
+BY_HAND = frozenset({"camera_power"})
+"""Tables that callers of REST may not change: with them, they could run any program."""
+
+
 def _faults(data: dict[str, Any]) -> list[SettingFault]:
     return [SettingFault(key=key_at(f.place) if f.place else "", message=f.text) for f in examine(data)[0]]
 
@@ -239,6 +243,10 @@ def _changed(text: str, data: dict[str, Any], changes: Sequence[SettingChange]) 
         path, value = _place(data, change.key), change.value
         if isinstance(value, str) and MARK in value:
             refused.append(SettingFault(key=change.key, message="holds the mark of a hidden value; enter it whole"))
+            continue
+        if path and path[0] in BY_HAND:
+            message = "names a command that the station runs; change it in the file on the station"
+            refused.append(SettingFault(key=change.key, message=message))
             continue
         # JSON has one kind of number: 5 of a key with decimals is written as 5.0.
         if type(value) is int and _kind_of(path) == "number" and abs(value) < 1 << 53:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from vaoi_station.acquisition.cameras.interface import CameraRecovery
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.model import Reason
@@ -19,6 +20,7 @@ from vaoi_station.runs.run.run_views import versions
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import (
     STARTING,
+    CameraRecoveryStatus,
     CameraStatus,
     LineOutputStatus,
     ProcessStatus,
@@ -178,11 +180,18 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
             incomplete=seen.incomplete,
             last_frame_age_s=None if seen.last_frame_s is None else max(health.host_time_s - seen.last_frame_s, 0.0),
             next_try=None if seen.next_try_s is None else utc_of_host(seen.next_try_s),
+            recovery=_recovery(seen.recovery),
             counters=dict(seen.counters),
             **core.places.cameras[k].model_dump(),
         )
         for k, seen in enumerate(health.cameras)
     )
+
+
+def _recovery(seen: CameraRecovery | None) -> CameraRecoveryStatus | None:
+    if seen is None:
+        return None
+    return CameraRecoveryStatus.model_validate({"step": seen.step, "why": seen.why, "at": utc_of_host(seen.at_s)})
 
 
 def _retention(config: StationConfig) -> Retention:

@@ -132,6 +132,16 @@ class ArmedWith(Strict):
     resumed: bool = False
 
 
+class CameraRecoveryStatus(Strict):
+    """The latest step against a camera that hangs."""
+
+    step: Literal["reopen", "restart", "reset", "power", "spent"]
+    """Opened again; stream started again; reset; power switched off and on; all tried as often as permitted."""
+    why: Literal["silent", "absent"]
+    """It answers and sends nothing of boards that others film, or does not answer although its link is up."""
+    at: str
+
+
 class CameraStatus(Strict):
     """State of one camera at the last heartbeat of the acquisition process."""
 
@@ -145,6 +155,8 @@ class CameraStatus(Strict):
     last_frame_age_s: float | None = None
     next_try: str | None = None
     """Time of the next attempt to open the camera; None while the camera is connected or being opened."""
+    recovery: CameraRecoveryStatus | None = None
+    """Present until the camera has sent a frame again."""
     counters: dict[str, int] = {}  # noqa: RUF012  pydantic copies it
     """Counters of the camera's driver for diagnosis, with the names that the driver uses."""
     serial: str = ""

@@ -6,6 +6,7 @@ of the process is opened at a time.
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
@@ -24,6 +25,15 @@ from vaoi_station.acquisition.cameras.aravis.connection import (
     locate,
 )
 from vaoi_station.acquisition.cameras.aravis.links import check_row
+from vaoi_station.acquisition.cameras.aravis.recovery import (
+    ABSENT_LIMIT_S,
+    POWER,
+    REOPEN,
+    RESET,
+    RESTART,
+    Recovery,
+    switch_power,
+)
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
     Arrival,
@@ -32,14 +42,17 @@ from vaoi_station.acquisition.cameras.interface import (
     CameraExposure,
     CameraHealth,
     CameraLost,
+    DeviceFault,
     Slot,
 )
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.backoff import Backoff, BackoffPolicy
-from vaoi_station.config import CameraConfig, StationConfig
+from vaoi_station.config import CameraConfig, CameraPowerConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, VaoiError
 from vaoi_station.optics.links import share_links
 from vaoi_station.supervised_thread import SupervisedThread
+
+_log = logging.getLogger(__name__)
 
 CHECK_S = 0.25
 HEARTBEAT_S = 1.0
@@ -52,14 +65,18 @@ PACE = BackoffPolicy(first_s=0.25, longest_s=30.0, proven_s=10.0)
 """Pauses between attempts to open a lost camera: one that refuses its settings will probably refuse them again."""
 ABSENT_S = 2.0
 """The longest pause for a camera that is absent or used by another program: it may return at any time."""
-_ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost"})
+_ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost", "camera-hangs"})
 
 
 class AravisCamera:
     """A `CameraDevice` that keeps its number and its slots while its `Connection` is lost and replaced by a new one."""
 
-    def __init__(self, number: int, connection: Connection) -> None:
-        """Take over an open, configured connection and start the acquisition."""
+    def __init__(self, number: int, connection: Connection, power: CameraPowerConfig | None = None) -> None:
+        """Take over an open, configured connection and start the acquisition. `power` switches the camera's power."""
+        self._power, self._recovery = power, Recovery()
+        self._power_is_due = False
+        self._silent_rows = 0
+        """Rows of a run of which this camera sent nothing; 0 once the supervisor has taken note."""
         self.number, self.config, self._sequence = number, connection.config, connection.sequence
         self._share = connection.share
         self._identity = connection.identity
@@ -76,6 +93,8 @@ class AravisCamera:
         self._arrivals: SimpleQueue[CameraEvent] = SimpleQueue()
         self._delivered = self._incomplete = self._losses = 0
         self._last_frame_s: float | None = None
+        self._last_slot_s = -math.inf
+        """Last monotonic time, s, at which a frame ended, complete or incomplete."""
         self._temperature_c: float | None = None
         self._counting = threading.Lock()
         self._fault: VaoiError | None = None
@@ -126,6 +145,11 @@ class AravisCamera:
         except DeviceError as error:
             self._access_error = error
 
+    def sent_nothing(self, rows: int, since_s: float) -> None:
+        """Let the supervisor take the next step against a camera that hangs."""
+        if self._last_slot_s < since_s:  # else it sent frames that belong to no row, or incomplete ones
+            self._silent_rows = rows
+
     def queue(self, slot: Slot) -> None:
         """Give a slot to the stream. While the camera is lost, keep the slot until the camera is back."""
         with self._lock:
@@ -162,7 +186,9 @@ class AravisCamera:
         counters = connection.counters() if connection is not None else {}
         return CameraHealth(
             connected=connection is not None,
-            message=lost.message if lost else connection.warning() if connection is not None else "",
+            message=lost.message
+            if lost
+            else self._recovery.message() or (connection.warning() if connection is not None else ""),
             action=lost.action if lost else "",
             temperature_c=self._temperature_c if connection is not None else None,
             delivered=self._delivered,
@@ -170,6 +196,7 @@ class AravisCamera:
             last_frame_s=self._last_frame_s,
             counters=tuple(sorted({**counters, "n_losses": self._losses}.items())),
             next_try_s=self._backoff.due_s,
+            recovery=self._recovery.state,
             limits=replace(connection.limits, row_s=self._share.row_s) if connection is not None else None,
             serial=self._identity.serial,
             model=self._identity.model,
@@ -196,7 +223,10 @@ class AravisCamera:
     def _on_slot(self, result: SlotResult) -> None:
         """Count a slot in which a frame has ended, complete or incomplete, and report the frame as an arrival."""
         # Called by the pulling thread and by any thread that takes slots back.
+        if result.whole:
+            self._recovery.filmed()
         with self._counting:
+            self._last_slot_s = result.host_time_s
             if result.whole:
                 self._delivered += 1
                 self._last_frame_s = result.host_time_s
@@ -212,10 +242,12 @@ class AravisCamera:
         while not self._closing.wait(CHECK_S if self._connection else min(self._backoff.remaining_s(), ABSENT_S)):
             self._thread.beat()
             if self._connection is None:
+                self._switch_power_when_due()
                 self._reopen_when_due()
                 continue
             try:
                 self._check(self._connection)
+                self._answer_silence(self._connection)
                 # A refusal leaves a part of the refused values in the camera.
                 with self._setting:
                     self._bring_up_to_date(self._connection)
@@ -277,6 +309,49 @@ class AravisCamera:
             raise access_error
         self._last_reply_s = asked_s
         self._last_controlled_s = max(self._last_controlled_s, asked_s - HEARTBEAT_S)
+
+    def _answer_silence(self, connection: Connection) -> None:
+        """Take the next step if the camera sent nothing of a run; DeviceError if the connection must be dropped."""
+        rows, self._silent_rows = self._silent_rows, 0
+        if not rows:
+            return
+        possible = {REOPEN, RESTART} | ({POWER} if self._power is not None else set())
+        step = self._recovery.next_step(possible | ({RESET} if connection.resettable else set()))
+        if step is None:
+            return
+        what = f"{self.config.label}: answers, but sent nothing of {rows} rows"
+        action = "Check that its trigger line is wired, and its power and cable, if this goes on."
+        error = DeviceError(f"{what}; {step.done}.", action=action, code="camera-hangs")
+        _log.warning("%s", error.message)
+        if step is RESTART:
+            connection.restart()
+            self._arrivals.put(DeviceFault(self.config.label, error))
+            return
+        if step is RESET:
+            connection.reset()
+        self._power_is_due = step is POWER
+        raise error
+
+    def _switch_power_when_due(self) -> None:
+        """Run the command for the camera's power if it is the next step, or if the camera is deaf on a link."""
+        if self._power is None:
+            return
+        absent = self._fault is not None and self._fault.code == "camera-absent"
+        if absent and self._is_gige and time.monotonic() - self._last_reply_s > ABSENT_LIMIT_S:
+            linked = network.has_link(self._identity.interface)
+            self._power_is_due |= linked and self._recovery.take(POWER, "absent")
+        if not self._power_is_due:
+            return
+        self._power_is_due = False
+        names = {"name": self.config.name, "address": self._identity.address, "serial": self._identity.serial}
+        _log.warning("%s: its power is switched off and on", self.config.label)
+        with self._thread.waiting():
+            failure = switch_power(self._power, names, self._closing)
+        if failure and not self._closing.is_set():
+            message = f"{self.config.label}: its power could not be switched: {failure}."
+            error = DeviceError(message, action="Run the command of camera_power by hand.", code="camera-power")
+            _log.error("%s", error.message)
+            self._arrivals.put(DeviceFault(self.config.label, error))
 
     def _on_loss(self, error: DeviceError) -> None:
         """Take the slots back from the lost connection, report the loss, and close the connection in the background."""
@@ -378,7 +453,7 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
             # Shared again: a camera may keep a lower limit than its share.
             _share_links(config, connections)
             for number, connection in enumerate(connections):
-                cameras.append(AravisCamera(number, connection))
+                cameras.append(AravisCamera(number, connection, config.camera_power))
             # Checked last, with all cameras started: a camera that sends now would have its frames in wrong rows.
             check_silence(connections)
         except BaseException:  # also KeyboardInterrupt: release all cameras; it is raised on

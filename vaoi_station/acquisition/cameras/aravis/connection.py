@@ -153,6 +153,8 @@ USB3_MIN_VERSION = (0, 8, 30)
 # 0.8.30 sets the status of a buffer before the buffer is passed on.
 RETENTION_US = 200_000
 # Aravis' default of 100 ms lost the first frames after a pause (Aravis #818, #746).
+RESTART_PAUSE_S = 0.2
+"""Pause between stop and start of an acquisition that is to begin anew."""
 RESENT_PACKETS, RESENT_SHARE = 20, 0.001
 """Count and share of packets that were sent again above which a camera is warned of. A sound network loses none."""
 
@@ -203,7 +205,7 @@ class Connection:
         self.granted_bytes = 0
         with self._device_access("does not report its identity"):
             self.identity = self._identity(where)
-            self._clock_ns = find_clock(self._camera, config.label)
+            self._clock_ns: Callable[[], int] | None = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
     def measure_link(self) -> None:
@@ -282,6 +284,22 @@ class Connection:
             with self._device_access("does not begin its sequence anew"), self._acquisition_stopped():
                 sequencer.rewind_sequencer(self._camera, self.config)
 
+    @property
+    def resettable(self) -> bool:
+        """Whether the camera can be reset by a command."""
+        with self._device_access("does not report its features"):
+            return bool(self._camera.is_feature_available("DeviceReset"))
+
+    def restart(self) -> None:
+        """Stop and start the acquisition; the slots stay queued."""
+        with self._device_access("cannot be started again"), self._acquisition_stopped():
+            time.sleep(RESTART_PAUSE_S)
+
+    def reset(self) -> None:
+        """Let the camera begin anew, as after switching it on. It is away afterwards, with or without an answer."""
+        with self._device_access("cannot be reset"), contextlib.suppress(glib_error()):
+            self._camera.get_device().execute_command("DeviceReset")
+
     def start(self, on_slot: Callable[[SlotResult], None]) -> None:
         """Create the stream and start the acquisition. The stream calls `on_slot` when a frame has ended in a slot."""
         with self._device_access("cannot be started"):
@@ -320,7 +338,9 @@ class Connection:
     def read_clock(self, epoch_ns: int) -> ClockReading:
         """Compare the camera's clock with the host's. Raise DeviceError if the camera does not reply."""
         with self._device_access("does not report its time"):
-            return timed_reading(lambda: (self._clock_ns() - epoch_ns) * 1e-9)
+            clock_ns = self._clock_ns
+            assert clock_ns is not None
+            return timed_reading(lambda: (clock_ns() - epoch_ns) * 1e-9)
 
     def temperature_c(self) -> float | None:
         """Return the camera's temperature; None if the camera has no thermometer."""
@@ -364,7 +384,8 @@ class Connection:
             if stop and self._stream is not None:
                 with contextlib.suppress(glib_error()):  # a camera that has just gone cannot be stopped
                     self._camera.stop_acquisition()
-            self._stream = self._camera = None
+            # The clock's function has the device: a camera that answers is free for others once that is dropped.
+            self._stream = self._camera = self._clock_ns = None
         # Aravis ends its threads and sockets when the last reference to the camera is gone. The Python wrappers of
         # PyGObject may be in reference cycles, which only the garbage collector removes.
         gc.collect()

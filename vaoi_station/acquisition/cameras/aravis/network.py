@@ -167,6 +167,14 @@ def link_mbit_s(interface: str) -> float | None:
     return float(speed) if speed > 0 else None
 
 
+def has_link(interface: str) -> bool:
+    """Return whether something is connected to a network interface and switched on."""
+    try:
+        return Path(f"/sys/class/net/{interface}/carrier").read_text().strip() == "1"
+    except OSError:  # an interface that is down
+        return False
+
+
 def widen_receive_buffer(port: int, wanted_bytes: int) -> int:
     """Set the receive buffer of the UDP socket that this process has at a port; return the granted size, in bytes.
 

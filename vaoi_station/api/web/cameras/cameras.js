@@ -40,7 +40,8 @@ class Card {
   // `frame`: the newest frame with its figures, or null; `findings`: what the doctor says about this camera.
   async show(camera, drift, frame, findings) {
     const words = texts.cameras;
-    setText(this.state, camera.connected ? words.connected : words.lost);
+    const hangs = camera.recovery?.why === "silent";
+    setText(this.state, camera.connected ? (hangs ? words.hangs : words.connected) : words.lost);
     this.root.classList.toggle("lost", !camera.connected);
     this.#showFacts(camera, drift, frame);
     this.#showRemarks(camera, drift, frame, findings);
@@ -75,7 +76,8 @@ class Card {
     const words = texts.cameras;
     const tiles = frame?.tiles.filter((tile) => tile.blur_px != null && tile.blur_px > BLUR_LIMIT_PX).length ?? 0;
     const remarks = [
-      ...(camera.message ? [{ english: camera.message }] : []),
+      ...(camera.recovery ? [words.recovery(camera.recovery.why, camera.recovery.step, moment(camera.recovery.at))] : []),
+      ...(camera.message && !(camera.recovery && camera.connected) ? [{ english: camera.message }] : []),
       ...(frame && frame.saturated > SATURATED_LIMIT ? [words.tooBright(percent(frame.saturated, 1))] : []),
       ...(frame && frame.high < DARK_LIMIT ? [words.tooDark(percent(frame.high))] : []),
       ...(tiles ? [words.soft(tiles)] : []),

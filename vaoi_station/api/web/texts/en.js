@@ -122,6 +122,15 @@ const cameras = {
   ready: (n, all) => (n === all ? `All ${all} cameras are connected.` : `${n} of ${all} cameras are connected.`),
   connected: "connected",
   lost: "not connected",
+  hangs: "connected, sends nothing",
+  recovery: (why, step, time) => [
+    why === "silent" ? "It answers, but sent nothing of a board that other cameras filmed." : "It does not answer, although its link is up.",
+    {
+      reopen: `${time}: it was opened again.`, restart: `${time}: its stream was started again.`, reset: `${time}: it was reset.`, power: `${time}: its power was switched off and on.`,
+      spent: "Everything was tried: check its trigger wire, its cable and its power, or exchange it.",
+    }[step],
+    step === "spent" ? "" : "The next board shows whether that helped.",
+  ].filter(Boolean).join(" "),
   noFrame: "No frame in memory. Let a board pass.",
   noEdges: "No edges: blur cannot be measured.",
   blur: "px blur (good: below 1.3)",
