@@ -132,3 +132,42 @@ def test_named_tuples_are_passed_without_a_copy_and_their_code_is_cached(tmp_pat
         for _ in range(2)
     ]
     assert [int(run.stdout) for run in runs] == [1, 0], "the second process finds the code of the first"
+
+
+_HELPER = """
+from vaoi_station.compiled import inlined
+FACTOR = {factor}
+
+@inlined
+def scaled(x):
+    return FACTOR * x + {term}
+"""
+
+_CALLER = """
+from helper import scaled
+from vaoi_station.compiled import compiled
+
+@compiled
+def twice(x):
+    return scaled(scaled(x))
+"""
+
+
+def test_code_is_renewed_with_what_it_calls_and_with_constants_and_by_nothing_else(tmp_path: Path) -> None:
+    """Numba's own cache looks at one file: a helper that had changed in another one went on as it was."""
+    paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": paths}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    program = "from caller import twice; print(twice(1.0), sum(twice.stats.cache_misses.values()))"
+
+    def run(factor: float, term: float, before: str = "") -> str:
+        (tmp_path / "helper.py").write_text(before + _HELPER.format(factor=factor, term=term))
+        (tmp_path / "caller.py").write_text(before + _CALLER)
+        command = [sys.executable, "-c", program]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert run(2.0, 0.5) == "5.5 1"
+    assert run(2.0, 0.5, before="# other lines\nOTHER = 1\n") == "5.5 0"
+    assert run(3.0, 0.5) == "11.0 1"
+    assert run(3.0, 1.0) == "13.0 1"
+    assert run(2.0, 0.5) == "5.5 0"

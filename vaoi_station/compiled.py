@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import fcntl
 import gc
+import hashlib
+import os
+import pickle
+import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from functools import partial, update_wrapper
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache, partial, update_wrapper
 from pathlib import Path
+from types import CodeType
 from typing import Any, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
@@ -18,6 +23,13 @@ _ALLOWED = {"reassoc", "contract", "arcp", "nsz"}
 """Fast-math flags of LLVM that the compiler may use.
 
 They allow it to reorder sums, so that sums run in vector registers. NaN and ∞ keep their meaning."""
+_PACKAGE = Path(__file__).parent
+SHIPPED = _PACKAGE / "machine_code"
+"""Machine code that a package brings along (`deploy/build`); the directory does not exist in a checkout."""
+_SHIPPED_FOR = "x86-64-v3"
+"""The processor for which it is made. Where nothing is shipped, code is made for the processor at hand, and links are
+found in 4 % less time."""
+_SHIPPED_NEEDS = ("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sse4.2", "xsave")
 _functions: list[_Deferred] = []
 """The compiled functions of all modules that were imported."""
 _in_this_process = threading.RLock()
@@ -57,9 +69,9 @@ class _Deferred:
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function of arrays and numbers to machine code when it is first called; the GIL is then released.
 
-    The code is cached on disk (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache). Values are the
-    same in all processes of one machine and may differ in the last digits between machines. A function of many arrays
-    takes them as fields of a `typing.NamedTuple`.
+    The code is kept on disk (`cache_directory`), by the content of the function and of all that it calls. Values are
+    the same in all processes of one machine and may differ in the last digits between machines. A function of many
+    arrays takes them as fields of a `typing.NamedTuple`.
     """
     deferred = _Deferred(function, _cached)
     _functions.append(deferred)
@@ -101,20 +113,129 @@ prefetch = cast("Callable[[int], None]", _Deferred(_prefetch, _prefetch_intrinsi
 
 
 def _jit(function: Callable[..., Any], **options: Any) -> Any:
-    import numba
-
+    numba = _numba()
     return numba.njit(function, nogil=True, fastmath=_ALLOWED, error_model="numpy", **options)
 
 
+@cache
+def _numba() -> Any:
+    import numba
+    from llvmlite import binding
+
+    config: Any = numba.config
+    if SHIPPED.is_dir() and config.CPU_NAME is None:
+        features = binding.get_host_cpu_features()
+        if all(features.get(name) for name in _SHIPPED_NEEDS):
+            # the name stands for its features
+            config.CPU_NAME, config.CPU_FEATURES = _SHIPPED_FOR, ""
+    return numba
+
+
 def _cached(function: Callable[..., Any]) -> Any:
-    try:
-        made = _jit(function, cache=True)
-    except RuntimeError:
-        # Numba found no writable directory for its cache: every process compiles for itself
-        return _jit(function)
+    made = _jit(function)
+    if not Path(function.__code__.co_filename).is_file():
+        return made
+    made._cache = _KeptCode(function)
     # Numba calls `compile` for each new combination of argument types
     made.compile = _alone(made)
     return made
+
+
+@cache
+def cache_directory() -> Path | None:
+    """Return where this process stores machine code; None if it can write to none of `cache_directories`."""
+    for directory in cache_directories():
+        with suppress(OSError):
+            directory.mkdir(parents=True, exist_ok=True)
+            if os.access(directory, os.W_OK | os.X_OK):
+                return directory
+    return None
+
+
+def cache_directories() -> tuple[Path, ...]:
+    """Return the directories for machine code in the order of preference."""
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        return (Path(given),)
+    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return _PACKAGE / "__pycache__" / "machine_code", users / "vaoi-station"
+
+
+class _KeptCode:
+    """The machine code of one function on disk, a file for each combination of argument types.
+
+    It takes the place of Numba's cache, whose key is one source file: a function changes, too, with a helper or a
+    constant of another module, and does not change with the rest of its own. The key is all that the code depends on.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        import llvmlite
+        import numba
+
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        versions = (numba.__version__, llvmlite.__version__, sys.version_info[:2], sorted(_ALLOWED))
+        self._content = "\n".join((repr(versions), *_content(function, set())))
+        self.cache_path = str(cache_directory())
+        self.lock = None if cache_directory() is None else Path(self.cache_path) / f"{self._name}.lock"
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Return the code for a signature; None if there is none."""
+        from numba.core import compiler
+
+        result: Any = compiler.CompileResult
+        context.refresh()
+        name = self._file(signature, context.codegen())
+        for directory in (SHIPPED, cache_directory()):
+            if directory is not None and (file := directory / name).is_file():
+                return result._rebuild(context, *pickle.loads(file.read_bytes()))
+        return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Store code; a disk that is full or broken costs nothing but the time to compile again."""
+        from numba.core import serialize
+
+        dumps: Any = serialize.dumps
+        if (directory := cache_directory()) is None:
+            return
+        file = directory / self._file(signature, result.codegen)
+        new = file.with_suffix(f".{os.getpid()}")
+        with suppress(OSError):
+            try:
+                new.write_bytes(dumps(result._reduce()))
+                new.replace(file)
+            finally:
+                new.unlink(missing_ok=True)
+
+    def _file(self, signature: Any, codegen: Any) -> str:
+        kinds = getattr(signature, "args", signature)
+        fields = [getattr(kind, "fields", ()) for kind in kinds]
+        key = repr((self._content, str(kinds), fields, codegen.magic_tuple()))
+        return f"{self._name}-{hashlib.sha256(key.encode()).hexdigest()[:20]}.nbc"
+
+
+def _content(function: Callable[..., Any], seen: set[int]) -> Iterator[str]:
+    """Yield all that the machine code of a function is made of: its own code, what it calls, and constants."""
+    if id(function) in seen:
+        return
+    seen.add(id(function))
+    names = function.__globals__
+    yield f"{function.__module__}.{function.__qualname__} {function.__defaults__!r}"
+    codes = [function.__code__]
+    while codes:
+        code = codes.pop()
+        codes += [c for c in code.co_consts if isinstance(c, CodeType)]
+        constants = [c for c in code.co_consts if not isinstance(c, CodeType)]
+        yield repr((code.co_code, constants, code.co_names, code.co_varnames))
+        for name in code.co_names:
+            value = names.get(name)
+            called = getattr(value, "_function", None) or getattr(value, "py_func", None)
+            if called is not None:
+                yield from _content(called, seen)
+            elif isinstance(value, type):
+                yield f"{name} {value.__name__} {getattr(value, '_fields', ())}"
+            elif isinstance(value, (int, float, complex, str, tuple)):
+                yield f"{name} {value!r}"
+            elif value is not None and hasattr(value, "tobytes"):
+                yield f"{name} {value.tobytes()!r}"
 
 
 def progress() -> tuple[int, int]:
@@ -145,8 +266,7 @@ def _alone(made: Any) -> Callable[[Any], Any]:
     Two processes that compiled the same function could round differently, because not the same other functions are
     ready for inlining: the result of a station would differ from that of `vaoi stitch`.
     """
-    compile_it, load, function = made.compile, made._cache.load_overload, made.py_func
-    file = Path(made.stats.cache_path) / f"{function.__module__}.{function.__qualname__}.lock"
+    compile_it, load, file = made.compile, made._cache.load_overload, made._cache.lock
 
     def compile_alone(signature: Any) -> Any:
         with _in_this_process, _without_collections(), ExitStack() as compiling:
@@ -185,7 +305,7 @@ _held: set[Path] = set()
 
 
 @contextmanager
-def _lock(path: Path, how: int) -> Iterator[None]:
+def _lock(path: Path | None, how: int) -> Iterator[None]:
     """Exclude other processes from the code of a function: all (`LOCK_EX`), or the one that compiles it (`LOCK_SH`).
 
     Compiling a function also loads or compiles those that it calls, never one that calls it: no two processes wait for
@@ -194,10 +314,9 @@ def _lock(path: Path, how: int) -> Iterator[None]:
     # an RLock excludes the other threads of this process; one thread may take it twice, which flock does not allow
     with _in_this_process:
         # a second flock on another open file would block
-        if path in _held:
+        if path is None or path in _held:
             yield
             return
-        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w") as file:
             fcntl.flock(file, how)
             _held.add(path)

@@ -96,9 +96,10 @@ def judge_cache_of_service(unit: ServiceUnit) -> Finding:
 
 
 def judge_cache(given: str | None, package: Path, home: Path) -> Finding:
-    """Judge whether Numba's cache is writable: NUMBA_CACHE_DIR if set, else the package's or the user's folder."""
-    # Without NUMBA_CACHE_DIR Numba tries these two in this order.
-    defaults = (package / "__pycache__", Path(os.environ.get("XDG_CACHE_HOME", home / ".cache")) / "numba")
+    """Judge whether machine code can be kept: in NUMBA_CACHE_DIR if set, else in the package's or the user's folder."""
+    # those of `vaoi_station.compiled.cache_directories`, for this package and home
+    users = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+    defaults = (package / "__pycache__" / "machine_code", users / "vaoi-station")
     places: tuple[Path, ...] = (Path(given),) if given else defaults
     for place in places:
         if writable(place):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from vaoi_station.files.images import decode
 from vaoi_station.heights.estimates import combine_parts
 from vaoi_station.photometry import Taken
 from vaoi_station.photometry.flat_fields import FlatFieldDocument, FlatFields, write_flat_fields
+from vaoi_station.runs.workers import second_compiler
 from vaoi_station.runs.workers.jobs import Priority
 from vaoi_station.runs.workers.picture_jobs import (
     BoardCheckJob,
@@ -77,6 +80,20 @@ def test_frames_are_divided_by_the_flat_fields(tmp_path: Path) -> None:
     truth = {ref: height_mm for ref, (_, _, height_mm) in PARTS.items()}
     assert measured(tmp_path) == pytest.approx(truth, abs=0.1)
     assert measured(None) != pytest.approx(truth, abs=0.1)
+
+
+def test_heights_and_mosaics_wait_without_keeping_a_worker_until_they_are_compiled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """At a first start they are compiled after the first pictures; the worker links the next board meanwhile."""
+    filmed = make_film(PARTS, rows=2)
+    heights = HeightsJob("r1", 0, 1, filmed.board_type, filmed.stitch, filmed.cameras, (), SLOTS)
+    with subprocess.Popen(["sleep", "60"]) as compiler:
+        monkeypatch.setattr(second_compiler, "_pidfd", os.pidfd_open(compiler.pid))
+        assert heights.perform(lambda slot: filmed.frames[0, slot - 7]) == {}
+        compiler.kill()
+        compiler.wait()
+        assert heights.perform(lambda slot: filmed.frames[0, slot - 7])
 
 
 def job(**options: object) -> MergeJob:

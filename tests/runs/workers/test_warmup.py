@@ -1,4 +1,4 @@
-"""The warm-up stitches a board completely, and two processes compile at the first start."""
+"""The warm-up calls everything that is compiled, and first what the first pictures of a board need."""
 
 from __future__ import annotations
 
@@ -10,22 +10,15 @@ import pytest
 from typer.testing import CliRunner
 
 from vaoi_station.cli import app
-from vaoi_station.model import Stitch
-from vaoi_station.runs.workers.warmup import warm_up
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
 
-
-@pytest.fixture(scope="module")
-def stitch() -> Stitch:
-    return warm_up()
-
-
 PROGRAM = """
 from vaoi_station.runs.workers import worker
-from vaoi_station.runs.workers.warmup import warm_up
+from vaoi_station.runs.workers.warmup import warm_up, warm_up_later
 from vaoi_station import compiled
 warm_up()
+warm_up_later()
 left = {f"{made.py_func.__module__}.{made.py_func.__name__}" for made in compiled._functions if not made.signatures}
 print(*sorted(left))
 """
@@ -47,10 +40,11 @@ from pathlib import Path
 from typer.testing import CliRunner
 from vaoi_station import compiled
 from vaoi_station.cli import app
-from vaoi_station.runs.workers.warmup import warm_up
+from vaoi_station.runs.workers.warmup import warm_up, warm_up_later
 
 run, result, out = sys.argv[1:]
 warm_up()
+warm_up_later()
 known = compiled.signatures()
 for command in ("cut --all", "cut --all --hdr", "mosaic", "mosaic --hdr", "heights", "identify"):
     target = [] if command == "identify" else ["--out", f"{out}/{command}.tif"]

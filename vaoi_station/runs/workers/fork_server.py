@@ -23,7 +23,7 @@ import pickle
 import signal
 import socket
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -75,8 +75,7 @@ def run_fork_server(control: socket.socket, workers: int) -> None:
 
     from vaoi_station.runs.workers import picture_jobs  # noqa: F401  jobs come pickled
     from vaoi_station.runs.workers.evidence_log import shared_memory
-    from vaoi_station.runs.workers.second_compiler import second_compiler
-    from vaoi_station.runs.workers.warmup import warm_up
+    from vaoi_station.runs.workers.second_compiler import SecondCompiler
     from vaoi_station.runs.workers.worker import run_worker  # noqa: F401  for the workers: see `_work`
 
     # OpenCV starts one thread per core by default. Such threads would slow down other workers, and this process could
@@ -90,14 +89,18 @@ def run_fork_server(control: socket.socket, workers: int) -> None:
                 os.close(file)
             case _:
                 return
-        with _progress_sent(control), second_compiler():
-            warm_up()
+        second = SecondCompiler()
+        with _progress_sent(control):
+            second.warm_up()
         # Imported and compiled objects are never freed: `freeze` excludes them from collections, which would write to
         # the memory that all workers share.
         gc.collect()
         gc.freeze()
         send(control, ("ready",))
-        server.serve()
+        try:
+            server.serve(second.note_end)
+        finally:
+            second.close()
     for pid in server.children.values():
         os.waitpid(pid, 0)
 
@@ -126,10 +129,11 @@ class _Server:
         self.children: dict[int, int] = {}
         """The pid of each worker that runs, by its pidfd."""
 
-    def serve(self) -> None:
-        """Fork workers and report their ends until the station closes the socket."""
+    def serve(self, between: Callable[[], object]) -> None:
+        """Fork workers and report their ends until the station closes the socket; call `between` in between."""
         while True:
             ready = wait([self._control, *self.children])
+            between()
             for pidfd in self.children.keys() & set(ready):
                 pid = self.children.pop(pidfd)
                 os.close(pidfd)

@@ -49,6 +49,7 @@ from vaoi_station.rendering import View, render
 from vaoi_station.rendering.temporary import subtract
 from vaoi_station.runs.states.schemas import ImageFormat
 from vaoi_station.runs.workers.jobs import PictureJob, Priority, ReadSlot, SteppedJob
+from vaoi_station.runs.workers.second_compiler import later_code_is_there
 from vaoi_station.steps import Steps
 from vaoi_station.stitching.matching.evidence import FrameKey
 
@@ -269,6 +270,10 @@ class PlanJob(SteppedJob):
 
     def steps(self, frame: ReadSlot) -> Steps[PlannedPicture]:
         """Survey the frames of the run, make the plan and by it the picture, from the reduced frames of the survey."""
+        while not later_code_is_there():
+            # more urgent jobs come in between
+            time.sleep(SLICE_S)
+            yield
         read, projector = _reader(self.slots, frame), FrameIndex.of_result(self.stitch, self.cameras)
         reduction = 1
         while self.grid.width * self.grid.height > OVERVIEW_PX * reduction**2:
@@ -351,7 +356,8 @@ def displayed(radiance: NDArray[np.float32], tone: tuple[float, float]) -> NDArr
 class HeightsJob(PictureJob):
     """Measure a component of a run, and further ones until `SLICE_S` have passed.
 
-    The reply's value is a dict of `PartMeasure`s by address: those of the first components of `board_type`.
+    The reply's value is a dict of `PartMeasure`s by address: those of the first components of `board_type`. It is empty
+    while the code is compiled.
     """
 
     what: ClassVar[str] = "heights of components"
@@ -368,6 +374,9 @@ class HeightsJob(PictureJob):
 
     def perform(self, frame: ReadSlot) -> dict[str, PartMeasure]:
         """Measure components."""
+        if not later_code_is_there():
+            time.sleep(SLICE_S)
+            return {}
         pixels = _reader(self.slots, frame)
         places, frames = open_places(self.board_type, self.stitch, self.cameras), PartFrames(pixels)
         if self.flat_fields is not None:

@@ -1,12 +1,13 @@
-"""Warm-up of a worker: it stitches a small synthetic board before it reports that it is ready.
+"""Warm-up of the workers: a small synthetic board is stitched before they report that they are ready.
 
 The warm-up loads libraries, and calls the functions that are compiled at their first call. So the first real frame
-takes no longer than later frames.
+takes no longer than later frames. What the first pictures of a board need comes first (`warm_up`); what is measured
+after them, in spare time, comes last (`warm_up_later`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from functools import partial
 
 import cv2
@@ -23,7 +24,10 @@ from vaoi_station.mosaic import MosaicGrid, TakenFrame, TileRenderer, choose_fra
 from vaoi_station.photometry import FieldMaps, NoiseModel, Taken
 from vaoi_station.rendering import ViewCalculator, render_all
 from vaoi_station.steps import completed
+from vaoi_station.stitching.conclude import explained
+from vaoi_station.stitching.matching.evidence import Evidence, Links, Task
 from vaoi_station.stitching.matching.frames import resample
+from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.work import StitchSetup, TaskRunner, all_tasks
 
 _PX_PER_MM, _WIDTH_PX, _HEIGHT_PX = 10.0, 400, 300
@@ -33,47 +37,79 @@ _SIZE_MM = (_PITCH_MM * (_CAMERAS - 1) + _WIDTH_PX / _PX_PER_MM, _HEIGHT_PX / _P
 _RESAMPLED_PX = 8
 _BELT, _AROUND, _COPPER = 20, 40, 220
 _SUBPIXEL_BITS = 4
+_TIMES_S = np.arange(_ROWS, dtype=np.float64) * _PERIOD_S
+_PRESENT = [(camera, row) for camera in range(_CAMERAS) for row in range(_ROWS)]
+_INFORMATION = 400.0
+"""Of an exact link, px⁻²: a standard deviation of 0.05 px."""
 
 
-def warm_up() -> Stitch:
-    """Stitch the synthetic board, and return its result. Only tests use the result."""
-    setup, times_s = _setup(), np.arange(_ROWS, dtype=np.float64) * _PERIOD_S
-    present = [(camera, row) for camera in range(_CAMERAS) for row in range(_ROWS)]
+def warm_up() -> None:
+    """Stitch the synthetic board and render its components: what the first pictures of a board need."""
     picture = _picture()
     # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
     resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
+    setup = _setup()
     runner = TaskRunner(setup, partial(_frame, picture))
-    # Marks come after links: meanwhile the second process compiles what they need.
-    tasks = sorted(all_tasks(present, dict(enumerate(times_s)), setup), key=lambda task: task.kind == "marks")
-    evidence = [runner.perform(task) for task in tasks]
-    _locate_marks(picture)
-    stitch = runner.conclude(times_s, present, evidence)
-    for call in _calls_for_pictures(setup, stitch, picture):
-        call()
-    return stitch
+    links = [runner.perform(task) for task in _tasks(setup) if task.kind != "marks"]
+    # Pictures before marks and adjustment, with which the second process begins.
+    _render(setup, picture)
+    _concluded(setup, picture, links)
 
 
 def warm_up_from_the_end() -> None:
-    """Locate marks, and call what `warm_up` calls after it has stitched, with the matrices of the synthetic board.
+    """Call what `warm_up` calls, but begin with what it calls last, and do without the comparison of patches.
 
     A second process does this while the first one warms up: neither waits long for what the other one compiles.
     """
     setup, picture = _setup(), _picture()
+    _concluded(setup, picture, _true_links(setup))
+    _render(setup, picture)
+
+
+def warm_up_later() -> None:
+    """Call what is computed after the pictures of a board: explanation, mosaic, merged pictures, heights."""
+    setup, picture = _setup(), _picture()
+    board_type, stitch = setup.board_type, _true_stitch(setup)
+    assert board_type is not None, "the synthetic board has a board type"
+    explained(*_concluded(setup, picture, _true_links(setup)))
+    _plan(setup, board_type, stitch, picture)
+    _merge(ViewCalculator(board_type, stitch, setup.cameras), board_type, picture)
+    measure_heights(board_type, stitch, setup.cameras, partial(_frame, picture))
+
+
+def _tasks(setup: StitchSetup) -> tuple[Task, ...]:
+    return all_tasks(_PRESENT, dict(enumerate(_TIMES_S)), setup)
+
+
+def _concluded(setup: StitchSetup, picture: NDArray[np.uint8], links: Iterable[Evidence]) -> tuple[Stitch, Findings]:
+    """Locate marks, of all shapes, and conclude the synthetic board from them and links."""
     _locate_marks(picture)
-    for call in reversed(_calls_for_pictures(setup, _true_stitch(setup), picture)):
-        call()
+    runner = TaskRunner(setup, partial(_frame, picture))
+    marks = [runner.perform(task) for task in _tasks(setup) if task.kind == "marks"]
+    return runner.answer(_TIMES_S, _PRESENT, [*links, *marks])
 
 
-def _calls_for_pictures(setup: StitchSetup, stitch: Stitch, picture: NDArray[np.uint8]) -> list[Callable[[], object]]:
+def _true_links(setup: StitchSetup) -> list[Evidence]:
+    """Return links on a grid of exact places."""
+    grid_px = np.mgrid[10:_WIDTH_PX:20, 10:_HEIGHT_PX:20].reshape(2, -1).T.astype(np.float64)
+    links: list[Evidence] = []
+    for task in _tasks(setup):
+        if task.kind == "marks" or task.b is None:
+            continue
+        cameras, rows = np.subtract(task.b, task.a)
+        b_px = grid_px + np.array([-_PITCH_MM * cameras, _STEP_MM * rows]) * _PX_PER_MM
+        shown = np.all((b_px > 0) & (b_px < (_WIDTH_PX - 1, _HEIGHT_PX - 1)), axis=1)
+        count = int(shown.sum())
+        information = np.tile(np.eye(2) * _INFORMATION, (count, 1, 1))
+        links.append(Links(task, grid_px[shown], b_px[shown], information, np.ones(count), tried=count))
+    return links
+
+
+def _render(setup: StitchSetup, picture: NDArray[np.uint8]) -> None:
     board_type = setup.board_type
     assert board_type is not None, "the synthetic board has a board type"
-    views = ViewCalculator(board_type, stitch, setup.cameras)
-    return [
-        lambda: render_all(views.compute_all(board_type.components), partial(_frame, picture)),
-        partial(_plan, setup, board_type, stitch, picture),
-        partial(_merge, views, board_type, picture),
-        partial(measure_heights, board_type, stitch, setup.cameras, partial(_frame, picture)),
-    ]
+    views = ViewCalculator(board_type, _true_stitch(setup), setup.cameras)
+    render_all(views.compute_all(board_type.components), partial(_frame, picture))
 
 
 def _true_stitch(setup: StitchSetup) -> Stitch:
