@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import struct
 import threading
@@ -91,7 +90,9 @@ class Camera(Device):
             self.features.put(name, value)
             self._update_payload()
 
-    def leave(self, leftovers: Sequence[tuple[str, Number | str, dict[str, Number | str]]], *, in_set: str = "") -> None:
+    def leave(
+        self, leftovers: Sequence[tuple[str, Number | str, dict[str, Number | str]]], *, in_set: str = ""
+    ) -> None:
         """Let an earlier client have left these values: feature, value, selectors.
 
         With `in_set` they are saved in that user set as well, which is loaded at power-on.
@@ -119,7 +120,9 @@ class Camera(Device):
         with self.lock:
             width, height, x, y = (int(self._geometry(n)) for n in ("Width", "Height", "OffsetX", "OffsetY"))
             size = self.number(PACKET_SIZE) & 0xFFFF
-            code = int(self.features.value("PixelFormat")) & 0xFFFFFFFF if "PixelFormat" in self.features else 0x01080001
+            code = (
+                int(self.features.value("PixelFormat")) & 0xFFFFFFFF if "PixelFormat" in self.features else 0x01080001
+            )
             return Stream(width, height, size, self.extended, code, (x, y))
 
     @property
@@ -174,7 +177,7 @@ class Camera(Device):
         """Stop: a camera without a client sends nothing."""
         self.acquiring = False
 
-    def on_write(self, address: int, count: int) -> None:
+    def on_write(self, address: int) -> None:
         """Execute the commands that a write has set."""
         if address < BOOTSTRAP_END:
             return
@@ -195,7 +198,7 @@ class Camera(Device):
         """Return address → command, its register and the number that executes it."""
         bound: dict[int, list[tuple[str, str, Number]]] = {}
         for name, node in self._model.nodes.items():
-            register = self._model.register_of(name) if node.tag == "Command" else None
+            register = self.features.register_of(name) if node.tag == "Command" else None
             if register is None or not self.features.on_device(register):
                 continue
             by_node = node.findtext("pCommandValue")
@@ -219,7 +222,7 @@ class Camera(Device):
             return
         if command in _CLOCKS:
             for name in _CLOCKS[command]:
-                if name in self.features and (register := self._model.register_of(name)) is not None:
+                if name in self.features and (register := self.features.register_of(name)) is not None:
                     self.features.put(register, self._latched())
                     break
         elif command in ("TimestampReset", "GevTimestampControlReset"):
@@ -232,7 +235,7 @@ class Camera(Device):
             self.reset()
             return
         # It clears itself: a client may ask whether it is done.
-        if (register := self._model.register_of(command)) is not None and command not in _CLOCKS:
+        if (register := self.features.register_of(command)) is not None and command not in _CLOCKS:
             self.features.put(register, 0)
 
     def _latched(self) -> int:
@@ -244,7 +247,7 @@ class Camera(Device):
         pages, banks = self._sets.get(number, self._first)
         before = self.features.value("UserSetSelector") if "UserSetSelector" in self.features else 0
         kept = {n: self.features.value(n) for n in ("UserSetDefault", "UserSetDefaultSelector") if n in self.features}
-        self.registers.restore(pages)
+        self.registers.restore(pages, BOOTSTRAP_END)
         self.features.banks = dict(banks)
         self.features.forget()
         for name, value in kept.items():
@@ -256,7 +259,16 @@ class Camera(Device):
         return self.features.value(name) if name in self.features else 0
 
     def _update_payload(self) -> None:
-        register = self._model.register_of("PayloadSize") if "PayloadSize" in self.features else None
-        if register is not None and self.features.on_device(register):
-            with contextlib.suppress(KeyError):
-                self.features.put(register, self.payload_bytes)
+        """State the payload in the register that holds it, or in one of those of which a formula makes it."""
+        if "PayloadSize" not in self.features:
+            return
+        wanted = self.payload_bytes
+        for register in self.features.read_by("PayloadSize"):
+            if self.features.value("PayloadSize") == wanted:
+                return
+            before = self.features.value(register)
+            if self._model.text_of(register, "AccessMode") != "RO":
+                continue
+            self.features.put(register, wanted)
+            if self.features.value("PayloadSize") != wanted:
+                self.features.put(register, before)

@@ -33,9 +33,11 @@ class DescriptionError(ValueError):
 class Memory(Protocol):
     """The registers of a device."""
 
-    def read(self, address: int, count: int) -> bytes: ...
+    def read(self, address: int, count: int) -> bytes:
+        """Return bytes."""
 
-    def write(self, address: int, content: bytes) -> None: ...
+    def write(self, address: int, content: bytes) -> None:
+        """Change bytes."""
 
 
 def root_of(text: str) -> ET.Element:
@@ -121,15 +123,6 @@ class Description:
             self._closures[name] = frozenset(found)
         return self._closures[name]
 
-    def register_of(self, name: str) -> str | None:
-        """Return the register in which a node keeps its value; None if the client keeps it, or a formula gives it."""
-        while name in self.nodes and self.kind(name) not in REGISTERS:
-            following = self.text_of(name, "pValue")
-            if following is None:
-                return None
-            name = following
-        return name if name in self.nodes else None
-
     def all_selectors(self, name: str) -> list[str]:
         """Return the selectors of a feature, with those of its selectors."""
         found: list[str] = []
@@ -158,6 +151,7 @@ class Features:
         self.banks: dict[tuple[str, tuple[Number, ...]], bytes] = {}
         self._memo: dict[str, Number] = {}
         """Values since the last write: the formulas of some makers are as deep as they are wide."""
+        self._read: set[str] = set()
         self.failures = 0
         """Formulas that could not be evaluated with the values of their variables, and gave 0."""
         self._find_banks()
@@ -200,33 +194,41 @@ class Features:
             self._memo[name] = self._value(name)
         return self._memo[name]
 
+    def read_by(self, name: str) -> list[str]:
+        """Return the registers that are read for the value of a node now, in the order of their names."""
+        self._memo.clear()
+        self._read.clear()
+        self.value(name)
+        return sorted(self._read)
+
+    def converted(self, name: str, value: Number) -> Number:
+        """Return what a converter writes for a value."""
+        return self._formula(self.description.nodes[name], "FormulaTo", {"FROM": value})
+
     def _value(self, name: str) -> Number:
         node = self.description.nodes[name]
         if node.tag in REGISTERS:
+            self._read.add(name)
             return self._decode(name, self._bytes(name))
         if node.tag in _FORMULAS:
             return self._formula(node, "Formula", {})
         if node.tag in _CONVERTERS:
-            inner = self.value(_text(node, "pValue"))
-            return self._formula(node, "FormulaFrom", {"TO": inner})
-        if name in self._client:
-            return self._client[name]
-        if (inner_name := self._inner(node)) is not None:
-            raw = self.value(inner_name)
-            if node.tag == "Boolean":
-                return int(raw == _number(node, "OnValue", 1))
-            return raw
+            return self._formula(node, "FormulaFrom", {"TO": self.value(_text(node, "pValue"))})
+        if (inner := self._inner(node)) is not None:
+            raw = self.value(inner)
+            return int(raw == _number(node, "OnValue", 1)) if node.tag == "Boolean" else raw
         if (index := node.find("pIndex")) is not None:
-            chosen = self._indexed(node, int(self.value((index.text or "").strip())))
-            return _number(chosen, ".") if not chosen.tag.startswith("p") else self.value((chosen.text or "").strip())
-        return _number(node, "Value", 0)
+            node, tag = self._indexed(node, int(self.value((index.text or "").strip()))), "."
+        else:
+            tag = "Value"
+        return self._client[name] if name in self._client else _number(node, tag, 0)
 
     def text(self, name: str) -> str:
         """Return the value of a string, or the name of an enumeration's entry."""
         if self.description.kind(name) == "Enumeration":
             number = self.value(name)
             return next((e for e, v in self.description.entries(name).items() if v == number), str(number))
-        register = self.description.register_of(name)
+        register = self.register_of(name)
         return "" if register is None else self._bytes(register).split(b"\0")[0].decode("utf-8", "replace")
 
     def put(self, name: str, value: Number | str) -> None:
@@ -273,6 +275,13 @@ class Features:
 
     # --- registers
 
+    def register_of(self, name: str) -> str | None:
+        """Return the register in which a node keeps its value; None if the client keeps it, or a formula gives it."""
+        following: str | None = name
+        while following in self.description.nodes and self.description.kind(following) not in REGISTERS:
+            following = self._inner(self.description.nodes[following])
+        return following if following in self.description.nodes else None
+
     def address(self, register: str) -> int:
         """Return the address of a register: the sum of all that its node names."""
         node, total = self.description.nodes[register], 0
@@ -318,7 +327,7 @@ class Features:
     def exchange(self, selector_registers: frozenset[str], before: Mapping[str, Number]) -> None:
         """Exchange the contents of registers after a client has changed selectors in the device."""
         for register, selectors in self.banked.items():
-            if not selector_registers.intersection(map(str, map(self.description.register_of, selectors))):
+            if not selector_registers.intersection(map(str, map(self.register_of, selectors))):
                 continue
             old = tuple(before[s] for s in selectors)
             new = tuple(self.value(s) for s in selectors)
@@ -388,19 +397,17 @@ class Features:
             self.exchange(frozenset({register}), before)
 
     def _selects(self, register: str) -> bool:
-        return any(
-            self.description.register_of(s) == register for selectors in self.banked.values() for s in selectors
-        )
+        return any(self.register_of(s) == register for selectors in self.banked.values() for s in selectors)
 
     def _find_banks(self) -> None:
         """Find the registers that lie at one address for all values of a selector that the device keeps."""
         d = self.description
         for feature, selectors in d.selectors.items():
-            register = d.register_of(feature) if feature in d.nodes else None
+            register = self.register_of(feature) if feature in d.nodes else None
             if register is None or d.kind(feature) == "Command" or not self.on_device(register):
                 continue
             for selector in selectors:
-                at = d.register_of(selector)
+                at = self.register_of(selector)
                 # A client computes the address or chooses the register by the selector's value.
                 if at is None or at == register or at in d.closure(feature) or selector in d.closure(feature):
                     continue
@@ -410,8 +417,13 @@ class Features:
     # --- nodes
 
     def _inner(self, node: ET.Element) -> str | None:
-        inner = node.findtext("pValue")
-        return None if inner is None else inner.strip()
+        """Return the node that keeps the value of a node now; None if there is none."""
+        if (inner := node.findtext("pValue")) is not None:
+            return inner.strip()
+        if (index := node.find("pIndex")) is not None and node.tag in FEATURES:
+            chosen = self._indexed(node, int(self.value((index.text or "").strip())))
+            return (chosen.text or "").strip() if chosen.tag.startswith("p") else None
+        return None
 
     def _indexed(self, node: ET.Element, index: int) -> ET.Element:
         for child in node:
@@ -433,16 +445,18 @@ class Features:
             if name in constants:
                 return constants[name]
             if name in expressions:
-                return parse(expressions[name])(variable)
-            known[name] = self._variable(name, nodes)
+                return parse(expressions[name], real=real)(variable)
+            known[name] = kind(self._variable(name, nodes))
             return known[name]
 
+        real = not node.tag.startswith("Int")
+        kind = float if real else int
         try:
-            result = parse(_text(node, tag))(variable)
+            result = parse(_text(node, tag), real=real)(variable)
         except (ZeroDivisionError, OverflowError, ValueError):
             self.failures += 1
             return 0
-        return int(result) if node.tag.startswith("Int") else result
+        return int(result) if not real else float(result)
 
     def _variable(self, name: str, nodes: Mapping[str, str]) -> Number:
         if name in nodes:
@@ -457,18 +471,22 @@ class Features:
 
     def _bound(self, name: str, which: str) -> Number:
         node = self.description.nodes[name]
-        if (by_node := node.findtext(f"p{which}")) is not None and by_node.strip() in self.description.nodes:
-            return self.value(by_node.strip())
-        if (text := node.findtext(which)) is not None:
-            return number_of(text)
-        if node.tag in REGISTERS:
-            return self._register_bound(name, which)
-        if (inner := self._inner(node)) is None or inner not in self.description.nodes:
-            return {"Min": 0, "Max": (1 << 31) - 1, "Inc": 1}[which]
-        if node.tag not in _CONVERTERS:
-            return self._bound(inner, which)
-        if which == "Inc":
-            return 1
+        by_node, text, inner = node.findtext(f"p{which}"), node.findtext(which), self._inner(node)
+        if by_node is not None and by_node.strip() in self.description.nodes:
+            bound = self.value(by_node.strip())
+        elif text is not None:
+            bound = number_of(text)
+        elif node.tag in REGISTERS:
+            bound = self._register_bound(name, which)
+        elif inner is None or inner not in self.description.nodes:
+            bound = {"Min": 0, "Max": (1 << 31) - 1, "Inc": 1}[which]
+        elif node.tag not in _CONVERTERS:
+            bound = self._bound(inner, which)
+        else:
+            bound = 1 if which == "Inc" else self._converted_bound(node, inner, which)
+        return bound
+
+    def _converted_bound(self, node: ET.Element, inner: str, which: str) -> Number:
         ends = []
         for end in ("Min", "Max"):
             failures = self.failures

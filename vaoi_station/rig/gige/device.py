@@ -1,4 +1,4 @@
-"""A GigE Vision device without a camera behind it: GVCP over a UDP socket, bootstrap registers, memory, and its faults."""
+"""A GigE Vision device without a camera behind it: GVCP over UDP, bootstrap registers, memory, and its faults."""
 
 from __future__ import annotations
 
@@ -11,19 +11,28 @@ import time
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from vaoi_station.rig.gige.description import Description, Features, moved
 from vaoi_station.rig.gige.first_values import BOOTSTRAP_END, FirstValues, Sensor
 from vaoi_station.rig.gige.formula import Number
 
 CONTROL_PORT = 3956
-DISCOVERY, FORCE_IP, RESEND, READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY = 2, 4, 0x40, 0x80, 0x82, 0x84, 0x86
+DISCOVERY, FORCE_IP, RESEND, READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY = (
+    2,
+    4,
+    0x40,
+    0x80,
+    0x82,
+    0x84,
+    0x86,
+)
 ALLOW_BROADCAST_ACKNOWLEDGE, EXTENDED_IDS = 0x10, 0x10
 NOT_IMPLEMENTED, INVALID_PARAMETER, INVALID_ADDRESS, WRITE_PROTECTED, ACCESS_DENIED, BUSY = (
     0x8001, 0x8002, 0x8003, 0x8004, 0x8006, 0x8007,
 )  # fmt: skip
 MAC_HIGH, MAC_LOW, ADDRESS, SUBNET, GATEWAY, SERIAL = 0x8, 0xC, 0x24, 0x34, 0x44, 0xD8
+USER_NAME, LINK_SPEED = 0xE8, 0x670
 PERSISTENT_ADDRESS, PERSISTENT_SUBNET, PERSISTENT_GATEWAY = 0x64C, 0x65C, 0x66C
 CAPABILITIES, HEARTBEAT_TIMEOUT, TICKS_HIGH, TICKS_LOW = 0x934, 0x938, 0x93C, 0x940
 CLOCK_CONTROL, CLOCK_HIGH, CLOCK_LOW, PRIVILEGE = 0x944, 0x948, 0x94C, 0xA00
@@ -80,13 +89,14 @@ class Registers:
             done += end - start
 
     def copy(self) -> dict[int, bytes]:
-        """Return all that is no bootstrap register, by pages."""
-        return {at: bytes(page) for at, page in self.pages.items() if BOOTSTRAP_END <= at * _PAGE < XML_ADDRESS}
+        """Return all registers, by pages."""
+        return {at: bytes(page) for at, page in self.pages.items() if at * _PAGE != XML_ADDRESS}
 
-    def restore(self, pages: dict[int, bytes]) -> None:
-        """Write what `copy` has returned."""
+    def restore(self, pages: dict[int, bytes], first: int = 0) -> None:
+        """Write what `copy` has returned, from an address on."""
         for at, content in pages.items():
-            self.pages[at] = bytearray(content)
+            if at * _PAGE >= first:
+                self.pages[at] = bytearray(content)
 
     def _parts(self, address: int, count: int) -> Sequence[tuple[bytearray, int, int]]:
         parts = []
@@ -101,7 +111,7 @@ class Registers:
 class Device:
     """One device at one local address. A thread answers control requests."""
 
-    def __init__(self, address: str, description: str, *, serial: str, sensor: Sensor = Sensor()) -> None:
+    def __init__(self, address: str, description: str, *, serial: str, sensor: Sensor | None = None) -> None:
         """Serve a device.
 
         Args:
@@ -110,7 +120,8 @@ class Device:
             serial: serial number.
             sensor: what the description leaves open.
         """
-        self.address, self.serial, self.sensor, self.faults = address, serial, sensor, Faults()
+        self.address, self.serial, self.faults = address, serial, Faults()
+        self.sensor = sensor = sensor or Sensor()
         self._model = Description(description)
         if not self._model.is_gige:
             self._model = Description(moved(description, SHIFT))
@@ -166,15 +177,19 @@ class Device:
             persistent = self.registers.read(PERSISTENT_ADDRESS, 0x24) if self._first else b""
             self.registers = Registers()
             self.features = Features(self._model, self.registers)
-            self._write_bootstrap()
-            if persistent:
-                self.registers.write(PERSISTENT_ADDRESS, persistent)
+            bootstrap = self._bootstrap()
+            for at, content in bootstrap.items():
+                self.registers.write(at, content)
             if self._first is None:
-                FirstValues(self.features, Sensor(**{**vars(self.sensor), "tick_hz": self.tick_hz})).write()
+                taken = [at + k for at, content in bootstrap.items() for k in range(len(content))]
+                sensor = replace(self.sensor, tick_hz=self.tick_hz)
+                FirstValues(self.features, sensor, taken).write()
                 if "DeviceSerialNumber" in self.features and not self._model.is_gige:
                     self.features.put("DeviceSerialNumber", self.serial)
                 self._first = self.registers.copy(), dict(self.features.banks)
             self.registers.restore(self._first[0])
+            if persistent:
+                self.registers.write(PERSISTENT_ADDRESS, persistent)
             self.features.banks = dict(self._first[1])
             self.features.forget()
             self._owner, self._heard_s = ("", 0), 0.0
@@ -205,7 +220,7 @@ class Device:
     def on_release(self) -> None:
         """Do what follows the loss of the client."""
 
-    def on_write(self, address: int, count: int) -> None:
+    def on_write(self, address: int) -> None:
         """Do what follows a client's write to registers."""
 
     def refusal(self, address: int) -> int:
@@ -217,7 +232,7 @@ class Device:
 
     def is_at(self, feature: str, address: int) -> bool:
         """Whether a feature keeps its value in the register at an address."""
-        register = self._model.register_of(feature) if feature in self.features else None
+        register = self.features.register_of(feature) if feature in self.features else None
         return register is not None and self.features.address(register) == address
 
     def number(self, address: int) -> int:
@@ -289,26 +304,30 @@ class Device:
             self._socket.sendto(head + reply, ("255.255.255.255", client[1]) if broadcast else client)
 
     def _reply(self, command: int, content: bytes, client: tuple[str, int]) -> tuple[int, bytes]:
+        status, reply = 0, b""
         if command == DISCOVERY:
-            return 0, self.registers.read(0, 0xF8)
-        if command == FORCE_IP:
-            return self._force_address(content), b""
-        if command == READ_REGISTER:
-            return 0, b"".join(self.registers.read(at, 4) for (at,) in struct.iter_unpack(">I", content))
-        if command == READ_MEMORY:
+            reply = self.registers.read(0, 0xF8)
+        elif command == FORCE_IP:
+            status = self._force_address(content)
+        elif command == READ_REGISTER:
+            reply = b"".join(self.registers.read(at, 4) for (at,) in struct.iter_unpack(">I", content))
+        elif command == READ_MEMORY:
             at, count = struct.unpack_from(">IxxH", content)
-            return 0, content[:4] + self.registers.read(at, count)
-        if command == WRITE_REGISTER:
-            done, status = 0, 0
+            reply = content[:4] + self.registers.read(at, count)
+        elif command == WRITE_REGISTER:
+            done = 0
             for at, number in struct.iter_unpack(">II", content):
                 status = self._write(at, number.to_bytes(4, "big"), client)
                 if status:
                     break
                 done += 1
-            return status, struct.pack(">HH", 0, done)
-        if command == WRITE_MEMORY:
-            return self._write(int.from_bytes(content[:4], "big"), content[4:], client), struct.pack(">HH", 0, len(content) - 4)
-        return NOT_IMPLEMENTED, b""
+            reply = struct.pack(">HH", 0, done)
+        elif command == WRITE_MEMORY:
+            status = self._write(int.from_bytes(content[:4], "big"), content[4:], client)
+            reply = struct.pack(">HH", 0, len(content) - 4)
+        else:
+            status = NOT_IMPLEMENTED
+        return status, reply
 
     def _write(self, address: int, content: bytes, client: tuple[str, int]) -> int:
         if self.controlled and client != self._owner:
@@ -321,7 +340,7 @@ class Device:
         selectors = frozenset(
             register
             for selector in before
-            if (register := self._model.register_of(selector)) is not None
+            if (register := self.features.register_of(selector)) is not None
             and address <= self.features.address(register) < address + len(content)
         )
         if selectors:
@@ -331,7 +350,7 @@ class Device:
                 self.features.put(feature, value)
         if address < BOOTSTRAP_END:
             self._on_bootstrap(address, client)
-        self.on_write(address, len(content))
+        self.on_write(address)
         if self.faults.restarts_at and self.is_at(self.faults.restarts_at, address):
             self.faults.restarts_at = ""
             self.boot()
@@ -384,21 +403,23 @@ class Device:
         self._data.bind((address, 0))
         data.close()
 
-    def _write_bootstrap(self) -> None:
-        self.registers.write(XML_ADDRESS, self._file + bytes(8))
+    def _bootstrap(self) -> dict[int, bytes]:
+        """Return the bootstrap registers after power-on, and the file of the description."""
         texts = {
-            0x48: self._model.vendor[:31], 0x68: self._model.model[:31], 0x88: "1.0", 0xA8: "stand-in",
-            SERIAL: self.serial[:15], _URL: f"Local:camera.zip;{XML_ADDRESS:X};{len(self._file):X}",
+            0x48: (self._model.vendor, 32), 0x68: (self._model.model, 32), 0x88: ("1.0", 32), 0xA8: ("stand-in", 48),
+            SERIAL: (self.serial, 16), USER_NAME: ("", 16),
+            _URL: (f"Local:camera.zip;{XML_ADDRESS:X};{len(self._file):X}", 512),
         }  # fmt: skip
-        for at, text in texts.items():
-            self.registers.write(at, text.encode())
         numbers = {
-            0x0: 0x00020000, 0x4: 0x80000001, MAC_HIGH: self.mac >> 32, MAC_LOW: self.mac & 0xFFFFFFFF, 0x10: 0x80000007,
-            0x14: 5, SUBNET: 0xFF000000, PERSISTENT_SUBNET: 0xFF000000, 0x600: 1, 0x670: 1000, 0x904: 1,
-            CAPABILITIES: 0xF0000006, HEARTBEAT_TIMEOUT: 3000, TICKS_HIGH: self.tick_hz >> 32,
-            TICKS_LOW: self.tick_hz & 0xFFFFFFFF, PACKET_SIZE: 1400,
+            0x0: 0x00020000, 0x4: 0x80000001, MAC_HIGH: self.mac >> 32, MAC_LOW: self.mac & 0xFFFFFFFF, 0x10: 7,
+            0x14: 5, SUBNET: 0xFF000000, GATEWAY: 0, PERSISTENT_SUBNET: 0xFF000000, PERSISTENT_GATEWAY: 0, 0x600: 1,
+            LINK_SPEED: 1000, 0x900: 0, 0x904: 1, CAPABILITIES: 0xF0000006, HEARTBEAT_TIMEOUT: 3000,
+            TICKS_HIGH: self.tick_hz >> 32, TICKS_LOW: self.tick_hz & 0xFFFFFFFF, CLOCK_CONTROL: 0, CLOCK_HIGH: 0,
+            CLOCK_LOW: 0, PRIVILEGE: 0, STREAM_PORT: 0, PACKET_SIZE: 1400, PACKET_DELAY: 0, STREAM_ADDRESS: 0,
         }  # fmt: skip
-        for at, number in numbers.items():
-            self.set_number(at, number)
-        for at in (ADDRESS, PERSISTENT_ADDRESS):
-            self.registers.write(at, socket.inet_aton(self.address))
+        return {
+            XML_ADDRESS: self._file + bytes(8),
+            **{at: text.encode()[: size - 1].ljust(size, b"\0") for at, (text, size) in texts.items()},
+            **{at: number.to_bytes(4, "big") for at, number in numbers.items()},
+            **{at: socket.inet_aton(self.address) for at in (ADDRESS, PERSISTENT_ADDRESS)},
+        }

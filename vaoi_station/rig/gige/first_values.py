@@ -77,42 +77,51 @@ _FIRST = (
 
 @dataclass
 class _Claims:
-    """The bits of registers that have their values."""
+    """The bits of the memory that have their values."""
 
     bits: dict[int, int] = field(default_factory=dict)
+    """Address of a byte → mask."""
 
-    def places(self, features: Features, register: str) -> Iterator[tuple[int, int]]:
-        """Return address and mask of every byte of a register."""
+    def add(self, features: Features, register: str, mask: int = -1) -> None:
+        """Note that a register, or the bits of its value in `mask`, have their values."""
+        for number, at, bit in self._places(features, register):
+            if mask & number:
+                self.bits[at] = self.bits.get(at, 0) | bit
+
+    def free(self, features: Features, register: str) -> int:
+        """Return the bits of a register's value that have none yet."""
+        return sum(n for n, at, bit in self._places(features, register) if not self.bits.get(at, 0) & bit)
+
+    def has(self, features: Features, register: str) -> bool:
+        """Whether a part of a register has its value."""
+        return any(self.bits.get(at, 0) & bit for _, at, bit in self._places(features, register))
+
+    @staticmethod
+    def _places(features: Features, register: str) -> Iterator[tuple[int, int, int]]:
+        """Yield every bit of a register's value with the byte and the bit of the memory that hold it."""
         first, count = features.address(register), min(features.length(register), _LONGEST)
         kind = features.description.kind(register)
         low, bits = features.field(register) if kind in ("IntReg", "MaskedIntReg") else (0, 8 * count)
-        order = features.order(register)
-        mask = (((1 << bits) - 1) << low).to_bytes(count, order)
-        return ((first + k, byte) for k, byte in enumerate(mask) if byte)
-
-    def has(self, features: Features, register: str) -> bool:
-        """Whether a register, or a part of it, has its value."""
-        return any(self.bits.get(at, 0) & mask for at, mask in self.places(features, register))
-
-    def add(self, features: Features, register: str) -> None:
-        """Note that a register has its value."""
-        for at, mask in self.places(features, register):
-            self.bits[at] = self.bits.get(at, 0) | mask
+        big = features.order(register) == "big"
+        for k in range(bits):
+            byte, bit = divmod(low + k, 8)
+            yield 1 << k, first + (count - 1 - byte if big else byte), 1 << bit
 
 
 class FirstValues:
-    """Gives all registers of a device their first values."""
+    """Gives all registers of a device their first values, but for the bytes of its bootstrap registers."""
 
-    def __init__(self, features: Features, sensor: Sensor) -> None:
+    def __init__(self, features: Features, sensor: Sensor, bootstrap: Iterable[int] = ()) -> None:
         self._features, self._d, self._sensor, self._claims = features, features.description, sensor, _Claims()
-        if self._d.is_gige:
-            self._claims.bits.update(dict.fromkeys(range(BOOTSTRAP_END), 255))
+        self._claims.bits.update(dict.fromkeys(bootstrap, 255))
 
     def write(self) -> None:
         """Write them."""
         self._blocks()
         names = self._d.features()
-        ordered = [n for n in _FIRST if n in self._d.nodes] + [n for n in names if n not in _FIRST]
+        ordered = [n for n in _FIRST if n in self._d.nodes]
+        ordered += [n for n in names if n in _WISHES and n not in ordered]
+        ordered += [n for n in names if n not in ordered]
         for name in ordered:
             for selection in self._features.selections(name):
                 with self._features.selecting(selection):
@@ -124,7 +133,7 @@ class FirstValues:
     def _blocks(self) -> None:
         """Give an address of its own to each block of registers whose address is read from the device."""
         stated: dict[str, None] = {}
-        for name, node in self._d.nodes.items():
+        for node in self._d.nodes.values():
             if node.tag in REGISTERS:
                 for child in node.iter():
                     if child.tag in ("pAddress", "pVariable"):
@@ -158,62 +167,65 @@ class FirstValues:
     def _parts(self, name: str) -> list[str]:
         return [part for tag in ("pMin", "pMax", "pInc") if (part := self._d.text_of(name, tag)) is not None]
 
-    def _settle(self, name: str, wanted: Callable[[Number], bool], candidates: Iterable[Number] = ()) -> bool:
-        """Give registers that a client cannot write such values that a node's value is wanted; return whether it is."""
+    def _settle(self, name: str, wanted: Callable[[Number], bool]) -> bool:
+        """Set bits that a client cannot write, such that a node's value is wanted; return whether it is."""
         if wanted(self._features.value(name)):
-            self._claim_read_only(name)
+            for register in self._stated(name):
+                if self._features.description.kind(register) == "MaskedIntReg":
+                    self._claims.add(self._features, register)
             return True
-        free = [r for r in self._read_only(name) if not self._claims.has(self._features, r)]
-        before = {register: self._features.value(register) for register in free}
-        for register in free:
-            self._features.put(register, self._ones(register))
+        free = {register: self._claims.free(self._features, register) for register in self._stated(name)}
+        before = {register: int(self._features.value(register)) for register in free}
+        for register, bits in free.items():
+            for bit in _bits_of(bits):
+                self._features.put(register, before[register] | bit)
+                if wanted(self._features.value(name)):
+                    self._claims.add(self._features, register, bit)
+                    return True
+            self._features.put(register, before[register])
+        for register, bits in free.items():  # several conditions at once
+            self._features.put(register, before[register] | bits)
         if wanted(self._features.value(name)):
-            self._claim_read_only(name)
+            for register, bits in free.items():
+                self._claims.add(self._features, register, bits)
             return True
         for register, number in before.items():
             self._features.put(register, number)
-        for register in free:
-            for candidate in (*candidates, 1, 2, self._ones(register)):
-                self._features.put(register, candidate)
-                if wanted(self._features.value(name)):
-                    self._claim_read_only(name)
-                    return True
-            self._features.put(register, before[register])
         return False
 
-    def _ones(self, register: str) -> int:
-        bits = self._features.field(register)[1] if self._d.kind(register) == "MaskedIntReg" else 32
-        return 1 if bits > 1 else 1
-
-    def _read_only(self, name: str) -> list[str]:
+    def _stated(self, name: str) -> list[str]:
+        """Return the integer registers behind a node's value that a client cannot write."""
         return [
-            node
-            for node in sorted(self._d.closure(name))
-            if self._d.kind(node) in _NUMBERS
-            and self._d.text_of(node, "AccessMode") == "RO"
-            and self._features.on_device(node)
-        ]
-
-    def _claim_read_only(self, name: str) -> None:
-        for register in self._read_only(name):
-            self._claims.add(self._features, register)
+            r for r in self._features.read_by(name)
+            if self._d.kind(r) in ("IntReg", "MaskedIntReg")
+            and self._d.text_of(r, "AccessMode") == "RO"
+            and self._features.on_device(r)
+        ]  # fmt: skip
 
     # --- values
 
     def _give(self, name: str) -> None:
         kind = self._d.kind(name)
-        register = self._d.register_of(name)
+        register = self._features.register_of(name)
         if kind == "String" or self._d.kind(name) == "StringReg":
             self._give_text(name)
         elif kind == "Enumeration":
             self._give_entry(name)
         elif kind not in ("Boolean", "Command", "Register"):
             self._give_number(name)
-        if register is not None and self._features.on_device(register):
+        # A converter of integers writes some bits of a word, and leaves the others.
+        if register is not None and self._features.on_device(register) and not self._is_converted(name):
             self._claims.add(self._features, register)
 
+    def _is_converted(self, name: str) -> bool:
+        while (inner := self._d.text_of(name, "pValue")) is not None and inner in self._d.nodes:
+            if self._d.kind(name) == "IntConverter":
+                return True
+            name = inner
+        return False
+
     def _give_text(self, name: str) -> None:
-        register = self._d.register_of(name)
+        register = self._features.register_of(name)
         if register is None or self._claims.has(self._features, register) or not self._features.on_device(register):
             return
         texts = {"DeviceVendorName": self._d.vendor, "DeviceModelName": self._d.model, "DeviceVersion": "1.0"}
@@ -221,7 +233,7 @@ class FirstValues:
 
     def _give_entry(self, name: str) -> None:
         entries = self._d.entries(name)
-        register = self._d.register_of(name)
+        register = self._features.register_of(name)
         taken = register is not None and self._claims.has(self._features, register)
         if not entries or (taken and self._features.value(name) in entries.values()):
             return
@@ -246,22 +258,12 @@ class FirstValues:
     def _give_number(self, name: str) -> None:
         wish = self._wish(name)
         self._make_computable(name)
-        increment, smallest, largest = (self._d.text_of(name, tag) for tag in ("pInc", "pMin", "pMax"))
-        if increment is not None:
-            step = wish.step if wish else 1
-            self._reach(increment, step, lambda number: number > 0)
-        if smallest is not None and wish is not None:
-            low = wish.low
-            self._reach(smallest, low, lambda number: number <= wish.value and number > -1e30)
-        if largest is not None:
-            low = self._features.value(smallest) if smallest is not None else 0
-            high = wish.high if wish else 1000.0
-            value = wish.value if wish else low + 1
-            self._reach(largest, high, lambda number: number >= max(value, low + 1) and number < 1e30, always=True)
-        register = self._d.register_of(name)
+        self._give_limits(name, wish)
+        register = self._features.register_of(name)
         if register is None:
-            if wish is not None and not math.isclose(self._features.value(name), wish.value):
-                self._reach(name, wish.value, lambda number: math.isclose(number, wish.value))
+            if wish is not None:
+                value = wish.value
+                self._reach(name, value, lambda number: math.isclose(number, value))
             return
         if not self._features.on_device(register) or self._claims.has(self._features, register):
             return
@@ -273,6 +275,27 @@ class FirstValues:
         if value != now:
             self._features.put(name, value)
 
+    def _give_limits(self, name: str, wish: _Wish | None) -> None:
+        """Let the limits of a node, and of the nodes that keep its value, contain what is wished."""
+        if name not in self._d.nodes:
+            return
+        increment, smallest, largest = (self._d.text_of(name, tag) for tag in ("pInc", "pMin", "pMax"))
+        if increment is not None:
+            self._reach(increment, wish.step if wish else 1, lambda number: number > 0, always=wish is not None)
+        if smallest is not None and wish is not None:
+            self._reach(smallest, wish.low, lambda number: -1e30 < number <= wish.value, always=True)
+        if largest is not None:
+            low = self._features.value(smallest) if smallest is not None else 0
+            least = wish.value if wish else low + 1
+            self._reach(largest, wish.high if wish else 1000.0, lambda number: least <= number < 1e30, always=True)
+        inner = self._d.text_of(name, "pValue")
+        if inner is None:
+            return
+        if wish is not None and self._d.kind(name) in ("Converter", "IntConverter"):
+            value, *ends = (self._features.converted(name, x) for x in (wish.value, wish.low, wish.high))
+            wish = _Wish(value, min(ends), max(ends))
+        self._give_limits(inner, wish)
+
     def _make_computable(self, name: str) -> None:
         """Give registers that are divisors, and are 0, a value."""
         parts = (name, *self._parts(name))
@@ -280,8 +303,10 @@ class FirstValues:
             return
         for register in sorted({r for part in parts for r in self._d.closure(part) if self._d.kind(r) in _NUMBERS}):
             if self._features.value(register) == 0 and not self._claims.has(self._features, register):
-                self._features.put(register, 1_000_000 if "timebase" in register.casefold() else 1)
-                self._claims.add(self._features, register)
+                is_numerator = "numerator" in register.casefold() or "timebase" in register.casefold()
+                self._features.put(register, 1_000_000 if is_numerator else 1)
+                if is_numerator:
+                    self._claims.add(self._features, register)
 
     def _fails(self, names: Iterable[str]) -> bool:
         before = self._features.failures
@@ -291,44 +316,76 @@ class FirstValues:
         return self._features.failures > before
 
     def _reach(self, name: str, target: float, enough: Callable[[Number], bool], *, always: bool = False) -> None:
-        """Give the registers behind a node, a limit, such values that it is near a target, if it is not there yet."""
-        claimed = all(self._claims.has(self._features, r) for r in self._read_only(name))
-        now = self._features.value(name)
-        if (enough(now) and (claimed or not always)) or not self._d.closure(name):
-            self._claim_read_only(name)
-            return
-        register = self._d.register_of(name)
-        if register is not None:
-            if self._features.on_device(register) and not self._claims.has(self._features, register):
-                self._features.put(name, target)
-                self._claims.add(self._features, register)
-            return
-        for leaf in self._read_only(name):
-            if self._claims.has(self._features, leaf):
-                continue
-            before = self._features.value(leaf)
-            for raw in self._guesses(name, leaf, target):
-                self._features.put(leaf, raw)
-                if enough(self._features.value(name)):
-                    self._claim_read_only(name)
-                    return
-            self._features.put(leaf, before)
+        """Give the registers behind a node, a limit, such values that it is near a target, if it is not there yet.
 
-    def _guesses(self, name: str, leaf: str, target: float) -> Iterator[Number]:
-        """Yield values of a register for which a formula of it may be near the target: straight lines first."""
-        ends = []
-        for raw in (1, 2):
-            self._features.put(leaf, raw)
-            ends.append(self._features.value(name))
-        slope = ends[1] - ends[0]
-        low, high, _ = self._features.limits(leaf)
-        if slope:
+        With `always` a limit that is good enough comes nearer too, if a register of it has no value yet.
+        """
+        registers = [
+            r for r in self._features.read_by(name) if self._d.kind(r) in _NUMBERS and self._features.on_device(r)
+        ]
+        registers.sort(key=lambda r: self._d.text_of(r, "AccessMode") != "RO")
+        now = self._features.value(name)
+        is_free = any(self._claims.free(self._features, r) for r in registers)
+        if enough(now) and not (always and is_free):
+            return
+        own = self._features.register_of(name)
+        if own is not None and not self._claims.has(self._features, own):
+            self._features.put(name, target)
+            self._claims.add(self._features, own)
+            return
+        for register in registers:
+            before = self._features.value(register)
+            for raw in self._guesses(name, register, target):
+                self._features.put(register, raw)
+                if enough(self._features.value(name)):
+                    self._claims.add(self._features, register, self._weighty)
+                    return
+                self._features.put(register, before)
+
+    def _guesses(self, name: str, register: str, target: float) -> Iterator[Number]:
+        """Yield values of a register for which a formula of it may be near the target."""
+        before = self._features.value(register)
+
+        def at(raw: Number) -> Number:
+            self._features.put(register, raw)
+            number = self._features.value(name)
+            self._features.put(register, before)
+            return number
+
+        low, high, _ = self._features.limits(register)
+        free = self._claims.free(self._features, register)
+        if self._d.kind(register) != "FloatReg":
+            # Fields inside of a word: each bit adds its own weight.
+            raw = int(before) & ~free
+            base = at(raw)
+            weights = sorted(((at(raw | bit) - base, bit) for bit in _bits_of(free)), reverse=True)
+            self._weighty = sum(bit for weight, bit in weights if weight)
+            for weight, bit in weights:
+                if 0 < weight <= target - base:
+                    raw, base = raw | bit, base + weight
+            yield raw
+        if free != self._all_bits(register):
+            return
+        self._weighty = free
+        ends = at(1), at(2)
+        if slope := ends[1] - ends[0]:
             yield max(min(1 + (target - ends[0]) / slope, high), low)
         if ends[0] and target:
             yield max(min(ends[0] / target, high), low)
         yield max(min(target, high), low)
-        yield high
+
+    def _all_bits(self, register: str) -> int:
+        size = 8 * min(self._features.length(register), _LONGEST)
+        bits = self._features.field(register)[1] if self._d.kind(register) != "FloatReg" else size
+        return (1 << bits) - 1
 
     def _set(self, register: str, value: Number) -> None:
         self._features.put(register, value)
         self._claims.add(self._features, register)
+
+
+def _bits_of(mask: int) -> Iterator[int]:
+    """Yield the single bits of a mask, the highest first."""
+    for k in reversed(range(mask.bit_length())):
+        if mask >> k & 1:
+            yield 1 << k

@@ -6,7 +6,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from functools import cache, partial
 
 Number = int | float
 Variables = Callable[[str], Number]
@@ -21,7 +21,11 @@ _TOKEN = re.compile(
 def _divide(a: Number, b: Number) -> Number:
     if isinstance(a, float) or isinstance(b, float):
         return a / b
-    return int(math.copysign(1, a * b)) * (abs(a) // abs(b)) if a else 0
+    return abs(a) // abs(b) * (1 if (a < 0) == (b < 0) else -1)
+
+
+def _remainder(a: Number, b: Number) -> Number:
+    return math.fmod(a, b) if isinstance(a, float) or isinstance(b, float) else abs(a) % abs(b) * (-1 if a < 0 else 1)
 
 
 def _bits(function: Callable[[int, int], int]) -> Callable[[Number, Number], Number]:
@@ -42,7 +46,7 @@ _LEVELS: tuple[Mapping[str, Callable[[Number, Number], Number]], ...] = (
     {"<": _truth(operator.lt), ">": _truth(operator.gt), "<=": _truth(operator.le), ">=": _truth(operator.ge)},
     {"<<": _bits(operator.lshift), ">>": _bits(operator.rshift)},
     {"+": operator.add, "-": operator.sub},
-    {"*": operator.mul, "/": _divide, "%": lambda a, b: math.fmod(a, b) if isinstance(a, float) else int(math.fmod(a, b))},
+    {"*": operator.mul, "/": _divide, "%": _remainder},
     {"**": operator.pow},
 )  # fmt: skip
 """Operators by precedence, the weakest first."""
@@ -62,9 +66,9 @@ class FormulaError(ValueError):
     """A formula that cannot be parsed."""
 
 
-@lru_cache(maxsize=None)
-def parse(text: str) -> Formula:
-    """Return a formula as a function of its variables."""
+@cache
+def parse(text: str, *, real: bool = False) -> Formula:
+    """Return a formula as a function of its variables; `real`: all its numbers are floats."""
     tokens, at = [], 0
     text = text.strip()
     while at < len(text):
@@ -73,7 +77,7 @@ def parse(text: str) -> Formula:
             raise FormulaError(f"formula {text!r}: unexpected {text[at : at + 10]!r}.")
         tokens.append(found[1])
         at = found.end()
-    parser = _Parser(text, tokens)
+    parser = _Parser(text, tokens, float if real else int)
     formula = parser.choice()
     if parser.tokens:
         raise FormulaError(f"formula {text!r}: unexpected {parser.tokens[-1]!r}.")
@@ -81,8 +85,8 @@ def parse(text: str) -> Formula:
 
 
 class _Parser:
-    def __init__(self, text: str, tokens: list[str]) -> None:
-        self.text, self.tokens = text, tokens[::-1]
+    def __init__(self, text: str, tokens: list[str], kind: type[int | float]) -> None:
+        self.text, self.tokens, self._kind = text, tokens[::-1], kind
 
     def choice(self) -> Formula:
         condition = self._binary(0)
@@ -117,6 +121,7 @@ class _Parser:
         token = self.tokens.pop()
         if token[0].isdigit() or token[0] == ".":
             number = number_of(token)
+            number = float(number) if self._kind is float else number
             return lambda _: number
         if token in _FUNCTIONS and self._take("("):
             arguments = [self.choice()]
