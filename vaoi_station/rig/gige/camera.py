@@ -16,6 +16,8 @@ from vaoi_station.rig.gige.packets import IMAGE, Stream
 
 Script = Callable[[list[bytes]], Sequence[bytes]]
 """Function that makes from the packets of a frame those that are sent, in their order."""
+_Command = tuple[str, str, Number, dict[str, Number]]
+"""Name, node with its value, the value that executes it, and selectors."""
 _FRAME_TRIGGERS = ("FrameStart", "FrameBurstStart", "AcquisitionStart", "ExposureStart")
 """Triggers of which one edge gives one frame."""
 _EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
@@ -181,9 +183,11 @@ class Camera(Device):
         """Execute the commands that a write has set."""
         if address < BOOTSTRAP_END:
             return
-        for name, register, number in self._commands.get(address, ()):
-            if self.features.value(register) == number:
-                self._execute(name)
+        for name, inner, number, selection in self._commands.get(address, ()):
+            with self.features.selecting(selection):
+                is_set = self.features.value(inner) == number
+            if is_set:
+                self._execute(name, inner, selection)
         if not self.acquiring:
             self._update_payload()
 
@@ -194,36 +198,34 @@ class Camera(Device):
         with self._sending:
             self.send(self.resend_script(self._sent[first : last + 1]))
 
-    def _bind_commands(self) -> dict[int, list[tuple[str, str, Number]]]:
-        """Return address → command, its register and the number that executes it."""
-        bound: dict[int, list[tuple[str, str, Number]]] = {}
+    def _bind_commands(self) -> dict[int, list[_Command]]:
+        """Return address → the commands that a write there may execute."""
+        bound: dict[int, list[_Command]] = {}
         for name, node in self._model.nodes.items():
-            register = self.features.register_of(name) if node.tag == "Command" else None
-            if register is None or not self.features.on_device(register):
+            inner = node.findtext("pValue") if node.tag == "Command" else None
+            if inner is None or inner.strip() not in self.features:
                 continue
             by_node = node.findtext("pCommandValue")
             text = self._model.text_of(name, "CommandValue")
             number = self.features.value(by_node.strip()) if by_node is not None else int(text or "1", 0)
-            for selection in itertools.islice(self.features.selections(name), 16):
+            for selection in itertools.islice(self.features.selections(name, hidden=True), 16):
                 with self.features.selecting(selection):
-                    at = self.features.address(register)
-                found = bound.setdefault(at, [])
-                if (name, register, number) not in found:
-                    found.append((name, register, number))
+                    register = self.features.register_of(name)
+                    if register is not None and self.features.on_device(register):
+                        at = self.features.address(register)
+                        bound.setdefault(at, []).append((name, inner.strip(), number, selection))
         return bound
 
-    def _execute(self, command: str) -> None:
+    def _execute(self, command: str, inner: str, selection: dict[str, Number]) -> None:
         self.cure(command)
         if command == "AcquisitionStart":
             self.acquiring = True
-            return
-        if command in ("AcquisitionStop", "AcquisitionAbort"):
+        elif command in ("AcquisitionStop", "AcquisitionAbort"):
             self.acquiring = False
-            return
-        if command in _CLOCKS:
+        elif command in _CLOCKS:
             for name in _CLOCKS[command]:
-                if name in self.features and (register := self.features.register_of(name)) is not None:
-                    self.features.put(register, self._latched())
+                if name in self.features and self.features.register_of(name) is not None:
+                    self.features.put(str(self.features.register_of(name)), self.ticks(self.time_ns()))
                     break
         elif command in ("TimestampReset", "GevTimestampControlReset"):
             self.clock_offset_ns = -time.monotonic_ns()
@@ -234,12 +236,9 @@ class Camera(Device):
         elif command == "DeviceReset":
             self.reset()
             return
-        # It clears itself: a client may ask whether it is done.
-        if (register := self.features.register_of(command)) is not None and command not in _CLOCKS:
-            self.features.put(register, 0)
-
-    def _latched(self) -> int:
-        return self.ticks(self.time_ns())
+        if command not in ("AcquisitionStart", *_CLOCKS):
+            with self.features.selecting(selection):
+                self.features.put(inner, 0)  # it clears itself: a client may ask whether it is done
 
     def _load_set(self, number: int) -> None:
         """Restore a user set; those that nobody has saved are the first values."""

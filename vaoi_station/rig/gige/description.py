@@ -175,18 +175,29 @@ class Features:
             for name, number in before.items():
                 self.put(name, number)
 
-    def selections(self, name: str) -> Iterator[dict[str, Number]]:
-        """Return all settings of the selectors of a feature; one empty setting if it has none."""
-        selectors = [s for s in self.description.all_selectors(name) if self.description.kind(s) in FEATURES]
+    def selections(self, name: str, *, hidden: bool = False) -> Iterator[dict[str, Number]]:
+        """Return all settings of the selectors of a feature; one empty setting if it has none.
+
+        With `hidden` the other values that the client keeps, and by which it finds the register, are selectors too.
+        """
+        d = self.description
+        selectors = [s for s in d.all_selectors(name) if d.kind(s) in FEATURES]
+        if hidden:
+            known = {part for s in selectors for part in d.closure(s)}
+            selectors += [n for n in sorted(d.closure(name)) if n not in known and self._is_in_client(n)]
         ranges: list[list[Number]] = []
         for selector in selectors:
-            if self.description.kind(selector) == "Enumeration":
-                ranges.append(list(self.description.entries(selector).values()))
+            if d.kind(selector) == "Enumeration":
+                ranges.append(list(d.entries(selector).values()))
             else:
                 low, high, _ = self.limits(selector)
                 ranges.append(list(range(int(low), int(min(high, low + 15)) + 1)))
         for values in itertools.islice(itertools.product(*ranges), _MOST_COMBINATIONS):
             yield dict(zip(selectors, values, strict=True))
+
+    def _is_in_client(self, name: str) -> bool:
+        node = self.description.nodes[name]
+        return node.tag == "Integer" and node.find("Value") is not None and node.find("Max") is not None
 
     def value(self, name: str) -> Number:
         """Return the value of a node: a number."""

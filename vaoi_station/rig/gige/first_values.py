@@ -283,7 +283,8 @@ class FirstValues:
         if increment is not None:
             self._reach(increment, wish.step if wish else 1, lambda number: number > 0, always=wish is not None)
         if smallest is not None and wish is not None:
-            self._reach(smallest, wish.low, lambda number: -1e30 < number <= wish.value, always=True)
+            most = wish.value
+            self._reach(smallest, wish.low, lambda number: -1e30 < number <= most, always=True)
         if largest is not None:
             low = self._features.value(smallest) if smallest is not None else 0
             least = wish.value if wish else low + 1
