@@ -7,8 +7,9 @@ unknowns are estimated together in one adjustment.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, pairwise
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -20,11 +21,13 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import Reason, ReasonCode, Status, Stitch, Visibility
+from vaoi_station.steps import Steps
 from vaoi_station.stitching.adjustment.motion import nominal_motion
 from vaoi_station.stitching.adjustment.problem import LinkStore, Problem
 from vaoi_station.stitching.adjustment.row_motion import MovedRows, board_texture, motion_from_links, motion_from_marks
+from vaoi_station.stitching.adjustment.solver import Unknowns
 from vaoi_station.stitching.board.board_plane import BoardPlane
-from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad
+from vaoi_station.stitching.board.cad_mapping import CadMapping, MappingInputs, map_cad, map_first_rows
 from vaoi_station.stitching.board.reference import Reference, ReferenceScene
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import (
@@ -47,6 +50,8 @@ from vaoi_station.stitching.quality.quality_document import LATER, explanation, 
 from vaoi_station.stitching.quality.verdict import judge_result
 from vaoi_station.version import __version__
 
+LEAST_BEGUN = 5
+"""Least number of rows that are adjusted before the last one arrives. Of fewer, it changes too much."""
 NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping", ReasonCode.NO_BOARD_TYPE)
 _NO_PLACE = Failure(
     "the board is not placed: no links connect the rows that show its fiducials, so that the distance of the fiducials "
@@ -118,6 +123,30 @@ def sort_evidence(evidence: Sequence[Evidence]) -> SortedEvidence:
     return SortedEvidence(by_rows(links), tuple(others), tuple(detections))
 
 
+class Beginning(NamedTuple):
+    """The evidence of the first rows of a run; it equals another one if both are of the same evidence."""
+
+    of_rows: RowsLinks
+    detections: tuple[Detections, ...]
+    times_s: tuple[float, ...]
+    """Time of every row's pulse after the first, as the tasks of these links state it."""
+
+    @staticmethod
+    def of(of_rows: RowsLinks, detections: Iterable[Detections], rows: int) -> Beginning | None:
+        """Put the evidence in order; None if a row was not linked to the one before."""
+        times_s = [0.0]
+        for row in range(1, rows):
+            if (row - 1, row) not in of_rows:
+                return None
+            times_s.append(times_s[-1] + of_rows[row - 1, row][0].task.dt_s)
+        return Beginning(of_rows, tuple(sorted(detections, key=attrgetter("task"))), tuple(times_s))
+
+    @property
+    def present(self) -> tuple[FrameKey, ...]:
+        """The frames of these rows: marks are searched in all of them."""
+        return tuple(d.task.a for d in self.detections)
+
+
 @dataclass(frozen=True, eq=False)
 class Stitcher:
     """Computes the result of a run whose frames are all settled."""
@@ -131,6 +160,8 @@ class Stitcher:
     """Projects links to the ground. What it has of links that are complete is not computed again."""
     relinker: Relinker
     """Searches links again; what it has decided of rows whose links are complete is not decided again."""
+    first_rows: Callable[[Beginning], Unknowns | None] | None = None
+    """Returns the unknowns of all rows but the last one (`begin`), which may have been computed before the last row."""
 
     def stitch(self, evidence: Sequence[Evidence]) -> tuple[Stitch, Findings]:
         """Return the result before it is `explained`, and the findings from which it and its verdict were derived.
@@ -142,7 +173,8 @@ class Stitcher:
         known, problem = self._relinked(sorted_evidence)
         motion = self._motion(problem, known)
         clock_s.append(time.perf_counter())
-        mapping = self._map_cad(problem, motion, known)
+        beginning = self._beginning(known) if known.of_rows is sorted_evidence.of_rows else None
+        mapping = self._map_cad(problem, motion, known, beginning)
         findings = self._findings(known, copies, motion, mapping)
         clock_s.append(time.perf_counter())
         if self.prior.lights:
@@ -197,15 +229,53 @@ class Stitcher:
             return motion_from_links(problem, nominal, [part.step for part in parts if part.used])
         return motion_from_marks(problem, nominal, known.detections, cameras)
 
-    def _map_cad(self, problem: Problem, motion: MovedRows, known: SortedEvidence) -> CadMapping | Failure:
-        """Locate the board by its CAD data and adjust all unknowns together; fail without board type or board."""
+    def _beginning(self, known: SortedEvidence) -> Beginning | None:
+        """Return the evidence of all rows but the last one; None if the run is not begun with it.
+
+        Where frames of these rows are missing, it is known too late which ones.
+        """
+        last = len(self.times_s) - 1
+        there = [key for key in self.scene.present if key[1] < last]
+        if last < LEAST_BEGUN or len(there) < last * len(self.scene.cameras):
+            return None
+        of_rows = {rows: links for rows, links in known.of_rows.items() if rows[1] < last}
+        beginning = Beginning.of(of_rows, [d for d in known.detections if d.task.a[1] < last], last)
+        return beginning if beginning is not None and beginning.present == tuple(there) else None
+
+    def begin(self, beginning: Beginning) -> Steps[Unknowns | None]:
+        """Adjust the unknowns of a run of which a row is still to come; None if the board is not found yet.
+
+        That the motion was the nominal one, so that no links are searched again, is found out in the end.
+        """
+        if self.prior.plane is None:
+            return None
+        known = SortedEvidence(beginning.of_rows, (), beginning.detections)
+        problem = self._problem(known.of_rows)
+        yield
+        motion = self._motion(problem, known)
+        yield
+        return (
+            yield from map_first_rows(
+                self.prior.plane, self.scene, problem, motion, self._inputs(problem, motion, known)
+            )
+        )
+
+    def _inputs(self, problem: Problem, motion: MovedRows, known: SortedEvidence) -> MappingInputs:
         prior = self.prior
-        if prior.plane is None:
-            return NO_BOARD_TYPE
         texture = board_texture(problem.links, motion) if prior.method.links else np.zeros((0, 2))
         of_reference = prior.reference, known.reference_links, prior.taught(self.scene.cameras)
-        inputs = MappingInputs(prior.expectation, prior.method, known.detections, texture, *of_reference)
-        return map_cad(prior.plane, self.scene, problem, motion, inputs)
+        return MappingInputs(prior.expectation, prior.method, known.detections, texture, *of_reference)
+
+    def _map_cad(
+        self, problem: Problem, motion: MovedRows, known: SortedEvidence, beginning: Beginning | None
+    ) -> CadMapping | Failure:
+        """Locate the board by its CAD data and adjust all unknowns together; fail without board type or board."""
+        if self.prior.plane is None:
+            return NO_BOARD_TYPE
+        inputs = self._inputs(problem, motion, known)
+        if beginning is not None and self.first_rows is not None:
+            inputs = replace(inputs, first_rows=partial(self.first_rows, beginning))
+        return map_cad(self.prior.plane, self.scene, problem, motion, inputs)
 
     def _findings(
         self, known: SortedEvidence, copies: frozenset[FrameKey], moved: MovedRows, mapping: CadMapping | Failure

@@ -21,14 +21,24 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import VISIBILITY, BoardType, RecordingHead, Stitch, Visibility
-from vaoi_station.steps import Steps
+from vaoi_station.steps import Steps, completed
 from vaoi_station.stitching.adjustment.problem import LinkStore
+from vaoi_station.stitching.adjustment.solver import Unknowns
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.fiducials import detect_marks
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.conclude import PriorKnowledge, Stitcher, explained
+from vaoi_station.stitching.conclude import LEAST_BEGUN, Beginning, PriorKnowledge, Stitcher, explained
 from vaoi_station.stitching.expectation import Expectation
-from vaoi_station.stitching.matching.evidence import METHODS, Detections, Evidence, FrameKey, Links, MethodName, Task
+from vaoi_station.stitching.matching.evidence import (
+    METHODS,
+    Detections,
+    Evidence,
+    FrameKey,
+    Links,
+    MethodName,
+    Task,
+    by_rows,
+)
 from vaoi_station.stitching.matching.frame_pair import FramePair, overlap_share
 from vaoi_station.stitching.matching.frames import PreparedFrame, Scene
 from vaoi_station.stitching.matching.link import link_neighbours, link_reference, link_rows
@@ -148,9 +158,20 @@ class TaskRunner:
         self._arrived: dict[tuple[int, int], list[Links]] = {}
         self._complete: deque[list[Links]] = deque()
         self._preparing: Steps[None] | None = None
+        # All evidence by its last row, up to the first row of which some is missing, and what is begun with it.
+        self._of_row: dict[int, list[Evidence]] = {}
+        self._rows, self._times_s = 0, {0: 0.0}
+        self._beginning: Steps[None] | None = None
+        self._begun: dict[int, tuple[Beginning, Unknowns | None]] = {}  # by the number of rows, of the last two
 
     def add_evidence(self, evidence: Evidence) -> None:
         """Take evidence, of any process, for `prepare`."""
+        task = evidence.task
+        if task.kind != "reference":
+            row = (task.b or task.a)[1]
+            self._of_row.setdefault(row, []).append(evidence)
+            if row == task.a[1] + 1 and task.a[1] in self._times_s:
+                self._times_s[row] = self._times_s[row - 1] + task.dt_s
         if isinstance(evidence, Links) and evidence.task.kind != "reference":
             own = self._arrived.setdefault(evidence.rows, [])
             own.append(evidence)
@@ -160,19 +181,63 @@ class TaskRunner:
     def prepare(self) -> bool:
         """Do a part, of milliseconds, of what the conclusion of the run needs; return False if nothing is possible yet.
 
-        It is what depends on the links and frames of two rows only and for which the links of all cameras have arrived.
-        The conclusion does what is missing, with the same result.
+        It is what depends on the links and frames of two rows only and for which the links of all cameras have arrived,
+        and the adjustment of all rows that have arrived, with which that of the whole run begins if only one row
+        follows. The conclusion does what is missing, with the same result.
         """
-        if self._preparing is None:
-            if not self._complete:
-                return False
+        if self._preparing is None and self._complete:
             self._preparing = self._steps(tuple(sorted(self._complete.popleft(), key=lambda e: e.task.a)))
-        steps, self._preparing = self._preparing, None
         # Without a frame that another process has linked, a step ends here.
+        if self._preparing is not None:
+            steps, self._preparing = self._preparing, None
+            with suppress(StopIteration, LookupError):
+                next(steps)
+                self._preparing = steps
+            return True
+        self._beginning = self._next_beginning() or self._beginning
+        if self._beginning is None:
+            return False
+        steps, self._beginning = self._beginning, None
         with suppress(StopIteration, LookupError):
             next(steps)
-            self._preparing = steps
+            self._beginning = steps
         return True
+
+    def _next_beginning(self) -> Steps[None] | None:
+        """Begin with the rows that have arrived if these are more than before; return None if they are not."""
+        rows = None
+        while self._settled(self._rows):
+            self._rows, rows = self._rows + 1, self._rows + 1
+        if rows is None or rows < LEAST_BEGUN:
+            return None
+        every = [e for row in range(rows) for e in self._of_row[row]]
+        links, marks = (e for e in every if isinstance(e, Links)), (e for e in every if isinstance(e, Detections))
+        beginning = Beginning.of(by_rows(links), marks, rows)
+        return None if beginning is None else self._begin(beginning)
+
+    def _settled(self, row: int) -> bool:
+        """Return whether all evidence of a row and those before it has arrived, if all its frames are good."""
+        found = self._of_row.get(row)
+        if found is None or row not in self._times_s:
+            return False
+        frames = [(camera, row) for camera in range(len(self._setup.cameras))]
+        times_s = {r: time_s for r, time_s in self._times_s.items() if r <= row}
+        tasks = {task for key in frames for task in _tasks_of(key, lambda _: True, times_s, self._setup)}
+        return len(found) == sum(task.kind != "reference" for task in tasks)
+
+    def _begin(self, beginning: Beginning) -> Steps[None]:
+        stitcher = self._stitcher(np.array(beginning.times_s), beginning.present, ())
+        rows = len(beginning.times_s)
+        self._begun[rows] = beginning, (yield from stitcher.begin(beginning))
+        # The last row, too, may have arrived before the run is concluded, which then begins with the rows before it.
+        self._begun = {n: begun for n, begun in self._begun.items() if n >= rows - 1}
+
+    def _first_rows(self, beginning: Beginning) -> Unknowns | None:
+        """Return the unknowns of all rows but the last one, which may have been computed before the last row."""
+        rows = len(beginning.times_s)
+        if rows not in self._begun or self._begun[rows][0] != beginning:
+            completed(self._begin(beginning))
+        return self._begun[rows][1]
 
     def _steps(self, links: tuple[Links, ...]) -> Steps[None]:
         self._link_store.part(links)
@@ -233,9 +298,12 @@ class TaskRunner:
 
         `doubts` are those about the frames that arose when they were recorded (`RecordingHead.doubts`).
         """
-        s = self._setup
         self._complete.clear()
-        self._preparing = None
+        self._preparing = self._beginning = None
+        return self._stitcher(np.asarray(times_s, np.float64), present, doubts).stitch(list(evidence))
+
+    def _stitcher(self, times_s: Floats, present: Collection[FrameKey], doubts: tuple[str, ...]) -> Stitcher:
+        s = self._setup
         velocity_mm_s = np.asarray(s.conveyor_mm_s, dtype=np.float64)
         reference_frame = self._reference if self._reference_frame is not None else None
         lights = tuple(s.light(row) for row in range(len(times_s))) if s.lights else ()
@@ -244,8 +312,7 @@ class TaskRunner:
             s.channels,
         )  # fmt: skip
         scene = Scene(s.cameras, tuple(sorted(present)), self._get, doubts)
-        stitcher = Stitcher(scene, prior, np.asarray(times_s, dtype=np.float64), self._link_store, self._relinker)
-        return stitcher.stitch(list(evidence))
+        return Stitcher(scene, prior, times_s, self._link_store, self._relinker, self._first_rows)
 
     def _reference(self, key: FrameKey) -> PreparedFrame:
         """Return a prepared frame of the reference; raise LookupError if the reference lacks it."""

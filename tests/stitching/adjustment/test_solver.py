@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry import Camera
 from vaoi_station.geometry.similarity import apply_similarity
 from vaoi_station.model import BoardType
+from vaoi_station.steps import completed
 from vaoi_station.stitching.adjustment import solver as adjustment
 from vaoi_station.stitching.adjustment.motion import Motion, nominal_motion
 from vaoi_station.stitching.adjustment.problem import (
@@ -28,7 +29,7 @@ from vaoi_station.stitching.adjustment.problem import (
     to_observations,
 )
 from vaoi_station.stitching.adjustment.row_motion import motion_from_links
-from vaoi_station.stitching.adjustment.solver import NoiseFloors, adjust, noise_floor, sample_of
+from vaoi_station.stitching.adjustment.solver import NoiseFloors, adjust, adjust_first_rows, noise_floor, sample_of
 from vaoi_station.stitching.matching.evidence import Links, Task
 from vaoi_station.stitching.matching.refinement import WINDOW_PX
 
@@ -322,3 +323,25 @@ def test_a_start_from_a_sample_of_the_links_ends_where_all_links_lead(
     assert sampled.cameras is not None
     assert every.cameras is not None
     assert sampled.cameras.displacement_px == pytest.approx(every.cameras.displacement_px, abs=2e-3)
+
+
+@pytest.mark.parametrize("known", ["right", "wrong"])
+def test_the_solution_of_all_rows_but_the_last_leads_to_that_of_all(bench: Any, known: str) -> None:
+    """If the last row does not fit a solution that is wrong, it is not used."""
+    truth = bench(5, surface=(0.3, 0.05, 0.0, 0.1, 0.0, 0.0), heights=(1.5, 0.8, 2.0))
+    problem = replace(truth.with_fiducials(truth.problem(outliers=0.05), surface=True), cameras=truth.cameras)
+    points, last = problem.fiducials, ROWS - 1
+    assert points is not None
+    first = problem.select(np.flatnonzero(problem.links.q < last))
+    seen = np.flatnonzero(points.row < last)
+    at_marks = first.surface and replace(first.surface, at_fiducials=first.surface.at_fiducials[seen])
+    first = replace(first, times_s=TIMES[:last], fiducials=points.select(seen), surface=at_marks)
+    start = started(problem)
+    before = Motion(start.angle[:last], start.shift[:last], start.pivot)
+    unknowns = completed(adjust_first_rows(first, before, C))
+    if known == "wrong":
+        turned = replace(unknowns.motion, angle=unknowns.motion.angle + 0.02 * np.arange(last))
+        unknowns = unknowns._replace(motion=turned, surface_mm=unknowns.surface_mm + 2.0)
+    at_once, begun = adjust(problem, start, C), adjust(problem, start, C, known=unknowns)
+    assert np.abs(begun.motion.shift - at_once.motion.shift).max() < 2e-5
+    assert begun.similarity == pytest.approx(at_once.similarity, abs=2e-5)

@@ -314,6 +314,14 @@ class MovingCameras:
         self.effects, self._effects_at = CameraEffects.of(self._matrices, self.displacement_px), self.displacement_px
         self._rotation = self.effects.rotation_of_all() if self.unknowns else np.zeros(0)
 
+    def begin_at(self, displacement_px: Floats) -> None:
+        """Take over displacements (n, 3) that an adjustment of fewer rows has found, and its prior."""
+        self._still_px = self._final_px
+        if self.unknowns:
+            self.displacement_px = displacement_px
+            self._use_effects()
+            self.move(np.zeros(self.unknowns))
+
     @property
     def settled(self) -> bool:
         """Whether the prior had its final width in the last step."""

@@ -8,14 +8,17 @@ all links are used together, in a robust least-squares solution by iteratively r
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vaoi_station.compiled import compiled
 from vaoi_station.geometry.transforms import Floats
+from vaoi_station.steps import Steps, completed
 from vaoi_station.stitching.adjustment.cameras import MovingCameras
 from vaoi_station.stitching.adjustment.envelope import (
     NormalEquations,
@@ -42,7 +45,7 @@ from vaoi_station.stitching.adjustment.equations import (
     scale_equation,
 )
 from vaoi_station.stitching.adjustment.influence import Assembly, examine_influence
-from vaoi_station.stitching.adjustment.motion import Motion, belt_equations
+from vaoi_station.stitching.adjustment.motion import Motion, belt_equations, measure_step
 from vaoi_station.stitching.adjustment.problem import USED, AdjustmentResult, Influence, Ints, Problem, prior_sigma_mm
 
 _MEDIAN = 2 * math.log(2)  # median of the χ² distribution with two degrees of freedom
@@ -207,8 +210,28 @@ The initial motion may be that of the tops of components. Relative to these, the
 _HEIGHT_MIN_LINKS = 3  # least number of used links by which the height of a component is reported
 
 
+_MOST_STEPS_ON, _USED_SHARE = 4, 0.7
+"""Largest number of steps that go on from the unknowns of all rows but the last, and least share of the last row's
+links that must then be used, as a share of that of all links. Otherwise the adjustment starts anew."""
+
+
+class Unknowns(NamedTuple):
+    """The solution of an adjustment of the first rows of a run, from which that of one row more goes on."""
+
+    motion: Motion
+    similarity: Floats
+    surface_mm: Floats
+    heights_mm: Floats  # (2, number of components)
+    displacement_px: Floats  # (n, 3) of the cameras
+
+
 def adjust(
-    problem: Problem, start: Motion, similarity: Floats | None = None, *, converged_mm: float = CONVERGED_MM
+    problem: Problem,
+    start: Motion,
+    similarity: Floats | None = None,
+    *,
+    converged_mm: float = CONVERGED_MM,
+    known: Unknowns | None = None,
 ) -> AdjustmentResult:
     """Solve for all unknowns.
 
@@ -216,13 +239,23 @@ def adjust(
         start: motion to start from; right to a few px.
         similarity: C to start from; needed if the problem has fiducials.
         converged_mm: the adjustment ends after a step that moves no row by more; about a tenth of it remains.
+        known: the solution for all rows but the last one, if there is one. The result differs by what remains.
     """
+    if known is not None:
+        solver = _Solver(problem, start, similarity)
+        solver.go_on_from(known)
+        if completed(solver.run(converged_mm, _MOST_STEPS_ON)) and solver.last_row_fits:
+            return solver.result()
     solver = _Solver(problem, start, similarity)
-    every = len(problem.links) // max(_SAMPLE_LINKS, _PER_ROW * len(start.angle))
-    if similarity is not None and every >= 2:
-        solver.approach(every)
-    solver.run(converged_mm)
+    completed(solver.solve(converged_mm))
     return solver.result()
+
+
+def adjust_first_rows(problem: Problem, start: Motion, similarity: Floats) -> Steps[Unknowns]:
+    """Solve for all unknowns of a run that goes on; for the arguments see `adjust`."""
+    solver = _Solver(problem, start, similarity)
+    yield from solver.solve(CONVERGED_MM)
+    return solver.unknowns
 
 
 def sample_of(problem: Problem, every: int) -> Problem:
@@ -284,20 +317,70 @@ class _Solver:
         self._columns: Ints | None = None
         self._detection_mm = np.zeros(0)
 
-    def approach(self, every: int) -> None:
+    def solve(self, converged_mm: float) -> Steps[None]:
+        """Make all steps from the start, the first ones with a sample if links are many."""
+        every = len(self.problem.links) // max(_SAMPLE_LINKS, _PER_ROW * self.rows)
+        if self.similarity is not None and every >= 2:
+            yield from self.approach(every)
+        yield from self.run(converged_mm)
+
+    def approach(self, every: int) -> Steps[None]:
         """Make the free steps and one more with every n-th link of each pair of frames."""
         self.used = _UsedLinks(sample_of(self.problem, every), self.n_parts)
         for _ in range(_FREE_STEPS + 1):
+            yield
             self.step()
         self.used, self.steps = self.every, _FREE_STEPS
 
-    def run(self, converged_mm: float) -> None:
-        """Make steps until one moves no row by `converged_mm` or more, at most `_MAX_STEPS`."""
-        for _ in range(_MAX_STEPS):
+    def run(self, converged_mm: float, most_steps: int = _MAX_STEPS) -> Steps[bool]:
+        """Make steps until one moves no row by `converged_mm` or more; return False if that takes too many."""
+        for _ in range(most_steps):
+            yield
             # As long as their prior is wide, cameras may seem displaced: the first steps do not count.
             still = self.step() < converged_mm and self.steps > _FREE_STEPS
             if still and self.cameras.settled and not self.cameras.reconsider():
-                break
+                return True
+        return False
+
+    def go_on_from(self, known: Unknowns) -> None:
+        """Take over the solution of all rows but the last one, and place the last one by its links to them."""
+        before, start, row = known.motion, self.motion, self.rows - 1
+        turn = before.angle[-1] - start.angle[row - 1]
+        step = complex(*(start.shift[row] - start.shift[row - 1])) * cmath.exp(1j * turn)
+        self._set_last_row(before, start.angle[row] + turn, complex(*before.shift[-1]) + step)
+        self.similarity, self.surface_mm, self.steps = known.similarity, known.surface_mm, _FREE_STEPS
+        heights_mm, parts = np.zeros((2, self.n_parts)), min(self.n_parts, known.heights_mm.shape[1])
+        heights_mm[:, :parts] = known.heights_mm[:, :parts]
+        self.heights_mm = heights_mm.ravel()
+        self.cameras.begin_at(known.displacement_px)
+        self._compute_residuals()
+        at = np.flatnonzero((self.used.arrays.q == row) & (self.used.arrays.p < row))
+        if len(at):
+            links, state = self.used.arrays, self.used.state
+            now_mm = self.motion.board(links.q[at], state.b_mm[at])
+            scatter = links.noise_mm2[at], links.px_per_mm[at], links.overlap[at]
+            step_mm = measure_step(row, row, now_mm - state.residual[at], now_mm, *scatter)
+            middle = complex(*(self.motion.shift[row] + self.motion.pivot)) - step_mm.b_mm
+            shift = cmath.exp(1j * step_mm.turn) * middle + step_mm.a_mm - complex(*self.motion.pivot)
+            self._set_last_row(before, self.motion.angle[row] + step_mm.turn, shift)
+
+    def _set_last_row(self, before: Motion, angle: float, shift: complex) -> None:
+        shifts = np.vstack([before.shift, (shift.real, shift.imag)])
+        self.motion = replace(self.motion, angle=np.append(before.angle, angle), shift=shifts)
+
+    @property
+    def last_row_fits(self) -> bool:
+        """Whether nearly as many links of the last row as of all rows are used."""
+        used, links = self.used.state.robust > USED, self.used.arrays
+        of_last = used[links.q == self.rows - 1]
+        return len(of_last) > 0 and float(of_last.mean()) >= _USED_SHARE * float(used.mean())
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """The current unknowns."""
+        assert self.similarity is not None
+        heights_mm = self.heights_mm.reshape(2, self.n_parts)
+        return Unknowns(self.motion, self.similarity, self.surface_mm, heights_mm, self.cameras.displacement_px)
 
     def step(self) -> float:
         """Make one reweighted Gauss-Newton step; return the largest change of a shift in mm."""

@@ -7,6 +7,7 @@ end, the shift of the outline against the adjusted C is measured.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from vaoi_station.geometry.robust import Failure
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import ReasonCode
+from vaoi_station.steps import Steps
 from vaoi_station.stitching.adjustment.cameras import comparable_cameras
 from vaoi_station.stitching.adjustment.motion import Motion
 from vaoi_station.stitching.adjustment.problem import (
@@ -28,7 +30,7 @@ from vaoi_station.stitching.adjustment.problem import (
     basis_at_board,
 )
 from vaoi_station.stitching.adjustment.row_motion import MovedRows, board_texture, motion_from_links
-from vaoi_station.stitching.adjustment.solver import adjust
+from vaoi_station.stitching.adjustment.solver import Unknowns, adjust, adjust_first_rows
 from vaoi_station.stitching.board.board_plane import BoardPlane, component_at, expected_angle, typical_camera
 from vaoi_station.stitching.board.fiducials import (
     Hypothesis,
@@ -75,6 +77,10 @@ _SELECTIONS = 4
 """Largest number of times that links on the board are selected, each time with the motion and C of the last ones."""
 _CERTAIN_FIDUCIALS = 3
 """Number of fiducials, if all are found, from which on a board is placed although its outline is not confirmed."""
+_SAME_C_MM = 0.2
+"""Largest distance of the board's corners by C of all rows from those by C of the first rows.
+
+The first C from detections errs by some hundredths of a mm."""
 
 
 class Turned(Failure):
@@ -114,6 +120,8 @@ class MappingInputs:
     reference: Reference | None = None
     reference_links: tuple[Links, ...] = ()
     taught: ReferenceScene | None = None
+    first_rows: Callable[[], Unknowns | None] | None = None
+    """A function that returns what `map_first_rows` has found for all rows but the last one."""
 
 
 class _FirstC(NamedTuple):
@@ -159,17 +167,15 @@ def map_cad(
     if apart is None:
         confirmed = partial(outline_confirmed, plane, plane.matrix(guess.c), scene, motion)
         problem = without_links_beside(problem, depth_mm, confirmed)
-    places = apply(plane.matrix(guess.c), plane.cad(plane.fiducials))
-    if board_type.board_fiducials:
-        found = merge_detections(first.detections, scene.cameras, motion)
-        places = displaced_places(board_type, places, found.mm, found.kind)
-    seen = relocate_fiducials(board_type, places, scene, motion, first.detections)
-    marks = assign_fiducials(plane, guess.c, seen, scene.cameras, motion, places)
+    marks = _located(plane, scene, motion, guess.c, first.detections)
     # Boards of a panel lie differently in every panel, so that a reference shows no C where fiducials do.
     fiducials = len(set(marks.which[marks.which >= 0].tolist()))
     alone = bool(board_type.board_fiducials) and max(fiducials, marks.fixture_marks) >= 2
     points = marks if alone else FiducialPoints.joined([marks, referred])
-    adjusted = adjust(_with_board(problem, points, plane, scene, motion, guess.c), motion, guess.c)
+    before = known.first_rows() if known.first_rows is not None and apart is None else None
+    if before is not None and not _same_place(plane, before.similarity, guess.c):
+        before = None
+    adjusted = adjust(_with_board(problem, points, plane, scene, motion, guess.c), motion, guess.c, known=before)
     if contradiction := disagreeing_reference(points, adjusted.fiducial_px):
         return contradiction
     # The outline is measured with the displaced cameras, as everything after the adjustment is.
@@ -179,6 +185,41 @@ def map_cad(
         shift = measure_outline_shift(board_type, plane.matrix(c), corrected, adjusted.motion)
     own = (None, None) if apart is None else (moved, apart.left_out)
     return CadMapping(adjusted, first.outline, guess.ambiguous, shift, *own)
+
+
+def map_first_rows(
+    plane: BoardPlane, scene: Scene, problem: Problem, moved: MovedRows, known: MappingInputs
+) -> Steps[Unknowns | None]:
+    """Adjust all unknowns of a run of which a row is still to come; None if its detections do not show the board yet.
+
+    `map_cad` goes on from it if its own C, which the pictures have confirmed, is the same.
+    """
+    guess = _from_marks(plane, scene, moved, known)[0]
+    yield
+    if isinstance(guess, Failure):
+        return None
+    points = _located(plane, scene, moved.motion, guess.c, known.detections)
+    yield
+    whole = _with_board(problem, points, plane, scene, moved.motion, guess.c)
+    yield
+    return (yield from adjust_first_rows(whole, moved.motion, guess.c))
+
+
+def _located(
+    plane: BoardPlane, scene: Scene, motion: Motion, c: Floats, detections: tuple[Detections, ...]
+) -> FiducialPoints:
+    """Locate the fiducials precisely where a first C puts them."""
+    board_type, places = plane.board_type, apply(plane.matrix(c), plane.cad(plane.fiducials))
+    if board_type.board_fiducials:
+        found = merge_detections(detections, scene.cameras, motion)
+        places = displaced_places(board_type, places, found.mm, found.kind)
+    seen = relocate_fiducials(board_type, places, scene, motion, detections)
+    return assign_fiducials(plane, c, seen, scene.cameras, motion, places)
+
+
+def _same_place(plane: BoardPlane, a: Floats, b: Floats) -> bool:
+    corners = plane.board_type.extent()
+    return bool(np.abs(apply(plane.matrix(a), corners) - apply(plane.matrix(b), corners)).max() <= _SAME_C_MM)
 
 
 def _apart_from_surroundings(
@@ -297,16 +338,22 @@ def _c_from_detections(plane: BoardPlane, scene: Scene, moved: MovedRows, known:
     """Find C from the detections; fail if the pictures show that the board is turned by 180°."""
     if not known.method.marks:
         return Failure("no point of the run was found again in the reference", ReasonCode.REFERENCE_NOT_FOUND)
-    expectation, motion, texture = known.expectation, moved.motion, known.texture_mm
-    angle = expected_angle(plane, typical_camera(scene.cameras), expectation)
-    places = merge_detections(known.detections, scene.cameras, motion)
-    guess = find_board(plane, places, angle, expectation, texture)
+    guess, turned = _from_marks(plane, scene, moved, known)
+    if isinstance(guess, Failure) or isinstance(turned, Failure) or len(turned.fiducials) < len(guess.fiducials):
+        return guess
+    return _decided(plane, scene, moved.motion, known.taught, guess, turned)
+
+
+def _from_marks(
+    plane: BoardPlane, scene: Scene, moved: MovedRows, known: MappingInputs
+) -> tuple[Hypothesis | Failure, Hypothesis | Failure]:
+    """Find C from the detections, and that of the board turned by 180°, which may fit them as well."""
+    angle = expected_angle(plane, typical_camera(scene.cameras), known.expectation)
+    places = merge_detections(known.detections, scene.cameras, moved.motion)
+    guess = find_board(plane, places, angle, known.expectation, known.texture_mm)
     if isinstance(guess, Failure):
-        return guess
-    turned = find_board(plane, places, angle + np.pi, expectation, texture)
-    if isinstance(turned, Failure) or len(turned.fiducials) < len(guess.fiducials):
-        return guess
-    return _decided(plane, scene, motion, known.taught, guess, turned)
+        return guess, guess
+    return guess, find_board(plane, places, angle + np.pi, known.expectation, known.texture_mm)
 
 
 def _decided(
