@@ -13,11 +13,10 @@ from tests.stitching.adjustment.test_solver import PX_PER_MM, Bench, C, bench, s
 from vaoi_station.stitching.adjustment import influence, solver
 from vaoi_station.stitching.adjustment.envelope import NormalEquations
 from vaoi_station.stitching.adjustment.equations import HeightEquations, LinkState
-from vaoi_station.stitching.adjustment.influence import Assembly, groups_of_marks, number_clusters, solve
+from vaoi_station.stitching.adjustment.influence import Assembly, few_places, groups_of_marks, solve
 from vaoi_station.stitching.adjustment.problem import (
     FIXTURE,
     REFERENCE,
-    USED,
     AdjustmentResult,
     FiducialPoints,
     Influence,
@@ -101,10 +100,11 @@ def test_equations_without_a_group_are_those_of_the_rest(bench: Any, monkeypatch
     def solution(normal: NormalEquations, heights: HeightEquations) -> Array:
         return solve(assembly.without_heights(normal, heights, count))
 
-    whole, used = assembly.whole(), np.flatnonzero(assembly.state.robust > USED)
-    cluster, _ = number_clusters(assembly.links, assembly.state.b_mm, used, (0.0, 0.0))
-    for number in range(0, cluster.max() + 1, 9):
-        at = used[cluster == number]
+    whole = assembly.whole()
+    monkeypatch.setattr(influence, "_FEW", 10**6)
+    places = few_places(assembly.links, assembly.state, len(problem.times_s))
+    assert len(places) > 30
+    for at in (place.links for place in places[::30]):
         rest = np.setdiff1d(np.arange(len(assembly.links.p)), at)
         others = replace(
             assembly,

@@ -127,6 +127,12 @@ _BESIDE_SHARE, _LOW_MM = 0.58, 0.5
 `_LOW_MM`. The sides of lower components hardly reach into patches beside them."""
 
 
+def stable_order(numbers: Ints) -> Ints:
+    """Return the indices that sort numbers (k,) ≥ 0, those of equal ones in their order."""
+    # short numbers are sorted in time proportional to their number
+    return np.argsort(numbers.astype(np.int16) if numbers.max(initial=0) < 1 << 15 else numbers, kind="stable")
+
+
 class HeightScatter:
     """The scatter of the heights of k links' points about the modelled heights.
 
@@ -151,9 +157,12 @@ class HeightScatter:
         # Sides at a seam have their heights in common, whatever component they belong to.
         beside = np.where(sides, 2 * parts, 2 * parts + 1 + self._part)
         shared = np.where(self._beside, beside, height)
-        self.cell, tied = np.full(len(shared), -1), shared >= 0
-        most = int(shared.max(initial=0)) + 1
-        self.cell[tied] = np.unique(links.group[tied] * most + shared[tied], return_inverse=True)[1]
+        self.cell, tied = np.full(len(shared), -1), np.flatnonzero(shared >= 0)
+        # The links of one pair of frames are adjacent, also among those of one component.
+        tied = tied[stable_order(shared[tied])]
+        new = np.diff(links.group[tied], prepend=-1) != 0
+        new |= np.diff(shared[tied], prepend=-1) != 0
+        self.cell[tied] = np.cumsum(new) - 1
         self._least = np.where(on, _BODY_MM, np.where(sides, _SIDE_MM, 0.0))
         self._least_common = np.where(self._least > 0, _COMMON_MM, 0.0)
         self._known = np.flatnonzero((self._part >= 0) & (self._part < parts))
@@ -259,8 +268,10 @@ class Coupling(NamedTuple):
 
     def changes(self, heights: HeightEquations, delta: Floats) -> Floats:
         """Return the changes (c,) of component heights, mm, that follow from changes (n,) of all other unknowns."""
-        of_entries = np.append(0, np.cumsum(heights.entries * delta[self.columns]))
-        return np.asarray((heights.right - np.diff(of_entries[self.at])) / heights.normal)
+        effect, coupled = np.zeros(len(heights.normal)), np.flatnonzero(np.diff(self.at))
+        if len(coupled):
+            effect[coupled] = np.add.reduceat(heights.entries * delta[self.columns], self.at[coupled])
+        return np.asarray((heights.right - effect) / heights.normal)
 
 
 @compiled

@@ -173,19 +173,28 @@ def few_places(links: LinkArrays, state: LinkState, rows: int) -> list[Place]:
     """Return the clusters of links that are left out, each once."""
     found: dict[bytes, Place] = {}
     used = np.flatnonzero(state.robust > USED)
-    # Each pair of frames with used links has at least one cluster.
-    pair = used[np.flatnonzero(np.diff(links.group[used], prepend=-1))]
-    if not _of_few(links, pair, rows).any():
+    begins = np.flatnonzero(np.diff(links.group[used], prepend=-1))
+    if not len(used):
         return []
+    pair = used[begins]
+    of_pair = np.repeat(np.arange(len(begins)), np.diff(begins, append=len(used)))
+    places = state.b_mm[used].T / _SQUARE_MM
     for grid, offset in enumerate(_GRIDS):
-        cluster, one_of = number_clusters(links, state.b_mm, used, offset)
-        few = np.flatnonzero(_of_few(links, one_of, rows))
+        # Squares are counted from the first one of their pair of frames.
+        x, y = (np.floor(of + by).astype(np.int_) for of, by in zip(places, offset, strict=True))
+        x, y = (of - np.minimum.reduceat(of, begins)[of_pair] for of in (x, y))
+        square = x * (int(y.max()) + 1) + y
+        there = np.zeros((len(begins), int(square.max()) + 1), np.bool_)
+        there[of_pair, square] = True
+        few = np.flatnonzero(_of_few(links, pair, there.sum(1), rows))
         # The grids hardly differ in their number of clusters.
         if not len(few):
             break
-        for number in few.tolist():
-            at = used[cluster == number]
-            found.setdefault(at.tobytes(), Place(at, set())).grids.add(grid)
+        for n in few.tolist():
+            own = np.flatnonzero(of_pair == n)
+            for number in np.flatnonzero(there[n]).tolist():
+                at = used[own[square[own] == number]]
+                found.setdefault(at.tobytes(), Place(at, set())).grids.add(grid)
     return list(found.values())
 
 
@@ -202,30 +211,16 @@ def groups_of_marks(points: FiducialPoints) -> list[Ints]:
     return [np.flatnonzero(which == mark) for mark, enough in zip(marks, places, strict=True) if enough]
 
 
-def number_clusters(links: LinkArrays, b_mm: Floats, used: Ints, offset: tuple[float, float]) -> tuple[Ints, Ints]:
-    """Return the number of the cluster of each of the links `used` (u,), and of each cluster the index of one link.
+def _of_few(links: LinkArrays, pair: Ints, clusters: Ints, rows: int) -> NDArray[np.bool_]:
+    """Return whether the clusters of each pair of frames are of few beside a gap between rows, or between two cameras.
 
-    `b_mm` (k, 2) are the second points of all links; `offset` displaces the grid, in sides of a square.
+    `pair` (n,) holds one link of each pair of frames, and `clusters` (n,) how many clusters it has.
     """
-    x, y = np.floor(b_mm[used] / _SQUARE_MM + offset).astype(np.int_).T
-    x, y = x - x.min(initial=0), y - y.min(initial=0)
-    square = (links.group[used] * (x.max(initial=0) + 1) + x) * (y.max(initial=0) + 1) + y
-    _, first, cluster = np.unique(square, return_index=True, return_inverse=True)
-    return cluster.ravel(), used[first]
-
-
-def _of_few(links: LinkArrays, at: Ints, rows: int) -> NDArray[np.bool_]:
-    """Return whether each cluster is one of few beside a gap, or between two cameras; `at` holds one link of each."""
-    if not len(at):
-        return np.zeros(0, np.bool_)
-    p, q = links.p[at], links.q[at]
+    p, q, seam = links.p[pair], links.q[pair], links.camera_a[pair]
     low, high = np.minimum(p, q), np.maximum(p, q)
-    between = high > low
-    # number of clusters across the gap after each row
-    begin, end = (np.bincount(row[between], minlength=rows) for row in (low, high))
-    across = np.cumsum(begin - end)
-    spans, span = np.unique(low * rows + high, return_inverse=True)
-    least = np.array([across[n // rows : max(n % rows, n // rows + 1)].min() for n in spans.tolist()])
-    seam = links.camera_a[at]
-    of_seams = np.bincount(seam[~between], minlength=int(seam.max()) + 1)[seam]
-    return np.asarray(np.where(between, least[span.ravel()] <= _FEW, of_seams <= _FEW_AT_SEAM))
+    at_seam = np.where(high > low, 0, clusters)
+    # number of clusters across the gap after each row, and of gaps with few of them before each row
+    begin, end = (np.bincount(row, clusters - at_seam, rows) for row in (low, high))
+    before = np.append(0, np.cumsum(np.cumsum(begin - end) <= _FEW))
+    of_seams = np.bincount(seam, at_seam)[seam]
+    return np.asarray(np.where(high > low, before[high] > before[low], of_seams <= _FEW_AT_SEAM))

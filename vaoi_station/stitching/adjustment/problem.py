@@ -88,7 +88,8 @@ class Observations:
         """Return the median standard deviation per axis, px, that image noise causes in the links `at`; 0 without."""
         if not len(at):
             return 0.0
-        variance_mm2 = (self.noise_mm2[at, 0, 0] + self.noise_mm2[at, 1, 1]) / 2
+        noise_mm2 = self.noise_mm2.take(at, axis=0)
+        variance_mm2 = (noise_mm2[:, 0, 0] + noise_mm2[:, 1, 1]) / 2
         return float(np.median(np.sqrt(variance_mm2) * self.px_per_mm[at]))
 
 

@@ -43,6 +43,7 @@ from vaoi_station.stitching.adjustment.equations import (
     eliminate_heights,
     fiducial_residuals,
     scale_equation,
+    stable_order,
 )
 from vaoi_station.stitching.adjustment.influence import Assembly, examine_influence
 from vaoi_station.stitching.adjustment.motion import Motion, belt_equations, measure_step
@@ -91,9 +92,9 @@ class NoiseFloors:
         self._seams = max(int(self.kind.max(initial=0)), 1)
         self.kind[problem.of_two_lights] = 1 + self._seams
         on_board = np.flatnonzero(problem.component < 0)
-        kinds = self.kind[on_board].astype(np.int16)  # short numbers are sorted in time proportional to their number
+        kinds = self.kind[on_board]
         ends = np.cumsum(np.bincount(kinds, minlength=self._seams + 2))[:-1]
-        bare = np.split(on_board[np.argsort(kinds, kind="stable")], ends)
+        bare = np.split(on_board[stable_order(kinds)], ends)
         # near components only if the others are too few
         surely = [at[~raised[at]] for at in bare]
         surely = [own if len(own) >= _MIN_LINKS else at for own, at in zip(surely, bare, strict=True)]

@@ -406,10 +406,14 @@ def _with_board(
     # Without a working distance, a height does not move a point, and the normal equations would be singular.
     knows_height = all(camera.working_distance_mm is not None for camera in scene.cameras)
     half_patch_mm = WINDOW_PX / 2 / float(np.mean([camera.px_per_mm for camera in scene.cameras]))
+    near = component_at(plane, c, on_board, half_patch_mm)
+    # What lies on a component is also near one.
+    component, reached = np.full(len(near), -1), np.flatnonzero(near >= 0)
+    component[reached] = component_at(plane, c, on_board.take(reached, axis=0))
     return replace(
         problem,
-        component=component_at(plane, c, on_board),
-        near=component_at(plane, c, on_board, half_patch_mm),
+        component=component,
+        near=near,
         fiducials=points,
         nominal_scale=plane.board_type.mm_per_unit,
         surface=SurfaceBasis(at_links, at_marks, SIGMA_MM) if knows_height else None,

@@ -412,8 +412,16 @@ def depths_mm(board_type: BoardType, cad: Floats) -> Floats:
     if not polygons or board_type.fixture_marks:
         return np.full(len(cad), np.inf)
     ends = polygons[0]
-    inside, near = np.zeros(len(cad), np.bool_), np.full(len(cad), np.inf)
     x, y = np.ascontiguousarray(cad.T)
+    low, high = ends.min(0), ends.max(0)
+    if len(ends) == 4 and all(len(set(of_axis)) == 2 for of_axis in ends.T.tolist()):
+        # Most boards are rectangles along the axes: beyond two sides, the nearest place is a corner.
+        beyond_x = np.maximum(low[0] - x, x - high[0])
+        beyond_y = np.maximum(low[1] - y, y - high[1])
+        depth, corner = -np.maximum(beyond_x, beyond_y), np.flatnonzero((beyond_x > 0) & (beyond_y > 0))
+        depth[corner] = -np.hypot(beyond_x[corner], beyond_y[corner])
+        return np.asarray(depth * board_type.mm_per_unit)
+    inside, near = np.zeros(len(cad), np.bool_), np.full(len(cad), np.inf)
     for (ax, ay), (bx, by) in zip(ends.tolist(), np.roll(ends, -1, 0).tolist(), strict=True):
         u, v, wx, wy = x - ax, y - ay, bx - ax, by - ay
         # A ray to the right crosses the outline of a simple polygon an odd number of times from inside.
