@@ -219,6 +219,7 @@ links that must then be used, as a share of that of all links. Otherwise the adj
 class Unknowns(NamedTuple):
     """The solution of an adjustment of the first rows of a run, from which that of one row more goes on."""
 
+    problem: Problem
     motion: Motion
     similarity: Floats
     surface_mm: Floats
@@ -381,7 +382,9 @@ class _Solver:
         """The current unknowns."""
         assert self.similarity is not None
         heights_mm = self.heights_mm.reshape(2, self.n_parts)
-        return Unknowns(self.motion, self.similarity, self.surface_mm, heights_mm, self.cameras.displacement_px)
+        return Unknowns(
+            self.problem, self.motion, self.similarity, self.surface_mm, heights_mm, self.cameras.displacement_px
+        )
 
     def step(self) -> float:
         """Make one reweighted Gauss-Newton step; return the largest change of a shift in mm."""

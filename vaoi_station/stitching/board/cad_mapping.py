@@ -165,8 +165,7 @@ def map_cad(
     if isinstance(guess, Failure):
         return guess
     if apart is None:
-        confirmed = partial(outline_confirmed, plane, plane.matrix(guess.c), scene, motion)
-        problem = without_links_beside(problem, depth_mm, confirmed)
+        problem = _without_some_beside(plane, scene, problem, motion, guess.c, depth_mm)
     marks = _located(plane, scene, motion, guess.c, first.detections)
     # Boards of a panel lie differently in every panel, so that a reference shows no C where fiducials do.
     fiducials = len(set(marks.which[marks.which >= 0].tolist()))
@@ -175,7 +174,8 @@ def map_cad(
     before = known.first_rows() if known.first_rows is not None and apart is None else None
     if before is not None and not _same_place(plane, before.similarity, guess.c):
         before = None
-    adjusted = adjust(_with_board(problem, points, plane, scene, motion, guess.c), motion, guess.c, known=before)
+    whole = _with_board(problem, points, plane, scene, motion, guess.c, before.problem if before is not None else None)
+    adjusted = adjust(whole, motion, guess.c, known=before)
     if contradiction := disagreeing_reference(points, adjusted.fiducial_px):
         return contradiction
     # The outline is measured with the displaced cameras, as everything after the adjustment is.
@@ -200,9 +200,18 @@ def map_first_rows(
         return None
     points = _located(plane, scene, moved.motion, guess.c, known.detections)
     yield
+    depth_mm = link_depths_mm(plane, guess.c, problem.links, moved.motion)
+    problem = _without_some_beside(plane, scene, problem, moved.motion, guess.c, depth_mm)
+    yield
     whole = _with_board(problem, points, plane, scene, moved.motion, guess.c)
     yield
     return (yield from adjust_first_rows(whole, moved.motion, guess.c))
+
+
+def _without_some_beside(
+    plane: BoardPlane, scene: Scene, problem: Problem, motion: Motion, c: Floats, depth_mm: Floats
+) -> Problem:
+    return without_links_beside(problem, depth_mm, partial(outline_confirmed, plane, plane.matrix(c), scene, motion))
 
 
 def _located(
@@ -397,10 +406,23 @@ def _decided(
 
 
 def _with_board(
-    problem: Problem, points: FiducialPoints, plane: BoardPlane, scene: Scene, motion: Motion, c: Floats
+    problem: Problem,
+    points: FiducialPoints,
+    plane: BoardPlane,
+    scene: Scene,
+    motion: Motion,
+    c: Floats,
+    known: Problem | None = None,
 ) -> Problem:
-    """Extend the problem by fiducial points, the component under each link, the board's surface, and the cameras."""
-    on_board, matrix = motion.board(problem.links.p, problem.links.a_mm), plane.matrix(c)
+    """Extend the problem by fiducial points, the component under each link, the board's surface, and the cameras.
+
+    `known` is the extended problem of the first rows, if there is one: where their links lie is not computed again.
+    """
+    links, matrix = problem.links, plane.matrix(c)
+    count, groups = (0, ()) if known is None else (len(known.links), known.links.groups)
+    if links.groups[: len(groups)] != groups or links.begins[len(groups)] != count:
+        known, count = None, 0
+    on_board = motion.board(links.p[count:], links.a_mm[count:])
     marks = motion.board(points.row, points.ground_mm)
     at_links, at_marks = (basis_at_board(plane.board_type, matrix, at) for at in (on_board, marks))
     # Without a working distance, a height does not move a point, and the normal equations would be singular.
@@ -410,6 +432,10 @@ def _with_board(
     # What lies on a component is also near one.
     component, reached = np.full(len(near), -1), np.flatnonzero(near >= 0)
     component[reached] = component_at(plane, c, on_board.take(reached, axis=0))
+    if known is not None:
+        component, near = (np.concatenate(of) for of in ((known.component, component), (known.near, near)))
+        if known.surface is not None:
+            at_links = np.concatenate([known.surface.at_links, at_links])
     return replace(
         problem,
         component=component,

@@ -459,16 +459,17 @@ def without_links_beside(problem: Problem, depth_mm: Floats, confirmed: Callable
     of frames, and if the pictures confirm the outline (`confirmed`): along the edge of the board, patches are found
     where the texture of a bed is (seed 102577).
     """
-    links = problem.links
-    off = depth_mm < 0
-    if not off.any():
+    links, off = problem.links, np.flatnonzero(depth_mm < 0)
+    if not len(off):
         return problem
-    share = np.bincount(links.group, off) / np.maximum(np.bincount(links.group), 1)
-    between = links.p == links.q
-    at_edge = off & ~between & (share[links.group] > _MOST_AT_EDGE)
+    of_pairs = np.diff(links.begins)
+    share = np.bincount(links.group[off], minlength=len(of_pairs)) / np.maximum(of_pairs, 1)
+    left_out = links.p[off] == links.q[off]
+    at_edge = ~left_out & (share[links.group[off]] > _MOST_AT_EDGE)
     # The outline is checked only where it matters: that takes longer than all else here.
-    off &= between | (at_edge if at_edge.any() and confirmed() else between)
-    return problem.select(np.flatnonzero(~off)) if off.any() else problem
+    if at_edge.any() and confirmed():
+        left_out |= at_edge
+    return problem.select(np.delete(np.arange(len(links)), off[left_out])) if left_out.any() else problem
 
 
 def outline_confirmed(plane: BoardPlane, cad_matrix: Floats, scene: Scene, motion: Motion) -> bool:
