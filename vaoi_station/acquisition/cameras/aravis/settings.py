@@ -309,7 +309,10 @@ def _known_start(control: Control, config: CameraConfig) -> Iterator[Setting]:
     """Write everything in an order that all makes accept; yield what was written or found to be so."""
     features = control.features
     trigger = _require_trigger(control)
-    yield from _neutralised(control, families.TRIGGERS)
+    # Not compared again at the end: in PGR_GS3_U3_51S5M, selecting another trigger switches ExposureMode.
+    for _ in _neutralised(control, families.TRIGGERS):
+        pass
+    features.select(trigger)
     if features.has("AcquisitionMode"):
         yield from _put(control, [Setting("AcquisitionMode", "Continuous")])
     yield from _neutralised(control, BEFORE_FORMAT)
