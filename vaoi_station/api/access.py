@@ -34,7 +34,7 @@ MOST_SESSIONS = 256
 COOKIE = "vaoi-session"
 PUBLIC = re.compile(r"/?|/docs|/favicon\.ico|/(web|problems)/.*|/healthz|/readyz|/api/v1/(openapi\.json|session)")
 """Addresses that need no key: the page itself, documentation, health for process supervisors, and the login."""
-_ADMIN = re.compile(r"/api/v1/(keys|audit|settings|calibration/(artwork|layout|trial))(/.*)?")
+_ADMIN = re.compile(r"/api/v1/(keys|audit|settings|calibration/(artwork|layout|trial)|cameras/search)(/.*)?")
 _COMMANDS: tuple[tuple[re.Pattern[str], Scope], ...] = (
     (re.compile(r"/api/v1/station/(arm|disarm)"), "operate"),
     (re.compile(r"/api/v1/runs/[^/]+/(release|hold|pin|decision|identity/next-machine)"), "operate"),

@@ -32,7 +32,7 @@ from vaoi_station.api.routes import (
 from vaoi_station.api.routes.board_data import Previews
 from vaoi_station.api.routes.cameras import CameraTrials
 from vaoi_station.api.routes.services import Services
-from vaoi_station.api.setup import calibration, optics, settings
+from vaoi_station.api.setup import calibration, camera_exchange, optics, settings
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
@@ -106,7 +106,7 @@ def create_app(
         routers.append(keys.router(services, access))
     if files is not None:
         routers.append(calibration.router(services, files, camera_trials))
-        routers += [setup.router(services, files) for setup in (optics, settings)]
+        routers += [setup.router(services, files) for setup in (camera_exchange, optics, settings)]
     for router in routers:
         app.router.routes.extend(router.routes)
     _add_health(app, services)

@@ -6,7 +6,6 @@ All of it needs the scope admin. A trial takes seconds; it is kept here, so that
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import math
 import threading
@@ -22,7 +21,7 @@ from vaoi_station.api.limits import ThreadLimit
 from vaoi_station.api.parameters import file_reply, rest_router
 from vaoi_station.api.routes.cameras import CameraTrials
 from vaoi_station.api.routes.services import Services
-from vaoi_station.api.setup.station_files import StationFiles, replace_with_backup
+from vaoi_station.api.setup.station_files import StationFiles, content_of, replace_with_backup
 from vaoi_station.calibration import Limits, Outcome, calibrate
 from vaoi_station.calibration.artwork import ArrayDesign, Board, design_board
 from vaoi_station.calibration.artwork.artwork_files import RENDERERS, array_of, artwork_title
@@ -349,7 +348,7 @@ class Trials:
         accepted: dict[str, Any] = {}
         try:
             path = self._files.config.calibration
-            backup = replace_with_backup(path, _content(made))
+            backup = replace_with_backup(path, content_of(made))
             accepted = {"state": "accepted", "accepted_as": path.name, "backup": backup}
             _log.info("the calibration from run %s was accepted as %s", run, path)
         finally:
@@ -367,7 +366,7 @@ class Trials:
         """Return the calibration of the trial as a file."""
         if (made := self._made) is None:
             raise NotFoundError("There is no calibration: no trial has ended well.", code="no-trial")
-        return _content(made)
+        return content_of(made)
 
     def picture(self, name: str) -> bytes:
         """Return a picture of the trial, JPEG: `marks` or `difference`."""
@@ -450,11 +449,6 @@ class Trials:
             )
             for c in outcome.cameras
         ]
-
-
-def _content(calibration: Calibration) -> bytes:
-    document = calibration.model_dump(mode="json", exclude_none=True)
-    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
 def _jpeg(picture: Image) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 from contextlib import suppress
@@ -12,19 +13,20 @@ from pathlib import Path
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError
 from vaoi_station.files.documents import write_bytes
+from vaoi_station.model import Calibration
 
 _MOST_BACKUPS = 50
 """Copies that are kept of one file; the oldest is deleted."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class StationFiles:
     """The configuration in force, and the file from which it was read. No other file is named by a caller."""
 
     path: Path
     """station.toml."""
     config: StationConfig
-    """As it was read at the start."""
+    """The one in force: as it was read at the start, with the cameras that were exchanged since."""
 
 
 def is_writable(path: Path) -> bool:
@@ -32,6 +34,16 @@ def is_writable(path: Path) -> bool:
     # A file is replaced by renaming, so its folder decides; a protected file system refuses here too.
     folder = path.resolve().parent
     return os.access(folder, os.W_OK, effective_ids=os.access in os.supports_effective_ids)
+
+
+def require_writable(path: Path) -> None:
+    """Raise StateError if the service may not replace a file."""
+    if not is_writable(path):
+        raise StateError(
+            f"{path}: the service may not write here; nothing was changed.",
+            action=f"Download the new file, and put it there as administrator: {install_command(path)}",
+            code="settings-read-only",
+        )
 
 
 def install_command(path: Path) -> str:
@@ -53,13 +65,8 @@ def replace_with_backup(path: Path, content: bytes) -> str | None:
         InputError: the file or its folder cannot be written to; the file is as it was.
         DeviceError: the disk is full or damaged; the file is as it was.
     """
-    if not is_writable(path):
-        # Otherwise the refusal would name the copy, and another place, which the caller cannot choose.
-        raise StateError(
-            f"{path}: the service may not write here; nothing was changed.",
-            action=f"Download the new file, and put it there as administrator: {install_command(path)}",
-            code="settings-read-only",
-        )
+    # Otherwise the refusal would name the copy, and another place, which the caller cannot choose.
+    require_writable(path)
     path = path.resolve()
     backup = None
     if path.is_file():
@@ -72,3 +79,9 @@ def replace_with_backup(path: Path, content: bytes) -> str | None:
         with suppress(OSError):
             old.unlink()
     return None if backup is None else backup.name
+
+
+def content_of(calibration: Calibration) -> bytes:
+    """Return a calibration as a file."""
+    document = calibration.model_dump(mode="json", exclude_none=True)
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
