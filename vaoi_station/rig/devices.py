@@ -34,7 +34,7 @@ TERMINAL = "trigger"
 class Devices:
     """All devices of a rig, as a context manager. Its end stops all processes and removes the added addresses."""
 
-    cameras: tuple[CameraProcess, ...]
+    cameras: list[CameraProcess]
     chip: Chip
     line: VirtualLine
 
@@ -56,10 +56,10 @@ class Devices:
         with ExitStack() as resources:
             resources.enter_context(LoopbackAddresses(self.addresses))
             built = build(self._folder / "firmware")
-            self.cameras = tuple(
+            self.cameras = [
                 CameraProcess(address, f"VAOI-{n:02d}", partial(self._report, n))
                 for n, address in enumerate(self.addresses)
-            )
+            ]
             for camera in self.cameras:
                 resources.callback(camera.stop)
                 camera.start()
@@ -78,6 +78,16 @@ class Devices:
 
     def __exit__(self, *_: object) -> None:
         self._resources.close()
+
+    def exchange_camera(self, number: int, address: str, serial: str) -> None:
+        """Unplug a camera, and plug in another one at its place, which answers at another address."""
+        self.cameras[number].kill()
+        other = CameraProcess(address, serial, partial(self._report, number))
+        self._resources.callback(other.stop)
+        other.start()
+        other.wait_ready()
+        # The line has the same list.
+        self.cameras[number] = other
 
     def lay_calibration_board(self) -> None:
         """Render frames of the calibration board, which cameras send for pulses fired while no board passes."""
