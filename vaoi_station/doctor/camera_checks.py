@@ -169,10 +169,9 @@ def ask(camera: CameraConfig) -> Offered:
             address = device.get_device_address().get_address().to_string()
             local = device.get_interface_address().get_address().to_string()
             port = network.interface_of(local)
-            smallest, largest, step = map(int, Features(opened).limits("GevSCPSPacketSize") or (0, 0, 1))
-            packets = network.PacketLimits(smallest, largest, max(1, step))
+            packets = network.PacketLimits.stated(Features(opened).limits("GevSCPSPacketSize"))
             passing = find_packet_size(opened, camera, packets, address, local)[1]
-            speed_mbit_s = links.speed_mbit_s(opened, address)
+            speed_mbit_s = links.speed_mbit_s(Features(opened), address)
         control = Control(opened, camera.label)
         features = control.features
         black_level = features.read("BlackLevel") if features.has("BlackLevel") else None

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraExposure, CameraHealth, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraExposure, CameraHealth, CameraLimits, Slot
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -30,7 +30,7 @@ from vaoi_station.acquisition.process.messages import (
 from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError
+from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.model import Verdict
 
 
@@ -79,8 +79,10 @@ class ScriptedDevice:
             raise DeviceError("the port is gone.", action="Plug it in.")
         self.fired += 1
 
+    row_s: float | None = None
+
     def health(self) -> CameraHealth:
-        return CameraHealth(True)
+        return CameraHealth(True, limits=CameraLimits(row_s=self.row_s))
 
 
 @dataclass
@@ -137,6 +139,14 @@ def test_slots_are_in_the_cameras_before_the_controller_is_armed(bench: SessionB
     assert bench.reports == [Armed()]
     bench.session.arm(bench.plan)
     assert len(bench.controller.plans) == 1, "the same plan again changes nothing"
+
+
+def test_rows_that_come_faster_than_the_links_carry_them_are_refused(bench: SessionBench) -> None:
+    bench.cameras[1].row_s = bench.plan.period_s * 1.01
+    with pytest.raises(InputError, match=r"period_s is 0\.05, but must be at least 0\.0505: the links of the cameras"):
+        bench.session.arm(bench.plan)
+    bench.cameras[1].row_s = bench.plan.period_s
+    bench.session.arm(bench.plan)
 
 
 def test_a_controller_that_refuses_leaves_the_station_disarmed_and_memory_returnable(bench: SessionBench) -> None:

@@ -89,6 +89,7 @@ class StandInDevice:
         """Trigger that is not selected → its mode."""
         self.controlled = True
         self.tick_hz = 1_000_000_000
+        self.registers: dict[int, int] = {}
         self.entries: dict[str, tuple[str, ...]] = {}
         """Entries of enumerations; by default the present one."""
         self.bounds: dict[str, tuple[float, float]] = {}
@@ -114,6 +115,12 @@ class StandInDevice:
 
     def get_integer_feature_increment(self, _feature: str) -> int:
         return 1
+
+    def read_register(self, address: int) -> int:
+        return self.registers.get(address, 0)
+
+    def write_register(self, address: int, value: int) -> None:
+        self.registers[address] = value
 
     def is_controller(self) -> bool:
         return self.controlled
@@ -315,18 +322,6 @@ class StandInCamera:
 
     def get_integer_increment(self, _feature: str) -> int:
         return 4
-
-    def gv_set_packet_size(self, size: int) -> None:
-        self.device.write("GevSCPSPacketSize", size)
-
-    def gv_get_packet_size(self) -> int:
-        return int(self.device.read("GevSCPSPacketSize"))
-
-    def gv_set_packet_delay(self, delay: int) -> None:
-        self.device.write("GevSCPD", delay)
-
-    def gv_get_packet_delay(self) -> int:
-        return int(self.device.read("GevSCPD"))
 
     def create_stream(self, _callback: object, _data: object) -> StandInStream:
         return self.stream

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from tests.acquisition.cameras.aravis.stand_in import GcFloat, Node, StandInCamera, camera_config
+from tests.acquisition.cameras.aravis.stand_in import Node, StandInCamera, camera_config
 from vaoi_station.acquisition.cameras.aravis import links, network
+from vaoi_station.acquisition.cameras.aravis.features import Features
 from vaoi_station.doctor import camera_checks
 from vaoi_station.errors import DeviceError
 from vaoi_station.optics import Requirements, make_plan
@@ -19,11 +20,16 @@ pytestmark = pytest.mark.usefixtures("_stand_in")
 
 
 def camera(unit: str | None = None, **features: Any) -> StandInCamera:
+    """Return a camera of whose numbers the description states a unit."""
     made = StandInCamera(is_gige=True)
     made.device.features |= features
+    stated = made.device.get_feature
 
-    def get_feature(name: str) -> Node:
-        return (GcFloat if isinstance(made.device.features[name], float) else Node)(unit)
+    def get_feature(name: str) -> Node | None:
+        node = stated(name)
+        if node is not None:
+            node.unit = unit
+        return node
 
     made.device.get_feature = get_feature  # type: ignore[method-assign, assignment]
     return made
@@ -33,10 +39,10 @@ def camera(unit: str | None = None, **features: Any) -> StandInCamera:
     ("unit", "features", "mbit_s"),
     [
         (None, {"GevLinkSpeed": 1000}, 1000.0),  # Basler acA1300: "in Mbps", no unit
-        ("Bps", {"DeviceLinkSpeed": 1_250_000_000}, 10_000.0),  # SFNC
+        (None, {"DeviceLinkSpeed": 1_250_000_000}, 10_000.0),  # SFNC: bytes per second
         ("MBps", {"DeviceLinkSpeed": 312.5}, 2500.0),  # ViewWorks VNP-604
         (None, {"DeviceLinkSpeed": 125_000_000, "GevLinkSpeed": 1000}, 1000.0),
-        ("Bps", {"DeviceLinkSpeed": 1_000_000_000}, 1000.0),  # bits, in the unit of bytes
+        (None, {"DeviceLinkSpeed": 1_000_000_000}, 1000.0),  # bits, where SFNC has bytes
         (None, {"DeviceLinkSpeed": 12345}, None),
         (None, {}, None),
     ],
@@ -45,31 +51,65 @@ def test_the_speed_of_a_link_is_read_in_the_makers_unit(
     monkeypatch: pytest.MonkeyPatch, unit: str | None, features: dict[str, Any], mbit_s: float | None
 ) -> None:
     monkeypatch.setattr(network, "camera_link_mbit_s", lambda _address: None)
-    assert links.speed_mbit_s(camera(unit, **features), "10.0.0.1") == mbit_s
+    assert links.speed_mbit_s(Features(camera(unit, **features)), "10.0.0.1") == mbit_s
+
+
+def limited(made: StandInCamera, low: int, high: int) -> StandInCamera:
+    """Give a camera bounds of its limits, and the entries of their mode."""
+    made.device.bounds |= dict.fromkeys(("DeviceLinkThroughputLimit", "StreamBytesPerSecond"), (low, high))
+    made.device.entries["DeviceLinkThroughputLimitMode"] = ("Off", "On")
+    return made
 
 
 def test_a_limit_is_lifted_where_pauses_pace_the_camera() -> None:
     off = camera(DeviceLinkThroughputLimit=10_000_000, DeviceLinkThroughputLimitMode="On")
-    assert links.limit_throughput(off, None) is None
+    assert links.limit_throughput(Features(off), None) is None
     assert off.device.features["DeviceLinkThroughputLimitMode"] == "Off"
-    always = camera(DeviceLinkThroughputLimit=10_000_000)
-    always.device.bounds["DeviceLinkThroughputLimit"] = (1_000_000, 125_000_000)
-    assert links.limit_throughput(always, None) == 1000.0
-    assert links.limit_throughput(camera(), None) is None
+    always = limited(camera(DeviceLinkThroughputLimit=10_000_000), 1_000_000, 125_000_000)
+    assert links.limit_throughput(Features(always), None) == 1000.0
+    assert links.limit_throughput(Features(camera()), None) is None
 
 
 def test_a_camera_without_pauses_is_limited_to_its_share() -> None:
-    usb = camera("Bps", DeviceLinkThroughputLimit=380_000_000, DeviceLinkThroughputLimitMode="Off")
-    usb.device.bounds["DeviceLinkThroughputLimit"] = (1_000_000, 380_000_000)
-    assert links.limit_throughput(usb, 800.0) == 800.0
+    usb = camera(DeviceLinkThroughputLimit=380_000_000, DeviceLinkThroughputLimitMode="Off")
+    assert links.limit_throughput(Features(limited(usb, 1_000_000, 380_000_000)), 800.0) == 800.0
     assert usb.device.features["DeviceLinkThroughputLimitMode"] == "On"
     assert usb.device.features["DeviceLinkThroughputLimit"] == 100_000_000
-    old = camera(StreamBytesPerSecond=115_000_000)  # Prosilica GC
-    old.device.bounds["StreamBytesPerSecond"] = (1_000_000, 124_000_000)
-    assert links.limit_throughput(old, 400.0) == 400.0
-    stubborn = camera(StreamBytesPerSecond=2_000_000)
+    old = limited(camera(StreamBytesPerSecond=115_000_000), 1_000_000, 124_000_000)  # Prosilica GC
+    assert links.limit_throughput(Features(old), 400.0) == 400.0
+    mega = limited(camera("MBps", DeviceLinkThroughputLimit=300.0), 10, 312)  # ViewWorks VNP-604
+    assert links.limit_throughput(Features(mega), 400.0) == 400.0
+    assert mega.device.features["DeviceLinkThroughputLimit"] == 50.0
+    stubborn = limited(camera(StreamBytesPerSecond=2_000_000), 1_000_000, 124_000_000)
     stubborn.device.ignored.add("StreamBytesPerSecond")
-    assert links.limit_throughput(stubborn, 400.0) == 16.0, "what it keeps is what counts"
+    assert links.limit_throughput(Features(stubborn), 400.0) == 16.0, "what it keeps is what counts"
+
+
+@pytest.mark.parametrize(
+    ("delay_ns", "tick_hz", "ticks"),
+    [(0, 0, 0), (1000, 0, None), (1000, 125_000_000, 125), (1001, 125_000_000, 126), (9000, 125_000_000, None)],
+)
+def test_a_pause_is_set_in_ticks_of_the_camera_if_it_can_be_as_long(
+    delay_ns: int, tick_hz: int, ticks: int | None
+) -> None:
+    made = camera()
+    made.device.bounds["GevSCPD"] = (0, 1000)
+    assert links.pause_ticks(Features(made), delay_ns, tick_hz) == ticks
+
+
+@pytest.mark.parametrize(
+    ("stated", "taken"),
+    [
+        ((220, 9000, 4), (220, 9000, 4)),
+        ((0, 9973, 0), (29, 9973, 1)),
+        ((0, 0, 1), (576, 9000, 4)),
+        (None, (576, 9000, 4)),
+    ],
+)
+def test_limits_of_packets_that_no_camera_can_mean_are_not_taken(
+    stated: tuple[float, float, float] | None, taken: tuple[int, int, int]
+) -> None:
+    assert network.PacketLimits.stated(stated) == network.PacketLimits(*taken)
 
 
 def test_usb_cameras_are_found_under_their_controller(tmp_path: Path) -> None:

@@ -135,6 +135,7 @@ class AravisCamera:
         with self._setting:
             self.config = self.config.model_copy(update={"serial": serial, "address": None})
             self._identity = replace(self._identity, serial=serial, address=address)
+        self._recovery.filmed()  # what was tried, was tried with the camera before
 
     def rewind(self) -> None:
         """Begin the sequence of exposures anew. A lost camera begins it when it is opened again."""
@@ -452,6 +453,8 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
                 connection.configure()
             # Shared again: a camera may keep a lower limit than its share.
             _share_links(config, connections)
+            for connection in connections:
+                _log.info("%s", connection.link_text())
             for number, connection in enumerate(connections):
                 cameras.append(AravisCamera(number, connection, config.camera_power))
             # Checked last, with all cameras started: a camera that sends now would have its frames in wrong rows.
@@ -494,4 +497,5 @@ def _share_links(config: StationConfig, connections: Sequence[Connection]) -> No
     row_s = check_row(senders, period_s)
     for connection, share in zip(connections, share_links(senders), strict=True):
         buffer_bytes = socket_bytes(connection.config, period_s)
-        connection.share = PortShare(math.ceil(share.delay_s * 1e9), share.mbit_s, row_s or None, buffer_bytes)
+        packet = connection.packet_bytes
+        connection.share = PortShare(math.ceil(share.delay_s * 1e9), share.mbit_s, row_s or None, buffer_bytes, packet)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -36,6 +37,8 @@ from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.optics.links import Sender
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.supervised_thread import SupervisedThread
+
+_log = logging.getLogger(__name__)
 
 FAKE_VENDOR = "Aravis"
 
@@ -181,6 +184,8 @@ class PortShare:
     row_s: float | None = None
     """Time in which all cameras of the station send a row; None if it is not known."""
     socket_bytes: int = 0
+    packet_bytes: int = 0
+    """Size of its packets when the links were shared; 0 for USB."""
 
 
 class Connection:
@@ -217,7 +222,7 @@ class Connection:
                 self._camera.stop_acquisition()
             if self.is_gige:
                 self._find_packet_size()
-                self._speed_mbit_s = links.speed_mbit_s(self._camera, self.identity.address)
+                self._speed_mbit_s = links.speed_mbit_s(Features(self._camera), self.identity.address)
 
     @property
     def sender(self) -> Sender:
@@ -225,6 +230,15 @@ class Connection:
         place = self.identity.interface if self.is_gige else self.identity.serial
         speeds = [speed for speed in (self._speed_mbit_s, self._limit_mbit_s) if speed]
         return links.sender_of(self.config, place, min(speeds, default=None), self.packet_bytes or None)
+
+    def link_text(self) -> str:
+        """Return how the camera sends, for the log."""
+        path = ", ".join(f"{k.name} {k.mbit_s:g} Mbit/s" if k.mbit_s else k.name for k in self.sender.path)
+        proof = "by a test packet" if self.packets_proven else "by the MTU alone, without a test packet"
+        packets = f"packets of {self.packet_bytes} bytes ({proof}), " if self.is_gige else ""
+        own = f"{self.sender.own_mbit_s:g} Mbit/s of its own, " if self.sender.own_mbit_s else ""
+        row = f"a row takes {self.share.row_s * 1e3:.1f} ms" if self.share.row_s else "time of a row unknown"
+        return f"{self.config.label}: {packets}{own}{path or 'unknown link'}; {row}"
 
     def configure(self) -> None:
         """Write all settings and read them back. For a GigE camera, also set packet size and packet delay."""
@@ -360,6 +374,11 @@ class Connection:
             return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
         if trouble := self._route_trouble:
             return f"Its packets may get lost: {trouble}."
+        if self.packet_bytes < self.share.packet_bytes:
+            return (
+                f"Only packets of {self.packet_bytes} bytes come from it now, of {self.share.packet_bytes} when the "
+                "station was started: check the switches on the way, then restart the station."
+            )
         if self.granted_bytes >= self.share.socket_bytes:
             return _resend_warning(self.counters())
         return (
@@ -401,27 +420,35 @@ class Connection:
 
     def _find_packet_size(self) -> None:
         camera, address = self._camera, self.identity.address
-        low, high, step = map(int, Features(camera).limits("GevSCPSPacketSize") or (0, 0, 1))
-        limits = PacketLimits(low, high, max(1, step))
+        limits = PacketLimits.stated(Features(camera).limits("GevSCPSPacketSize"))
         local = camera.get_device().get_interface_address().get_address().to_string()
         most, passing = find_packet_size(camera, self.config, limits, address, local)
         self.packet_bytes, self.packets_proven = passing or most, passing is not None
 
     def _configure_link(self) -> None:
-        camera, name = self._camera, self.config.label
-        paced = self.is_gige and camera.is_feature_available("GevSCPD")
-        self._limit_mbit_s = links.limit_throughput(camera, None if paced else self.share.mbit_s)
+        camera, features = self._camera, Features(self._camera)
+        tick_hz = camera.get_device().get_timestamp_tick_frequency() if self.is_gige else 0
+        # Without gaps between packets, cameras on one link take the bandwidth from each other (Aravis #71, #710).
+        ticks = links.pause_ticks(features, self.share.delay_ns, tick_hz) if self.is_gige else None
+        self._limit_mbit_s = links.limit_throughput(features, self.share.mbit_s if ticks is None else None)
         if not self.is_gige:
             return
         # Packet sockets need CAP_NET_RAW, and stopping their thread takes 24 ms and drops packets (decisions/0009).
         camera.gv_set_stream_options(aravis().GvStreamOption.PACKET_SOCKET_DISABLED)
         # Else Aravis tests the size again when the stream is created, and may choose another one (Aravis #425, #1065).
         camera.gv_set_packet_size_adjustment(aravis().GvPacketSizeAdjustment.NEVER)
-        settings.write(camera, name, [Setting("GevSCPSPacketSize", self.packet_bytes)])
-        # Without gaps between packets, cameras on one link take the bandwidth from each other (Aravis #71, #710).
-        if paced or (self.share.delay_ns and self._limit_mbit_s is None):
-            tick_ns = 1e9 / (camera.get_device().get_timestamp_tick_frequency() or 1e9)
-            settings.write(camera, name, [Setting("GevSCPD (ns)", self.share.delay_ns, tick_ns)])
+        if (size := network.set_packet_size(camera.get_device(), self.packet_bytes)) != self.packet_bytes:
+            raise DeviceError(
+                f"{self.config.label}: ignores a setting: its packets were set to {self.packet_bytes} bytes, but its "
+                f"register reads {size}.",
+                action="Set packet_bytes in station.toml to what it can do, or update its firmware.",
+                code="setting-ignored",
+            )
+        if ticks is not None:
+            settings.write(camera, self.config.label, [Setting("GevSCPD", ticks)])
+        elif self.share.delay_ns and self._limit_mbit_s is None:
+            text = "%s: cannot pause for %d ns between its packets, and has no limit: packets may get lost on its link"
+            _log.warning(text, self.config.label, self.share.delay_ns)
 
     def _identity(self, where: str) -> Identity:
         camera = self._camera

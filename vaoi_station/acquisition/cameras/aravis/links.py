@@ -11,10 +11,9 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis import network
-from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error
+from vaoi_station.acquisition.cameras.aravis.features import Features, answered
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.optics.links import ITSELF, USB_PAYLOAD, Link, Sender, slowest_row
@@ -23,8 +22,8 @@ _MBIT_S = {"Bps": 8e-6, "MBps": 8.0, "bps": 1e-6, "Mbps": 1.0}
 """Unit of a speed → its value in Mbit/s."""
 _SPEEDS = (("DeviceLinkSpeed", "Bps"), ("GevLinkSpeed", "Mbps"))
 """Features that state the speed of a camera's link, and the unit if the description states none."""
-_LIMITS = (("DeviceLinkThroughputLimit", "Bps"), ("StreamBytesPerSecond", "Bps"))
-"""Features that limit what a camera sends, likewise."""
+_LIMITS = ("DeviceLinkThroughputLimit", "StreamBytesPerSecond")
+"""Features that limit what a camera sends, in bytes per second unless they state another unit."""
 _LIMIT_MODE = "DeviceLinkThroughputLimitMode"
 _NOMINAL_MBIT_S = (10, 100, 1000, 2500, 5000, 10_000, 25_000, 40_000, 100_000)
 """Speeds that links of Ethernet have."""
@@ -32,76 +31,59 @@ _ROOT_HUB = re.compile(r"usb\d+")
 USB_DEVICES = Path("/sys/bus/usb/devices")
 
 
-def speed_mbit_s(camera: Any, address: str) -> float | None:
+def speed_mbit_s(features: Features, address: str) -> float | None:
     """Return the speed of a GigE camera's own link, Mbit/s; None if the camera does not state it."""
     if stated := network.camera_link_mbit_s(address):
         return stated
     for feature, unit in _SPEEDS:
-        with suppress(glib_error()):
-            if camera.is_feature_available(feature):
-                return _nominal(_value(camera, feature), _unit(camera, feature, unit))
+        with answered():
+            if features.has(feature):
+                return _nominal(float(features.read(feature)), features.unit(feature) or unit)
     return None
-
-
-def limit_throughput(camera: Any, share_mbit_s: float | None) -> float | None:
-    """Let a camera send no faster than its share of the links; return the limit that it keeps, Mbit/s, if any.
-
-    Args:
-        camera: the camera; it is not acquiring.
-        share_mbit_s: its share; None: something else keeps it to its share, and the limit is lifted.
-    """
-    feature, unit = next((f for f in _LIMITS if camera.is_feature_available(f[0])), ("", ""))
-    if not feature:
-        return None
-    device = camera.get_device()
-    if feature != _LIMITS[0][0] or not camera.is_feature_available(_LIMIT_MODE):
-        mode = "On"
-    else:
-        # Some limits are always on, and say so by refusing the write.
-        with suppress(glib_error()):
-            device.set_string_feature_value(_LIMIT_MODE, "Off" if share_mbit_s is None else "On")
-        mode = device.get_string_feature_value(_LIMIT_MODE)
-    if mode == "Off":
-        return None
-    factor = _MBIT_S[_unit(camera, feature, unit)]
-    low, high, step = _range(camera, feature)
-    wanted = high if share_mbit_s is None else max(low, min(high, share_mbit_s / factor))
-    # A camera that keeps another limit is no fault: what it keeps counts in the time of a row.
-    with suppress(glib_error()):
-        if _is_float(camera, feature):
-            device.set_float_feature_value(feature, wanted)
-        else:
-            device.set_integer_feature_value(feature, int(low + (wanted - low) // step * step))
-    return _value(camera, feature) * factor
 
 
 def _nominal(value: float, unit: str) -> float | None:
     """Return a link's speed, Mbit/s: by the stated unit, or by another one if only then a link has that speed."""
-    for factor in (_MBIT_S[unit], *_MBIT_S.values()):
+    for factor in (_MBIT_S.get(unit, 0.0), *_MBIT_S.values()):
         if any(abs(value * factor / speed - 1) < 0.01 for speed in _NOMINAL_MBIT_S):
             return value * factor
     return None
 
 
-def _is_float(camera: Any, feature: str) -> bool:
-    return isinstance(camera.get_device().get_feature(feature), aravis().GcFloat)
+def limit_throughput(features: Features, share_mbit_s: float | None) -> float | None:
+    """Let a camera send no faster than its share of the links; return the limit that it keeps, Mbit/s, if any.
+
+    Args:
+        features: those of the camera, which is not acquiring.
+        share_mbit_s: its share; None: something else keeps it to its share, and the limit is lifted.
+    """
+    feature = next((name for name in _LIMITS if features.has(name)), None)
+    if feature is None:
+        return None
+    if feature == _LIMITS[0] and features.has(_LIMIT_MODE):
+        # Some limits are always on, and say so by refusing the write.
+        with answered():
+            features.write(_LIMIT_MODE, "Off" if share_mbit_s is None else "On")
+        if features.read(_LIMIT_MODE) == "Off":
+            return None
+    factor = _MBIT_S.get(features.unit(feature), _MBIT_S["Bps"])
+    # A camera that keeps another limit is no fault: what it keeps counts in the time of a row.
+    with answered():
+        low, high, step = features.limits(feature) or (0, 0, 0)
+        wanted = high if share_mbit_s is None else max(low, min(high, share_mbit_s / factor))
+        features.write(feature, int(low + (wanted - low) // step * step) if step else wanted)
+    return float(features.read(feature)) * factor
 
 
-def _value(camera: Any, feature: str) -> float:
-    kind = "float" if _is_float(camera, feature) else "integer"
-    return float(getattr(camera.get_device(), f"get_{kind}_feature_value")(feature))
-
-
-def _unit(camera: Any, feature: str, otherwise: str) -> str:
-    unit = camera.get_device().get_feature(feature).get_unit()
-    return unit if unit in _MBIT_S else otherwise
-
-
-def _range(camera: Any, feature: str) -> tuple[float, float, int]:
-    """Return the smallest and the largest value of a feature, and its step; 1 for a float."""
-    if _is_float(camera, feature):
-        return (*camera.get_float_bounds(feature), 1)
-    return (*camera.get_integer_bounds(feature), max(1, camera.get_integer_increment(feature)))
+def pause_ticks(features: Features, delay_ns: int, tick_hz: int) -> int | None:
+    """Return the value of GevSCPD for a pause after each packet; None if the camera cannot pause for so long."""
+    limits = features.limits("GevSCPD") if features.has("GevSCPD") else None
+    if limits is None or (delay_ns and not tick_hz):
+        return None
+    low, high, step = map(int, limits)
+    needed, step = -(-delay_ns * tick_hz // 10**9), step or 1
+    ticks = low + -(-max(0, needed - low) // step) * step
+    return ticks if ticks <= high else None
 
 
 def usb_path(serial: str, devices: Path = USB_DEVICES) -> tuple[Link, ...]:

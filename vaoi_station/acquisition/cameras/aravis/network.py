@@ -25,6 +25,10 @@ from vaoi_station.errors import InputError
 from vaoi_station.optics.links import LARGEST_PACKET
 
 CONTROL_PORT = 3956
+SMALLEST_PACKET = 576
+"""Packet size in bytes that every GigE camera and every network takes."""
+_UDP_HEADERS = 28
+"""Bytes of the IP and UDP headers, which the packet size of a camera includes."""
 _IP_MTU = 14
 
 
@@ -35,6 +39,14 @@ class PacketLimits:
     smallest: int
     largest: int
     step: int
+
+    @classmethod
+    def stated(cls, limits: tuple[float, float, float] | None) -> PacketLimits:
+        """Take what a description states; what no camera can mean is replaced by what GigE Vision asks of each."""
+        low, high, step = map(int, limits or (0, 0, 0))
+        if high < SMALLEST_PACKET or low > high:
+            low, high, step = SMALLEST_PACKET, LARGEST_PACKET, 4
+        return cls(max(low, _UDP_HEADERS + 1), high, max(1, step))
 
 
 class Port(NamedTuple):
@@ -61,8 +73,6 @@ def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
     return fitting
 
 
-_UDP_HEADERS = 28
-"""Bytes of the IP and UDP headers, which the packet size of a camera includes."""
 _STREAM_PORT, _PACKET_SIZE, _STREAM_ADDRESS = 0x0D00, 0x0D04, 0x0D18
 """Registers of the first stream channel: port, packet size and address to which it sends (GigE Vision)."""
 _FIRE, _DO_NOT_FRAGMENT, _FLAGS = 1 << 31, 1 << 30, 0xFFFF0000
@@ -87,10 +97,16 @@ def largest_passing(device: Any, most: int, limits: PacketLimits, local_address:
             device.write_register(_STREAM_PORT, receiver.getsockname()[1])
             found = _largest(lambda size: _passes(device, receiver, size), most, limits)
             device.write_register(_STREAM_PORT, 0)
-            device.write_register(_PACKET_SIZE, flags | (found or most))
+            device.write_register(_PACKET_SIZE, flags | most)
         except (glib_error(), OSError):
             return None  # the camera does not let its registers be written: it has no test packet for us
     return found
+
+
+def set_packet_size(device: Any, size: int) -> int:
+    """Write the packet size into its register, which is the same in all GigE cameras; return what it then reads."""
+    device.write_register(_PACKET_SIZE, device.read_register(_PACKET_SIZE) & _FLAGS & ~_FIRE | size)
+    return int(device.read_register(_PACKET_SIZE)) & ~_FLAGS
 
 
 def _largest(passes: Callable[[int], bool], most: int, limits: PacketLimits) -> int | None:

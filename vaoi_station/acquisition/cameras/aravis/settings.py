@@ -56,13 +56,6 @@ class Setting:
         return self.feature + "".join(f"[{entry}]" for _, entry in self.at)
 
 
-_PACKETS = {
-    "GevSCPSPacketSize": ("gv_set_packet_size", "gv_get_packet_size"),
-    "GevSCPD (ns)": ("gv_set_packet_delay", "gv_get_packet_delay"),
-}
-"""Settings of the stream, which functions of Aravis write and read."""
-
-
 class Gain(NamedTuple):
     """The feature with which a camera sets its gain, and what its values mean."""
 
@@ -87,11 +80,8 @@ class Control:
         """Write a setting, read it back and compare; DeviceError if it is refused or ignored."""
         self._require_within_limits(setting)
         try:
-            if setting.feature in _PACKETS:
-                getattr(self.camera, _PACKETS[setting.feature][0])(setting.value)
-            else:
-                self.features.select(setting.at)
-                self.features.write(setting.feature, setting.value)
+            self.features.select(setting.at)
+            self.features.write(setting.feature, setting.value)
         except glib_error() as error:
             why = f"; otherwise {setting.why}" if setting.why else ""
             raise DeviceError(
@@ -119,9 +109,6 @@ class Control:
 
     def read(self, setting: Setting) -> Value:
         """Return the value that a setting has in the camera; GLib.Error if it cannot be read."""
-        if setting.feature in _PACKETS:
-            got: int = getattr(self.camera, _PACKETS[setting.feature][1])()
-            return got
         self.features.select(setting.at)
         return self.features.read(setting.feature)
 
@@ -171,7 +158,7 @@ class Control:
         )
 
     def _require_within_limits(self, setting: Setting) -> None:
-        if isinstance(setting.value, bool | str) or setting.feature in _PACKETS:
+        if isinstance(setting.value, bool | str):
             return
         limits = None
         # A camera that does not state its limits refuses a value beyond them itself.
