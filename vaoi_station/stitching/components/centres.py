@@ -12,7 +12,7 @@ fiducials, which leaves the other in place, is a sharper hypothesis of two numbe
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -109,10 +109,10 @@ def central_views(
 
 
 def reduced_patch(
-    grey: NDArray[np.uint8], px: Floats, nodes: NDArray[np.int_], factor: int
+    grey: NDArray[np.uint8], px: Floats, nodes: tuple[int, int], factor: int
 ) -> NDArray[np.float32] | None:
     """Return the patch of 2·`nodes` + 1 nodes per axis about the pixel nearest to `px`; None if it is not in view."""
-    (x, y), (u, v) = map(round, px.tolist()), nodes.tolist()
+    (x, y), (u, v) = map(round, px.tolist()), nodes
     far_x, far_y = factor * u + factor // 2, factor * v + factor // 2
     if min(x - far_x, y - far_y) < 0 or x + far_x >= grey.shape[1] or y + far_y >= grey.shape[0]:
         return None
@@ -121,9 +121,9 @@ def reduced_patch(
     return np.asarray(cv2.resize(patch, size, interpolation=cv2.INTER_AREA) if factor > 1 else patch, np.float32)
 
 
-def reduction(half_px: Floats, most_nodes: int) -> int:
+def reduction(half_px: Iterable[float], most_nodes: int) -> int:
     """Return the factor by which a patch is reduced to `most_nodes` nodes on each side of its middle, or one more."""
-    return 2 * math.ceil((float(half_px.max()) / most_nodes - 1) / 2) + 1
+    return 2 * math.ceil((max(half_px) / most_nodes - 1) / 2) + 1
 
 
 def centre_of_symmetry(
@@ -133,13 +133,15 @@ def centre_of_symmetry(
 
     None if the component is too large, too near to the border, or not symmetric; `half_px` (2,) is half its extent.
     """
-    half = half_px + _MARGIN_MM * px_per_mm
+    # Plain floats: numpy takes longer for two numbers, and this runs for each component.
+    width, height = half = [v + _MARGIN_MM * px_per_mm for v in half_px.tolist()]
     factor = reduction(half, _MOST_NODES)
     if factor > _MOST_REDUCED:
         return None
     # A displacement of the centre by one node displaces the turned patch by two.
     reach = max(math.ceil(2 * REACH_MM * px_per_mm / factor), 2)
-    patch = reduced_patch(grey, px, np.ceil(half / factor).astype(int) + reach, factor)
+    nodes = math.ceil(width / factor) + reach, math.ceil(height / factor) + reach
+    patch = reduced_patch(grey, px, nodes, factor)
     if patch is None:
         return None
     turned = np.ascontiguousarray(patch[::-1, ::-1][reach:-reach, reach:-reach])
@@ -150,15 +152,14 @@ def centre_of_symmetry(
     inside = 0 < row < len(score) - 1 and 0 < column < score.shape[1] - 1
     if not inside or score[row, column] < _LEAST_SCORE:
         return None
-    x = column - reach + _vertex(score[row, column - 1 : column + 2])
-    y = row - reach + _vertex(score[row - 1 : row + 2, column])
-    middle = np.rint(px)
-    return float(factor * x / 2 + middle[0] - px[0]), float(factor * y / 2 + middle[1] - px[1])
+    x = column - reach + _vertex(*score[row, column - 1 : column + 2].tolist())
+    y = row - reach + _vertex(*score[row - 1 : row + 2, column].tolist())
+    at_x, at_y = px.tolist()
+    return factor * x / 2 + round(at_x) - at_x, factor * y / 2 + round(at_y) - at_y
 
 
-def _vertex(values: NDArray[np.float32]) -> float:
+def _vertex(before: float, top: float, after: float) -> float:
     """Return the place of the maximum of the parabola through three values at −1, 0 and 1."""
-    before, top, after = (float(v) for v in values)
     bend = before - 2 * top + after
     return 0.5 * (before - after) / bend if bend < 0 else 0.0
 

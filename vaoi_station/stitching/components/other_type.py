@@ -8,6 +8,7 @@ parts are absent or have other markings.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -86,10 +87,11 @@ def _correlation(
     ours: NDArray[np.uint8], theirs: NDArray[np.uint8], view: PartView, place: Floats, px_per_mm: float
 ) -> float | None:
     """Return the highest correlation of two pictures of a component; None without the whole of it or contrast."""
-    half = view.half_px + _MARGIN_MM * px_per_mm
+    half = [v + _MARGIN_MM * px_per_mm for v in view.half_px.tolist()]
     factor = reduction(half, _MOST_NODES)
-    nodes, reach = np.ceil(half / factor).astype(int), max(round(_REACH_MM * px_per_mm / factor), 1)
-    wide, patch = reduced_patch(ours, view.px, nodes + reach, factor), reduced_patch(theirs, place, nodes, factor)
+    (u, v), reach = (math.ceil(h / factor) for h in half), max(round(_REACH_MM * px_per_mm / factor), 1)
+    wide = reduced_patch(ours, view.px, (u + reach, v + reach), factor)
+    patch = reduced_patch(theirs, place, (u, v), factor)
     if wide is None or patch is None or patch.std() < _LEAST_CONTRAST:
         return None
     return float(cv2.matchTemplate(wide, patch, cv2.TM_CCOEFF_NORMED).max())

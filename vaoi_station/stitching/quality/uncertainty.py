@@ -223,8 +223,13 @@ def _unexplained_influence(j: Floats, row: Ints, adjusted: AdjustmentResult, cov
 
 def _positive(matrices: Floats, limit: float) -> Floats:
     """Return symmetric matrices (k, 2, 2) without their parts along axes on which they are at most `limit`."""
-    values, axes = np.linalg.eigh(matrices)
-    return np.asarray((axes * np.where(values > limit, values, 0.0)[:, None]) @ axes.swapaxes(1, 2))
+    a, b, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    middle, half = (a + d) / 2, np.hypot((a - d) / 2, b)
+    largest, smallest = middle + half, middle - half
+    # Of one axis alone: the matrix less the smallest value in all directions is along the axis of the largest one.
+    share = np.divide(largest, 2 * half, out=np.zeros_like(half), where=(largest > limit) & (half > 0))
+    along = share[:, None, None] * (matrices - smallest[:, None, None] * np.eye(2))
+    return np.where((smallest > limit)[:, None, None], matrices, along)
 
 
 def largest_sigma(covariance: Floats) -> Floats:
