@@ -180,7 +180,8 @@ class Stitcher:
         if self.prior.lights:
             # Before rows are left out: a dark row has no links, so nothing but the belt's nominal speed places it.
             dark = dark_lights(findings.scene, self.prior.lights, self.prior.channels, findings.checked.confirmed)
-            findings = replace(findings, dark=dark)
+            # Other findings would compute again what these have computed.
+            findings = replace(findings, dark=dark) if dark else findings
         findings = without_unknown_rows(findings)
         status, reasons = judge_result(findings)
         quality = quality_document(findings)
