@@ -20,6 +20,7 @@ from vaoi_station.cli.calibrating import calibrate, calibration_board, flatfield
 from vaoi_station.cli.cutting import cut
 from vaoi_station.cli.demo import demo
 from vaoi_station.cli.keys import keys
+from vaoi_station.cli.parts import parts
 from vaoi_station.cli.plan import plan
 from vaoi_station.cli.plants import dataset, restitch
 from vaoi_station.cli.recorded import check_board, heights, identify, mosaic, report, simulate, stitch, teach
@@ -78,8 +79,8 @@ def vaoi(
 
 for _command in (
     plan, simulate, serve, bundle, check_config, record, calibrate, calibration_board, recalibrate, flatfield, stitch,
-    report, teach, cut, mosaic, heights, identify, check_board, restitch, dataset, bench, demo, doctor, backup, restore,
-    export,
+    report, teach, cut, mosaic, heights, parts, identify, check_board, restitch, dataset, bench, demo, doctor, backup,
+    restore, export,
 ):  # fmt: skip
     app.command(_command.__name__.replace("_", "-"))(_command)
 app.command("import")(import_file)

@@ -1,0 +1,74 @@
+"""Parts of the twin's boards, compared with good boards: what is absent, where parts lie, and what cannot be said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.parts.conftest import stitched, taught
+from vaoi_station.parts.document import changes, disagreements, measure_parts, parts_document
+from vaoi_station.parts.learned import TaughtBoard
+from vaoi_station.parts.models import Models
+
+ABSENT = ("C2", "C4", "R3", "R7", "R11", "R15", "R17", "R21", "R25", "C11")
+
+
+def test_absent_parts_are_told_from_present_ones(good_boards: tuple[TaughtBoard, ...]) -> None:
+    run = stitched(2, ABSENT)
+    parts = measure_parts(run, Models(good_boards))
+    low = {a for a, p in parts.items() if p["presence"] is not None and p["presence"] < 0.5}
+    assert low == set(ABSENT)
+    present = [p for p in parts.values() if p["dx_mm"] is not None]
+    assert len(present) >= 30
+    # The twin places parts with a spread of a few hundredths of a mm.
+    assert np.median([np.hypot(p["dx_mm"], p["dy_mm"]) for p in present]) < 0.08
+
+
+def test_a_board_without_good_ones_says_what_heights_alone_tell() -> None:
+    run = stitched(2, ABSENT)
+    parts = measure_parts(run, Models(()))
+    said = {a: p["presence"] for a, p in parts.items() if p["presence"] is not None}
+    assert sum(a in ABSENT and p < 0.5 for a, p in said.items()) >= 6
+    assert sum(a not in ABSENT and p < 0.5 for a, p in said.items()) <= 3
+    silent = [p["reasons"] for p in parts.values() if p["presence"] is None]
+    assert all(reasons for reasons in silent)
+
+
+def test_an_absent_part_on_a_good_board_is_shown_with_board_and_part(good_boards: tuple[TaughtBoard, ...]) -> None:
+    bad = taught(stitched(2, ("R7",)), "not-good")
+    assert ("not-good", "R7") in {(d["board"], d["part"]) for d in disagreements((*good_boards, bad))}
+    assert not any(d["part"] == "R7" for d in disagreements(good_boards))
+
+
+def test_a_board_on_which_most_parts_are_unlike_is_called_another_revision(
+    good_boards: tuple[TaughtBoard, ...],
+) -> None:
+    run, models = stitched(0), Models(good_boards)
+    parts = measure_parts(run, models)
+    assert not parts_document(run, models, parts, ())["remarks"]
+    for n, part in enumerate(parts.values()):
+        part["alike"] = 0.01 if n % 4 else part["alike"]
+    (remark,) = parts_document(run, models, parts, ())["remarks"]
+    assert "another revision" in remark
+
+
+def test_what_changed_since_teaching_is_said(good_boards: tuple[TaughtBoard, ...]) -> None:
+    run = stitched(0)
+    assert changes(run, good_boards, "c") == []
+    assert "calibration differs" in changes(run, good_boards, "other")[0]
+    moved = run.board_type.components[0].model_copy(update={"rotation": 90.0})
+    other = run.board_type.model_copy(update={"components": (moved, *run.board_type.components[1:])})
+    assert "board type has changed" in changes(run._replace(board_type=other), good_boards, "c")[0]
+
+
+def test_two_measurements_give_the_same_digits(good_boards: tuple[TaughtBoard, ...]) -> None:
+    first, second = (measure_parts(stitched(1), Models(good_boards)) for _ in range(2))
+    assert first == second
+
+
+@pytest.mark.parametrize("parts", [10])
+def test_parts_can_be_measured_in_shares(good_boards: tuple[TaughtBoard, ...], parts: int) -> None:
+    run = stitched(1)
+    some = measure_parts(run, Models(good_boards), run.board_type.components[:parts])
+    assert len(some) == parts
+    assert all(p["presence"] is None or p["presence"] > 0.5 for p in some.values())

@@ -1,0 +1,87 @@
+"""The command parts: what is mounted on a board, compared with good boards."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vaoi_station.cli.options import BoardOf, CalibrationOf, CaseOf
+
+if TYPE_CHECKING:
+    from vaoi_station.parts.measure import Run
+
+_KEPT_FRAMES = 96
+"""Number of frames that are kept in memory, so that frames that show many parts are read once."""
+
+
+def parts(
+    case: CaseOf,
+    out: Annotated[Path, typer.Option(help="Write the measures to this file (JSON).")],
+    good: Annotated[
+        list[Path] | None,
+        typer.Option(help="Recording of a good board of this type, or its file of --keep; give it for each board."),
+    ] = None,
+    keep: Annotated[
+        Path | None, typer.Option(help="Keep what good boards look like in this directory, one file a board.")
+    ] = None,
+    calibration: CalibrationOf = None,
+    board: BoardOf = None,
+) -> None:
+    """Measure every part of a board: is it there, where, turned by how much, which way round, like good ones."""
+    from vaoi_station.cli.opened_case import refuse_input
+    from vaoi_station.files.documents import write_json
+    from vaoi_station.parts.document import changes, disagreements, measure_parts, parts_document
+    from vaoi_station.parts.learned import ENDING, TaughtBoard, merged, parts_digest, read_taught_board
+    from vaoi_station.parts.models import Models
+
+    refuse_input(out, case, case / "result.json", calibration, board)
+    run, taken_with = _stitched(case, calibration, board)
+    boards = []
+    for path in good or ():
+        if path.is_file():
+            boards.append(read_taught_board(path))
+            continue
+        taught, with_calibration = _stitched(path, None, board)
+        patches = taught.cut(taught.board_type.components)
+        digest = parts_digest(taught.board_type)
+        boards.append(TaughtBoard.of_run(path.resolve().name, patches, digest, with_calibration))
+        if keep is not None:
+            boards[-1].write(keep / f"{path.resolve().name}{ENDING}")
+    known = merged(boards)
+    models = Models(known)
+    measured = measure_parts(run, models)
+    disagreeing = disagreements(known)
+    document = parts_document(run, models, measured, changes(run, known, taken_with))
+    write_json(out, document | {"good_boards_disagree": disagreeing})
+    said = [p["presence"] for p in measured.values() if p["presence"] is not None]
+    absent = sum(p < 0.5 for p in said)
+    typer.echo(f"{len(measured)} part(s): {len(said)} measured, {absent} absent → {out}")
+    for one in disagreeing:
+        typer.echo(f"- good board {one['board']}: {one['part']} looks otherwise than on the others; is it right there?")
+    for remark in document["remarks"]:
+        typer.echo(f"- {remark}")
+
+
+def _stitched(case: Path, calibration: Path | None, board: Path | None) -> tuple[Run, str]:
+    """Open a recording with its result, which is computed if there is none; also return its calibration's digest."""
+    from vaoi_station.errors import InputError
+    from vaoi_station.library.recordings import open_recording
+    from vaoi_station.parts.measure import Run
+    from vaoi_station.stitching.recordings.origin import KEY
+
+    recorded = open_recording(case, calibration=calibration, board_type=board)
+    result = case / "result.json"
+    run = recorded.with_result(result) if result.is_file() else recorded.stitch()
+    if run.board_type is None:
+        raise InputError(f"{case}: has no board type.", action="Add board.json, or give --board.")
+    if run.result.cad_matrix is None:
+        raise InputError(
+            f"{case}: is not placed by its CAD data, so it is not known where its parts are: {'; '.join(run.reasons)}",
+            action="Leave out this recording.",
+        )
+    frame = lru_cache(_KEPT_FRAMES)(run.recording.frame)
+    digest = str((run.result.quality.get(KEY) or {}).get("calibration", ""))
+    return Run(run.board_type, run.result, run.cameras, run.recording.head, frame), digest

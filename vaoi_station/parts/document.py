@@ -1,0 +1,165 @@
+"""The measures of all parts of a run as one document, with what cannot be said and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vaoi_station.model import Component
+from vaoi_station.parts import probability
+from vaoi_station.parts.learned import TaughtBoard, parts_digest
+from vaoi_station.parts.measure import Evidence, Run, collect
+from vaoi_station.parts.models import STRANGE, VISIBLE, Models
+from vaoi_station.parts.patches import RunPatches, same_class
+
+FORMAT, VERSION = "vaoi-parts", 1
+_PRESENT = 0.5
+"""Probability of presence from which on place and orientation are stated."""
+_SURE = (0.05, 0.95)
+"""Without good boards, a probability between these is not stated."""
+_SLENDER, _CHIP_MM = 1.6, 3.6
+"""Least ratio of the sides and largest length of parts of which the height alone tells that they are absent."""
+_PLACED = 9.0
+"""How unlike good ones a part may look whose place is stated."""
+_ALIKE = 0.5
+_LEAST_SAMPLES = 3
+"""Least number of taught parts of a kind of which one can look otherwise than the others."""
+_OTHER_REVISION, _LEAST_UNLIKE = 0.5, 8
+"""Share of parts that are unlike, and their number, from which on a board is another revision and not a bad one."""
+REASONS = {
+    "unseen": "no frame shows the whole part",
+    "dark": "the part is saturated or black in all frames",
+    "untaught": "no good board has this part",
+    "light-untaught": "no good board was filmed under this light and exposure",
+    "undecided": "frames alone do not tell whether it is there; teach a good board",
+    "not-found": "the part is not where it belongs, or looks otherwise than good ones, so its place is not known",
+    "no-marks": "the part looks alike either way round",
+}
+
+
+def measure_parts(run: Run, models: Models, parts: Sequence[Component] | None = None) -> dict[str, dict[str, Any]]:
+    """Measure parts of a run, by address; all of its board type if `parts` is None."""
+    patches, evidence = collect(run, models, run.board_type.components if parts is None else parts)
+    return describe(patches, evidence)
+
+
+def describe(patches: RunPatches, evidence: Evidence) -> dict[str, dict[str, Any]]:
+    """Return the measures of n parts by address, as they stand in documents."""
+    e, ppm = evidence, np.array([g.px_per_mm for g in patches.grids])[patches.grid]
+    length = np.array([max(g.body_px) for g in patches.grids])[patches.grid]
+    taught = e.boards > 0
+    measured, sigma = np.column_stack([e.lift, e.wide]), np.column_stack([e.lift_sigma, e.wide_sigma])
+    heights = probability.height_evidence(measured, sigma, e.lifts)
+    presence = np.where(
+        taught,
+        probability.presence(e.unlike, e.other, heights),
+        probability.presence_by_height(heights),
+    )
+    alike = probability.alike(e.unlike)
+    turns = probability.orientation(e.ratio, e.marks, math.log(VISIBLE))
+    scale = probability.Scale(ppm, length, e.samples, e.unlike, e.searched)
+    place_sigma, turn_sigma = probability.sigmas(e.noise_mm, e.noise_deg, scale)
+    out = {}
+    for k, part in enumerate(patches.parts):
+        found: dict[str, Any] = dict.fromkeys(
+            ("presence", "dx_mm", "dy_mm", "sigma_mm", "turn_deg", "sigma_deg", "orientation", "alike", "height_mm")
+        )
+        reasons: list[str] = []
+        out[part.address] = found | {
+            "frames": int(e.frames[k]), "boards": int(e.boards[k]), "reasons": reasons
+        }  # fmt: skip
+        found = out[part.address]
+        if not e.frames[k] or patches.dark[k]:
+            reasons.append("dark" if e.frames[k] else "unseen")
+            continue
+        if np.isfinite(e.lift[k]):
+            found["height_mm"] = round(float(e.lift[k] * patches.height_mm[k]), 3)
+        p = float(presence[k])
+        if not taught[k]:
+            reasons.append("untaught")
+            w, h = patches.grids[patches.grid[k]].body_px
+            # Of a part with leads, the footprint shows the bare board as well.
+            chip = max(w, h) > _SLENDER * min(w, h) and max(w, h) < _CHIP_MM * ppm[k]
+            if not np.isfinite(e.lift[k]) or _SURE[0] < p < _SURE[1] or (p < _SURE[0] and not chip):
+                reasons.append("undecided")
+            else:
+                found["presence"] = round(p, 4)
+            continue
+        found["presence"], found["alike"] = round(p, 4), round(float(alike[k]), 4)
+        if p < _PRESENT:
+            continue
+        if e.unlike[k] > _PLACED:
+            reasons.append("not-found")
+            continue
+        quarters = int(e.quarters[k])
+        turn = (float(e.turn_deg[k]) + 90 * quarters + 180) % 360 - 180
+        found |= {
+            "dx_mm": round(float(e.place_mm[k, 0]), 4), "dy_mm": round(float(e.place_mm[k, 1]), 4),
+            "sigma_mm": round(float(place_sigma[k]), 4), "turn_deg": round(turn, 3),
+            "sigma_deg": round(float(turn_sigma[k]), 3),
+        }  # fmt: skip
+        if (turns[k, 1:] > 0).any():
+            found["orientation"] = {
+                str(90 * q): round(float(turns[k, q]), 4) for q in range(4) if q == 0 or turns[k, q] > 0
+            }
+        else:
+            reasons.append("no-marks")
+        out[part.address] = found
+    return out
+
+
+def parts_document(run: Run, models: Models, parts: dict[str, dict[str, Any]], doubts: Sequence[str]) -> dict[str, Any]:
+    """Return the document of a run: measures, good boards, doubts, and good boards that disagree."""
+    said = [p for p in parts.values() if p["alike"] is not None]
+    unlike = sum(p["alike"] < _ALIKE for p in said)
+    remarks = [*doubts]
+    if unlike >= _LEAST_UNLIKE and unlike > _OTHER_REVISION * len(said):
+        remarks.append(
+            f"{unlike} of {len(said)} parts are unlike those of good boards: this is a board of another revision or "
+            "type. Check which product passes, or teach good boards of this revision."
+        )
+    return {
+        "format": FORMAT, "version": VERSION, "board_type": run.board_type.name,
+        "good_boards": [b.name for b in models.boards], "remarks": remarks, "parts": parts,
+        "reason_texts": {c: REASONS[c] for c in sorted({c for p in parts.values() for c in p["reasons"]})},
+    }  # fmt: skip
+
+
+def disagreements(boards: Sequence[TaughtBoard]) -> list[dict[str, Any]]:
+    """Return the parts of good boards that look otherwise than on the other good boards: board, part and unlikeness."""
+    found: dict[tuple[str, str], float] = {}
+    models = Models(boards)
+    for grid, view in sorted({(g, c) for b in boards for g in b.grids for c in b.classes}):
+        for kind in models.kinds(grid, view)[:1]:
+            if kind.samples < _LEAST_SAMPLES:
+                continue
+            unlike = kind.unlikeness(kind.fit, kind.gain)
+            usual = {a for v in models.kinds(grid, view)[1:] for a in v.addresses or ()}
+            for key, value in zip(kind.of, unlike.tolist(), strict=True):
+                if value > STRANGE and key[1] not in usual:
+                    found[key] = max(value, found.get(key, 0.0))
+    return [{"board": b, "part": a, "unlike": round(u, 1)} for (b, a), u in sorted(found.items())]
+
+
+def changes(run: Run, boards: Sequence[TaughtBoard], calibration: str) -> list[str]:
+    """Return what has changed since boards were taught, and what still holds."""
+    out = []
+    digest = parts_digest(run.board_type)
+    if other := [b.name for b in boards if b.board_type != digest]:
+        out.append(
+            f"the board type has changed since {', '.join(other)} was taught: parts of the same package and size are "
+            "compared, others are not. Teach a board again."
+        )
+    if other := [b.name for b in boards if b.calibration != calibration]:
+        out.append(
+            f"the calibration differs from that of {', '.join(other)}: presence, orientation and likeness hold; places "
+            "hold as far as both calibrations are right."
+        )
+    missing = [c for c in run.classes() if not any(same_class(c, d) for b in boards for d in b.classes)]
+    if boards and missing:
+        named = ", ".join(f"{c.light or 'no name'} at {c.exposure:g} µs" for c in missing)
+        out.append(f"no good board was filmed under the light {named}: only other lights are compared.")
+    return out

@@ -1,0 +1,141 @@
+"""What good boards of a type look like: the patches of the parts of each board that was taught, and their files.
+
+Each board is kept by itself, so that boards can be added, removed and taken over from other stations. What is common
+to them is computed when it is needed (`models`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.errors import InputError
+from vaoi_station.files.documents import write_bytes
+from vaoi_station.model import BoardType
+from vaoi_station.parts.patches import Grid, RunPatches, ViewClass
+
+FORMAT, VERSION = "vaoi-good-board", 1
+ENDING = ".parts"
+"""Ending of the names of files of taught boards."""
+
+
+@dataclass(frozen=True, eq=False)
+class TaughtBoard:
+    """The patches of one good board."""
+
+    name: str
+    """The run; unique among the boards of a type."""
+    board_type: str
+    """Digest of the parts of the board type; see `parts_digest`."""
+    calibration: str
+    """Digest of the calibration."""
+    classes: tuple[ViewClass, ...]
+    grids: tuple[Grid, ...]
+    addresses: tuple[tuple[str, ...], ...]
+    """By grid: the parts that the board has there."""
+    patches: tuple[NDArray[np.uint8], ...]
+    """By grid: (k, classes, height, width) grey levels; a patch of zeros is not known."""
+    heights_mm: tuple[NDArray[np.float32], ...]
+    """By grid: (k, 3) expected height of the part above the board, 0 if unknown, and its height by parallax, alone and
+    with a strip around it; NaN where it was not measured."""
+
+    @staticmethod
+    def of_run(name: str, patches: RunPatches, board_type: str, calibration: str) -> TaughtBoard:
+        """Keep the patches of a run as those of a good board."""
+        addresses, pictures, heights = [], [], []
+        for g, grid in enumerate(patches.grids):
+            mine = patches.members(g)
+            addresses.append(tuple(patches.parts[k].address for k in mine))
+            stack = np.zeros((len(mine), len(patches.classes), grid.height, grid.width), np.uint8)
+            for c in range(len(patches.classes)):
+                values = np.clip(np.rint(np.nan_to_num(patches.values[g, c])), 1, 255).astype(np.uint8)
+                stack[:, c] = np.where((patches.frames[mine, c] > 0)[:, None, None], values, 0)
+            pictures.append(stack)
+            expected = patches.height_mm[mine]
+            measured = expected + patches.above_mm[mine], expected + patches.wide_mm[mine]
+            heights.append(np.column_stack([expected, *measured]).astype(np.float32))
+        return TaughtBoard(
+            name, board_type, calibration, patches.classes, patches.grids, tuple(addresses), tuple(pictures),
+            tuple(heights),
+        )  # fmt: skip
+
+    def write(self, path: Path) -> None:
+        """Write the board to a file, atomically."""
+        head: dict[str, Any] = {
+            "format": FORMAT, "version": VERSION, "name": self.name, "board_type": self.board_type,
+            "calibration": self.calibration, "classes": self.classes,
+            "grids": [{**g._asdict(), "parts": a} for g, a in zip(self.grids, self.addresses, strict=True)],
+        }  # fmt: skip
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as file:
+            file.writestr("head.json", json.dumps(head, ensure_ascii=False))
+            for n, (pictures, heights) in enumerate(zip(self.patches, self.heights_mm, strict=True)):
+                file.writestr(f"{n}.patches", pictures.tobytes())
+                file.writestr(f"{n}.heights", heights.astype("<f4").tobytes())
+        write_bytes(path, out.getvalue())
+
+
+def parts_digest(board_type: BoardType) -> str:
+    """Return a digest of what the patches of a board type depend on: its parts, their places and sizes."""
+    keys = {"ref", "panel", "center", "width", "height", "rotation", "package", "body_height"}
+    text = board_type.model_dump_json(
+        include={"unit": True, "y_axis": True, "side": True, "components": {"__all__": keys}}
+    )
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def read_taught_board(path: Path) -> TaughtBoard:
+    """Read the file of a taught board. Raise InputError if it is not one, or damaged."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            head = json.loads(file.read("head.json"))
+            if head["format"] != FORMAT or head["version"] != VERSION:
+                raise InputError(
+                    f"{path}: has format {head['format']!r} version {head['version']!r}, but must be {FORMAT!r} "
+                    f"version {VERSION}.",
+                    action="Teach the board again with this version.",
+                )
+            grids = tuple(
+                Grid(g["name"], int(g["width"]), int(g["height"]), float(g["px_per_mm"]), tuple(g["body_px"]))
+                for g in head["grids"]
+            )
+            addresses = tuple(tuple(g["parts"]) for g in head["grids"])
+            classes = tuple(ViewClass(str(light), float(exposure)) for light, exposure in head["classes"])
+            pictures, heights = [], []
+            for n, (grid, parts) in enumerate(zip(grids, addresses, strict=True)):
+                shape = (len(parts), len(classes), grid.height, grid.width)
+                pictures.append(np.frombuffer(file.read(f"{n}.patches"), np.uint8).reshape(shape))
+                heights.append(
+                    np.frombuffer(file.read(f"{n}.heights"), "<f4").reshape(len(parts), 3).astype(np.float32)
+                )
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{path}: is no file of a taught board, or damaged: {error}.",
+            action="Remove it, and teach the board again.",
+        ) from error
+    return TaughtBoard(
+        head["name"], head["board_type"], head["calibration"], classes, grids, addresses, tuple(pictures),
+        tuple(heights),
+    )  # fmt: skip
+
+
+def merged(boards: Iterable[TaughtBoard]) -> tuple[TaughtBoard, ...]:
+    """Return boards from several sources in the order of their names, each once."""
+    by_name: dict[str, TaughtBoard] = {}
+    for board in boards:
+        by_name.setdefault(board.name, board)
+    return tuple(by_name[name] for name in sorted(by_name))
+
+
+def without(boards: Sequence[TaughtBoard], name: str) -> tuple[TaughtBoard, ...]:
+    """Return the boards except one that was not good after all."""
+    return tuple(board for board in boards if board.name != name)

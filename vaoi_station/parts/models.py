@@ -1,0 +1,271 @@
+"""What the parts of one kind have in common: template, variance of its pixels, and how far good ones differ from it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vaoi_station.parts.learned import TaughtBoard
+from vaoi_station.parts.patches import Grid, ViewClass, same_class
+from vaoi_station.parts.registration import Fit, Floats, Floats32, Template, warp
+
+_EDGE_PX = 0.0
+"""Strip around the body that belongs to the template: its edges."""
+_ROUNDS = 3
+_PRIOR_SD, _PRIOR_SAMPLES = 14.0, 2.0
+"""Standard deviation of a pixel, grey levels, that is assumed, and the number of parts as which this counts."""
+_LEAST_VARIANCE = 9.0
+_CONTRAST_SD, _LEVEL_SD = 0.12, 8.0
+"""Spread of contrast (logarithm) and brightness (grey levels) of good parts that is assumed.
+
+Learned ones are at least half of it."""
+STRANGE = 6.0
+"""How unlike the others a part must look to be a variant, or to be compared with other kinds."""
+VISIBLE = 4.3
+"""Least misfit of a part the wrong way round, as a multiple of the usual one, with which its marks are visible.
+
+Lettering stays below it: good parts have other letters from lot to lot."""
+_MOST_VARIANTS = 6
+_FEW, _MOST_COMPARED = 3, 90
+"""Number of patches from which on those that look otherwise do not count, and of those that are compared in pairs."""
+_SAME_KIND = 0.45
+"""Largest difference of two patches of parts of one kind, as a share of the contrast."""
+_RAISED = 0.3
+"""Share of the expected height below which a part of a taught board is missing, and is no variant."""
+_TRIM = 0.9
+"""Share of the best fitting parts that make the template; a part that is absent, or of another kind, does not."""
+
+
+class Kind(NamedTuple):
+    """The good parts of one kind in one view class."""
+
+    template: Template
+    usual: float
+    """Misfit of a good part."""
+    gain: float
+    gain_sd: float
+    """Spread of the logarithm of the contrast of good parts."""
+    level_sd: float
+    """Spread of their brightness, grey levels."""
+    level: float
+    """Mean grey level of the template on the body."""
+    samples: int
+    boards: int
+    turned: dict[int, Template]
+    """By quarters of a turn, counter-clockwise: the template of a part that lies so."""
+    asymmetry: dict[int, float]
+    """By quarters of a turn: misfit of a part that lies so, as a multiple of the usual one."""
+    fit: Fit
+    """That of all taught parts, ordered by board."""
+    of: tuple[tuple[str, str], ...]
+    """Board and address of each taught part."""
+    any_way: frozenset[str]
+    """The parts that do not look upright on good boards, so that their orientation is not told: a lamp from one side
+    shades those that lie otherwise in other places."""
+    addresses: frozenset[str] | None
+    """The parts that the variant is for; None: all of the kind."""
+
+    def unlike(self, patches: Floats32) -> Floats:
+        """Return how unlike the template patches (n, h, w) look that lie near it."""
+        return self.unlikeness(self.template.fit(patches), self.gain)
+
+    def unlikeness(self, fit: Fit, gain: float) -> Floats:
+        """Return how unlike the template parts look; `gain` is the contrast of the good parts of their run."""
+        contrast, level = self.deviations(fit, gain)
+        return np.asarray(fit.misfit / self.usual + ((contrast / self.gain_sd) ** 2 + (level / self.level_sd) ** 2) / 2)
+
+    def deviations(self, fit: Fit, gain: float) -> tuple[Floats, Floats]:
+        """Return contrast (logarithm) and brightness (grey levels of the template) against those of good parts."""
+        level = (fit.gain / gain - 1) * self.level + fit.offset / gain
+        return np.log(np.maximum(fit.gain, 0.02) / gain), np.asarray(level)
+
+
+class _Taught(NamedTuple):
+    """The patches of one kind of parts on all taught boards."""
+
+    patches: Floats32
+    of: tuple[tuple[str, str], ...]
+    """Board and address of each."""
+    raised: NDArray[np.bool_]
+    """(n,) whether the part is not known to be missing: its height is not that of the bare board."""
+
+
+def learn_kinds(grid: Grid, view: ViewClass, boards: Sequence[TaughtBoard]) -> tuple[Kind, ...]:
+    """Return what the taught boards show of one kind of parts under one light; empty if none shows it.
+
+    Parts of one package and size are one kind, whatever their place. Those that look otherwise than the rest on all
+    taught boards are variants, for their own places: another value, another source.
+    """
+    taught = _collect(grid, view, boards)
+    if taught is None:
+        return ()
+    kinds = [_learn(grid, taught, None)]
+    left = taught
+    for _ in range(_MOST_VARIANTS):
+        unlike = dict.fromkeys({a for _, a in left.of}, np.inf)
+        for address in unlike:
+            mine = [n for n, (_, a) in enumerate(left.of) if a == address]
+            unlike[address] = float(np.median(kinds[-1].unlike(left.patches[mine]))) if left.raised[mine].all() else 0.0
+        some = frozenset(a for a, u in unlike.items() if u > STRANGE)
+        mine = [n for n, (_, a) in enumerate(left.of) if a in some]
+        if not mine or len(mine) == len(left.of):
+            break
+        left = _Taught(left.patches[mine], tuple(left.of[n] for n in mine), left.raised[mine])
+        kinds.append(_learn(grid, left, some))
+    return tuple(kinds)
+
+
+def _collect(grid: Grid, view: ViewClass, boards: Sequence[TaughtBoard]) -> _Taught | None:
+    stacks: list[Floats32] = []
+    of: list[tuple[str, str]] = []
+    raised: list[NDArray[np.bool_]] = []
+    for board in boards:
+        names = [g.name for g in board.grids]
+        classes = [n for n, c in enumerate(board.classes) if same_class(c, view)]
+        if grid.name not in names or not classes:
+            continue
+        n, c = names.index(grid.name), classes[0]
+        known = np.asarray(board.patches[n][:, c].any((1, 2)), np.bool_)
+        scale = np.float32(view.exposure / board.classes[c].exposure)
+        stacks += [_sized(p, grid) * scale for p in board.patches[n][known, c]]
+        of += [(board.name, a) for a, k in zip(board.addresses[n], known.tolist(), strict=True) if k]
+        expected, measured, _ = board.heights_mm[n][known].T
+        raised.append(~(measured < _RAISED * expected))
+    return _Taught(np.stack(stacks), tuple(of), np.concatenate(raised)) if stacks else None
+
+
+def _learn(grid: Grid, taught: _Taught, addresses: frozenset[str] | None) -> Kind:
+    """Learn the template of a kind, or of the variant at some addresses."""
+    patches, mask, n = taught.patches, body_mask(grid), len(taught.patches)
+    members = _majority(patches, mask)
+    picture = np.asarray(np.median(patches[members], 0), np.float32)
+    variance = np.full(picture.shape, _PRIOR_SD**2, np.float32)
+    pose = np.zeros((n, 3))
+    for _ in range(_ROUNDS if n > 1 else 1):
+        fit = Template(picture, variance, mask).fit(patches, pose, rounds=3, limit_px=6.0)
+        good = members & (fit.misfit <= np.quantile(fit.misfit[members], _TRIM))
+        pose = fit.pose - np.median(fit.pose[good], 0)
+        safe = np.where(np.abs(fit.gain) < 0.2, 0.2, fit.gain)
+        aligned = (warp(patches, pose) - fit.offset[:, None, None]) / safe[:, None, None]
+        picture = aligned[good].mean(0).astype(np.float32)
+        count = int(np.count_nonzero(good))
+        rest = np.square(aligned[good] - picture).sum(0) * (count / max(count - 1, 1))
+        total = (rest + _PRIOR_SAMPLES * _PRIOR_SD**2) / (count + _PRIOR_SAMPLES) + _LEAST_VARIANCE
+        variance = total.astype(np.float32)
+    template = Template(picture, variance, mask)
+    fit = template.fit(patches, pose, rounds=2, limit_px=6.0)
+    # A part that had a share in the template fits it better than another one will.
+    count = int(np.count_nonzero(members))
+    middle = float(np.median(fit.misfit[members])) * (count + 1) / max(count - 1, 1)
+    usual = (_PRIOR_SAMPLES + count * middle) / (_PRIOR_SAMPLES + count) if count > 1 else 1.0
+    turned = {q: _turned(template, q) for q in _turns(grid)}
+    asymmetry = {q: float(t.fit(picture[None]).misfit[0]) / usual for q, t in turned.items()}
+    level = float((picture * mask).sum() / mask.sum())
+    gain, offset = fit.gain[members], fit.offset[members]
+    gain_sd = _spread(np.log(np.maximum(gain, 0.05)), _CONTRAST_SD)
+    level_sd = _spread((gain - np.median(gain)) * level + offset, _LEVEL_SD)
+    boards = len({board for board, _ in taught.of})
+    return Kind(
+        template, usual, float(np.median(gain)), gain_sd, level_sd, level, count, boards, turned, asymmetry, fit,
+        taught.of, _any_way(taught, template, fit, turned, asymmetry), addresses,
+    )  # fmt: skip
+
+
+def _any_way(
+    taught: _Taught, template: Template, fit: Fit, turned: dict[int, Template], asymmetry: dict[int, float]
+) -> frozenset[str]:
+    """Return the parts that are not clearly upright on good boards."""
+    upright = np.full(len(taught.of), True)
+    own = template.compare(taught.patches, fit.pose).misfit
+    for q, other in turned.items():
+        if asymmetry[q] > VISIBLE:
+            there = other.compare(taught.patches, fit.pose).misfit
+            upright &= np.log(np.maximum(there, 1e-3) / np.maximum(own, 1e-3)) > np.log(asymmetry[q]) / 2
+    return frozenset(
+        address for (_, address), straight in zip(taught.of, upright.tolist(), strict=True) if not straight
+    )
+
+
+def _majority(patches: Floats32, mask: Floats32) -> NDArray[np.bool_]:
+    """Return which patches look like the one that most others are like.
+
+    Resistors and capacitors of one size are one kind where the board type states no packages.
+    """
+    n = len(patches)
+    if n < _FEW:
+        return np.ones(n, np.bool_)
+    shown = patches[:, mask > 0.5].astype(np.float32)
+    some = shown[np.linspace(0, n - 1, min(n, _MOST_COMPARED)).astype(int)]
+    power = np.square(some).mean(1)
+    apart = np.sqrt(np.maximum(power[:, None] + power[None] - 2 * (some @ some.T) / some.shape[1], 0))
+    middle = some[np.argmin(np.sort(apart, 1)[:, : len(some) // 3 + 1].mean(1))]
+    members = np.sqrt(np.square(shown - middle).mean(1)) < _SAME_KIND * max(float(middle.std()), _CONTRAST_SD)
+    return members if members.sum() >= _FEW - 1 else np.ones(n, np.bool_)
+
+
+def _spread(values: Floats, prior: float) -> float:
+    """Return the robust standard deviation of values, with a prior that counts as two of them."""
+    found = 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    return float(
+        np.sqrt((_PRIOR_SAMPLES * prior**2 + len(values) * max(found, prior / 2) ** 2) / (_PRIOR_SAMPLES + len(values)))
+    )
+
+
+def body_mask(grid: Grid) -> Floats32:
+    """Return the weights (h, w) of the pixels of a body and its edges."""
+    x = np.abs(np.arange(grid.width) - (grid.width - 1) / 2)
+    y = np.abs(np.arange(grid.height) - (grid.height - 1) / 2)
+    a, b = (np.clip(s / 2 + _EDGE_PX + 0.5 - v, 0, 1) for s, v in zip(grid.body_px, (x, y), strict=True))
+    return np.asarray(b[:, None] * a, np.float32)
+
+
+def _turns(grid: Grid) -> tuple[int, ...]:
+    """Return the quarters of a turn by which a part of this shape can lie on its place other than upright."""
+    return (1, 2, 3) if grid.width == grid.height else (2,)
+
+
+def _turned(template: Template, quarters: int) -> Template:
+    """Return a template turned counter-clockwise as seen."""
+    turn = [np.ascontiguousarray(np.rot90(a, quarters)) for a in (template.picture, template.variance, template.mask)]
+    return Template(*turn)
+
+
+def _sized(patch: NDArray[np.uint8], grid: Grid) -> Floats32:
+    values = patch.astype(np.float32)
+    if values.shape == (grid.height, grid.width):
+        return values
+    return np.asarray(cv2.resize(values, (grid.width, grid.height), interpolation=cv2.INTER_AREA), np.float32)
+
+
+class Models:
+    """The kinds of parts of taught boards, each computed when it is first used."""
+
+    def __init__(self, boards: Sequence[TaughtBoard]) -> None:
+        """Store the boards."""
+        self.boards = tuple(boards)
+        self._kinds: dict[tuple[Grid, ViewClass], tuple[Kind, ...]] = {}
+        self.names = frozenset(grid.name for board in boards for grid in board.grids)
+        heights: dict[str, list[NDArray[np.float32]]] = {}
+        for board in boards:
+            for addresses, values in zip(board.addresses, board.heights_mm, strict=True):
+                for address, value in zip(addresses, values, strict=True):
+                    heights.setdefault(address, []).append(value)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # parts without any height have none here
+            middle = {a: np.nanmedian(np.stack(v), 0) for a, v in heights.items()}
+        self.heights_mm = {a: float(v[1]) for a, v in middle.items() if np.isfinite(v[1])}
+        """Heights of bodies by address, for parts whose CAD data state none."""
+        self.lifts = {a: v[1:] / v[0] for a, v in middle.items() if v[0] > 0}
+        """Heights by parallax as shares of the expected ones, alone and with a strip, by address: leads are lower."""
+
+    def kinds(self, grid: Grid, view: ViewClass) -> tuple[Kind, ...]:
+        """Return what is known of a kind of parts in a view class: what all have in common, then variants."""
+        key = grid, view
+        if key not in self._kinds:
+            self._kinds[key] = learn_kinds(grid, view, self.boards)
+        return self._kinds[key]

@@ -1,0 +1,128 @@
+"""Probabilities and standard deviations of measures, from what the pictures say.
+
+The constants were fitted by `python -m tests.cases.parts_constants` to painted boards whose truth is known
+(docs/measured/parts.md).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+PRESENT = (12.525, -4.542, 2.991, 0.207, 0.658)
+"""Presence: constant, unlikeness, the same beyond `_KNEE`, evidence of the height, alone and with a strip."""
+HEIGHT_ALONE = (2.341, 0.45, 1.453)
+"""Presence by the height alone: constant, evidence of the height, alone and with a strip."""
+ALIKE = (8.75, -3.09)
+"""Likeness to good boards: constant, unlikeness."""
+PLACE = (3.0, 0.03, 0.04)
+"""Standard deviation of a place: multiple of that by noise, pixels, and pixels per unlikeness (logarithm)."""
+TURN = (2.0, 0.02, 0.06)
+"""Standard deviation of a turn: the same, with pixels at the end of the part."""
+SPREAD_MM, SPREAD_DEG = 0.02, 0.25
+"""Spread of the places of good parts that is assumed for the mean place of those taught."""
+SEARCHED = 1.6
+"""Factor on the standard deviations of a part that was found by searching: its surroundings are other ones."""
+TURNED = 6.0
+"""Slope of the probability of an orientation over the share of the expected difference."""
+_KNEE, _MOST = 2.0, 6.0
+_HEIGHT_SD, _ABSENT_SD = 0.12, 0.1
+"""Standard deviation of a height beyond its own, as a share of the expected one: of a part, of the bare board."""
+_UNTAUGHT = ((1.0, 0.15), (0.65, 0.33))
+"""Height by parallax of a part that was not taught and its standard deviation, alone and with a strip around it."""
+_BOARD = (0.0, -0.08)
+"""Height by parallax of the bare board, alone and with a strip."""
+_MOST_HEIGHT = 8.0
+
+
+def height_evidence(measured: Floats, sigma: Floats, taught: Floats) -> Floats:
+    """Return the logarithms (n, 2) of how much more probable heights are of a part than of the bare board.
+
+    Heights (n, 2) are shares of the expected ones: of the body, and of the body with a strip around it. `taught` are
+    those of good boards. The result is 0 where a height is not known.
+    """
+    out = np.zeros(measured.shape)
+    for k, (mean, sd) in enumerate(_UNTAUGHT):
+        known = np.isfinite(taught[:, k])
+        expected = np.where(known, taught[:, k], mean)
+        present = sigma[:, k] ** 2 + np.where(known, _HEIGHT_SD**2, sd**2)
+        absent = sigma[:, k] ** 2 + _ABSENT_SD**2
+        with np.errstate(invalid="ignore"):
+            far, near = (measured[:, k] - _BOARD[k]) ** 2 / absent, (measured[:, k] - expected) ** 2 / present
+            found = (far - near + np.log(absent / present)) / 2
+        out[:, k] = np.nan_to_num(np.clip(found, -_MOST_HEIGHT, _MOST_HEIGHT))
+    return out
+
+
+def presence_features(unlike: Floats, other: Floats, heights: Floats) -> Floats:
+    """Return the features (n, 5) of which presence is a logistic function; `heights` (n, 2) is `height_evidence`."""
+    least = np.clip(np.log(np.maximum(np.fmin(unlike, other), 1e-3)), 0, _MOST)
+    return np.column_stack([np.ones(len(least)), least, np.maximum(least - _KNEE, 0), heights])
+
+
+def presence(unlike: Floats, other: Floats, heights: Floats) -> Floats:
+    """Return the probability that a part is there."""
+    return logistic(presence_features(unlike, other, heights) @ np.array(PRESENT))
+
+
+def presence_by_height(heights: Floats) -> Floats:
+    """Return the probability that a part is there by its height alone."""
+    return logistic(HEIGHT_ALONE[0] + heights @ np.array(HEIGHT_ALONE[1:]))
+
+
+def alike(unlike: Floats) -> Floats:
+    """Return the probability that a part is of the kind that good boards have there."""
+    return logistic(ALIKE[0] + ALIKE[1] * np.clip(np.log(np.maximum(unlike, 1e-3)), 0, _MOST))
+
+
+def orientation(ratio: Floats, marks: Floats, visible: float) -> Floats:
+    """Return the probabilities (n, 4) of the quarters of a turn; 0 where an orientation cannot be told.
+
+    Args:
+        ratio: (n, 4) logarithm of the misfit by orientation, less that of the upright part.
+        marks: (n, 4) the same of a part that lies upright.
+        visible: least value of `marks` with which orientations are told apart.
+    """
+    told = np.nan_to_num(marks) > visible
+    told[:, 0] = True
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(told, np.nan_to_num(ratio) / np.where(told & (marks > 0), marks, 1.0), np.inf)
+    share[:, 0] = 0.0
+    odds = np.exp(-TURNED * np.clip(share, -3, 3)) * told
+    return np.asarray(odds / odds.sum(1, keepdims=True))
+
+
+def logistic(value: Floats) -> Floats:
+    """Return 1 / (1 + exp(−value))."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(value, -30, 30))))
+
+
+class Scale(NamedTuple):
+    """What the standard deviations of n parts depend on beside noise."""
+
+    px_per_mm: Floats
+    """Resolution of the patches."""
+    length_px: Floats
+    """Length of the part in its patch."""
+    samples: NDArray[np.int_]
+    """Number of good parts that make the template, whose mean place is taken for that of the CAD data."""
+    unlike: Floats
+    searched: NDArray[np.bool_]
+
+
+def sigmas(noise_mm: Floats, noise_deg: Floats, scale: Scale) -> tuple[Floats, Floats]:
+    """Return the standard deviations of places, mm, and of turns, degrees, of those by noise alone."""
+    odd = np.log(np.maximum(scale.unlike, 1.0))
+    factor = np.where(scale.searched, SEARCHED, 1.0)
+    found = []
+    for noise, unit, spread, (by_noise, px, by_odd) in (
+        (noise_mm, 1 / scale.px_per_mm, SPREAD_MM, PLACE),
+        (noise_deg, np.degrees(2 / scale.length_px), SPREAD_DEG, TURN),
+    ):
+        own = (by_noise * noise) ** 2 + (unit * px) ** 2 + (unit * by_odd * odd) ** 2
+        found.append(np.asarray(np.sqrt(own * factor**2 + spread**2 / np.maximum(scale.samples, 1))))
+    return found[0], found[1]
