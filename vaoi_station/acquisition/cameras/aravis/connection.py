@@ -446,7 +446,11 @@ class Connection:
             )
         if ticks is not None:
             settings.write(camera, self.config.label, [Setting("GevSCPD", ticks)])
-        elif self.share.delay_ns and self._limit_mbit_s is None:
+        elif (
+            self.share.delay_ns
+            and self._limit_mbit_s is None
+            and not network.set_pause(camera.get_device(), -(-self.share.delay_ns * tick_hz // 10**9))
+        ):
             text = "%s: cannot pause for %d ns between its packets, and has no limit: packets may get lost on its link"
             _log.warning(text, self.config.label, self.share.delay_ns)
 

@@ -73,8 +73,8 @@ def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
     return fitting
 
 
-_STREAM_PORT, _PACKET_SIZE, _STREAM_ADDRESS = 0x0D00, 0x0D04, 0x0D18
-"""Registers of the first stream channel: port, packet size and address to which it sends (GigE Vision)."""
+_STREAM_PORT, _PACKET_SIZE, _PACKET_DELAY, _STREAM_ADDRESS = 0x0D00, 0x0D04, 0x0D08, 0x0D18
+"""Registers of the first stream channel: port, packet size, pause and address to which it sends (GigE Vision)."""
 _FIRE, _DO_NOT_FRAGMENT, _FLAGS = 1 << 31, 1 << 30, 0xFFFF0000
 """Bits of the register of the packet size."""
 TEST_S, TEST_TRIES, TEST_STEP = 0.05, 3, 64
@@ -107,6 +107,15 @@ def set_packet_size(device: Any, size: int) -> int:
     """Write the packet size into its register, which is the same in all GigE cameras; return what it then reads."""
     device.write_register(_PACKET_SIZE, device.read_register(_PACKET_SIZE) & _FLAGS & ~_FIRE | size)
     return int(device.read_register(_PACKET_SIZE)) & ~_FLAGS
+
+
+def set_pause(device: Any, ticks: int) -> bool:
+    """Write the pause after each packet into its register, for cameras that do not describe it; whether it is kept."""
+    try:
+        device.write_register(_PACKET_DELAY, ticks)
+        return ticks > 0 and int(device.read_register(_PACKET_DELAY)) == ticks
+    except glib_error():
+        return False  # the register is not one that every camera has
 
 
 def _largest(passes: Callable[[int], bool], most: int, limits: PacketLimits) -> int | None:
