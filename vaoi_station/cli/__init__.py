@@ -17,6 +17,7 @@ from vaoi_station.cli.archive import app as archive
 from vaoi_station.cli.bench import bench
 from vaoi_station.cli.board_types import board_types
 from vaoi_station.cli.calibrating import calibrate, calibration_board, flatfield, recalibrate
+from vaoi_station.cli.cameras import cameras
 from vaoi_station.cli.cutting import cut
 from vaoi_station.cli.demo import demo
 from vaoi_station.cli.keys import keys
@@ -88,6 +89,7 @@ app.add_typer(rig, name="rig")
 app.add_typer(keys, name="keys")
 app.add_typer(archive, name="archive")
 app.add_typer(board_types, name="board-types")
+app.add_typer(cameras, name="cameras")
 
 
 def main() -> None:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from urllib.parse import quote
 
 import typer
 
-from vaoi_station.cli.options import STATION, CaOf, KeyFileOf, StationOf, credentials_of
-
-if TYPE_CHECKING:
-    from vaoi_station.demo.client import Client
+from vaoi_station.cli.options import STATION, CaOf, KeyFileOf, StationOf, client_of
 
 board_types = typer.Typer(help="The board types of a running station, and earlier versions.", no_args_is_help=True)
 
@@ -21,7 +18,7 @@ NAME = Annotated[str, typer.Argument(help="Name of the board type.")]
 @board_types.command("list")
 def list_board_types(station: StationOf = STATION, key_file: KeyFileOf = None, ca: CaOf = None) -> None:
     """List the board types, and those that were deleted and can be restored."""
-    reply = _client(station, key_file, ca).get("/board-types")
+    reply = client_of(station, key_file, ca).get("/board-types")
     for entry in reply["board_types"]:
         typer.echo(f"{entry['name']:40} {entry['components']:6} components  {entry['state']}")
     for name in reply["deleted"]:
@@ -31,7 +28,7 @@ def list_board_types(station: StationOf = STATION, key_file: KeyFileOf = None, c
 @board_types.command()
 def revisions(name: NAME, station: StationOf = STATION, key_file: KeyFileOf = None, ca: CaOf = None) -> None:
     """List the versions of a board type that were replaced or deleted, newest first."""
-    for entry in _client(station, key_file, ca).get(f"/board-types/{quote(name, safe='')}/revisions")["revisions"]:
+    for entry in client_of(station, key_file, ca).get(f"/board-types/{quote(name, safe='')}/revisions")["revisions"]:
         typer.echo(f"{entry['id']}  in force from {entry['stored']} to {entry['ended']}  {entry['size_bytes']} bytes")
 
 
@@ -47,7 +44,7 @@ def restore(
 ) -> None:
     """Put a version in force again, from the next arming on. The present one becomes a version itself."""
     path = f"/board-types/{quote(name, safe='')}/revisions/{quote(revision, safe='')}/restore"
-    reply = _client(station, key_file, ca).post(path)
+    reply = client_of(station, key_file, ca).post(path)
     typer.echo(f"{name}: version {revision} is in force, {len(reply['components'])} components.")
 
 
@@ -62,7 +59,7 @@ def state(
 ) -> None:
     """Set the state of a board type, from the next arming on."""
     document = {"state": state} | ({} if revision is None else {"revision": revision})
-    reply = _client(station, key_file, ca).act("PUT", f"/board-types/{quote(name, safe='')}/state", document)
+    reply = client_of(station, key_file, ca).act("PUT", f"/board-types/{quote(name, safe='')}/state", document)
     typer.echo(f"{name}: {reply['state']}, revision {reply.get('revision', 'not stated')}.")
 
 
@@ -90,7 +87,7 @@ def import_board_data(
     from vaoi_station.errors import InputError, StateError, VaoiError
     from vaoi_station.library.live_station import StationImport
 
-    client = _client(station, key_file, ca)
+    client = client_of(station, key_file, ca)
     options: dict[str, object] = {"side": side, "name": name, "format": format, "units": units, "columns": columns}
     options |= {"delimiter": delimiter, "step": step, "sizes": sizes}
     bodies = None if join is None else StationImport.upload(client, join, {})
@@ -123,10 +120,3 @@ def import_board_data(
     else:
         typer.echo(f"picture: {station.rstrip('/')}{preview.document['picture']}")
         typer.echo("Nothing is stored yet: repeat with --confirm.")
-
-
-def _client(station: str, key_file: Path | None, ca: Path | None) -> Client:
-    from vaoi_station.demo.client import Client
-    from vaoi_station.library.live_station import checked_address
-
-    return Client(checked_address(station), credentials_of(key_file, ca))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from vaoi_station.demo.client import Client
     from vaoi_station.files.caller_credentials import CallerCredentials
 
 CaseOf = Annotated[Path, typer.Argument(help="Recording (a directory).")]
@@ -44,3 +45,11 @@ def credentials_of(key_file: Path | None, ca: Path | None) -> CallerCredentials:
     from vaoi_station.files.caller_credentials import caller_credentials
 
     return caller_credentials(key_file, ca)
+
+
+def client_of(station: str, key_file: Path | None, ca: Path | None) -> Client:
+    """Return the client of a running station."""
+    from vaoi_station.demo.client import Client
+    from vaoi_station.library.live_station import checked_address
+
+    return Client(checked_address(station), credentials_of(key_file, ca))
