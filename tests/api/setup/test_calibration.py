@@ -12,8 +12,11 @@ from tests.api.held_station import PX_PER_MM, HeldStation
 from vaoi_station.api.setup.calibration import TrialRequest, Trials, design_of
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.calibration.artwork import design_board
+from vaoi_station.calibration.exchanged_camera import without_place
 from vaoi_station.errors import InputError, NotFoundError, StateError
+from vaoi_station.files import read_calibration, write_calibration
 from vaoi_station.files.calibrations import Layout
+from vaoi_station.model import Calibration
 
 TRIAL = "/api/v1/calibration/trial"
 QUERY = {"tolerance_mm": 1.5}
@@ -54,6 +57,30 @@ def test_a_refused_trial_shows_why_and_changes_nothing(
     trials.begin(lost)
     trials.perform(lost)
     assert "were released" in str(trials.status().message)
+
+
+def test_one_camera_alone_is_calibrated_and_in_force_at_once(
+    station: HeldStation, files: StationFiles, wanted: TrialRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = read_calibration(files.config.calibration)
+    write_calibration(files.config.calibration, without_place(before, 1))
+    used: list[Calibration] = []
+    monkeypatch.setattr(station, "require_disarmed", lambda: None)
+    monkeypatch.setattr(station, "use_calibration", used.append)
+    trials, alone = Trials(station, files), wanted.model_copy(update={"camera": 1})
+    trials.begin(alone)
+    trials.perform(alone)
+    trial = trials.status()
+    assert (trial.state, trial.camera) == ("judged", 1), trial.message
+    assert [camera.changed_px for camera in trial.cameras][::2] == [0.0, 0.0]
+    trials.accept()
+    now = read_calibration(files.config.calibration)
+    assert now.uncalibrated == ()
+    for held in (0, 2):
+        assert (now.camera_matrices[held] == before.camera_matrices[held]).all()
+    # The board lay displaced by 0.4 mm, which the other cameras show.
+    assert now.camera_matrices[1] == pytest.approx(before.camera_matrices[1], rel=2e-3, abs=0.3)
+    assert [c.uncalibrated for c in used] == [()]
 
 
 def test_what_cannot_be_tried_is_refused_at_once(

@@ -26,6 +26,7 @@ from vaoi_station.calibration import Limits, Outcome, calibrate
 from vaoi_station.calibration.artwork import ArrayDesign, Board, design_board
 from vaoi_station.calibration.artwork.artwork_files import RENDERERS, array_of, artwork_title
 from vaoi_station.calibration.calibration_difference import CalibrationDifference, compare_calibrations
+from vaoi_station.calibration.exchanged_camera import with_camera
 from vaoi_station.calibration.mark_detection import MarkAppearance, detect_marks
 from vaoi_station.calibration.nominal_view import is_in_frame, nominal_matrix
 from vaoi_station.calibration.pictures.calibration_picture import draw_calibration
@@ -84,6 +85,12 @@ class TrialRequest(Strict):
     run: str = Field(min_length=1, max_length=64, description="Id of a run whose frames can still be read.")
     row: int = Field(ge=0, le=100_000, description="The row in which every camera sees its marks.")
     layout: BoardLayout
+    camera: int | None = Field(
+        default=None,
+        ge=0,
+        le=1000,
+        description="Calibrate this camera alone, as an exchanged one, and hold the others.",
+    )
     pitch_mm: Pitch = None
     px_per_mm: PxPerMm = None
     residual_limit_px: float = Field(
@@ -132,6 +139,7 @@ class CalibrationTrial(BaseModel):
     state: TrialState
     run: str | None = None
     row: int | None = None
+    camera: int | None = Field(default=None, description="The only camera that is calibrated; absent: all are.")
     begun: str | None = None
     frames_read: int = 0
     frames: int = Field(default=0, description="Number of frames that are read: one for each camera.")
@@ -250,7 +258,8 @@ def router(services: Services, files: StationFiles, camera_trials: CameraTrials)
     async def accept_calibration_trial() -> CalibrationTrial:
         """Replace the calibration file of the station by that of the trial; a copy of the one before is kept.
 
-        It is in force from the next start of the station on. 409 `no-trial`: no trial has ended well; 409
+        It is in force from the next start of the station on; that of one camera alone at once, while the line is
+        disarmed (409 `line-armed`). 409 `no-trial`: no trial has ended well; 409
         `trial-running`: one is being made, or accepted by another caller; 409 `settings-read-only`: the service may
         not write the file.
         """
@@ -318,10 +327,14 @@ class Trials:
             )
         nominal_heads(self._files, wanted)
         run = self._coordinator.run(wanted.run)
+        if wanted.camera is not None and wanted.camera >= len(self._files.config.cameras):
+            limit = f"below {len(self._files.config.cameras)}, the cameras of the station"
+            raise InputError.field("body", "camera", wanted.camera, limit)
         if wanted.row >= run.rows:
             raise InputError.field("body", "row", wanted.row, f"below {run.rows}, the rows of run {run.id}")
         frames = len(self._files.config.cameras)
-        return self._replace(state="reading", run=wanted.run, row=wanted.row, begun=utc(), frames=frames)
+        begun = {"run": wanted.run, "row": wanted.row, "camera": wanted.camera, "begun": utc(), "frames": frames}
+        return self._replace(state="reading", **begun)
 
     def perform(self, wanted: TrialRequest) -> None:
         """Make the trial that was begun. What it refuses, and any fault, is stated in its status."""
@@ -342,14 +355,18 @@ class Trials:
             self._require_rest()
             if self._made is None or self._trial.state != "judged":
                 raise StateError("There is no trial to accept.", action="Make one.", code="no-trial")
-            made, run = self._made, self._trial.run
+            made, run, alone = self._made, self._trial.run, self._trial.camera is not None
             self._accepting = True
         # The disk may take long: meanwhile the lock is free, so that the status is returned.
         accepted: dict[str, Any] = {}
         try:
+            if alone:
+                self._coordinator.require_disarmed()
             path = self._files.config.calibration
             backup = replace_with_backup(path, content_of(made))
             accepted = {"state": "accepted", "accepted_as": path.name, "backup": backup}
+            if alone:
+                self._coordinator.use_calibration(made)
             _log.info("the calibration from run %s was accepted as %s", run, path)
         finally:
             # One step, so that no caller finds a trial that is neither being accepted nor accepted.
@@ -420,7 +437,13 @@ class Trials:
             before = read_calibration(self._files.config.calibration, len(heads))
         except VaoiError:
             before = None  # it cannot be read, which the new one mends
-        difference = None if before is None else compare_calibrations(made, before, heads)
+        if wanted.camera is not None:
+            if before is None:
+                raise StateError("The array is not calibrated.", action="Calibrate all cameras.", code="no-calibration")
+            made, _ = with_camera(before, made, heads, wanted.camera)
+        difference = (
+            None if before is None else compare_calibrations(made, before, heads, one_board=wanted.camera is not None)
+        )
         found: dict[str, Any] = {}
         if difference is not None and before is not None:
             self._pictures["difference"] = _jpeg(draw_difference(difference, heads))
