@@ -282,7 +282,8 @@ class FrameIndex:
         assert self.prepared is not None
         points, faint = np.ascontiguousarray(board_mm), np.zeros(len(self.key), np.bool_)
         contrast, known = dict[int, float](), self.contrasts
-        chosen = first = _nearest(points, self.key, self._poses, faint)
+        none = np.full(len(points), -1)
+        chosen = first = _nearest(points, self.key, self._poses, faint, none.copy())
         # Only the contrast of frames that are chosen is computed: their pixels are read next in any case.
         while new := set(np.unique(chosen[chosen >= 0]).tolist()) - set(contrast):
             for n in new:
@@ -290,13 +291,15 @@ class FrameIndex:
                 contrast[n] = known[key] = known[key] if key in known else self.prepared(key).contrast
             least = _FAINT * max(contrast.values())
             faint[[n for n, found in contrast.items() if found < least]] = True
-            better = _nearest(points, self.key, self._poses, faint) if faint.any() else first
+            better = _nearest(points, self.key, self._poses, faint, none.copy()) if faint.any() else first
             chosen = np.where(better >= 0, better, first)
         return chosen
 
     def project(self, number: Ints, board_mm: Floats) -> Floats:
         """Project board points (k, s, 2) to raw pixels, s each to the frames numbered `number` (k,); NaN for −1."""
-        return _projected(np.ascontiguousarray(board_mm), number, self.key, self._poses)
+        return _projected(
+            np.ascontiguousarray(board_mm), number, self.key, self._poses, np.full(board_mm.shape, np.nan)
+        )
 
     def grey(self, number: Ints, px: Floats) -> Floats:
         """Read grey levels at raw pixels (k, s, 2) of the frames numbered `number` (k,), bilinearly: (k, s).
@@ -322,7 +325,9 @@ class FrameIndex:
     def _poses(self) -> _Poses:
         sizes = [(c.width_px, c.height_px, _MARGIN_MM * c.px_per_mm) for c in self.cameras]
         rows = np.ascontiguousarray(self.row_from_tester)
-        return _Poses(rows, self.arrays, np.array(sizes, dtype=np.float64), self._view_mm)
+        box = self._view_mm
+        outer = np.concatenate([box[:, :2].min(0), box[:, 2:].max(0)])
+        return _Poses(rows, self.arrays, np.array(sizes, dtype=np.float64), box, outer)
 
     @property
     def _view_mm(self) -> Floats:
@@ -370,6 +375,7 @@ class _Poses(NamedTuple):
     cameras: CameraArrays
     size_px: Floats  # (c, 3) width and height of each camera's frame, and the margin at its border
     view_mm: Floats  # (c, 4) lowest x and y, then highest x and y, of a box around each camera's view, row coordinates
+    outer_mm: Floats  # (4,) the box around all of them
 
 
 class _Seen(NamedTuple):
@@ -398,7 +404,7 @@ def _views(board_mm: Floats, height: Floats, poses: _Poses) -> Floats:
         (v, 7): number of the point, camera, row, place x and y on the conveyor's plane, raw pixels x and y.
     """
     box, rows, cameras = poses.view_mm, poses.rows, len(poses.view_mm)
-    outer = np.array([box[:, 0].min(), box[:, 1].min(), box[:, 2].max(), box[:, 3].max()])
+    outer = poses.outer_mm
     near, place, out, count = np.empty(len(rows), np.int64), np.empty((len(rows), 2)), np.empty((0, 7)), 0
     for n in range(len(board_mm)):
         x, y, found = board_mm[n, 0], board_mm[n, 1], 0
@@ -411,7 +417,9 @@ def _views(board_mm: Floats, height: Floats, poses: _Poses) -> Floats:
                 found += 1
         if count + found * cameras > len(out):
             longer = np.empty((2 * len(out) + len(board_mm) + found * cameras, 7))
-            longer[:count] = out[:count]
+            for k in range(count):
+                for c in range(7):
+                    longer[k, c] = out[k, c]
             out = longer
         for i in range(cameras):
             right, bottom = poses.size_px[i, 0] - 1 + _BEYOND_PX, poses.size_px[i, 1] - 1 + _BEYOND_PX
@@ -428,8 +436,8 @@ def _views(board_mm: Floats, height: Floats, poses: _Poses) -> Floats:
 
 
 @compiled
-def _nearest(board_mm: Floats, frame: Ints, poses: _Poses, faint: NDArray[np.bool_]) -> Ints:
-    chosen = np.full(len(board_mm), -1)
+def _nearest(board_mm: Floats, frame: Ints, poses: _Poses, faint: NDArray[np.bool_], chosen: Ints) -> Ints:
+    """Write the number of the frame that shows a point nearest to its centre to `chosen`, and return it."""
     for k in range(len(board_mm)):
         best = np.inf
         for n in range(len(frame)):
@@ -452,8 +460,7 @@ def _nearest(board_mm: Floats, frame: Ints, poses: _Poses, faint: NDArray[np.boo
 
 
 @compiled
-def _projected(board_mm: Floats, number: Ints, frame: Ints, poses: _Poses) -> Floats:
-    out = np.full(board_mm.shape, np.nan)
+def _projected(board_mm: Floats, number: Ints, frame: Ints, poses: _Poses, out: Floats) -> Floats:
     for k in range(len(board_mm)):
         if number[k] >= 0:
             i, j = frame[number[k], 0], frame[number[k], 1]
@@ -527,8 +534,8 @@ def _cover(
 
     `corners` (n, 4, 2) and `height` (n,) are those of the footprints, mm; `there` (m, c) says which frames count.
     """
-    view, unit = poses.view_mm, np.array([0.0, 0.0, 1.0, 1.0])
-    outer = np.array([view[:, 0].min(), view[:, 1].min(), view[:, 2].max(), view[:, 3].max()])
+    view, outer, unit = poses.view_mm, poses.outer_mm, np.zeros(4)
+    unit[2] = unit[3] = 1.0
     near = np.empty((there.size, 2), np.int64)
     for n in range(len(corners)):
         part, whole, border = corners[n], 0, 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import partial
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -46,8 +47,6 @@ _INFORMATION = 400.0
 def warm_up() -> None:
     """Stitch the synthetic board and render its components: what the first pictures of a board need."""
     picture = _picture()
-    # Only frames of cameras that differ are resampled, and the cameras of the synthetic board do not differ.
-    resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
     setup = _setup()
     runner = TaskRunner(setup, partial(_frame, picture))
     links = [runner.perform(task) for task in _tasks(setup) if task.kind != "marks"]
@@ -67,8 +66,13 @@ def warm_up_from_the_end() -> None:
 
 
 def warm_up_later() -> None:
-    """Call what is computed after the pictures of a board: explanation, mosaic, merged pictures, heights."""
+    """Call what only some stations need, and what is computed after the pictures of a board.
+
+    The frames of cameras that differ and marks that are no discs come first: a board that needs them waits.
+    """
     setup, picture = _setup(), _picture()
+    resample(picture, np.eye(2, 3), (_RESAMPLED_PX, _RESAMPLED_PX), 1.0)
+    _locate_mark(picture, "square")
     board_type, stitch = setup.board_type, _true_stitch(setup)
     assert board_type is not None, "the synthetic board has a board type"
     explained(*_concluded(setup, picture, _true_links(setup)))
@@ -82,8 +86,9 @@ def _tasks(setup: StitchSetup) -> tuple[Task, ...]:
 
 
 def _concluded(setup: StitchSetup, picture: NDArray[np.uint8], links: Iterable[Evidence]) -> tuple[Stitch, Findings]:
-    """Locate marks, of all shapes, and conclude the synthetic board from them and links."""
-    _locate_marks(picture)
+    """Locate marks, and conclude the synthetic board from them and links."""
+    find_candidates(picture, "circle", _MARK_MM * _PX_PER_MM)
+    _locate_mark(picture, "circle")
     runner = TaskRunner(setup, partial(_frame, picture))
     marks = [runner.perform(task) for task in _tasks(setup) if task.kind == "marks"]
     return runner.answer(_TIMES_S, _PRESENT, [*links, *marks])
@@ -123,11 +128,9 @@ def _true_stitch(setup: StitchSetup) -> Stitch:
     )
 
 
-def _locate_marks(picture: NDArray[np.uint8]) -> None:
-    size_px, first_px = _MARK_MM * _PX_PER_MM, (np.array(_MARKS_MM[0]) + (0, _STEP_MM * (_ROWS - 1))) * _PX_PER_MM
-    find_candidates(picture, "circle", size_px)
-    for shape in ("circle", "square"):
-        locate_mark(picture, first_px, shape, size_px)
+def _locate_mark(picture: NDArray[np.uint8], shape: Literal["circle", "square"]) -> None:
+    first_px = (np.array(_MARKS_MM[0]) + (0, _STEP_MM * (_ROWS - 1))) * _PX_PER_MM
+    locate_mark(picture, first_px, shape, _MARK_MM * _PX_PER_MM)
 
 
 def _plan(setup: StitchSetup, board_type: BoardType, stitch: Stitch, picture: NDArray[np.uint8]) -> None:

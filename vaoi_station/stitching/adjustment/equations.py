@@ -467,7 +467,11 @@ def add_links(  # noqa: PLR0912, PLR0915  (one loop over links whose parts are i
         return
     cos, sin = np.cos(motion.angle), np.sin(motion.angle)
     f, movable = basis.shape[1], coupling.camera_column >= 0
-    lines, count = np.empty((5 + f, 2 * np.bincount(group - group[0]).max())), 0
+    largest, count = 0, 0
+    for n in range(len(group)):
+        count = count + 1 if n and group[n] == group[n - 1] else 1
+        largest = max(largest, count)
+    lines, count = np.empty((5 + f, 2 * largest)), 0
     # Of the small matrix of a group, the lines are those of row p, of row q, the surface, the residual, and the two
     # cameras. The derivatives by the shift of row p are those by the shift of row q with opposite sign.
     rest, width = 6 + f, 13 + f if movable else 7 + f

@@ -113,7 +113,8 @@ def _quarter_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     for y in range(h):
         # Four sums are added and divided by 16 below. Each starts at 2; this adds 8 in total and so rounds to the
         # nearest value.
-        sums[:] = 2
+        for x in range(4 * w):
+            sums[x] = 2
         for k in range(4):
             line = image[4 * y + k, : 4 * w]
             for x in range(4 * w):

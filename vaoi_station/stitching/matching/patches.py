@@ -84,7 +84,7 @@ def _assess(guess_px: Floats, refined: Refinement) -> tuple[NDArray[np.bool_], F
     """Return for each patch whether it was found, its information matrix (2, 2), and its largest standard deviation."""
     b_px, hessian, blurred = refined.b_px, refined.hessian, refined.blurred
     k = len(guess_px)
-    found, information, sigma = np.zeros(k, np.bool_), np.zeros((k, 2, 2)), np.full(k, np.inf)
+    found, information, sigma = np.zeros(k, np.bool_), np.zeros((k, 2, 2)), np.empty(k)
     for n in range(k):
         off = max(abs(b_px[n, 0] - guess_px[n, 0]), abs(b_px[n, 1] - guess_px[n, 1]))
         settled = refined.last_step_px[n] <= _SETTLED_PX
