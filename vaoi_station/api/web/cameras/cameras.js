@@ -2,6 +2,7 @@
 import { BLUR_LIMIT_PX, DARK_LIMIT, percent, px, SATURATED_LIMIT, showFrame } from "../parts/camera_card.js";
 import { lines, make, said, saidOf, setText, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
+import { Exchange } from "./exchange.js";
 import { findingItem, remarkOf } from "./findings.js";
 import { moment, number, texts } from "../texts/texts.js";
 import { Trial } from "./trial.js";
@@ -13,6 +14,7 @@ const PART = `
   <p id="camera-answer" role="status"></p>
   <button type="button" id="examine" data-text="cameras.examine"></button>
 </div>
+<div id="exchange-place"></div>
 <div id="trial-place"></div>
 <div id="camera-cards"></div>
 <section id="doctor" aria-labelledby="doctor-title">
@@ -59,6 +61,7 @@ class Card {
     const words = texts.cameras.facts;
     const counters = Object.entries(camera.counters).filter(([name, value]) => LOST.test(name) && value);
     const facts = [
+      ...(camera.serial ? [[words.serial, `${camera.serial} ${camera.model}`.trim()]] : []),
       ...(camera.temperature_c == null ? [] : [[words.temperature, `${number(camera.temperature_c, 1)} °C`]]),
       [words.delivered, number(camera.delivered)],
       [words.incomplete, number(camera.incomplete)],
@@ -97,6 +100,7 @@ export class CamerasView extends View {
   #due = 0;
   #closed = false;
   #trial = null;
+  #exchange = null;
 
   constructor(station) {
     super(PART, make("div", { className: "cameras" }));
@@ -132,9 +136,12 @@ export class CamerasView extends View {
       this.#cards = cameras.map((camera) => new Card(camera));
       this.part("camera-cards").replaceChildren(...this.#cards.map((card) => card.root));
       this.#trial = new Trial(cameras);
+      this.#exchange = new Exchange();
+      this.part("exchange-place").replaceChildren(this.#exchange.root);
       this.part("trial-place").replaceChildren(this.#trial.root);
       this.#trial.show(this.#station.now.state);
     }
+    this.#exchange.show(cameras, calibration);
     const ready = cameras.filter((camera) => camera.connected).length;
     setText(this.part("camera-answer"), texts.cameras.ready(ready, cameras.length));
     // One after the other: the station measures each frame, and boards come first.

@@ -54,6 +54,9 @@ export const cameraPicture = (frame) => `${api}/cameras/${frame.camera}/picture?
 export const tryCamera = (camera, settings) => call("POST", `/cameras/${camera}/trial`, settings);
 export const endTrial = (camera) => call("DELETE", `/cameras/${camera}/trial`);
 export const trialPicture = (frame) => `${api}/cameras/${frame.camera}/trial/picture?number=${frame.number}`;
+export const searchCameras = () => call("GET", "/cameras/search");
+export const exchangeCamera = (camera, wanted) => call("POST", `/cameras/${camera}/exchange`, wanted);
+export const confirmCamera = (camera) => call("POST", `/cameras/${camera}/exchange/confirm`);
 export const examination = () => call("GET", "/doctor");
 export const counts = () => call("GET", "/runs/counts");
 export const decide = (id, decision) => call("PUT", `/runs/${encodeURIComponent(id)}/decision`, decision);
