@@ -325,23 +325,39 @@ def test_a_start_from_a_sample_of_the_links_ends_where_all_links_lead(
     assert sampled.cameras.displacement_px == pytest.approx(every.cameras.displacement_px, abs=2e-3)
 
 
-@pytest.mark.parametrize("known", ["right", "wrong"])
-def test_the_solution_of_all_rows_but_the_last_leads_to_that_of_all(bench: Any, known: str) -> None:
+@pytest.mark.parametrize("known", ["right", "right, of many links", "wrong"])
+def test_the_solution_of_all_rows_but_the_last_leads_to_that_of_all(
+    bench: Any, known: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """If the last row does not fit a solution that is wrong, it is not used."""
-    truth = bench(5, surface=(0.3, 0.05, 0.0, 0.1, 0.0, 0.0), heights=(1.5, 0.8, 2.0))
-    problem = replace(truth.with_fiducials(truth.problem(outliers=0.05), surface=True), cameras=truth.cameras)
-    points, last = problem.fiducials, ROWS - 1
+    if known == "right, of many links":
+        monkeypatch.setattr(adjustment, "_SAMPLE_LINKS", 150)
+        monkeypatch.setattr(adjustment, "_PER_ROW", 25)
+    truth, last = bench(5, surface=(0.3, 0.05, 0.0, 0.1, 0.0, 0.0), heights=(1.5, 0.8, 2.0)), ROWS - 1
+    made = truth.problem(outliers=0.05)
+    # As in a run, all links of a row stand behind those of the rows before.
+    component = made.component[np.argsort(made.links.q, kind="stable")]
+    evidence = sorted(made.links.groups, key=lambda e: e.rows[1])
+    early = to_observations([e for e in evidence if e.rows[1] < last], truth.cameras)
+    problem = replace(made, links=to_observations(evidence, truth.cameras), component=component)
+    problem = replace(truth.with_fiducials(problem, surface=True), cameras=truth.cameras)
+    points, surface = problem.fiducials, problem.surface
     assert points is not None
-    first = problem.select(np.flatnonzero(problem.links.q < last))
+    assert surface is not None
     seen = np.flatnonzero(points.row < last)
-    at_marks = first.surface and replace(first.surface, at_fiducials=first.surface.at_fiducials[seen])
-    first = replace(first, times_s=TIMES[:last], fiducials=points.select(seen), surface=at_marks)
+    at_first = SurfaceBasis(surface.at_links[: len(early)], surface.at_fiducials[seen], SIGMA_MM)
+    first = replace(
+        problem, times_s=TIMES[:last], links=early, component=component[: len(early)],
+        fiducials=points.select(seen), surface=at_first,
+    )  # fmt: skip
     start = started(problem)
     before = Motion(start.angle[:last], start.shift[:last], start.pivot)
     unknowns = completed(adjust_first_rows(first, before, C))
+    assert (unknowns.sums is not None) == ("many" in known)
     if known == "wrong":
         turned = replace(unknowns.motion, angle=unknowns.motion.angle + 0.02 * np.arange(last))
         unknowns = unknowns._replace(motion=turned, surface_mm=unknowns.surface_mm + 2.0)
+    assert problem.begins_with(first)
     at_once, begun = adjust(problem, start, C), adjust(problem, start, C, known=unknowns)
     assert np.abs(begun.motion.shift - at_once.motion.shift).max() < 2e-5
     assert begun.similarity == pytest.approx(at_once.similarity, abs=2e-5)

@@ -61,6 +61,14 @@ class NormalEquations(NamedTuple):
         """Return the equations without a part of their observations."""
         return self._replace(values=self.values - part.values, right=self.right - part.right)
 
+    def add(self, part: NormalEquations) -> None:
+        """Add equations of fewer rows, the first ones, and the same other unknowns."""
+        line = np.repeat(np.arange(len(part.first)), np.arange(len(part.first)) + 1 - part.first)
+        place = np.arange(len(part.first))
+        place[3 * part.rows :] += 3 * (self.rows - part.rows)
+        self.values[self.at[place[line]] + place[np.arange(len(line)) - part.at[line]]] += part.values
+        self.right[place] += part.right
+
     def trailing(self, count: int) -> Ints:
         """Return the indices (count, count) in `values` of the block of the last unknowns, mirrored above its diagonal.
 

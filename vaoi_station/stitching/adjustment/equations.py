@@ -266,6 +266,21 @@ class Coupling(NamedTuple):
         normal = np.where(heights_mm < 0, 1 / sunk_mm**2, 1 / sigma_mm**2)
         return HeightEquations(np.zeros(len(self.columns)), normal, -heights_mm * normal)
 
+    def add(self, heights: HeightEquations, part: HeightEquations, coupling: Coupling, numbers: Ints) -> None:
+        """Add to `heights` those of the first rows, which have the numbers (c,) here and the coupling `coupling`."""
+        column, first_camera = coupling.columns, coupling.camera_column
+        height = np.repeat(numbers, np.diff(coupling.at))
+        at = np.where(
+            column < 3 * len(coupling.furthest),
+            self.of_row[height] + column,
+            self.of_surface[height] + column - coupling.surface_column,
+        )
+        if first_camera >= 0:
+            at = np.where(column >= first_camera, self.of_camera[height] + column - first_camera, at)
+        heights.entries[at] += part.entries
+        heights.normal[numbers] += part.normal
+        heights.right[numbers] += part.right
+
     def changes(self, heights: HeightEquations, delta: Floats) -> Floats:
         """Return the changes (c,) of component heights, mm, that follow from changes (n,) of all other unknowns."""
         effect, coupled = np.zeros(len(heights.normal)), np.flatnonzero(np.diff(self.at))

@@ -75,6 +75,12 @@ class Assembly:
         add_links(self.links, self.motion, self.model, self.state, heights, normal)
         return normal, heights
 
+    def of_links(self) -> tuple[NormalEquations, HeightEquations]:
+        """Return the same equations of the links alone, without any prior."""
+        normal, heights = self.normal.zeros(), self.heights.zeros()
+        add_links(self.links, self.motion, self.model, self.state, heights, normal)
+        return normal, heights
+
     def part(self, at: Ints) -> tuple[NormalEquations, HeightEquations]:
         """Return the same equations of the links `at` alone, which are of one pair of frames."""
         normal, heights = self.normal.zeros(), self.heights.zeros()

@@ -319,6 +319,11 @@ class Problem:
     light: Ints = field(default_factory=lambda: np.zeros(0, np.int_))
     """(m,) number of the light of each row; empty if all rows have one light."""
 
+    def begins_with(self, first: Problem) -> bool:
+        """Return whether the first links of this problem are those of another one."""
+        groups = first.links.groups
+        return self.links.groups[: len(groups)] == groups and int(self.links.begins[len(groups)]) == len(first.links)
+
     def select(self, at: Ints) -> Problem:
         """Return the problem with the links of these indices only."""
         near = self.near[at] if len(self.near) else self.near

@@ -216,6 +216,16 @@ _MOST_STEPS_ON, _USED_SHARE = 4, 0.7
 links that must then be used, as a share of that of all links. Otherwise the adjustment starts anew."""
 
 
+class LinkSums(NamedTuple):
+    """The sum of the normal equations of links at a solution, with the noise floors of their weights."""
+
+    normal: NormalEquations
+    heights: HeightEquations
+    coupling: Coupling
+    floor_px: Floats
+    noise_px: Floats
+
+
 class Unknowns(NamedTuple):
     """The solution of an adjustment of the first rows of a run, from which that of one row more goes on."""
 
@@ -225,6 +235,7 @@ class Unknowns(NamedTuple):
     surface_mm: Floats
     heights_mm: Floats  # (2, number of components)
     displacement_px: Floats  # (n, 3) of the cameras
+    sums: LinkSums | None  # None if links are so few that a step with all of them takes hardly longer
 
 
 def adjust(
@@ -312,6 +323,8 @@ class _Solver:
         self.empty = NormalEquations.of(self.coupling.furthest, shared + self.cameras.unknowns)
         self.linked_steps = linked_steps(problem)
         self.steps = 0
+        # those of all links that the next step does not use
+        self.sums: LinkSums | None = None
         # of the last step: the factor of its equations, their parts, and their sum before anything was eliminated
         self.factor: NormalEquations | None = None
         self.summed: tuple[Assembly, NormalEquations, HeightEquations] | None = None
@@ -319,11 +332,15 @@ class _Solver:
         self._columns: Ints | None = None
         self._detection_mm = np.zeros(0)
 
+    @property
+    def one_of(self) -> int:
+        """Of how many links a sample has one; 0 or 1 if they are not many."""
+        return len(self.problem.links) // max(_SAMPLE_LINKS, _PER_ROW * self.rows)
+
     def solve(self, converged_mm: float) -> Steps[None]:
         """Make all steps from the start, the first ones with a sample if links are many."""
-        every = len(self.problem.links) // max(_SAMPLE_LINKS, _PER_ROW * self.rows)
-        if self.similarity is not None and every >= 2:
-            yield from self.approach(every)
+        if self.similarity is not None and self.one_of > 1:
+            yield from self.approach(self.one_of)
         yield from self.run(converged_mm)
 
     def approach(self, every: int) -> Steps[None]:
@@ -355,6 +372,7 @@ class _Solver:
         heights_mm[:, :parts] = known.heights_mm[:, :parts]
         self.heights_mm = heights_mm.ravel()
         self.cameras.begin_at(known.displacement_px)
+        self._use_sums(known)
         self._compute_residuals()
         at = np.flatnonzero((self.used.arrays.q == row) & (self.used.arrays.p < row))
         if len(at):
@@ -365,6 +383,16 @@ class _Solver:
             middle = complex(*(self.motion.shift[row] + self.motion.pivot)) - step_mm.b_mm
             shift = cmath.exp(1j * step_mm.turn) * middle + step_mm.a_mm - complex(*self.motion.pivot)
             self._set_last_row(before, self.motion.angle[row] + step_mm.turn, shift)
+
+    def _use_sums(self, known: Unknowns) -> None:
+        """Let the first step use the links of the last row only, and of all others the sum that is known."""
+        count = len(known.problem.links)
+        if known.sums is None or not self.problem.begins_with(known.problem):
+            return
+        later = _UsedLinks(self.problem.select(np.arange(count, self.every.count)), self.n_parts)
+        if len(later.floors.px) == len(known.sums.floor_px) and len(later.arrays.p):
+            later.floors.px, later.floors.noise_px = known.sums.floor_px, known.sums.noise_px
+            self.used, self.sums = later, known.sums
 
     def _set_last_row(self, before: Motion, angle: float, shift: complex) -> None:
         shifts = np.vstack([before.shift, (shift.real, shift.imag)])
@@ -381,21 +409,32 @@ class _Solver:
     def unknowns(self) -> Unknowns:
         """The current unknowns."""
         assert self.similarity is not None
-        heights_mm = self.heights_mm.reshape(2, self.n_parts)
-        return Unknowns(
-            self.problem, self.motion, self.similarity, self.surface_mm, heights_mm, self.cameras.displacement_px
-        )
+        sums = None
+        if self.one_of > 1:
+            self._compute_residuals()
+            self._compute_weights()
+            floors, of_links = self.used.floors, self._assembly().of_links()
+            sums = LinkSums(*of_links, self.coupling, floors.px, floors.noise_px)
+        heights_mm, displacement_px = self.heights_mm.reshape(2, self.n_parts), self.cameras.displacement_px
+        solution = self.motion, self.similarity, self.surface_mm, heights_mm, displacement_px
+        return Unknowns(self.problem, *solution, sums)
 
     def step(self) -> float:
         """Make one reweighted Gauss-Newton step; return the largest change of a shift in mm."""
         self.steps += 1
         self._compute_residuals()
         # in this order: the noise floor depends on the residuals, and the weights depend on the noise floor
-        if self.steps <= _FLOOR_STEPS:
+        if self.steps <= _FLOOR_STEPS and self.sums is None:
             self.used.floors.update(self.used.state.residual, displaceable=bool(self.cameras.unknowns))
         self._compute_weights()
         assembly = self._assembly()
         whole, heights = assembly.whole()
+        if self.sums is not None:
+            whole.add(self.sums.normal)
+            parts = len(self.sums.heights.normal) // 2
+            numbers = np.concatenate([np.arange(parts), self.n_parts + np.arange(parts)])
+            self.coupling.add(heights, self.sums.heights, self.sums.coupling, numbers)
+            self.used, self.sums = self.every, None
         self.summed, normal = (assembly, whole, heights), whole.copy()
         eliminate_heights(self.coupling, heights, normal)
         hold_first_row(normal)

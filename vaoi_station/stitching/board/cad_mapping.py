@@ -419,9 +419,8 @@ def _with_board(
     `known` is the extended problem of the first rows, if there is one: where their links lie is not computed again.
     """
     links, matrix = problem.links, plane.matrix(c)
-    count, groups = (0, ()) if known is None else (len(known.links), known.links.groups)
-    if links.groups[: len(groups)] != groups or links.begins[len(groups)] != count:
-        known, count = None, 0
+    known = known if known is not None and problem.begins_with(known) else None
+    count = len(known.links) if known is not None else 0
     on_board = motion.board(links.p[count:], links.a_mm[count:])
     marks = motion.board(points.row, points.ground_mm)
     at_links, at_marks = (basis_at_board(plane.board_type, matrix, at) for at in (on_board, marks))
