@@ -169,5 +169,12 @@ def test_code_is_renewed_with_what_it_calls_and_with_constants_and_by_nothing_el
     assert run(2.0, 0.5) == "5.5 1"
     assert run(2.0, 0.5, before="# other lines\nOTHER = 1\n") == "5.5 0"
     assert run(3.0, 0.5) == "11.0 1"
+    assert run(2.0, 0.5) == "5.5 0", "another version of the program, as that before an update, finds its own code"
+    for file in (tmp_path / "cache").glob("*.nbc"):
+        os.utime(file, (0, 0))
+    assert run(3.0, 0.5) == "11.0 0"
     assert run(3.0, 1.0) == "13.0 1"
-    assert run(2.0, 0.5) == "5.5 0"
+    assert run(2.0, 0.5) == "5.5 1", "code that was not used for long is gone; what was loaded lately stays"
+    for file in (tmp_path / "cache").glob("*.nbc"):
+        os.truncate(file, file.stat().st_size // 2)
+    assert run(3.0, 0.5) == "11.0 1", "a power cut has left a part of it"

@@ -9,6 +9,7 @@ import os
 import pickle
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, partial, update_wrapper
@@ -30,6 +31,9 @@ _SHIPPED_FOR = "x86-64-v3"
 """The processor for which it is made. Where nothing is shipped, code is made for the processor at hand, and links are
 found in 4 % less time."""
 _SHIPPED_NEEDS = ("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sse4.2", "xsave")
+_UNUSED_S = 30 * 86400
+"""Code that no process has loaded for so long goes when its function is compiled anew, as after an update."""
+_DIGEST_BYTES = 32
 _functions: list[_Deferred] = []
 """The compiled functions of all modules that were imported."""
 _in_this_process = threading.RLock()
@@ -185,8 +189,14 @@ class _KeptCode:
         context.refresh()
         name = self._file(signature, context.codegen())
         for directory in (SHIPPED, cache_directory()):
-            if directory is not None and (file := directory / name).is_file():
-                return result._rebuild(context, *pickle.loads(file.read_bytes()))
+            if directory is None or not (file := directory / name).is_file():
+                continue
+            content = file.read_bytes()
+            # A file that a power cut has left incomplete would keep every process from starting.
+            if hashlib.sha256(content[:-_DIGEST_BYTES]).digest() == content[-_DIGEST_BYTES:]:
+                with suppress(OSError):  # shipped code cannot be written to
+                    os.utime(file)  # it is in use
+                return result._rebuild(context, *pickle.loads(content))
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
@@ -200,10 +210,14 @@ class _KeptCode:
         new = file.with_suffix(f".{os.getpid()}")
         with suppress(OSError):
             try:
-                new.write_bytes(dumps(result._reduce()))
+                code = dumps(result._reduce())
+                new.write_bytes(code + hashlib.sha256(code).digest())
                 new.replace(file)
             finally:
                 new.unlink(missing_ok=True)
+            for old in directory.glob(f"{self._name}-*.nbc"):
+                if time.time() - old.stat().st_mtime > _UNUSED_S:
+                    old.unlink()
 
     def _file(self, signature: Any, codegen: Any) -> str:
         kinds = getattr(signature, "args", signature)
