@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -57,6 +58,22 @@ def configured(**fields: Any) -> CameraConfig:
 )
 def test_every_unmet_requirement_is_a_fault(fields: dict[str, Any], words: str) -> None:
     assert_problem(only(camera_checks.judge_camera(configured(**fields), OFFERED)), Level.FAULT, words)
+
+
+def test_a_link_that_fell_back_to_100_mbit_is_a_warning_and_a_row_that_does_not_fit_a_fault() -> None:
+    slow = replace(OFFERED, speed_mbit_s=100.0)
+    found = list(camera_checks.judge_camera(configured(), slow))
+    assert_problem(found[-1], Level.WARNING, "has a link of 100 Mbit/s only")
+    wide = configured(width=1920, height=1200)
+    finding = camera_checks.judge_port("lo", [(wide, slow)], 0.1)
+    assert_problem(finding, Level.FAULT, "the cameras themselves need 186.5 ms for a row at 100 Mbit/s")
+
+
+def test_packets_that_a_switch_drops_are_a_warning() -> None:
+    dropped = replace(OFFERED, passing=1500)
+    finding = camera_checks.judge_port("lo", [(configured(), dropped), (configured(name="b"), OFFERED)], 0.1)
+    assert_problem(finding, Level.WARNING, "packets of 1500 bytes (by the MTU alone: no test packets from b)")
+    assert "larger ones are dropped on the way" in finding.message
 
 
 def test_packets_larger_than_the_camera_sends_are_a_warning() -> None:

@@ -74,6 +74,7 @@ def judge_version(found: tuple[int, int, int], gi: str, perhaps_usb: int) -> Fin
     return ok(message, **figures)
 
 
+GIGABIT_MBIT_S = 1000.0
 JUMBO = 8000
 """Packet size in bytes below which a port is reported. MTU 1500 needs six times as many packets as MTU 9000."""
 
@@ -232,6 +233,17 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     # Every opening sets these; here they explain why another program's pictures look different.
     for left in offered.left:
         yield ok(f"left over in the camera: {left}", camera.name)
+    yield from _slow_link(camera, offered)
+
+
+def _slow_link(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
+    speed = offered.speed_mbit_s
+    if speed is not None and speed < GIGABIT_MBIT_S:
+        message = (
+            f"has a link of {speed:g} Mbit/s only: with a pair of wires broken, Gigabit Ethernet falls back to that."
+        )
+        action = "Exchange its cable, and check plugs and switch."
+        yield warning("camera-link-slow", message, action, camera.name, link_mbit_s=speed)
 
 
 def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:

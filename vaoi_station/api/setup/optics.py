@@ -162,6 +162,9 @@ def known_requirements(config: StationConfig, calibration: Calibration | None) -
         "longest_board_mm": (line.longest_board_mm, "line.longest_board_mm"),
         "runs_in_memory": (config.ring.runs, "ring.runs"),
     }
+    shared = {(c.link, c.link_mbit_s) for c in cameras}
+    if len(shared) == 1 and cameras[0].link_mbit_s is not None:
+        known["link_mbit_s"] = (cameras[0].link_mbit_s, "cameras.link_mbit_s")
     if calibration is not None and calibration.working_distance_mm is not None:
         known["distance_max_mm"] = (calibration.working_distance_mm, CALIBRATION)
     known |= _of_views(config, calibration)

@@ -137,6 +137,19 @@ def test_a_receive_buffer_that_is_too_small_is_warned_of(camera: StandInCamera, 
     assert gige.warning() == ""
 
 
+def test_a_link_that_is_slower_after_a_loss_is_warned_of(gige: Connection) -> None:
+    """As Gigabit Ethernet with a broken pair of wires, or a switch that was exchanged."""
+    gige.packet_bytes, gige._speed_mbit_s = 1500, 100.0
+    gige.share = PortShare(row_s=5e-6, packet_bytes=1500)
+    assert gige.warning().startswith("Its link has 100 Mbit/s now, so that a frame takes 0 ms; a row took 0 ms")
+    gige.share = PortShare(row_s=1.0, packet_bytes=9000)
+    assert gige.warning().startswith(
+        "Only packets of 1500 bytes come from it now, of 9000 when the station was started"
+    )
+    gige.share = PortShare(row_s=1.0, packet_bytes=1500)
+    assert gige.warning() == ""
+
+
 def test_packets_that_were_sent_again_are_warned_of(camera: StandInCamera, gige: Connection) -> None:
     gige.start(RESULTS.put)
     camera.stream.counters |= {"n_received_packets": 1_000, "n_resent_packets": 12}

@@ -34,7 +34,7 @@ from vaoi_station.acquisition.cameras.interface import CameraLimits
 from vaoi_station.acquisition.clocks import ClockReading, timed_reading
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError, InputError
-from vaoi_station.optics.links import Sender
+from vaoi_station.optics.links import Sender, slowest_row
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.supervised_thread import SupervisedThread
 
@@ -158,6 +158,8 @@ RETENTION_US = 200_000
 # Aravis' default of 100 ms lost the first frames after a pause (Aravis #818, #746).
 RESTART_PAUSE_S = 0.2
 """Pause between stop and start of an acquisition that is to begin anew."""
+SLOWER = 1.05
+"""Time of a frame, in rows of the start of the station, above which a camera is warned of."""
 RESENT_PACKETS, RESENT_SHARE = 20, 0.001
 """Count and share of packets that were sent again above which a camera is warned of. A sound network loses none."""
 
@@ -374,6 +376,12 @@ class Connection:
             return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."
         if trouble := self._route_trouble:
             return f"Its packets may get lost: {trouble}."
+        alone, row_s = slowest_row([self.sender]), self.share.row_s
+        if row_s and alone.row_s > SLOWER * row_s:
+            return (
+                f"Its link has {alone.mbit_s:.0f} Mbit/s now, so that a frame takes {alone.row_s * 1e3:.0f} ms; a row "
+                f"took {row_s * 1e3:.0f} ms when the station was started: check cable, plugs and switch."
+            )
         if self.packet_bytes < self.share.packet_bytes:
             return (
                 f"Only packets of {self.packet_bytes} bytes come from it now, of {self.share.packet_bytes} when the "

@@ -945,6 +945,7 @@ const findings = {
   "usb-memory-small": [({ usbfs_memory_mb, needed_mb }) => `usbfs_memory_mb ist ${usbfs_memory_mb}, die Kameras an USB brauchen ${needed_mb}: Die letzten starten nicht.`, "Als Verwalter: install -m 644 deploy/vaoi-usb-memory.conf /etc/tmpfiles.d/"],
   "link-too-slow": ["Die Kameras dieses Anschlusses brauchen für eine Reihe länger als die Periode.", "Ein anderer Anschluss, eine schnellere Verbindung oder ein kürzeres Pixelformat."],
   "packets-above-mtu": [({ packet_bytes, mtu }) => `Pakete haben hier ${packet_bytes} Byte (MTU ${mtu}), weniger als eingestellt.`, "Die MTU des Anschlusses erhöhen, oder packet_bytes in station.toml senken."],
+  "camera-link-slow": [({ link_mbit_s }) => `Die Leitung dieser Kamera hat nur ${link_mbit_s} Mbit/s, wie bei einer gebrochenen Ader.`, "Ihr Kabel tauschen, Stecker und Switch prüfen."],
   "packets-above-path": [({ packet_bytes, mtu }) => `Pakete haben hier ${packet_bytes} Byte; größere verwirft ein Switch, obwohl der Netzanschluss ${mtu} erlaubt.`, "In den Switches zwischen Kameras und Rechner Jumbo-Frames einschalten."],
   "packets-small": [({ packet_bytes, mtu }) => `Pakete haben hier ${packet_bytes} Byte (MTU ${mtu}); größere kosten weniger Rechenzeit.`, ({ subject }) => `Als Verwalter: ip link set dev ${subject} mtu 9000`],
 
