@@ -389,6 +389,7 @@ class Recordings:
     def _delete(self, run: str) -> None:
         del self._sizes[run]
         self._for_archive.discard(run)
+        self._unexplained.discard(run)
         remove_directory(self.directory / run)
 
     def _keep_beyond_archive(self, run: str) -> None:
