@@ -6,7 +6,8 @@ import itertools
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 from vaoi_station.rig.gige.device import ACCESS_DENIED, PACKET_SIZE, Device
@@ -69,16 +70,25 @@ class Camera(Device):
         with self.lock:
             return self.controlled and self.acquiring and self.trigger() is not None
 
+    @property
+    def frame_trigger(self) -> str | None:
+        """The trigger of a frame that is on; empty if the camera has one trigger only; None while none is on."""
+        with self.lock:
+            if "TriggerMode" not in self.features:
+                return None
+            entries = self._model.entries("TriggerSelector") if "TriggerSelector" in self.features else {}
+            for name in [n for n in _FRAME_TRIGGERS if n in entries] or [""]:
+                with self.features.selecting({"TriggerSelector": name} if name else {}):
+                    if self.features.text("TriggerMode") == "On":
+                        return name
+            return None
+
     def trigger(self) -> str | None:
         """Return the source of the trigger that starts a frame; None while none is on."""
-        if "TriggerMode" not in self.features:
-            return None
-        entries = self._model.entries("TriggerSelector") if "TriggerSelector" in self.features else {}
-        for name in [n for n in _FRAME_TRIGGERS if n in entries] or [""]:
-            with self.features.selecting({"TriggerSelector": name} if name else {}):
-                if self.features.text("TriggerMode") == "On":
-                    return self.features.text("TriggerSource") if "TriggerSource" in self.features else ""
-        return None
+        name = self.frame_trigger
+        if name is None or "TriggerSource" not in self.features:
+            return name
+        return str(self.value("TriggerSource", **({"TriggerSelector": name} if name else {})))
 
     def value(self, name: str, **selection: Number | str) -> Number | str:
         """Return the value of a feature in the camera's units; an enumeration's is the name of its entry."""
@@ -92,22 +102,56 @@ class Camera(Device):
             self.features.put(name, value)
             self._update_payload()
 
-    def leave(
-        self, leftovers: Sequence[tuple[str, Number | str, dict[str, Number | str]]], *, in_set: str = ""
-    ) -> None:
-        """Let an earlier client have left these values: feature, value, selectors.
+    def save_as_power_on_set(self, entry: str) -> None:
+        """Save all values in a user set that is loaded at power-on, as an earlier client has done it."""
+        with self.lock:
+            number = self._model.entries("UserSetSelector")[entry]
+            for name in ("UserSetDefault", "UserSetDefaultSelector"):
+                if name in self.features:
+                    self.features.put(name, number)
+            self._sets[number] = self.registers.copy(), dict(self.features.banks)
 
-        With `in_set` they are saved in that user set as well, which is loaded at power-on.
-        """
-        for name, value, selection in leftovers:
-            self.put(name, value, **selection)
-        if in_set:
-            with self.lock:
-                number = self._model.entries("UserSetSelector")[in_set]
-                for name in ("UserSetDefault", "UserSetDefaultSelector"):
-                    if name in self.features:
-                        self.features.put(name, number)
-                self._sets[number] = self.registers.copy(), dict(self.features.banks)
+    def selecting(self, at: Mapping[str, Number | str]) -> AbstractContextManager[None]:
+        """Let selectors stand elsewhere for a while."""
+        return self.features.selecting(at)
+
+    def selections(self, name: str) -> list[dict[str, Number | str]]:
+        """Return all settings of a feature's selectors, by the names of their entries; none without the feature."""
+        with self.lock:
+            if name not in self.features:
+                return []
+            found = []
+            for numbers in self.features.selections(name):
+                with self.features.selecting(numbers):
+                    found.append({selector: self.value(selector) for selector in numbers})
+            return found
+
+    def kind(self, name: str) -> str:
+        """Return the kind of a feature: `Enumeration`, `Boolean` …; empty if there is none."""
+        return self._model.kind(name)
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the smallest and the largest value of a number now."""
+        with self.lock:
+            low, high, _ = self.features.limits(name)
+            return float(low), float(high)
+
+    def is_register(self, name: str) -> bool:
+        """Whether a client can write a feature into a register of the camera."""
+        with self.lock:
+            register = self.features.register_of(name)
+            return register is not None and self._model.text_of(register, "AccessMode") == "RW"
+
+    def offers(self, name: str) -> bool:
+        """Whether the camera has a feature now."""
+        with self.lock:
+            conditions = ("pIsImplemented", "pIsAvailable")
+            return name in self.features and all(self.features.allows(name, tag) for tag in conditions)
+
+    def entries(self, name: str) -> list[str]:
+        """Return the entries of an enumeration that the camera has now."""
+        with self.lock:
+            return [e for e in self._model.entries(name) if self.features.allows_entry(name, e)]
 
     @property
     def exposure_us(self) -> float:

@@ -272,6 +272,12 @@ class Features:
         """Return whether a condition of a node, or of the nodes that keep its value, holds: `pIsImplemented` …"""
         return all(self.value(condition) for condition in self.conditions(name, tag))
 
+    def allows_entry(self, name: str, entry: str) -> bool:
+        """Whether an enumeration has an entry now."""
+        node = next(e for e in self.description.nodes[name].findall("EnumEntry") if e.get("Name") == entry)
+        conditions = [(node.findtext(tag) or "").strip() for tag in ("pIsImplemented", "pIsAvailable")]
+        return all(self.value(c) for c in conditions if c in self.description.nodes)
+
     def conditions(self, name: str, tag: str) -> list[str]:
         """Return the nodes of a condition of a feature and of the nodes that keep its value."""
         found = []

@@ -195,6 +195,11 @@ class Device:
             self._owner, self._heard_s = ("", 0), 0.0
             self.clock_offset_ns = -time.monotonic_ns()
 
+    @property
+    def description(self) -> str:
+        """The description that it serves."""
+        return self._model.text
+
     def time_ns(self) -> int:
         """Return the device's time."""
         return time.monotonic_ns() + self.clock_offset_ns
@@ -334,27 +339,37 @@ class Device:
             return ACCESS_DENIED
         if status := self.refusal(address):
             return status
-        before = self.features.selector_values()
-        self.registers.write(address, content)
-        self.features.forget()
-        selectors = frozenset(
-            register
-            for selector in before
-            if (register := self.features.register_of(selector)) is not None
-            and address <= self.features.address(register) < address + len(content)
-        )
-        if selectors:
-            self.features.exchange(selectors, before)
-        for feature, value in self.faults.keeps.items():
-            if self.is_at(feature, address):
-                self.features.put(feature, value)
+        self.write(address, content)
         if address < BOOTSTRAP_END:
             self._on_bootstrap(address, client)
-        self.on_write(address)
         if self.faults.restarts_at and self.is_at(self.faults.restarts_at, address):
             self.faults.restarts_at = ""
             self.boot()
         return 0
+
+    def read(self, address: int, count: int) -> bytes:
+        """Return registers, as a client reads them."""
+        with self.lock:
+            return self.registers.read(address, count)
+
+    def write(self, address: int, content: bytes) -> None:
+        """Change registers, as a client does it, with what follows from it."""
+        with self.lock:
+            before = self.features.selector_values()
+            self.registers.write(address, content)
+            self.features.forget()
+            written = frozenset(
+                register
+                for selector in before
+                if (register := self.features.register_of(selector)) is not None
+                and address <= self.features.address(register) < address + len(content)
+            )
+            if written:
+                self.features.exchange(written, before)
+            for feature, value in self.faults.keeps.items():
+                if self.is_at(feature, address):
+                    self.features.put(feature, value)
+            self.on_write(address)
 
     def _on_bootstrap(self, address: int, client: tuple[str, int]) -> None:
         number = self.number(address)

@@ -338,7 +338,8 @@ class FirstValues:
             before = self._features.value(register)
             for raw in self._guesses(name, register, target):
                 self._features.put(register, raw)
-                if enough(self._features.value(name)):
+                failures = self._features.failures
+                if enough(self._features.value(name)) and self._features.failures == failures:
                     self._claims.add(self._features, register, self._weighty)
                     return
                 self._features.put(register, before)
@@ -355,6 +356,10 @@ class FirstValues:
 
         low, high, _ = self._features.limits(register)
         free = self._claims.free(self._features, register)
+        is_whole = free == self._all_bits(register)
+        if is_whole and not self._takes_bits(name):
+            self._weighty = free
+            yield max(min(target, high), low)
         if self._d.kind(register) != "FloatReg":
             # Fields inside of a word: each bit adds its own weight.
             raw = int(before) & ~free
@@ -365,7 +370,7 @@ class FirstValues:
                 if 0 < weight <= target - base:
                     raw, base = raw | bit, base + weight
             yield raw
-        if free != self._all_bits(register):
+        if not is_whole:
             return
         self._weighty = free
         ends = at(1), at(2)
@@ -374,6 +379,10 @@ class FirstValues:
         if ends[0] and target:
             yield max(min(ends[0] / target, high), low)
         yield max(min(target, high), low)
+
+    def _takes_bits(self, name: str) -> bool:
+        """Whether a formula behind a node takes single bits of a word."""
+        return any("&" in (self._d.text_of(n, "Formula", "FormulaFrom") or "") for n in self._d.closure(name))
 
     def _all_bits(self, register: str) -> int:
         size = 8 * min(self._features.length(register), _LONGEST)

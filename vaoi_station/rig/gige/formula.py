@@ -32,6 +32,12 @@ def _bits(function: Callable[[int, int], int]) -> Callable[[Number, Number], Num
     return lambda a, b: function(int(a), int(b))
 
 
+def _shift_left(a: int, b: int) -> int:
+    """Shift within 64 bits, the last of which is the sign."""
+    shifted = a << (b & 63) & (1 << 64) - 1
+    return shifted - (1 << 64) if shifted >> 63 else shifted
+
+
 def _truth(function: Callable[[Number, Number], bool]) -> Callable[[Number, Number], Number]:
     return lambda a, b: int(function(a, b))
 
@@ -44,7 +50,7 @@ _LEVELS: tuple[Mapping[str, Callable[[Number, Number], Number]], ...] = (
     {"&": _bits(operator.and_)},
     {"=": _truth(operator.eq), "==": _truth(operator.eq), "<>": _truth(operator.ne), "!=": _truth(operator.ne)},
     {"<": _truth(operator.lt), ">": _truth(operator.gt), "<=": _truth(operator.le), ">=": _truth(operator.ge)},
-    {"<<": _bits(operator.lshift), ">>": _bits(operator.rshift)},
+    {"<<": _bits(_shift_left), ">>": _bits(lambda a, b: a >> (b & 63))},
     {"+": operator.add, "-": operator.sub},
     {"*": operator.mul, "/": _divide, "%": _remainder},
     {"**": operator.pow},

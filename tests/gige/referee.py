@@ -1,0 +1,68 @@
+"""The reference implementation of GenApi over the registers of a camera: what a client of any make reads there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from genicam import genapi
+
+from vaoi_station.rig.gige.device import Device
+
+
+class _Port(genapi.AbstractPort):  # type: ignore[misc]
+    """Answers the reference from the device's memory."""
+
+    def __init__(self, device: Device) -> None:
+        super().__init__()
+        self._device = device
+
+    def read(self, address: int, count: int) -> bytes:
+        return self._device.read(address, count)
+
+    def write(self, address: int, content: bytes) -> None:
+        self._device.write(address, bytes(content))
+
+    def get_access_mode(self) -> Any:
+        return genapi.EAccessMode.RW
+
+
+class Referee:
+    """A node map of the reference over a device."""
+
+    def __init__(self, device: Device) -> None:
+        self._map = genapi.NodeMap()
+        self._map.load_xml_from_string(device.description)
+        self._map.connect(_Port(device), "Device")
+
+    def refresh(self) -> None:
+        """Read all registers again."""
+        self._map._invalidate_nodes()
+
+    def select(self, at: Mapping[str, str | int]) -> None:
+        """Let selectors stand at entries."""
+        for selector, entry in at.items():
+            self._map.get_node(selector).value = entry
+
+    def has(self, name: str) -> bool:
+        """Whether a feature can be read now."""
+        return bool(self._map.has_node(name)) and self._access(name) in (genapi.EAccessMode.RO, genapi.EAccessMode.RW)
+
+    def writable(self, name: str) -> bool:
+        """Whether a feature can be written now."""
+        return bool(self._map.has_node(name)) and self._access(name) == genapi.EAccessMode.RW
+
+    def node(self, name: str) -> Any:
+        """Return a feature."""
+        return self._map.get_node(name)
+
+    def value(self, name: str) -> Any:
+        """Return the value of a feature: a bool, a number, or the name of an entry."""
+        return self._map.get_node(name).value
+
+    def entries(self, name: str) -> list[str]:
+        """Return the entries that an enumeration offers now."""
+        return [str(symbol) for symbol in self._map.get_node(name).symbolics]
+
+    def _access(self, name: str) -> Any:
+        return self._map.get_node(name).node.get_access_mode()
