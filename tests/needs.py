@@ -5,6 +5,7 @@ In CI a missing requirement is a failure; elsewhere the test is skipped, and the
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 from pathlib import Path
@@ -82,6 +83,12 @@ def need_films() -> None:
     """Require the programs that render the recorded cases and score their results."""
     if not (FILMS / "make.py").is_file():
         lacking(f"the recorded cases are not beside this checkout, in {FILMS}")
+
+
+def need_referee() -> None:
+    """Require the reference implementation of GenApi."""
+    if importlib.util.find_spec("genicam") is None:
+        lacking("install genicam, with the versions of constraints.txt")
 
 
 def need_descriptions() -> None:

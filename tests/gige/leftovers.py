@@ -84,7 +84,9 @@ def survivors(camera: Camera, left: list[Leftover]) -> Iterator[str]:
         idle = any(entry != in_use.get(selector, entry) for selector, entry in leftover.at.items())
         # The trigger that is in use must be on, and all others off; their other features do not matter then.
         other_way = leftover.at.get("TriggerControlImplementation") != in_use.get("TriggerControlImplementation")
-        if other_way or idle != (name == "TriggerMode"):
+        if other_way or idle != (name == "TriggerMode") or (name == "TriggerMode" and not camera.has_several(name)):
+            continue
+        if not all(referee.writable(selector) for selector in leftover.at):
             continue
         referee.select(leftover.at)
         if any(referee.has(switch) and not referee.value(switch) for switch in kind.switch) or not referee.has(name):
@@ -98,6 +100,8 @@ def survivors(camera: Camera, left: list[Leftover]) -> Iterator[str]:
 
 def _value(camera: Camera, kind: _Kind, name: str, at: dict[str, Number | str]) -> Number | str | None:
     """Return what can be left over in a feature now; None if there is nothing."""
+    if any(camera.kind(s) == "Enumeration" and entry not in camera.entries(s) for s, entry in at.items()):
+        return None
     with camera.selecting(at):
         if not camera.offers(name) or not camera.is_register(name):
             return None

@@ -5,52 +5,53 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from genicam import genapi
-
 from vaoi_station.rig.gige.device import Device
 
 
-class _Port(genapi.AbstractPort):  # type: ignore[misc]
-    """Answers the reference from the device's memory."""
+def _port(device: Device) -> Any:
+    """Return what answers the reference from a device's memory."""
+    from genicam import genapi  # not all environments have it: tests/needs.py
 
-    def __init__(self, device: Device) -> None:
-        super().__init__()
-        self._device = device
+    class Port(genapi.AbstractPort):  # type: ignore[misc]
+        def read(self, address: int, count: int) -> bytes:
+            return device.read(address, count)
 
-    def read(self, address: int, count: int) -> bytes:
-        return self._device.read(address, count)
+        def write(self, address: int, content: bytes) -> None:
+            device.write(address, bytes(content))
 
-    def write(self, address: int, content: bytes) -> None:
-        self._device.write(address, bytes(content))
+        def get_access_mode(self) -> Any:
+            return genapi.EAccessMode.RW
 
-    def get_access_mode(self) -> Any:
-        return genapi.EAccessMode.RW
+    return Port()
 
 
 class Referee:
     """A node map of the reference over a device."""
 
     def __init__(self, device: Device) -> None:
+        from genicam import genapi
+
+        self._readable = (genapi.EAccessMode.RO, genapi.EAccessMode.RW)
         self._map = genapi.NodeMap()
         self._map.load_xml_from_string(device.description)
-        self._map.connect(_Port(device), "Device")
+        self._map.connect(_port(device), "Device")
 
     def refresh(self) -> None:
         """Read all registers again."""
         self._map._invalidate_nodes()
 
-    def select(self, at: Mapping[str, str | int]) -> None:
+    def select(self, at: Mapping[str, Any]) -> None:
         """Let selectors stand at entries."""
         for selector, entry in at.items():
             self._map.get_node(selector).value = entry
 
     def has(self, name: str) -> bool:
         """Whether a feature can be read now."""
-        return bool(self._map.has_node(name)) and self._access(name) in (genapi.EAccessMode.RO, genapi.EAccessMode.RW)
+        return bool(self._map.has_node(name)) and self._access(name) in self._readable
 
     def writable(self, name: str) -> bool:
         """Whether a feature can be written now."""
-        return bool(self._map.has_node(name)) and self._access(name) == genapi.EAccessMode.RW
+        return bool(self._map.has_node(name)) and self._access(name) == self._readable[1]
 
     def node(self, name: str) -> Any:
         """Return a feature."""

@@ -49,6 +49,8 @@ class Camera(Device):
         self._sending = threading.Lock()
         self._sets: dict[int, tuple[dict[int, bytes], dict[tuple[str, tuple[Number, ...]], bytes]]] = {}
         """User sets that were saved, by the value of UserSetSelector."""
+        self._power_on: int | None = None
+        """The user set that is loaded at power-on; None: the first values."""
         super().__init__(address, description, **device)
 
     def boot(self) -> None:
@@ -57,9 +59,8 @@ class Camera(Device):
             super().boot()
             self.next_id, self.acquiring = 1, False
             self._commands = self._bind_commands()
-            for name in ("UserSetDefault", "UserSetDefaultSelector"):
-                if name in self.features and int(self.features.value(name)) in self._sets:
-                    self._load_set(int(self.features.value(name)))
+            if self._power_on is not None:
+                self._load_set(self._power_on)
             self._update_payload()
 
     # --- what tests and the rig ask
@@ -106,9 +107,7 @@ class Camera(Device):
         """Save all values in a user set that is loaded at power-on, as an earlier client has done it."""
         with self.lock:
             number = self._model.entries("UserSetSelector")[entry]
-            for name in ("UserSetDefault", "UserSetDefaultSelector"):
-                if name in self.features:
-                    self.features.put(name, number)
+            self._power_on = number
             self._sets[number] = self.registers.copy(), dict(self.features.banks)
 
     def selecting(self, at: Mapping[str, Number | str]) -> AbstractContextManager[None]:
@@ -141,6 +140,17 @@ class Camera(Device):
         with self.lock:
             register = self.features.register_of(name)
             return register is not None and self._model.text_of(register, "AccessMode") == "RW"
+
+    def has_several(self, name: str) -> bool:
+        """Whether a feature has a value of its own for each setting of its selectors, which not all makers have."""
+        places = set()
+        with self.lock:
+            for k, at in enumerate(self.features.selections(name)):
+                with self.features.selecting(at):
+                    register = self.features.register_of(name)
+                    if register is not None:
+                        places.add((self.features.address(register), k if register in self.features.banked else 0))
+        return len(places) > 1
 
     def offers(self, name: str) -> bool:
         """Whether the camera has a feature now."""
@@ -289,12 +299,9 @@ class Camera(Device):
         assert self._first is not None
         pages, banks = self._sets.get(number, self._first)
         before = self.features.value("UserSetSelector") if "UserSetSelector" in self.features else 0
-        kept = {n: self.features.value(n) for n in ("UserSetDefault", "UserSetDefaultSelector") if n in self.features}
         self.registers.restore(pages, BOOTSTRAP_END)
         self.features.banks = dict(banks)
         self.features.forget()
-        for name, value in kept.items():
-            self.features.put(name, value)
         if "UserSetSelector" in self.features:
             self.features.put("UserSetSelector", before)
 

@@ -425,6 +425,9 @@ class Features:
                 continue
             for selector in selectors:
                 at = self.register_of(selector)
+                # A selector that is made of another value, as the trigger mode of IIDC, exchanges nothing.
+                if any(d.kind(node) in _CONVERTERS for node in d.closure(selector)):
+                    continue
                 # A client computes the address or chooses the register by the selector's value.
                 if at is None or at == register or at in d.closure(feature) or selector in d.closure(feature):
                     continue

@@ -1,36 +1,89 @@
-"""Cameras of makers, from their descriptions: the station opens them, and every frame is proven."""
+"""Cameras of makers, from their descriptions: a station puts right what was left in them, and proves their frames."""
 
 from __future__ import annotations
 
 import gzip
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Stage, noise
-from tests.needs import DESCRIPTIONS, need_descriptions
+from tests.gige.leftovers import leave_all, survivors
+from tests.gige.referee import Referee
+from tests.needs import DESCRIPTIONS, need_descriptions, need_referee
 from vaoi_station.config import StationConfig
 from vaoi_station.rig.gige.camera import Camera
 from vaoi_station.rig.gige.first_values import Sensor
 
+EXPOSURE_US = 250.0
 
-@pytest.mark.parametrize("name", ["Allied_Vision_1800_U-811m", "FLIR_BFLY_PGE_13H2M"])
-def test_a_frame_of_a_camera_with_its_makers_description_arrives(
-    name: str, tmp_path: Path, opened: Callable[[StationConfig], Stage]
-) -> None:
+
+@pytest.fixture
+def plug() -> Iterator[Callable[[str], Camera]]:
+    """Plug in a camera with the description of this name."""
     need_descriptions()
-    text = gzip.decompress((DESCRIPTIONS / f"{name}.xml.gz").read_bytes()).decode("utf-8-sig")
-    camera = Camera("127.0.0.2", text, serial="REAL", sensor=Sensor(WIDTH, HEIGHT))
-    try:
-        stage = opened(station_config(tmp_path, [camera_config(address=camera.address, width=WIDTH, height=HEIGHT)]))
-        stage.load()
-        assert camera.expose(noise(1).tobytes()) == 1
-        arrival = stage.arrival()
-        assert (arrival.complete, arrival.frame_id) == (True, 1), arrival.fault
-        assert (stage.ring.memory(arrival.slot) == noise(1)).all()
-        assert camera.exposure_us == pytest.approx(250)
-        stage.close()
-    finally:
+    need_referee()
+    plugged: list[Camera] = []
+
+    def one(name: str) -> Camera:
+        text = gzip.decompress((DESCRIPTIONS / f"{name}.xml.gz").read_bytes()).decode("utf-8-sig")
+        number = len(plugged) + 2
+        plugged.append(Camera(f"127.0.0.{number}", text, serial=f"REAL{number}", sensor=Sensor(640, 480)))
+        return plugged[-1]
+
+    yield one
+    for camera in plugged:
         camera.close()
+
+
+def test_nothing_that_was_left_in_a_camera_survives(
+    plug: Callable[[str], Camera], tmp_path: Path, opened: Callable[[StationConfig], Stage]
+) -> None:
+    """The station does not load the user set, which would hide a feature that it forgets."""
+    names = sorted(path.name.removesuffix(".xml.gz") for path in DESCRIPTIONS.glob("*.xml.gz"))
+    cameras = {name: plug(name) for name in names}
+    formats = {name: str(camera.value("PixelFormat")) for name, camera in cameras.items()}
+    left = {name: leave_all(camera) for name, camera in cameras.items()}
+    # Its TriggerSelector cannot be written, and follows ExposureMode.
+    cameras["PGR_Flea3_GE_28S4C"].put("ExposureMode", "Timed")
+    assert all(len(leftovers) > 10 for leftovers in left.values())
+    configured = [
+        camera_config(
+            name=name.replace("_", "-").lower(), address=camera.address, width=WIDTH, height=HEIGHT,
+            pixel_format=formats[name], exposure_us=EXPOSURE_US, user_set="keep",
+        )
+        for name, camera in cameras.items()
+    ]  # fmt: skip
+    stage = opened(station_config(tmp_path, configured))
+    stage.load()
+    for number, (name, camera) in enumerate(cameras.items()):
+        assert camera.expose(noise(number).tobytes()) == 1, name
+    arrivals = sorted((stage.arrival() for _ in cameras), key=lambda arrival: arrival.camera)
+    for number, arrival in enumerate(arrivals):
+        assert (arrival.complete, arrival.frame_id) == (True, 1), f"{configured[number].name}: {arrival.fault}"
+        assert (stage.ring.memory(arrival.slot) == noise(number)).all()
+    assert [f"{name}: {what}" for name in cameras for what in survivors(cameras[name], left[name])] == []
+    for name, camera in cameras.items():
+        referee = Referee(camera)
+        assert [referee.value(f) for f in ("Width", "Height", "PixelFormat")] == [WIDTH, HEIGHT, formats[name]], name
+        exposure = next(f for f in ("ExposureTime", "ExposureTimeAbs") if referee.has(f))
+        assert referee.value(exposure) == pytest.approx(EXPOSURE_US, rel=0.01), name
+
+
+def test_the_user_set_default_replaces_one_that_an_earlier_program_has_saved(
+    plug: Callable[[str], Camera], tmp_path: Path, opened: Callable[[StationConfig], Stage]
+) -> None:
+    camera = plug("AVT_Mako_G234B")
+    black_level = camera.value("BlackLevel")
+    leave_all(camera)
+    camera.put("BlackLevel", 7)  # the station sets no black level
+    camera.save_as_power_on_set("UserSet1")
+    camera.boot()
+    assert camera.value("BlackLevel") == 7 != black_level, "it is loaded at power-on"
+    stage = opened(station_config(tmp_path, [camera_config(address=camera.address, width=WIDTH, height=HEIGHT)]))
+    stage.load()
+    assert camera.expose(noise(1).tobytes()) == 1
+    assert stage.arrival().complete
+    assert Referee(camera).value("BlackLevel") == black_level
