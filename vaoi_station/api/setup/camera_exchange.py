@@ -173,11 +173,11 @@ class CameraExchange:
                 camera=k,
                 name=config.name,
                 serial=config.serial or status.serial,
-                model=self._model_of(k, places),
+                model=self._model_of(k, places, found),
                 candidates=[
                     camera.serial
                     for camera in shown
-                    if camera.place is None and not camera.in_use and camera.model == self._model_of(k, places)
+                    if camera.place is None and not camera.in_use and camera.model == self._model_of(k, places, found)
                 ],
             )
             for k, (config, status) in enumerate(places)
@@ -206,7 +206,7 @@ class CameraExchange:
             if any(other.serial == before for other in found):
                 raise _connected(config.name, before)
             new = find(wanted.serial, found)
-            self._refuse_model(new, camera, places)
+            self._refuse_model(new, camera, places, found)
             if new.control is Control.CONTROLLED:
                 raise DeviceError(
                     f"Another program controls the camera {new.serial} at {new.address}.",
@@ -301,16 +301,25 @@ class CameraExchange:
                     code="serial-used",
                 )
 
-    def _model_of(self, camera: int, places: list[tuple[CameraConfig, CameraStatus]]) -> str:
+    def _model_of(
+        self, camera: int, places: list[tuple[CameraConfig, CameraStatus]], found: tuple[FoundCamera, ...]
+    ) -> str:
         """Return the model that a camera at a place must have; empty if it is not known.
 
         A station that never saw its camera goes by the others, if all of them are of one model.
         """
         others = {status.model for _, status in places if status.model}
+        others |= {other.model for other in found if _place_of(other, places) is not None}
         return places[camera][1].model or (others.pop() if len(others) == 1 else "")
 
-    def _refuse_model(self, new: FoundCamera, camera: int, places: list[tuple[CameraConfig, CameraStatus]]) -> None:
-        wanted, name = self._model_of(camera, places), places[camera][0].name
+    def _refuse_model(
+        self,
+        new: FoundCamera,
+        camera: int,
+        places: list[tuple[CameraConfig, CameraStatus]],
+        found: tuple[FoundCamera, ...],
+    ) -> None:
+        wanted, name = self._model_of(camera, places, found), places[camera][0].name
         if wanted == new.model and wanted:
             return
         what = (

@@ -1,5 +1,5 @@
 // Calibration: print the board, film it, let the station measure its marks, judge, accept or try again.
-import { make, said } from "../parts/elements.js";
+import { make, options as choicesOf, said } from "../parts/elements.js";
 import { saveFile } from "../parts/files.js";
 import * as rest from "../parts/rest.js";
 import { keep, kept, stateShown } from "../parts/settings.js";
@@ -28,6 +28,7 @@ export class Page extends SetupPage {
   #entered = readEntered(); // what was entered in this browser: the board is printed on one day and filmed on another
   #board = {}; // fields of the artwork
   #limits = {};
+  #only = null; // the choice of a single camera
   #layout = null; // the layout.json that was chosen instead of the artwork of this page
   #live = null;
   #judged = make("div");
@@ -48,12 +49,14 @@ export class Page extends SetupPage {
     const t = texts.setup;
     await this.#readRuns();
     const { cameras } = await rest.station();
+    const alone = cameras.map((camera) => [String(camera.camera), t.onlyCamera(camera.name)]);
+    this.#only = make("select", { name: "camera" }, ...choicesOf([["", t.wholeArray], ...alone]));
     this.#live = new LiveMarks(cameras.map((camera) => camera.name), () => this.#searchedFor());
     const limits = make("details", {}, make("summary", { textContent: t.limits }), make("div", { className: "fields" }, ...this.#limitFields()));
     this.root.replaceChildren(make("h2", { textContent: t.pages.calibration }), this.answer, this.#judged,
       make("div", { className: "two even" }, section(t.printBoard, make("p", { className: "help", textContent: t.printHelp }), this.#artwork(), this.#drawn),
         make("div", { className: "column" }, section(t.filmBoard, this.#live.root, make("p", { className: "help", textContent: t.filmHelp }), this.#choice()),
-          section(t.calibrate, this.#layoutField(), limits, make("div", { className: "buttons" }, button(t.beginTrial, () => this.#begin(), this.answer, { className: "primary", id: "calibrate" }))))));
+          section(t.calibrate, labelled(t.calibrated, this.#only, { help: t.onlyHelp }), this.#layoutField(), limits, make("div", { className: "buttons" }, button(t.beginTrial, () => this.#begin(), this.answer, { className: "primary", id: "calibrate" }))))));
     this.#row.addEventListener("change", () => this.#showFrames());
     this.#draw();
     this.#showFrames();
@@ -226,10 +229,11 @@ export class Page extends SetupPage {
     const wrong = values.find(([, value]) => !Number.isFinite(Number(value)));
     if (wrong) throw new Wrong(t.notNumber(t.limitNames[wrong[0]], wrong[1]));
     const options = this.#options();
+    const only = this.#only.value === "" ? {} : { camera: Number(this.#only.value) };
     const design = Object.fromEntries(["pitch_mm", "px_per_mm"].filter((name) => options[name] !== "").map((name) => [name, Number(options[name])]));
     try {
       const layout = this.#layout ?? (await requests.layout(options));
-      await requests.beginTrial({ run: this.#run.value, row: Number(this.#row.value), layout, ...design, ...Object.fromEntries(values.map(([name, value]) => [name, Number(value)])) });
+      await requests.beginTrial({ run: this.#run.value, row: Number(this.#row.value), layout, ...only, ...design, ...Object.fromEntries(values.map(([name, value]) => [name, Number(value)])) });
     } catch (error) {
       throw localised(error);
     }
@@ -284,7 +288,7 @@ export class Page extends SetupPage {
       await this.#follow();
       return "";
     }, this.answer, { className: "primary", id: "accept" }), make("a", { className: "button", href: requests.trialCalibration, download: "calibration.json", textContent: t.download }), discard) : make("div", { className: "buttons" }, discard);
-    const written = trial.state === "accepted" ? make("p", { className: "answer done", textContent: t.acceptedAs(trial.accepted_as, trial.backup) }) : "";
+    const written = trial.state === "accepted" ? make("p", { className: "answer done", textContent: (trial.camera == null ? t.acceptedAs : t.acceptedAlone)(trial.accepted_as, trial.backup) }) : "";
     return [section(title, refused, written, figures, make("ul", { className: "warnings" }, ...trial.notes.map(({ code, message, values }) => make("li", {}, ...said(message, texts.translated.notes[code]?.(values))))), against, orders, make("div", { className: "pictures" }, ...pictures))];
   }
 }

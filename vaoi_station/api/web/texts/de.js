@@ -483,6 +483,10 @@ const setup = {
   layoutHelp: "Ohne Datei: die Platte, wie sie diese Seite zeichnet.",
   withoutLayout: "Ohne diese Datei",
   noLayout: (name) => `${name} ist kein JSON: wählen Sie die layout.json der Druckvorlage.`,
+  calibrated: "Was kalibriert wird",
+  wholeArray: "Alle Kameras",
+  onlyCamera: (name) => `Nur Kamera ${name}`,
+  onlyHelp: "Eine Kamera allein, zum Beispiel eine getauschte: Alle anderen bleiben, wie sie sind, und zeigen, wo die Platte liegt.",
   limits: "Grenzen und Genauigkeit",
   limitNames: { working_distance_mm: "Abstand der Kameras", center_tolerance_mm: "Genauigkeit der Sollmitten", residual_limit_px: "Größtes Residuum", mark_accuracy_um: "Genauigkeit der Marken (σ)", flatness_um: "Ebenheit der Platte (σ)" },
   notNumber: (name, value) => `${name} ist „${value}“; nötig ist eine Zahl.`,
@@ -499,6 +503,7 @@ const setup = {
   accept: "Annehmen",
   discardTrial: "Verwerfen",
   download: "calibration.json herunterladen",
+  acceptedAlone: (name, backup) => `Geschrieben als ${name}; die bisherige bleibt als ${backup}. Sie ist in Kraft.`,
   acceptedAs: (name, backup) => `Geschrieben als ${name}${backup ? `; die bisherige bleibt als ${backup}` : ""}. Sie gilt ab dem nächsten Start der Station.`,
 
   newKey: "Neuer Schlüssel",

@@ -494,6 +494,10 @@ const setup = {
   layoutHelp: "Without a file: the board as it is drawn on this page.",
   withoutLayout: "Without this file",
   noLayout: (name) => `${name} is not JSON: choose the layout.json of the artwork.`,
+  calibrated: "What is calibrated",
+  wholeArray: "All cameras",
+  onlyCamera: (name) => `Only camera ${name}`,
+  onlyHelp: "One camera alone, for example an exchanged one: all others are held, and say where the board lies.",
   limits: "Limits and accuracy",
   limitNames: { working_distance_mm: "Distance of the cameras", center_tolerance_mm: "Accuracy of nominal centres", residual_limit_px: "Largest residual", mark_accuracy_um: "Accuracy of the marks (σ)", flatness_um: "Flatness of the board (σ)" },
   notNumber: (name, value) => `${name} is “${value}”; it must be a number.`,
@@ -510,6 +514,7 @@ const setup = {
   accept: "Accept it",
   discardTrial: "Discard it",
   download: "Download calibration.json",
+  acceptedAlone: (name, backup) => `Written as ${name}; the one before is kept as ${backup}. It is in force.`,
   acceptedAs: (name, backup) => `Written as ${name}${backup ? `; the one before is kept as ${backup}` : ""}. It is in force from the next start of the station on.`,
 
   // keys
