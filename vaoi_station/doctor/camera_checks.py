@@ -207,7 +207,7 @@ def _left_over(control: Control, camera: CameraConfig) -> Iterator[str]:
 
 @contextmanager
 def _opened(camera: CameraConfig) -> Iterator[Any]:
-    opened = open_device(camera, locate([camera])[0])
+    opened = open_device(camera, locate(camera))
     try:
         yield opened
     finally:

@@ -61,12 +61,12 @@ def test_a_serial_number_must_be_that_of_one_camera(
         camera_config(address=address, serial=serial)
         for address, serial in ((None, "S2"), ("10.0.0.1", None), ("10.0.0.9", None))
     )
-    assert connection_module.locate([by_serial, by_address]) == ["10.0.0.2", "10.0.0.1"]
+    assert connection_module.locate_each([by_serial, by_address]) == ["10.0.0.2", "10.0.0.1"]
     monkeypatch.setattr(connection_module, "search", lambda: found)
     with pytest.raises((DeviceError, InputError), match=words):
-        connection_module.locate([by_serial])
+        connection_module.locate(by_serial)
     with pytest.raises(DeviceError, match=r"camera c0: there is no camera at 10\.0\.0\.9 \(it does not answer\)"):
-        connection_module.locate([absent])
+        connection_module.locate(absent)
 
 
 RESULTS: SimpleQueue[SlotResult] = SimpleQueue()

@@ -51,6 +51,90 @@ def test_a_camera_that_cannot_expose_for_the_width_is_refused(modes: list[str], 
     assert caught.value.code == "exposure-mode"
 
 
+def test_what_another_program_left_is_made_neutral_and_what_is_neutral_is_not_written() -> None:
+    camera = StandInCamera()
+    camera.device.features |= {
+        "TriggerDelay": 500.0, "LUTEnable": True, "ReverseX": False, "Gamma": 0.5, "Sharpness": 7,
+        "DefectCorrectStaticEnable": False, "BalanceRatioSelector": "Blue", "BalanceRatio": 2.0,
+    }  # fmt: skip
+    settings.apply(camera, camera_config())
+    features = camera.device.features
+    assert (features["TriggerDelay"], features["LUTEnable"], features["Sharpness"]) == (0.0, False, 0)
+    assert features["GammaEnable"] is False
+    assert features["Gamma"] == 0.5, "it has a switch, which is off"
+    assert (features["DefectCorrectStaticEnable"], features["BalanceRatio"]) == (True, 1.0)
+    assert "ReverseX" not in dict(camera.device.written)
+
+
+def with_user_sets() -> StandInCamera:
+    camera = StandInCamera()
+    camera.device.features |= {"UserSetSelector": "UserSet1", "UserSetLoad": None}
+    camera.device.entries["UserSetSelector"] = ("Default", "UserSet1")
+    return camera
+
+
+@pytest.mark.parametrize(
+    ("user_set", "loaded"), [("Default", ["UserSetLoad"]), ("UserSet1", ["UserSetLoad"]), ("keep", [])]
+)
+def test_the_user_set_is_loaded_before_everything_else(user_set: str, loaded: list[str]) -> None:
+    camera = with_user_sets()
+    settings.apply(camera, camera_config(user_set=user_set))
+    assert camera.device.commands == loaded
+    if loaded:
+        assert camera.device.written[0] == ("UserSetSelector", user_set)
+
+
+def test_features_are_written_in_their_order_and_a_selector_twice() -> None:
+    camera = StandInCamera()
+    camera.device.features |= {"LineSelector": "Line0", "LineDebouncerTimeAbs": 0.0}
+    camera.device.entries["LineSelector"] = ("Line0", "Line1")
+    tables = ({"LineSelector": "Line1", "LineDebouncerTimeAbs": 5}, {"LineSelector": "Line0", "GammaEnable": True})
+    settings.apply(camera, camera_config(features=tables))
+    named = [(name, value) for name, value in camera.device.written if name.startswith(("Line", "GammaEnable"))]
+    assert named == [
+        ("GammaEnable", False), ("LineSelector", "Line1"), ("LineDebouncerTimeAbs", 5.0), ("LineSelector", "Line0"),
+        ("GammaEnable", True),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("features", "entries", "bounds", "code", "words"),
+    [
+        ({}, {}, {"Width": (32, 64)}, "setting-beyond-limits", "Width = 16 is outside of .* 32 … 64"),
+        ({}, {}, {"Width": (64, 8)}, "description-wrong", "contradicts itself: Width has the limits 64 … 8"),
+        (
+            {"SensorShutterMode": "Rolling"}, {"SensorShutterMode": ("Rolling", "GlobalReset")}, {},
+            "rolling-shutter", "SensorShutterMode is Rolling; it offers Rolling, GlobalReset",
+        ),
+        ({}, {"TriggerSource": ("Software",)}, {}, "camera-without-input", "no trigger input by wire; it has Software"),
+        ({}, {"TriggerMode": ("Off",)}, {}, "camera-without-trigger", "not by a wire"),
+    ],
+)  # fmt: skip
+def test_a_camera_that_cannot_do_what_is_planned_is_refused_with_its_limits(
+    features: dict[str, Any], entries: dict[str, tuple[str, ...]], bounds: dict[str, Any], code: str, words: str
+) -> None:
+    camera = StandInCamera()
+    camera.device.features |= features
+    camera.device.entries |= entries
+    camera.device.bounds |= bounds
+    with pytest.raises(DeviceError, match=words) as refused:
+        settings.apply(camera, camera_config())
+    assert refused.value.code == code
+    assert refused.value.message.startswith("camera c0: ")
+
+
+def test_a_gain_that_is_counted_by_no_known_formula_is_left_alone_or_refused_with_its_range() -> None:
+    camera = StandInCamera("Basler")
+    del camera.device.features["Gain"]
+    camera.device.features["GainRaw"] = 77
+    camera.device.bounds["GainRaw"] = (33, 512)
+    settings.apply(camera, camera_config())
+    assert camera.device.features["GainRaw"] == 77
+    with pytest.raises(DeviceError, match=r"a gain of 6 dB: its GainRaw counts 33 … 512") as refused:
+        settings.apply(camera, camera_config(gain_db=6.0))
+    assert refused.value.code == "gain-unknown"
+
+
 CONFIG = camera_config(exposure_by="sequencer")
 STEPS = ((300.0, 0.0), (90.0, 0.0), (90.0, 6.0))
 

@@ -6,25 +6,29 @@ of the process is opened at a time.
 
 from __future__ import annotations
 
+import gc
 import logging
 import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from queue import SimpleQueue
 
 from vaoi_station.acquisition.cameras.aravis import network
 from vaoi_station.acquisition.cameras.aravis.connection import (
     OPENING_LOCK,
     Connection,
+    Identity,
     PortShare,
     absence_error,
     check_silence,
     locate,
+    locate_each,
 )
-from vaoi_station.acquisition.cameras.aravis.links import check_row
+from vaoi_station.acquisition.cameras.aravis.links import check_row, sender_of
 from vaoi_station.acquisition.cameras.aravis.recovery import (
     ABSENT_LIMIT_S,
     POWER,
@@ -68,20 +72,35 @@ ABSENT_S = 2.0
 _ABSENT = frozenset({"camera-absent", "camera-in-use", "camera-lost", "camera-hangs"})
 
 
+@dataclass
+class Unopened:
+    """A camera that could not be opened at the start: its settings, why, and what it gets of the links."""
+
+    config: CameraConfig
+    fault: VaoiError
+    share: PortShare = field(default_factory=PortShare)
+
+
 class AravisCamera:
     """A `CameraDevice` that keeps its number and its slots while its `Connection` is lost and replaced by a new one."""
 
-    def __init__(self, number: int, connection: Connection, power: CameraPowerConfig | None = None) -> None:
-        """Take over an open, configured connection and start the acquisition. `power` switches the camera's power."""
+    def __init__(self, number: int, given: Connection | Unopened, power: CameraPowerConfig | None = None) -> None:
+        """Take over an open, configured connection and start the acquisition; a camera that is not open counts as lost.
+
+        `power` switches the camera's power.
+        """
+        connection = given if isinstance(given, Connection) else None
         self._power, self._recovery = power, Recovery()
         self._power_is_due = False
         self._silent_rows = 0
         """Rows of a run of which this camera sent nothing; 0 once the supervisor has taken note."""
-        self.number, self.config, self._sequence = number, connection.config, connection.sequence
-        self._share = connection.share
-        self._identity = connection.identity
-        self._is_gige = connection.is_gige
-        self._epoch_ns = round(connection.read_clock(0).device_s * 1e9)
+        self.number, self.config, self._share = number, given.config, given.share
+        self._sequence = connection.sequence if connection else ()
+        self._identity = (
+            connection.identity if connection else Identity(self.config.serial or "", self.config.address or "", "")
+        )
+        self._is_gige = connection.is_gige if connection else bool(self.config.address)
+        self._epoch_ns = _epoch_ns(connection) if connection else 0
         """Value of the camera's clock, ns, from which its seconds count. Small numbers of seconds are exact to the ns
         in a float.
         """
@@ -97,7 +116,7 @@ class AravisCamera:
         """Last monotonic time, s, at which a frame ended, complete or incomplete."""
         self._temperature_c: float | None = None
         self._counting = threading.Lock()
-        self._fault: VaoiError | None = None
+        self._fault: VaoiError | None = None if isinstance(given, Connection) else given.fault
         self._access_error: DeviceError | None = None
         self._backoff = Backoff(PACE)
         self._last_reply_s = time.monotonic()
@@ -106,11 +125,14 @@ class AravisCamera:
         """Last monotonic time, s, at which this process certainly controlled the camera."""
         self._closing = threading.Event()
         self._thread = SupervisedThread(self._supervise, f"camera-{self.config.name}", OPENING_LIMIT_S)
-        connection.start(self._on_slot)
+        if connection is not None:
+            connection.start(self._on_slot)
 
     def start(self, arrivals: SimpleQueue[CameraEvent]) -> None:
         """Start the supervisor. It puts arrivals of frames, and losses and returns of the camera, into `arrivals`."""
         self._arrivals = arrivals
+        if self._fault is not None:
+            self._report_loss(self._fault)
         self._thread.start()
 
     def set_exposure(self, wanted: CameraExposure) -> None:
@@ -364,9 +386,12 @@ class AravisCamera:
             self._waiting = connection.stream.close() + self._waiting
         self._losses += 1
         self._record_failure()
+        self._report_loss(error)
+        connection.close(gone=True)
+
+    def _report_loss(self, error: VaoiError) -> None:
         why = error.message.removeprefix(f"{self.config.label}: ").rstrip(".")
         self._arrivals.put(CameraLost(self.number, self._last_reply_s, why, error))
-        connection.close(gone=True)
 
     def _reopen(self) -> bool:
         """Try once to open the camera and to start it; return whether this succeeded."""
@@ -378,7 +403,7 @@ class AravisCamera:
             finally:
                 OPENING_LOCK.release()
         except VaoiError as error:
-            self._fault = error
+            self._fault = _detached(error)
             return False
         try:
             # Exposure or gain may have been set while the camera was opened with the values of before. Slots follow
@@ -403,7 +428,8 @@ class AravisCamera:
         # frame arrives (measured, Aravis 0.8.26; camera_aravis2 #41 and Aravis #735 report failures there).
         connection = Connection(self.config, self._locate(), self._sequence, self._share)
         try:
-            if connection.identity.serial != self._identity.serial:
+            # A camera that was not there at the start is known by its address only.
+            if self._identity.serial and connection.identity.serial != self._identity.serial:
                 raise InputError.field(
                     self.config.label,
                     "serial number of the camera that came back",
@@ -412,14 +438,16 @@ class AravisCamera:
                     "Exchange the camera on the page Cameras, or with `vaoi cameras replace`.",
                 )
             connection.configure()
+            if not self._epoch_ns:  # it was never open before
+                self._epoch_ns = _epoch_ns(connection)
             reading = connection.read_clock(self._epoch_ns)
             connection.start(self._on_slot)
         except BaseException:  # also KeyboardInterrupt: release the camera, then raise it again
             connection.close()
             raise
         with self._setting:
-            if self._identity.serial == connection.identity.serial:  # not exchanged meanwhile
-                self._identity = connection.identity
+            if self._identity.serial in ("", connection.identity.serial):  # not exchanged meanwhile
+                self._identity, self._is_gige = connection.identity, connection.is_gige
         return connection, reading
 
     def _locate(self) -> str:
@@ -428,7 +456,7 @@ class AravisCamera:
             return self._identity.address
         if self.config.serial is None:
             raise absence_error(self.config, self._identity.address, "it does not answer")
-        return locate([self.config])[0]
+        return locate(self.config)
 
 
 STALL_S = 1.0
@@ -436,37 +464,67 @@ STALL_S = 1.0
 
 
 def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
-    """Open every camera of a station."""
-    connections: list[Connection] = []
+    """Open every camera of a station. Those that cannot be opened are lost from the start; one at least must open."""
+    members: list[Connection | Unopened] = []
     cameras: list[AravisCamera] = []
     with OPENING_LOCK:
         try:
-            for camera, where in zip(config.cameras, locate(config.cameras), strict=True):
+            for camera, where in zip(config.cameras, locate_each(config.cameras), strict=True):
                 # Until a light program is armed, the register holds the exposure: pulses without a program use it.
                 by = camera.exposure_by if camera.exposure_by == "sequencer" else "register"
-                connections.append(Connection(camera.model_copy(update={"exposure_by": by}), where))
-            _check_distinct(connections)
-            for connection in connections:
-                connection.measure_link()
-            _share_links(config, connections)
-            for connection in connections:
-                connection.configure()
+                members.append(_opened(camera.model_copy(update={"exposure_by": by}), where))
+            _check_distinct(_open(members))
+            _each(members, Connection.measure_link)
+            _share_links(config, members)
+            _each(members, Connection.configure)
             # Shared again: a camera may keep a lower limit than its share.
-            _share_links(config, connections)
-            for connection in connections:
+            _share_links(config, members)
+            for connection in _open(members):
                 _log.info("%s", connection.link_text())
-            for number, connection in enumerate(connections):
-                cameras.append(AravisCamera(number, connection, config.camera_power))
+            for number, member in enumerate(members):
+                cameras.append(AravisCamera(number, member, config.camera_power))
             # Checked last, with all cameras started: a camera that sends now would have its frames in wrong rows.
-            check_silence(connections)
+            check_silence(_open(members))
         except BaseException:  # also KeyboardInterrupt: release all cameras; it is raised on
             # An AravisCamera closes its connection; connections without an AravisCamera are closed one by one.
             for opened in cameras:
                 opened.close()
-            for unused in connections[len(cameras) :]:
+            for unused in _open(members[len(cameras) :]):
                 unused.close()
             raise
     return tuple(cameras)
+
+
+def _opened(config: CameraConfig, where: str | VaoiError) -> Connection | Unopened:
+    try:
+        return Unopened(config, where) if isinstance(where, VaoiError) else Connection(config, where)
+    except VaoiError as error:
+        return Unopened(config, _detached(error))
+
+
+def _open(members: Sequence[Connection | Unopened]) -> list[Connection]:
+    return [member for member in members if isinstance(member, Connection)]
+
+
+def _each(members: list[Connection | Unopened], step: Callable[[Connection], None]) -> None:
+    """Do a step with all open cameras at the same time. Those that refuse it are closed; raise if all do."""
+
+    def attempt(connection: Connection) -> Connection | Unopened:
+        try:
+            step(connection)
+        except VaoiError as error:
+            refused = Unopened(connection.config, _detached(error))
+            connection.close()
+            return refused
+        return connection
+
+    # A camera may take a second to load its user set, and hundreds of round trips for its settings.
+    with ThreadPoolExecutor(max(1, len(members)), "open-camera") as pool:
+        stepped = iter(list(pool.map(attempt, _open(members))))
+    members[:] = [next(stepped) if isinstance(member, Connection) else member for member in members]
+    faults = [member.fault for member in members if isinstance(member, Unopened)]
+    if len(faults) == len(members):
+        raise faults[0]
 
 
 def socket_bytes(camera: CameraConfig, period_s: float) -> int:
@@ -492,10 +550,29 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
             )
 
 
-def _share_links(config: StationConfig, connections: Sequence[Connection]) -> None:
-    senders, period_s = [connection.sender for connection in connections], config.line.shortest_period_s
+def _share_links(config: StationConfig, members: Sequence[Connection | Unopened]) -> None:
+    """Share the links as if all cameras were there: one that is absent may come at any time."""
+    there = [connection.sender for connection in _open(members)]
+    place, packets = _open(members)[0].identity.interface, there[0].packet_bytes
+    senders = [
+        member.sender if isinstance(member, Connection) else sender_of(member.config, place, None, packets)
+        for member in members
+    ]
+    period_s = config.line.shortest_period_s
     row_s = check_row(senders, period_s)
-    for connection, share in zip(connections, share_links(senders), strict=True):
-        buffer_bytes = socket_bytes(connection.config, period_s)
-        packet = connection.packet_bytes
-        connection.share = PortShare(math.ceil(share.delay_s * 1e9), share.mbit_s, row_s or None, buffer_bytes, packet)
+    for member, share in zip(members, share_links(senders), strict=True):
+        buffer_bytes = socket_bytes(member.config, period_s)
+        packet = member.packet_bytes if isinstance(member, Connection) else 0
+        member.share = PortShare(math.ceil(share.delay_s * 1e9), share.mbit_s, row_s or None, buffer_bytes, packet)
+
+
+def _detached(error: VaoiError) -> VaoiError:
+    """Return an error without its tracebacks, whose frames would keep the camera open for the next attempt."""
+    error.__cause__ = error.__context__ = None
+    error.with_traceback(None)
+    gc.collect()
+    return error
+
+
+def _epoch_ns(connection: Connection) -> int:
+    return round(connection.read_clock(0).device_s * 1e9)

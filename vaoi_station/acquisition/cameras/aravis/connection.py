@@ -33,7 +33,7 @@ from vaoi_station.acquisition.cameras.aravis.stream import (
 from vaoi_station.acquisition.cameras.interface import CameraLimits
 from vaoi_station.acquisition.clocks import ClockReading, timed_reading
 from vaoi_station.config import CameraConfig
-from vaoi_station.errors import DeviceError, InputError
+from vaoi_station.errors import DeviceError, InputError, VaoiError
 from vaoi_station.optics.links import Sender, slowest_row
 from vaoi_station.pixel_formats import PIXEL_FORMATS
 from vaoi_station.supervised_thread import SupervisedThread
@@ -84,10 +84,24 @@ def search() -> tuple[FoundCamera, ...]:
     )
 
 
-def locate(cameras: Sequence[CameraConfig]) -> list[str]:
-    """Return the IP address or USB device id of each camera, which replies. One search covers all serial numbers."""
+def locate(camera: CameraConfig) -> str:
+    """Return the IP address or USB device id of a camera, which replies."""
+    (place,) = locate_each([camera])
+    if isinstance(place, VaoiError):
+        raise place
+    return place
+
+
+def locate_each(cameras: Sequence[CameraConfig]) -> list[str | VaoiError]:
+    """Return where each camera replies, or why it does not. One search covers all serial numbers."""
     found = search() if any(camera.serial for camera in cameras) else ()
-    return [_address_of(camera, found) for camera in cameras]
+    places: list[str | VaoiError] = []
+    for camera in cameras:
+        try:
+            places.append(_address_of(camera, found))
+        except VaoiError as error:
+            places.append(error)
+    return places
 
 
 def _address_of(config: CameraConfig, found: Sequence[FoundCamera]) -> str:
