@@ -138,6 +138,11 @@ class CameraConfig(Section):
         if self.backend == "aravis":
             if (self.serial is None) == (self.address is None):
                 raise ValueError(f"camera {self.name!r} needs a serial or an address, and not both")
+            # With an odd offset, the colour of the first pixel is another one than the format says at some makes.
+            if self.pixel_format.startswith("Bayer") and any(offset % 2 for offset in self.offset_px):
+                raise ValueError(
+                    f"camera {self.name!r} has pixel_format {self.pixel_format}, so offset_px must be even"
+                )
         elif self.serial is not None or self.address is not None:
             raise ValueError(f"camera {self.name!r} has backend {self.backend!r}, which has no serial and no address")
         # Only frames of Aravis cameras are unpacked; the others are written to the ring as they are.

@@ -165,7 +165,7 @@ class Control:
         with answered():
             self.features.select(setting.at)
             limits = self.features.limits(setting.feature)
-        if limits is None:
+        if limits is None or limits[:2] == (0, 0):  # nothing is stated
             return
         low, high, step = limits
         if low > high or step < 0:
@@ -225,15 +225,17 @@ def apply_exposure(camera: Any, config: CameraConfig) -> None:
 
 def deviations(control: Control, config: CameraConfig) -> Iterator[tuple[Setting, Value]]:
     """Yield neutral settings that a camera does not have now, with what it has. Only selectors are written."""
-    at = _require_trigger(control)
-    control.features.select(at)
-    line = trigger_line(config, control.vendor, control.features.entries("TriggerSource"))
-    entries = {"TriggerSelector": tuple(entry for _, entry in at), "LineSelector": (line,)}
-    named = {feature for feature, _ in config.named_features}
-    for setting, got in _neutral(control, (*BEFORE_FORMAT, *families.PICTURE, *AT_THE_TRIGGER), entries):
-        if not setting.matches(got) and setting.feature not in named:
-            yield setting, got
-    control.features.restore_selection()
+    try:
+        at = _require_trigger(control)
+        control.features.select(at)
+        line = trigger_line(config, control.vendor, control.features.entries("TriggerSource"))
+        entries = {"TriggerSelector": tuple(entry for _, entry in at), "LineSelector": (line,)}
+        named = {feature for feature, _ in config.named_features}
+        for setting, got in _neutral(control, (*BEFORE_FORMAT, *families.PICTURE, *AT_THE_TRIGGER), entries):
+            if not setting.matches(got) and setting.feature not in named:
+                yield setting, got
+    finally:
+        control.features.restore_selection()
 
 
 def frame_trigger(triggers: Sequence[str]) -> str | None:

@@ -10,6 +10,7 @@ import pytest
 
 from tests.acquisition.cameras.aravis.wire.stage import Device, Stage
 from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras
+from vaoi_station.acquisition.cameras.interface import CameraBack, CameraLost
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 
@@ -27,19 +28,21 @@ sys.stdin.read()
 
 
 @pytest.fixture
-def other_program() -> Iterator[Callable[[Device], None]]:
-    """Another program takes control of a camera."""
+def other_program() -> Iterator[Callable[[Device], subprocess.Popen[str]]]:
+    """Another program takes control of a camera, until its standard input ends."""
     programs = []
 
-    def take(device: Device) -> None:
+    def take(device: Device) -> subprocess.Popen[str]:
         command = [sys.executable, "-c", OTHER_PROGRAM, device.address]
         programs.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
         assert programs[-1].stdout is not None
         assert programs[-1].stdout.readline() == "mine\n"
+        return programs[-1]
 
     yield take
     for program in programs:
-        program.communicate()
+        program.kill()
+        program.wait()
 
 
 def by_serial(config: StationConfig, *serials: str) -> StationConfig:
@@ -92,15 +95,25 @@ def test_cameras_of_one_cable_leave_each_other_room(device: Plug, station: Make,
         assert camera.second_client().gv_get_packet_delay() == (1500 + 38) * 8
 
 
-def test_a_camera_that_another_program_controls(
-    device: Plug, station: Make, opened: Open, other_program: Callable[[Device], None]
+def test_a_camera_that_another_program_controls_is_lost_until_that_program_ends_and_the_others_film(
+    device: Plug, station: Make, opened: Open, other_program: Callable[[Device], subprocess.Popen[str]]
 ) -> None:
     mine, theirs = device(0), device(1)
-    other_program(theirs)
-    with pytest.raises(DeviceError, match="camera c1: another program controls the camera") as caught:
-        open_aravis_cameras(station(mine, theirs))
+    program = other_program(theirs)
+    with pytest.raises(DeviceError, match="camera c0: another program controls the camera") as caught:
+        open_aravis_cameras(station(theirs))  # not one can be opened
     assert caught.value.code == "camera-in-use"
-    opened(station(mine))  # the camera opened before the refusal was released
+    stage = opened(station(mine, theirs))
+    lost = stage.until(CameraLost)
+    assert lost.camera == 1
+    assert "another program controls the camera" in stage.cameras[1].health().message
+    stage.load()
+    mine.fire()
+    assert stage.arrival().camera == 0
+    program.communicate()
+    assert stage.until(CameraBack).camera == 1
+    theirs.fire()
+    assert stage.arrival().camera == 1
 
 
 def test_a_camera_that_runs_freely_is_refused_before_the_first_pulse(device: Plug, station: Make) -> None:
