@@ -297,6 +297,11 @@ def _load_user_set(control: Control, config: CameraConfig) -> None:
 def _known_start(control: Control, config: CameraConfig) -> Iterator[Setting]:
     """Write everything in an order that all makes accept; yield what was written or found to be so."""
     features = control.features
+    # PGR_Flea3_GE_28S4C: which trigger is selected follows from ExposureMode, and cannot be written. At other makes, a
+    # trigger that is on may lock it, so a refusal counts only below.
+    if "Timed" in features.entries("ExposureMode") and features.read("ExposureMode") != "Timed":
+        with answered():
+            features.write("ExposureMode", "Timed")
     trigger = _require_trigger(control)
     # Not compared again at the end: in PGR_GS3_U3_51S5M, selecting another trigger switches ExposureMode.
     for _ in _neutralised(control, families.TRIGGERS):
@@ -465,10 +470,11 @@ def _require_trigger(control: Control) -> At:
     triggers = features.entries("TriggerSelector")
     for name in (name for name in FRAME_TRIGGERS if name in triggers):
         at: At = (("TriggerSelector", name),)
-        features.select(at)
         # Descriptions list triggers that their camera lacks (Basler-scA1400-30gm).
-        if "On" in features.entries("TriggerMode"):
-            return at
+        with answered():
+            features.select(at)
+            if "On" in features.entries("TriggerMode"):
+                return at
     if not triggers and "On" in features.entries("TriggerMode"):
         return ()
     raise DeviceError(
