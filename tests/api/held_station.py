@@ -42,6 +42,7 @@ from vaoi_station.runs.states.schemas import (
     CameraCalibration,
     CameraDrift,
     CameraMoment,
+    CameraRecoveryStatus,
     CameraStatus,
     ComponentSummary,
     EventRecord,
@@ -86,6 +87,7 @@ class HeldStation(StationCoordinator):
         self.armed: ArmedWith | None = None
         self.reasons, self.warnings, self.held_back = [tuple[Reason, ...]()] * 3
         self.lost: tuple[int, ...] = ()
+        self.recovering: dict[int, CameraRecoveryStatus] = {}
         self.despite_lost = False  # whether the order accepts boards without lost cameras
         self.next_try: str | None = None
         self.types = HeldTypes({"demo-board": BoardType.model_validate(BOARD)})
@@ -163,7 +165,10 @@ class HeldStation(StationCoordinator):
         if self.broken:
             raise RuntimeError("a secret path /etc/passwd")
         done, held = self._finished(), (*(() if self.despite_lost else self._lost_cameras()), *self.held_back)
-        camera = [CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost) for i in range(CAMERAS)]
+        camera = [
+            CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost, recovery=self.recovering.get(i))
+            for i in range(CAMERAS)
+        ]
         ring = RingStatus(path="ring", size_bytes=1, bays=(), leases=())
         worker = ProcessStatus(name="worker 0", pid=1, alive=True, restarts=0, heartbeat_age_s=0.1)
         acquisition = ProcessStatus(

@@ -16,6 +16,7 @@ from vaoi_station.api.routes.doctor import Examination, Examinations
 from vaoi_station.config import KeepConfig
 from vaoi_station.doctor import Machine, Report, camera_checks, controller_checks, machine_checks, storage_checks
 from vaoi_station.doctor.finding import fault, warning
+from vaoi_station.runs.states.schemas import CameraRecoveryStatus
 
 pytestmark = pytest.mark.browser
 PICTURES = os.environ.get("VAOI_PICTURES")
@@ -51,7 +52,12 @@ def test_each_camera_has_a_card_that_follows_its_frames(
         expect(card.locator(".histogram rect")).to_have_count(64)
         expect(card.locator("dl")).to_contain_text("Mbit/s")
     expect(cards.nth(1).locator("dl")).to_contain_text("moved by 9.40 px")
+    served.station.recovering[0] = CameraRecoveryStatus(step="reset", why="silent", at="2026-01-01T12:00:00Z")
     served.station.lose(2)
+    expect(cards.nth(0).locator(".camera-state")).to_have_text("connected, sends nothing")
+    expect(cards.nth(0).locator(".camera-remarks")).to_contain_text(
+        re.compile("sent nothing of a board that other cameras filmed.*it was reset. The next board shows whether")
+    )
     expect(cards.nth(2).locator(".camera-state")).to_have_text("not connected")
     expect(page.locator("#doctor-answer")).to_contain_text("Not examined yet.")
     page.get_by_role("button", name="Examine the station").press("Enter")
@@ -86,6 +92,7 @@ def test_findings_of_the_doctor_are_in_the_language_of_the_page(
 ) -> None:
     report = found_by_the_doctor()
     monkeypatch.setattr(Examinations, "examine", AsyncMock(return_value=Examination.model_validate(report.document())))
+    served.station.recovering[0] = CameraRecoveryStatus(step="spent", why="silent", at="2026-01-01T12:00:00Z")
     page.goto(f"{served.url}/#/cameras")
     page.evaluate("localStorage.setItem('vaoi-language', 'de')")
     page.reload()
@@ -95,6 +102,7 @@ def test_findings_of_the_doctor_are_in_the_language_of_the_page(
     first = items.first
     expect(first).to_contain_text("Auf der Datenplatte sind nur 0,00041 GB frei.")
     expect(first.locator(".remedy")).to_contain_text("Dateien löschen")
+    expect(page.locator(".camera-card").first).to_contain_text("Alles wurde versucht: Triggerleitung, Kabel und")
     first.locator("summary").click()
     expect(first.locator("[lang=en]")).to_have_text(f"{report.findings[0].message} {report.findings[0].action}")
     expect(items.last.locator("[lang=en]").first).to_have_text("Newer.")
