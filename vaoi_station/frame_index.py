@@ -316,9 +316,11 @@ class FrameIndex:
         assert self.prepared is not None
         # The loop goes frame by frame, so that each frame is fetched and prepared only once.
         out = np.full((len(number), samples), np.nan)
-        for n in np.unique(number[number >= 0]).tolist():
-            mine = np.flatnonzero(number == n)
-            out[mine] = read(self.prepared(self.present[n]).grey, mine)
+        order = np.argsort(number, kind="stable")
+        order = order[np.searchsorted(number[order], 0) :]
+        ends = np.flatnonzero(np.diff(number[order], append=-1)) + 1
+        for mine in np.split(order, ends[:-1]) if len(order) else []:
+            out[mine] = read(self.prepared(self.present[number[mine[0]]]).grey, mine)
         return out
 
     @cached_property

@@ -452,10 +452,8 @@ def match_nearest(
     """
     off = np.hypot(*np.moveaxis(board_mm[:, None] - expected_mm, 2, 0))
     off[kind[:, None] != expected_kind] = np.inf
-    seen, mark = [np.zeros(0, np.int_)], [np.zeros(0, np.int_)]
-    for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-        if end > begin and len(expected_mm):
-            matched = np.flatnonzero(off[begin:end].min(0) < apart_mm)
-            seen.append(begin + off[begin:end].argmin(0)[matched])
-            mark.append(matched)
-    return np.concatenate(seen), np.concatenate(mark)
+    at, mark = np.nonzero(off < apart_mm)
+    pair = np.searchsorted(ends, at, side="right") * len(expected_mm) + mark
+    nearest = np.lexsort((off[at, mark], pair))
+    nearest = nearest[np.diff(pair[nearest], prepend=-1) != 0]
+    return at[nearest], mark[nearest]
