@@ -56,6 +56,12 @@ def test_two_ports_in_one_network_are_told_apart_by_their_address_and_named(monk
     assert network.route_trouble("Vendor-1234") == "", "a USB camera has no route"
 
 
+def test_the_port_towards_a_camera_that_never_answered_is_that_of_its_route() -> None:
+    assert network.interface_towards("127.0.0.9") == "lo"
+    assert network.interface_towards("") == ""
+    assert not network.has_link("no-such-port")
+
+
 @pytest.mark.parametrize(
     ("answer", "control"),
     [

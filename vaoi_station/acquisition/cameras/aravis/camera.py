@@ -361,7 +361,9 @@ class AravisCamera:
             return
         absent = self._fault is not None and self._fault.code == "camera-absent"
         if absent and self._is_gige and time.monotonic() - self._last_reply_s > ABSENT_LIMIT_S:
-            linked = network.has_link(self._identity.interface)
+            # A camera that was deaf at the start of the station has never said on which port it is.
+            port = self._identity.interface or network.interface_towards(self._identity.address)
+            linked = network.has_link(port)
             self._power_is_due |= linked and self._recovery.take(POWER, "absent")
         if not self._power_is_due:
             return

@@ -166,6 +166,16 @@ def interface_of(local_address: str) -> str:
     return next(own, next((port.name for port in every if port.reaches(wanted)), local_address))
 
 
+def interface_towards(address: str) -> str:
+    """Return the name of the interface by which packets to an address leave; an empty text if there is none."""
+    if not address:  # the C library would take it for this computer
+        return ""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        probe.connect((address, CONTROL_PORT))
+        return interface_of(probe.getsockname()[0])
+    return ""
+
+
 def route_trouble(address: str) -> str:
     """Return what is wrong with the route from here to an IP address; empty if it is sound, or for a USB id."""
     try:
