@@ -28,11 +28,14 @@ def test_the_triggers_are_off_while_everything_else_is_set_and_the_frames_trigge
     assert camera.device.features["TriggerSelector"] == "FrameStart"
 
 
-def test_a_refused_setting_is_named() -> None:
+def test_a_setting_that_is_refused_or_that_the_camera_lacks_is_named() -> None:
     camera = StandInCamera()
-    with pytest.raises(
-        DeviceError, match=r"camera c0: refuses Sharpness = 3 \(node Sharpness is not found\)"
-    ) as refused:
+    with pytest.raises(DeviceError, match="camera c0: has no feature Sharpness, which is to be 3") as lacking:
+        settings.apply(camera, camera_config(features={"Sharpness": 3}))
+    assert lacking.value.code == "feature-absent"
+    camera.device.features["Sharpness"] = 0
+    camera.device.refused.add("Sharpness")
+    with pytest.raises(DeviceError, match=r"camera c0: refuses Sharpness = 3 \(Sharpness is locked\)") as refused:
         settings.apply(camera, camera_config(features={"Sharpness": 3}))
     assert refused.value.code == "setting-refused"
 

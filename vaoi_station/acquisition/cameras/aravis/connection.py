@@ -134,6 +134,8 @@ def open_device(config: CameraConfig, address: str) -> Any:
     try:
         camera = aravis().Camera.new(address)
     except glib_error() as error:
+        if config.address is not None and network.is_reachable(address, tries=1):
+            raise _description_error(config, address, error_text(error)) from error
         raise absence_error(config, address, error_text(error)) from error
     # `Camera.new` succeeds for a camera of another client; only `create_stream` would fail, with code 10 (measured).
     if camera.is_gv_device() and not camera.get_device().is_controller():
@@ -142,7 +144,17 @@ def open_device(config: CameraConfig, address: str) -> Any:
             action="Close that program (the maker's viewer, another station); the camera is then opened automatically.",
             code="camera-in-use",
         )
+    if camera.get_device().get_feature("AcquisitionStart") is None:
+        raise _description_error(config, address, "it has no AcquisitionStart")
     return camera
+
+
+def _description_error(config: CameraConfig, address: str, why: str) -> DeviceError:
+    return DeviceError(
+        f"{config.label}: the camera at {address} answers, but its description cannot be read ({why}).",
+        action="Switch it off and on; if that does not help, update its firmware, or use another camera.",
+        code="description-wrong",
+    )
 
 
 def find_packet_size(
@@ -260,7 +272,7 @@ class Connection:
         """Write all settings and read them back. For a GigE camera, also set packet size and packet delay."""
         if not self.packet_bytes:
             self.measure_link()
-        with self._device_access("does not take its settings"):
+        with self._device_access("does not take its settings"), self._noticing_restarts():
             settings.apply(self._camera, self.config)
             if self.config.chunk_room_bytes:
                 sequencer.switch_chunks_on(self._camera, self.config)
@@ -484,6 +496,21 @@ class Connection:
             address = device.get_device_address().get_address().to_string()
             interface = network.interface_of(device.get_interface_address().get_address().to_string())
         return Identity(camera.get_device_serial_number() or "", address, interface, camera.get_model_name() or "")
+
+    @contextlib.contextmanager
+    def _noticing_restarts(self) -> Iterator[None]:
+        """Let an error in a `with` block say so if the camera has restarted meanwhile: its settings are lost then."""
+        try:
+            yield
+        except DeviceError as error:
+            if not self.is_gige or network.read_control(self.identity.address) is network.Control.CONTROLLED:
+                raise
+            why = error.message.removeprefix(f"{self.config.label}: ").rstrip(".")
+            raise DeviceError(
+                f"{self.config.label}: has restarted or gone while it was set up ({why}).",
+                action="Check its power supply and cable; it is opened again automatically.",
+                code="camera-lost",
+            ) from error
 
     @contextlib.contextmanager
     def _device_access(self, trouble: str) -> Iterator[None]:

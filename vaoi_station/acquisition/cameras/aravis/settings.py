@@ -78,12 +78,17 @@ class Control:
 
     def put(self, setting: Setting) -> None:
         """Write a setting, read it back and compare; DeviceError if it is refused or ignored."""
+        if self.features.kind(setting.feature) is None:
+            raise self._lacks(f"has no feature {setting.feature}, which is to be {setting.value!r}")
         self._require_within_limits(setting)
         try:
             self.features.select(setting.at)
             self.features.write(setting.feature, setting.value)
         except glib_error() as error:
             why = f"; otherwise {setting.why}" if setting.why else ""
+            offered = self.features.entries(setting.feature)
+            if offered and setting.value not in offered:
+                why = f"; it offers {', '.join(offered)}"
             raise DeviceError(
                 f"{self.name}: refuses {setting.name} = {setting.value!r} ({error_text(error)}){why}.",
                 action=_WHAT_IT_CAN,
@@ -187,7 +192,7 @@ class Control:
             )
 
     def _lacks(self, what: str) -> DeviceError:
-        return DeviceError(f"{self.name}: {what}.", action="Use another camera.", code="feature-absent")
+        return DeviceError(f"{self.name}: {what}.", action=_WHAT_IT_CAN, code="feature-absent")
 
 
 def write(camera: Any, name: str, settings: Iterable[Setting]) -> None:

@@ -980,7 +980,7 @@ const findings = {
   "setting-unread": ["Eine Einstellung dieser Kamera ist nicht zu lesen.", "In station.toml einstellen, was sie kann."],
   "setting-beyond-limits": ["Eine Einstellung liegt außerhalb der Grenzen, die diese Kamera nennt.", "In station.toml einen Wert in diesen Grenzen einstellen."],
   "feature-absent": ["Dieser Kamera fehlt etwas, was die Station braucht.", "In station.toml einstellen, was sie hat, oder eine andere Kamera verwenden."],
-  "description-wrong": ["Die Beschreibung dieser Kamera widerspricht sich.", "Ihre Firmware erneuern, oder eine andere Kamera verwenden."],
+  "description-wrong": ["Die Beschreibung dieser Kamera ist nicht zu lesen oder widerspricht sich.", "Aus- und einschalten; hilft das nicht, ihre Firmware erneuern oder eine andere Kamera verwenden."],
   "gain-unknown": ["Wie viele dB die Verstärkung dieser Kamera hat, ist nicht bekannt.", "gain_db = 0 in station.toml, und GainRaw unter features."],
   "rolling-shutter": ["Diese Kamera belichtet ihre Zeilen nacheinander.", "Eine Kamera mit Global Shutter verwenden."],
   "clock-jumped": ["Die Uhr einer Kamera ist gesprungen.", "Abschalten, was die Uhr stellt (PTP, IEEE 1588, ein anderes Programm); die Stromversorgung prüfen."],
