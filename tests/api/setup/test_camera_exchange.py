@@ -117,6 +117,17 @@ def test_what_could_be_a_mistake_is_refused_and_changes_nothing(
     assert new.address == "10.9.8.7"
 
 
+def test_a_camera_at_the_address_of_the_one_that_is_gone_is_told_apart_by_its_serial_number(
+    client: TestClient, station: RealStation, new: ForeignCamera
+) -> None:
+    config = station.files.config
+    by_address = config.cameras[1].model_copy(update={"serial": None, "address": new.address})
+    cameras = (config.cameras[0], by_address, config.cameras[2])
+    station.files.config = config.model_copy(update={"cameras": cameras})
+    (gone,) = client.get("/api/v1/cameras/search").json()["gone"]
+    assert (gone["serial"], new.serial in gone["candidates"]) == ("OLD-1", True)
+
+
 def test_files_are_as_before_if_the_last_step_fails(
     client: TestClient, station: RealStation, new: ForeignCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:

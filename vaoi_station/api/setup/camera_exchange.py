@@ -167,7 +167,7 @@ class CameraExchange:
         """Return the cameras that answer, and the places whose camera is gone."""
         found, places = self._broadcast(), self._places()
         shown = [self._shown(camera, places) for camera in found]
-        there = {camera.serial for camera in found}
+        there = {camera.place for camera in shown}
         gone = [
             GonePlace(
                 camera=k,
@@ -181,7 +181,7 @@ class CameraExchange:
                 ],
             )
             for k, (config, status) in enumerate(places)
-            if config.backend == "aravis" and not status.connected and (config.serial or status.serial) not in there
+            if config.backend == "aravis" and not status.connected and config.name not in there
         ]
         return CameraSearch(found=shown, gone=gone)
 
@@ -203,8 +203,9 @@ class CameraExchange:
             config, status = self._gone(camera, places)
             self._refuse_used(wanted.serial, places)
             found, before = self._broadcast(), config.serial or status.serial
-            if any(other.serial == before for other in found):
-                raise _connected(config.name, before)
+            for other in found:
+                if _place_of(other, places) == config.name:
+                    raise _connected(config.name, other.serial)
             new = find(wanted.serial, found)
             self._refuse_model(new, camera, places, found)
             if new.control is Control.CONTROLLED:
@@ -229,7 +230,7 @@ class CameraExchange:
                 self._restore(saved, backup)
                 raise
             self._files.config = self._files.config.with_serial(camera, new.serial)
-            _log.info("camera %s: %s is in the place of %s", config.name, new.serial, before)
+            _log.info("camera %s: %s is in the place of %s", config.name, new.serial, before or "an unknown one")
             return Exchanged(
                 camera=camera,
                 name=config.name,
@@ -384,8 +385,10 @@ class CameraExchange:
 
 
 def _place_of(camera: FoundCamera, places: list[tuple[CameraConfig, CameraStatus]]) -> str | None:
+    """Return the name of the place of a camera: by the serial number, or the address where that is not known."""
     for config, status in places:
-        if camera.serial == (config.serial or status.serial) or camera.address == config.address:
+        known = config.serial or status.serial
+        if camera.serial == known if known else camera.address == config.address:
             return config.name
     return None
 
