@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-from vaoi_station.rig.gige.device import ACCESS_DENIED, PACKET_SIZE, Device
+from vaoi_station.rig.gige.device import ACCESS_DENIED, CLOCK_HIGH, PACKET_SIZE, Device
 from vaoi_station.rig.gige.first_values import BOOTSTRAP_END
 from vaoi_station.rig.gige.formula import Number
 from vaoi_station.rig.gige.packets import IMAGE, Stream
@@ -277,6 +277,9 @@ class Camera(Device):
         elif command in ("AcquisitionStop", "AcquisitionAbort"):
             self.acquiring = False
         elif command in _CLOCKS:
+            # Some descriptions make the value of the bootstrap registers (Basler-a2A2600-20gmBAS).
+            self.registers.write(CLOCK_HIGH, self.ticks(self.time_ns()).to_bytes(8, "big"))
+            self.features.forget()
             for name in _CLOCKS[command]:
                 if name in self.features and self.features.register_of(name) is not None:
                     self.features.put(str(self.features.register_of(name)), self.ticks(self.time_ns()))
