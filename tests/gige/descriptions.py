@@ -156,7 +156,7 @@ def judge(name: str, text: str, folder: Path) -> Row:
         )  # fmt: skip
         left = leave_all(camera)
         line = FilmingLine(folder, [camera], [config])
-    except (VaoiError, AssertionError) as error:
+    except (VaoiError, AssertionError, LookupError, ValueError) as error:
         camera.close()
         return Row(name, "no", quirks=str(error)[:200].replace("\n", " ").replace("camera c0: ", ""))
     try:

@@ -47,7 +47,9 @@ class Referee:
 
     def has(self, name: str) -> bool:
         """Whether a feature can be read now."""
-        return bool(self._map.has_node(name)) and self._access(name) in self._readable
+        # Some makers give a category the name of a feature (AVT_GE1050C: Gain).
+        is_value = bool(self._map.has_node(name)) and hasattr(type(self._map.get_node(name)), "value")
+        return is_value and self._access(name) in self._readable
 
     def writable(self, name: str) -> bool:
         """Whether a feature can be written now."""
