@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vaoi_station.acquisition.cameras.aravis.families import raw_gain, usual_line
+from vaoi_station.acquisition.cameras.aravis.families import misnumbers_resends, raw_gain, usual_line
 
 
 @pytest.mark.parametrize(
@@ -45,3 +45,16 @@ def test_a_gain_without_a_document_is_not_guessed() -> None:
 )
 def test_the_input_is_one_that_the_camera_offers(vendor: str, sources: tuple[str, ...], line: str) -> None:
     assert usual_line(vendor, sources) == line
+
+
+@pytest.mark.parametrize(
+    ("vendor", "model", "misnumbers"),
+    [
+        ("Point Grey Research", "Blackfly BFLY-PGE-14S2C", True),
+        ("FLIR", "Blackfly BFLY-PGE-13H2M", True),
+        ("FLIR", "Blackfly S BFS-PGE-50S4C", False),
+        ("Basler", "acA2440-20gm", False),
+    ],
+)
+def test_only_the_generation_of_311_is_not_trusted(vendor: str, model: str, misnumbers: bool) -> None:
+    assert misnumbers_resends(vendor, model) is misnumbers

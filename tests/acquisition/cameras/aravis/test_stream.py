@@ -70,19 +70,6 @@ def test_packets_that_were_asked_for_again_may_come_twice(monkeypatch: pytest.Mo
     assert "a packet came twice" in careless.fault(frame(began_ns=4_000), 256), "nobody had asked for it"
 
 
-@pytest.mark.parametrize(
-    ("vendor", "model", "misnumbers"),
-    [
-        ("Point Grey Research", "Blackfly BFLY-PGE-14S2C", True),
-        ("FLIR", "Blackfly BFLY-PGE-13H2M", True),
-        ("FLIR", "Blackfly S BFS-PGE-50S4C", False),
-        ("Basler", "acA2440-20gm", False),
-    ],
-)
-def test_only_the_generation_of_311_is_not_trusted(vendor: str, model: str, misnumbers: bool) -> None:
-    assert stream_module.misnumbers_resends(vendor, model) is misnumbers
-
-
 def test_a_clock_that_was_set_back_makes_no_later_frame_suspect(monkeypatch: pytest.MonkeyPatch) -> None:
     """As by NTP some time after the start: all frames of an hour would be suspect."""
     now = [5_000_000]

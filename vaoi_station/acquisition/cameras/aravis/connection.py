@@ -23,13 +23,7 @@ from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, 
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.acquisition.cameras.aravis.sequencer import Sets
 from vaoi_station.acquisition.cameras.aravis.settings import Setting, error_text
-from vaoi_station.acquisition.cameras.aravis.stream import (
-    ChunkReader,
-    FrameFormat,
-    SlotResult,
-    SlotStream,
-    misnumbers_resends,
-)
+from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader, FrameFormat, SlotResult, SlotStream
 from vaoi_station.acquisition.cameras.interface import CameraLimits
 from vaoi_station.acquisition.clocks import ClockReading, timed_reading
 from vaoi_station.config import CameraConfig
@@ -357,7 +351,7 @@ class Connection:
             kind = FrameFormat(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
             reader = ChunkReader(self._camera, self._chunk_bytes) if self._chunk_bytes else None
             named = self._camera.get_vendor_name() or "", self._camera.get_model_name() or ""
-            name, misnumbers = f"camera-{self.config.name}", misnumbers_resends(*named)
+            name, misnumbers = f"camera-{self.config.name}", families.misnumbers_resends(*named)
             self._stream = SlotStream(stream, kind, on_slot, name, reader, misnumbers)
             self._camera.start_acquisition()
 

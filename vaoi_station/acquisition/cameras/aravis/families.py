@@ -326,3 +326,20 @@ def raw_gain(vendor: str, model: str) -> RawGain | None:
     if not plain(vendor).startswith("basler"):
         return None
     return next((formula for models, formula in RAW_GAINS if re.match(models, model)), None)
+
+
+LINK_SPEEDS = (("DeviceLinkSpeed", "Bps"), ("GevLinkSpeed", "Mbps"))
+"""Features that state the speed of a camera's link, and their unit where the description states none: SFNC 2; GigE
+Vision (Basler-acA1300-60gm: "in Mbps"). ViewWorks_VNP604 states MBps."""
+LINK_LIMITS = ("DeviceLinkThroughputLimit", "StreamBytesPerSecond")
+"""Features that limit what a camera sends, in bytes per second unless they state another unit: SFNC 2; AVT_GC1380H and
+other cameras of Allied Vision without GevSCPD."""
+_MISNUMBERING = ("blackflybfly", "flea3fl3", "bfly", "fl3")
+
+
+def misnumbers_resends(vendor: str, model: str) -> bool:
+    """Return whether a camera may send packets under wrong numbers while it sends others again.
+
+    Reported of a Blackfly (BFLY) of Point Grey (Aravis #311); the GigE cameras of that generation share its firmware.
+    """
+    return plain(vendor).startswith("pointgrey") or plain(model).startswith(_MISNUMBERING)

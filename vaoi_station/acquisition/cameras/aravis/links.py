@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from vaoi_station.acquisition.cameras.aravis import network
+from vaoi_station.acquisition.cameras.aravis import families, network
 from vaoi_station.acquisition.cameras.aravis.features import Features, answered
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
@@ -20,10 +20,6 @@ from vaoi_station.optics.links import ITSELF, USB_PAYLOAD, Link, Sender, slowest
 
 _MBIT_S = {"Bps": 8e-6, "MBps": 8.0, "bps": 1e-6, "Mbps": 1.0}
 """Unit of a speed → its value in Mbit/s."""
-_SPEEDS = (("DeviceLinkSpeed", "Bps"), ("GevLinkSpeed", "Mbps"))
-"""Features that state the speed of a camera's link, and the unit if the description states none."""
-_LIMITS = ("DeviceLinkThroughputLimit", "StreamBytesPerSecond")
-"""Features that limit what a camera sends, in bytes per second unless they state another unit."""
 _LIMIT_MODE = "DeviceLinkThroughputLimitMode"
 _NOMINAL_MBIT_S = (10, 100, 1000, 2500, 5000, 10_000, 25_000, 40_000, 100_000)
 """Speeds that links of Ethernet have."""
@@ -35,7 +31,7 @@ def speed_mbit_s(features: Features, address: str) -> float | None:
     """Return the speed of a GigE camera's own link, Mbit/s; None if the camera does not state it."""
     if stated := network.camera_link_mbit_s(address):
         return stated
-    for feature, unit in _SPEEDS:
+    for feature, unit in families.LINK_SPEEDS:
         with answered():
             if features.has(feature):
                 return _nominal(float(features.read(feature)), features.unit(feature) or unit)
@@ -57,10 +53,10 @@ def limit_throughput(features: Features, share_mbit_s: float | None) -> float | 
         features: those of the camera, which is not acquiring.
         share_mbit_s: its share; None: something else keeps it to its share, and the limit is lifted.
     """
-    feature = next((name for name in _LIMITS if features.has(name)), None)
+    feature = next((name for name in families.LINK_LIMITS if features.has(name)), None)
     if feature is None:
         return None
-    if feature == _LIMITS[0] and features.has(_LIMIT_MODE):
+    if feature == families.LINK_LIMITS[0] and features.has(_LIMIT_MODE):
         # Some limits are always on, and say so by refusing the write.
         with answered():
             features.write(_LIMIT_MODE, "Off" if share_mbit_s is None else "On")

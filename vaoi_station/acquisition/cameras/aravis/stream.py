@@ -35,15 +35,6 @@ _DUPLICATES, _REQUESTS = "n_duplicated_packets", "n_resend_requests"
 """Counters of a GigE stream: packets of which the number had been seen in the same frame; packets asked for again."""
 
 
-def misnumbers_resends(vendor: str, model: str) -> bool:
-    """Return whether a camera may send packets under wrong numbers while it sends others again (Aravis #311).
-
-    Reported of a Blackfly (BFLY) of Point Grey; the GigE cameras of that generation share its firmware.
-    """
-    first_generation = ("blackfly bfly", "flea3 fl3", "grasshopper2", "bfly-", "fl3-")
-    return "point grey" in vendor.lower() or model.lower().startswith(first_generation)
-
-
 @dataclass(frozen=True)
 class FrameFormat:
     """The size and the pixel format that a complete frame must have."""
@@ -60,7 +51,7 @@ class FrameCheck:
     """The check of all frames of one stream. Use it for every frame of the stream, in the order of their ends."""
 
     def __init__(self, stream: Any, kind: FrameFormat, chunk_bytes: int = 0, misnumbers: bool = False) -> None:
-        """Prepare the check. `misnumbers`: no packet that came twice is trusted (`misnumbers_resends`)."""
+        """Prepare the check. `misnumbers`: no packet that came twice is trusted (`families.misnumbers_resends`)."""
         self._stream, self._format, self._chunk_bytes = stream, kind, chunk_bytes
         names = [stream.get_info_name(k) for k in range(stream.get_n_infos())]
         self._counts_duplicates = _DUPLICATES in names  # a USB stream does not
