@@ -69,6 +69,14 @@ def test_a_link_that_fell_back_to_100_mbit_is_a_warning_and_a_row_that_does_not_
     assert_problem(finding, Level.FAULT, "the cameras themselves need 186.5 ms for a row at 100 Mbit/s")
 
 
+def test_what_another_program_left_is_told_and_no_fault() -> None:
+    left = ("LUTEnable[LUT1] from True to False (else grey levels would pass a look-up table)",)
+    good, told = camera_checks.judge_camera(configured(), replace(OFFERED, left=left, black_level=16.0))
+    assert (good.level, good.figures["black_level"]) == (Level.OK, 16.0)
+    assert (told.level, told.figures["left_over"]) == (Level.OK, 1)
+    assert "what another program left in it: LUTEnable[LUT1] from True to False" in told.message
+
+
 def test_packets_that_a_switch_drops_are_a_warning() -> None:
     dropped = replace(OFFERED, passing=1500)
     finding = camera_checks.judge_port("lo", [(configured(), dropped), (configured(name="b"), OFFERED)], 0.1)

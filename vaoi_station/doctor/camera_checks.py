@@ -202,7 +202,7 @@ def ask(camera: CameraConfig) -> Offered:
 def _left_over(control: Control, camera: CameraConfig) -> Iterator[str]:
     with suppress(DeviceError):  # without a trigger, nothing else matters
         for setting, got in deviations(control, camera):
-            yield f"{setting.name} is {got}, the station sets {setting.value}: {setting.why}"
+            yield f"{setting.name} from {got} to {setting.value} (else {setting.why})"
 
 
 @contextmanager
@@ -230,9 +230,10 @@ def judge_camera(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
             "black_level": offered.black_level,
         }
         yield ok(f"{named} replies and is free; the trigger is {mode}", camera.name, **figures)
-    # Every opening sets these; here they explain why another program's pictures look different.
-    for left in offered.left:
-        yield ok(f"left over in the camera: {left}", camera.name)
+    # No fault, as every opening sets these: it explains why another program's pictures look different.
+    if offered.left:
+        message = f"the station will change what another program left in it: {'; '.join(offered.left)}"
+        yield ok(message, camera.name, left_over=len(offered.left))
     yield from _slow_link(camera, offered)
 
 
