@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -202,3 +203,23 @@ def test_what_had_arrived_is_stitched_when_the_acquisition_process_ends(station:
     assert (film.head.rows, film.head.trigger_times_s, film.head.missing) == (2, (0.0, 0.1), ((1, 1),))
     assert [f.verdict for f in film.frames] == [Verdict.OK, Verdict.OK, Verdict.OK, Verdict.MISSING]
     assert (film.frames[-1].cause, film.reason) == (CAUSE, "acquisition lost")
+
+
+def test_a_camera_is_exchanged_only_while_no_board_may_come(station: Station) -> None:
+    station.arm()
+    with pytest.raises(StateError, match="The line is armed; nothing was changed"):
+        station.core.exchange_camera(1, "S9", "192.168.7.9", None)
+    station.core.line.disarm(Completion())
+    station.core.acquisition_message(messages.Disarmed(()))
+    station.core.exchange_camera(1, "S9", "192.168.7.9", None)
+    assert station.acquisition.commands[-1] == messages.ReplaceCamera(1, "S9", "192.168.7.9")
+    exchanged = station.core.config.cameras[1]
+    assert (exchanged.serial, exchanged.address) == ("S9", None)
+    assert any("S9 is in the place of" in message for message in station.events("camera"))
+
+
+def test_an_order_with_a_calibration_that_is_not_in_force_any_more_is_refused(station: Station) -> None:
+    late = replace(station.order, calibration_digest="of-before")
+    with pytest.raises(StateError, match="The calibration was changed at this moment"):
+        station.core.arm(late, None, Completion())
+    assert station.state == "idle"

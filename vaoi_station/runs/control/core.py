@@ -113,6 +113,11 @@ class Core:
         self.trial = CameraTrial(parts.acquisition, lambda: self.machine.state, self.memory, on_evicted)
 
     @property
+    def config(self) -> StationConfig:
+        """The configuration in force: that of the start, with the cameras that were exchanged since."""
+        return self._config
+
+    @property
     def health(self) -> messages.Health | None:
         """The latest report of the devices; None while there is none."""
         return self.line.health
@@ -130,6 +135,9 @@ class Core:
         Returns for how many things the caller waits in turn: a board that passes, then cameras and controller. 0: the
         order takes effect when the board has left, and the caller does not wait for it.
         """
+        if order.calibration_digest != self.watch.digest:
+            # It was made, in the thread of the caller, just before another calibration came into force.
+            raise StateError("The calibration was changed at this moment.", action="Arm again.")
         board_passes = self.machine.state is StationState.FILMING
         if board_passes and passing == "refuse":
             self.machine.require(StationStep.ARM)

@@ -43,7 +43,7 @@ def snapshot_of(
     faults: tuple[Reason, ...],
 ) -> StationSnapshot:
     """Build the snapshot of the station, in the coordinator's thread. `ring`: path and size, bytes, of the ring."""
-    config, filming, cameras = parts.config, core.filming, _cameras(core, parts.config)
+    config, filming, cameras = core.config, core.filming, _cameras(core, core.config)
     held = line_held(core, config, lambda: processes, faults)
     output, order = core.health.line_output if core.health else None, core.line.orders.order
     return StationSnapshot(
