@@ -182,6 +182,11 @@ ON_THE_LINE = (
 )
 """The trigger's input."""
 
+TRIGGER_CONTROL = (
+    # Basler-scA1400-30gm, -scA1300-32gm, -scA640-70gm: with Legacy, there is no FrameStart.
+    Neutral(("TriggerControlImplementation",), ("Standard",), "pulses would start acquisitions instead of frames"),
+)
+"""What decides which triggers there are."""
 TRIGGERS = (Neutral(("TriggerMode",), OFF, "it would delay or multiply frames", per="TriggerSelector"),)
 """All triggers; that of a frame is switched on at last. One that is on locks others, and at some makes ExposureMode."""
 _DELAY_SWITCHES = ("TriggerDelayEnabled", "TriggerDelayEnable")

@@ -307,6 +307,7 @@ def _known_start(control: Control, config: CameraConfig) -> Iterator[Setting]:
     if "Timed" in features.entries("ExposureMode") and features.read("ExposureMode") != "Timed":
         with answered():
             features.write("ExposureMode", "Timed")
+    yield from _neutralised(control, families.TRIGGER_CONTROL)
     trigger = _require_trigger(control)
     # Not compared again at the end: in PGR_GS3_U3_51S5M, selecting another trigger switches ExposureMode.
     for _ in _neutralised(control, families.TRIGGERS):
