@@ -11,11 +11,13 @@ import numpy as np
 from vaoi_station.model import Component
 from vaoi_station.parts import probability
 from vaoi_station.parts.learned import TaughtBoard, parts_digest
-from vaoi_station.parts.measure import Evidence, Run, collect
+from vaoi_station.parts.measure import Evidence, Gains, Run, collect
 from vaoi_station.parts.models import STRANGE, VISIBLE, Models
 from vaoi_station.parts.patches import RunPatches, same_class
 
 FORMAT, VERSION = "vaoi-parts", 1
+_AT_ONCE = 400
+"""Number of parts that are measured at once, which bounds the memory."""
 _PRESENT = 0.5
 """Probability of presence from which on place and orientation are stated."""
 _SURE = (0.05, 0.95)
@@ -40,10 +42,19 @@ REASONS = {
 }
 
 
-def measure_parts(run: Run, models: Models, parts: Sequence[Component] | None = None) -> dict[str, dict[str, Any]]:
-    """Measure parts of a run, by address; all of its board type if `parts` is None."""
-    patches, evidence = collect(run, models, run.board_type.components if parts is None else parts)
-    return describe(patches, evidence)
+def measure_parts(
+    run: Run, models: Models, parts: Sequence[Component] | None = None, gains: Gains | None = None
+) -> dict[str, dict[str, Any]]:
+    """Measure parts of a run, by address; all of its board type if `parts` is None.
+
+    `gains` is shared by the calls for one run, so that later ones know how bright its good parts are.
+    """
+    every = run.board_type.components if parts is None else parts
+    gains = {} if gains is None else gains
+    found: dict[str, dict[str, Any]] = {}
+    for begin in range(0, len(every), _AT_ONCE):
+        found |= describe(*collect(run, models, every[begin : begin + _AT_ONCE], gains))
+    return found
 
 
 def describe(patches: RunPatches, evidence: Evidence) -> dict[str, dict[str, Any]]:

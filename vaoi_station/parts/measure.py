@@ -16,9 +16,9 @@ from vaoi_station.parts.registration import Fit, Floats, Floats32, Template
 from vaoi_station.parts.search import search
 
 _UNLIKE = 3.0
-"""Misfit, as a multiple of the usual one, from which on a part is searched, and other explanations are tried."""
+"""How unlike good ones a part may look that is as usual."""
 _NEAR_MM = 0.12
-"""Distance from its place up to which a part is not searched."""
+"""Distance from its place beyond which a part that looks unlike is searched; a strange one always is."""
 _FITS, _BETTER = 25.0, 0.4
 """How unlike a part may look where it was found by searching, also as a share of how unlike it looks on its place."""
 _MOST_KINDS, _SIMILAR_MM, _MOST_EXCHANGED = 8, 1.0, 120
@@ -92,13 +92,15 @@ class Evidence(NamedTuple):
     searched: NDArray[np.bool_]
 
 
-def collect(run: Run, models: Models, parts: Sequence[Component]) -> tuple[RunPatches, Evidence]:
-    """Collect what the pictures of a run say of some of its parts."""
+def collect(
+    run: Run, models: Models, parts: Sequence[Component], gains: Gains | None = None
+) -> tuple[RunPatches, Evidence]:
+    """Collect what the pictures of a run say of some of its parts; `gains` are those of other parts of the run."""
     patches = run.cut(parts, heights_mm=models.heights_mm)
-    gains: Gains = {}
+    gains = {} if gains is None else gains
     first = _compare(patches, models, gains)
     off = np.hypot(*first.place_mm.T)
-    odd = np.flatnonzero((first.unlike > _UNLIKE) | (off > _NEAR_MM))
+    odd = np.flatnonzero((first.unlike > STRANGE) | ((off > _NEAR_MM) & (first.unlike > _UNLIKE)))
     odd = odd[np.argsort(-first.unlike[odd], kind="stable")][:_MOST_SEARCHED]
     if not len(odd):
         return patches, first

@@ -26,7 +26,7 @@ _CONTRAST_SD, _LEVEL_SD = 0.12, 8.0
 Learned ones are at least half of it."""
 STRANGE = 6.0
 """How unlike the others a part must look to be a variant, or to be compared with other kinds."""
-VISIBLE = 4.3
+VISIBLE = 7.0
 """Least misfit of a part the wrong way round, as a multiple of the usual one, with which its marks are visible.
 
 Lettering stays below it: good parts have other letters from lot to lot."""
@@ -180,12 +180,13 @@ def _any_way(
     taught: _Taught, template: Template, fit: Fit, turned: dict[int, Template], asymmetry: dict[int, float]
 ) -> frozenset[str]:
     """Return the parts that are not clearly upright on good boards."""
-    upright = np.full(len(taught.of), True)
+    upright = np.full(len(taught.of), np.inf)
     own = template.compare(taught.patches, fit.pose).misfit
     for q, other in turned.items():
         if asymmetry[q] > VISIBLE:
             there = other.compare(taught.patches, fit.pose).misfit
-            upright &= np.log(np.maximum(there, 1e-3) / np.maximum(own, 1e-3)) > np.log(asymmetry[q]) / 2
+            share = np.log(np.maximum(there, 1e-3) / np.maximum(own, 1e-3)) / np.log(asymmetry[q])
+            upright = np.minimum(upright, share)
     return frozenset(
         address for (_, address), straight in zip(taught.of, upright.tolist(), strict=True) if not straight
     )

@@ -34,6 +34,8 @@ _BRIGHT, _DARK = 250.0, 4.0
 """Grey levels at which a pixel says nothing."""
 STRIP_MM = 0.075
 """Strip around the body in which the ends of the pads of a part that is absent show that nothing stands there."""
+_AT_ONCE = 64
+"""Number of parts whose heights are computed at once, which bounds the memory."""
 _MATRIX_PX = 0.03
 """Standard deviation of the place of a frame against another one, px of a frame."""
 _BLANK = 0.5
@@ -158,41 +160,45 @@ def cut_patches(  # noqa: PLR0915  (one pass over the parts, with arrays of all 
     frames, above, weight = np.zeros((n, len(classes)), np.int_), np.zeros((n, 2)), np.zeros((n, 2))
     said = np.zeros(n, np.bool_)
     first = np.searchsorted(table.component, np.arange(n + 1))
-    masks = [(_inside(grid, -1.0), _inside(grid, STRIP_MM * grid.px_per_mm)) for grid in grids]
-    for k in range(n):
-        grid = grids[number[k]]
+    for g, grid in enumerate(grids):
+        masks = _inside(grid, -1.0), _inside(grid, STRIP_MM * grid.px_per_mm)
         for c, view in enumerate(classes):
-            use = [v for v in range(first[k], first[k + 1]) if images[v] is not None and class_of[keys[v]] == c]
-            if not use:
-                continue
-            to_class = [view.exposure / exposure[keys[v]] for v in use]
-            stack = np.stack([_reduced(images[v], grid) * np.float32(f) for v, f in zip(use, to_class, strict=True)])
-            whole = shown[use]
-            if whole.any():
-                stack, use = stack[whole], [v for v, w in zip(use, whole, strict=True) if w]
-                mean = stack.mean(0)
-            else:
-                joined = _joined(stack, np.stack([_seen(table, v, grid, cameras) for v in use]), masks[number[k]][0])
-                if joined is None:
+            seen: list[_Views] = []
+            for k in np.flatnonzero(number == g).tolist():
+                use = [v for v in range(first[k], first[k + 1]) if images[v] is not None and class_of[keys[v]] == c]
+                if not use:
                     continue
-                mean = joined
-            values[number[k], c][rank[k]], frames[k, c] = mean, len(use)
-            middle = mean[masks[number[k]][0]]
-            said[k] |= bool(np.mean((middle > _BRIGHT) | (middle < _DARK)) <= _BLANK)
-            if np.count_nonzero(whole) > 1:
-                lean = lift[use] * (grid.px_per_mm / resolution)
-                found = np.array([_parallax(stack, mean, lean, mask) for mask in masks[number[k]]])
-                above[k] += found[:, 0] * found[:, 1]
-                weight[k] += found[:, 1]
+                to_class = [view.exposure / exposure[keys[v]] for v in use]
+                stack = [_reduced(images[v], grid) * np.float32(f) for v, f in zip(use, to_class, strict=True)]
+                whole = [n for n, v in enumerate(use) if shown[v]]
+                if whole:
+                    mean = np.mean([stack[n] for n in whole], 0, dtype=np.float32)
+                else:
+                    joined = _joined(np.stack(stack), np.stack([_seen(table, v, grid, cameras) for v in use]), masks[0])
+                    if joined is None:
+                        continue
+                    mean = joined
+                values[g, c][rank[k]], frames[k, c] = mean, len(whole) or len(use)
+                middle = values[g, c][rank[k]][masks[0]]
+                said[k] |= np.count_nonzero((middle > _BRIGHT) | (middle < _DARK)) <= _BLANK * len(middle)
+                if len(whole) > 1:
+                    slopes = lift[[use[n] for n in whole]] * (grid.px_per_mm / resolution)
+                    seen.append(_Views(k, values[g, c][rank[k]], [stack[n] for n in whole], slopes))
+            for begin in range(0, len(seen), _AT_ONCE):
+                some = seen[begin : begin + _AT_ONCE]
+                for m, mask in enumerate(masks):
+                    off, certainty = _parallax(some, mask)
+                    above[[one.part for one in some], m] += off * certainty
+                    weight[[one.part for one in some], m] += certainty
     height = np.where(table.on_top, table.above_mm, 0.0)
     measured = (weight > 0) & calculator.knows_heights
     with np.errstate(invalid="ignore", divide="ignore"):
-        off, sigma = np.where(measured, above / weight, np.nan), np.where(measured, 1 / np.sqrt(weight), np.nan)
+        above_mm, sigma = np.where(measured, above / weight, np.nan), np.where(measured, 1 / np.sqrt(weight), np.nan)
     scale = resolution * mm / np.array([grid.px_per_mm for grid in grids])[number]
     cad_from_px = table.crops.cad_from_crop[:, :2, :2] * scale[:, None, None]
     return RunPatches(
-        tuple(parts), grids, number, classes, values, frames, height, off[:, 0], sigma[:, 0], off[:, 1], sigma[:, 1],
-        (frames > 0).any(1) & ~said, cad_from_px,
+        tuple(parts), grids, number, classes, values, frames, height, above_mm[:, 0], sigma[:, 0], above_mm[:, 1],
+        sigma[:, 1], (frames > 0).any(1) & ~said, cad_from_px,
     )  # fmt: skip
 
 
@@ -314,23 +320,42 @@ def _joined(stack: Floats32, seen: NDArray[np.bool_], inside: NDArray[np.bool_])
     return np.asarray(by_label[nearest], np.float32)
 
 
-def _parallax(stack: Floats32, mean: Floats32, lift: Floats, inside: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return how far above the plane of its patches a part lies, mm, and the inverse of the variance."""
-    dy, dx = (np.asarray(g) for g in np.gradient(mean))
-    gx, gy, middle = dx[inside].astype(np.float64), dy[inside].astype(np.float64), mean[inside].astype(np.float64)
-    s: Floats = lift - lift.mean(0)
-    rest = stack[:, inside].astype(np.float64) - middle
-    slope = s[:, :1] * gx + s[:, 1:] * gy
+class _Views(NamedTuple):
+    """One part in two frames or more of one class."""
+
+    part: int
+    mean: Floats32
+    pictures: list[Floats32]
+    slopes_px: Floats
+    """(k, 2) by how much each frame shows it displaced, px of the patch per mm of height."""
+
+
+def _parallax(seen: Sequence[_Views], mask: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return how far above the plane of their patches n parts lie (n,), mm, and the inverses of the variances."""
+    count = np.array([len(one.pictures) for one in seen])
+    starts, of = np.concatenate([[0], np.cumsum(count)[:-1]]), np.repeat(np.arange(len(seen)), count)
+    means: Floats32 = np.stack([one.mean for one in seen])
+    dy, dx = (np.asarray(g) for g in np.gradient(means, axis=(1, 2)))
+    middle, gx, gy = (np.asarray(v[:, mask], np.float32) for v in (means, dx, dy))
+    slopes = np.concatenate([one.slopes_px for one in seen])
+    slopes = slopes - np.asarray(np.add.reduceat(slopes, starts) / count[:, None])[of]
+    rest = np.stack([picture[mask] for one in seen for picture in one.pictures]) - middle[of]
     # Lamp and lens shade the views differently: gain, offset and a slope of the brightness say nothing of the height.
-    y, x = np.nonzero(inside)
-    basis, _ = np.linalg.qr(
-        np.column_stack([np.ones_like(middle), middle, middle * (x - x.mean()), middle * (y - y.mean())])
-    )
-    rest, slope = (np.asarray(v - (v @ basis) @ basis.T) for v in (rest, slope))
-    power = float((slope * slope).sum())
-    if power <= 1e-9:
-        return 0.0, 0.0
-    off = -float((slope * rest).sum()) / power
-    noise = max(float(np.square(rest + off * slope).mean()), _LEAST_NOISE**2)
-    baseline = float(np.square(s).sum())
-    return off, 1 / (4 * noise / power + _MATRIX_PX**2 / baseline)
+    y, x = ((v - v.mean()) / max(float(np.ptp(v)), 1.0) for v in np.nonzero(mask))
+    scaled = middle / np.maximum(middle.mean(1, keepdims=True), 1.0)
+    basis = np.stack([np.ones_like(scaled), scaled, scaled * np.float32(x), scaled * np.float32(y)], 1)
+    normal = (basis @ basis.swapaxes(1, 2)).astype(np.float64)
+    inverse = np.linalg.inv(normal + 1e-6 * normal[:, :1, :1] * np.eye(4))
+    gx, gy = (g - ((inverse @ (basis @ g[:, :, None]))[:, None, :, 0] @ basis)[:, 0] for g in (gx, gy))
+    in_basis = np.stack([(basis[:, k][of] * rest).sum(1) for k in range(4)], -1).astype(np.float64)
+    unexplained = np.square(rest).sum(1) - np.einsum("vi,vij,vj->v", in_basis, inverse[of], in_basis)
+    s = slopes.astype(np.float32)
+    along = [np.add.reduceat(rest * s[:, k : k + 1], starts) for k in range(2)]
+    product = (gx * along[0]).sum(1) + (gy * along[1]).sum(1)
+    sxx, sxy, syy = (np.add.reduceat(slopes[:, a] * slopes[:, b], starts) for a, b in ((0, 0), (0, 1), (1, 1)))
+    power = sxx * np.square(gx).sum(1) + 2 * sxy * (gx * gy).sum(1) + syy * np.square(gy).sum(1)
+    safe = np.maximum(power, 1e-9)
+    off = -product / safe
+    noise = (np.add.reduceat(unexplained, starts) - off**2 * safe) / (count * middle.shape[1])
+    variance = 4 * np.maximum(noise, _LEAST_NOISE**2) / safe + _MATRIX_PX**2 / np.maximum(sxx + syy, 1e-12)
+    return np.where(power > 1e-9, off, 0.0), np.where(power > 1e-9, 1 / variance, 0.0)

@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-PRESENT = (12.525, -4.542, 2.991, 0.207, 0.658)
-"""Presence: constant, unlikeness, the same beyond `_KNEE`, evidence of the height, alone and with a strip."""
+PRESENT = (14.797, -6.145, 5.197, 0.507, 0.626, -0.777)
+"""Presence: constant, unlikeness, the same beyond `_KNEE`, evidence of the height, alone and with a strip,
+and unlikeness beyond `_KNEE` once more where heights say little.
+
+Absent parts counted twice: a tester rather looks at one more part than probes one that is not there."""
 HEIGHT_ALONE = (2.341, 0.45, 1.453)
 """Presence by the height alone: constant, evidence of the height, alone and with a strip."""
 ALIKE = (8.75, -3.09)
@@ -36,6 +39,10 @@ _UNTAUGHT = ((1.0, 0.15), (0.65, 0.33))
 """Height by parallax of a part that was not taught and its standard deviation, alone and with a strip around it."""
 _BOARD = (0.0, -0.08)
 """Height by parallax of the bare board, alone and with a strip."""
+_FAINT = 2.0
+"""Evidence of heights below which only the look decides."""
+_ALONE = 2.0
+"""Factor on the standard deviation of the height of the body alone: faint texture next to pads misleads it."""
 _MOST_HEIGHT = 8.0
 
 
@@ -49,8 +56,9 @@ def height_evidence(measured: Floats, sigma: Floats, taught: Floats) -> Floats:
     for k, (mean, sd) in enumerate(_UNTAUGHT):
         known = np.isfinite(taught[:, k])
         expected = np.where(known, taught[:, k], mean)
-        present = sigma[:, k] ** 2 + np.where(known, _HEIGHT_SD**2, sd**2)
-        absent = sigma[:, k] ** 2 + _ABSENT_SD**2
+        noise = (_ALONE if k == 0 else 1.0) * sigma[:, k]
+        present = noise**2 + np.where(known, _HEIGHT_SD**2, sd**2)
+        absent = noise**2 + _ABSENT_SD**2
         with np.errstate(invalid="ignore"):
             far, near = (measured[:, k] - _BOARD[k]) ** 2 / absent, (measured[:, k] - expected) ** 2 / present
             found = (far - near + np.log(absent / present)) / 2
@@ -59,9 +67,11 @@ def height_evidence(measured: Floats, sigma: Floats, taught: Floats) -> Floats:
 
 
 def presence_features(unlike: Floats, other: Floats, heights: Floats) -> Floats:
-    """Return the features (n, 5) of which presence is a logistic function; `heights` (n, 2) is `height_evidence`."""
+    """Return the features (n, 6) of which presence is a logistic function; `heights` (n, 2) is `height_evidence`."""
     least = np.clip(np.log(np.maximum(np.fmin(unlike, other), 1e-3)), 0, _MOST)
-    return np.column_stack([np.ones(len(least)), least, np.maximum(least - _KNEE, 0), heights])
+    beyond = np.maximum(least - _KNEE, 0)
+    faint = np.abs(heights).sum(1) < _FAINT
+    return np.column_stack([np.ones(len(least)), least, beyond, heights, beyond * faint])
 
 
 def presence(unlike: Floats, other: Floats, heights: Floats) -> Floats:
