@@ -65,11 +65,13 @@ _WISHES = {
     "GevSCPSPacketSize": _Wish(1400, 220, 9000, 4), "GevSCPD": _Wish(0, 0, 1e6), "Saturation": _Wish(100, 0, 400),
 }  # fmt: skip
 """Feature → what a camera has after power-on, in the camera's units."""
+_SCALES = {"numerator": 1_000_000, "timebase": 1000}
+"""Part of a register's name → its value if it is a divisor or a factor."""
 _USUAL = ("Off", "Continuous", "Timed", "Default", "Global", "Standard", "Mono8", "BayerRG8", "BayerGB8")
 """Entries of enumerations that cameras have after power-on, if they have them."""
 _FIRST = (
     "DeviceType", "SensorWidth", "SensorHeight", "WidthMax", "HeightMax", "OffsetX", "OffsetY", "Width", "Height",
-    "PixelFormat", "ExposureMode", "ExposureAuto", "ExposureTime", "ExposureTimeAbs", "ExposureTimeBaseAbs",
+    "PixelFormat", "ExposureMode", "ExposureAuto", "ExposureTimeBaseAbs", "ExposureTime", "ExposureTimeAbs",
     "ExposureTimeRaw",
 )  # fmt: skip
 """Features that are given their values before all others."""
@@ -304,9 +306,11 @@ class FirstValues:
             return
         for register in sorted({r for part in parts for r in self._d.closure(part) if self._d.kind(r) in _NUMBERS}):
             if self._features.value(register) == 0 and not self._claims.has(self._features, register):
-                is_numerator = "numerator" in register.casefold() or "timebase" in register.casefold()
-                self._features.put(register, 1_000_000 if is_numerator else 1)
-                if is_numerator:
+                # A rate is a numerator, in units per second, by a count; a time base is in ns.
+                is_stated = self._d.text_of(register, "AccessMode") == "RO"
+                scale = next((n for word, n in _SCALES.items() if is_stated and word in register.casefold()), 1)
+                self._features.put(register, scale)
+                if scale > 1:
                     self._claims.add(self._features, register)
 
     def _fails(self, names: Iterable[str]) -> bool:
@@ -314,6 +318,9 @@ class FirstValues:
         self._features.forget()
         for name in names:
             self._features.value(name)
+            for node in self._d.closure(name):
+                if self._d.kind(node) in ("Converter", "IntConverter"):
+                    self._features.converted(node, 1)
         return self._features.failures > before
 
     def _reach(self, name: str, target: float, enough: Callable[[Number], bool], *, always: bool = False) -> None:

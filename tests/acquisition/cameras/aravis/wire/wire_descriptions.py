@@ -10,6 +10,7 @@ import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Stage, noise
+from tests.gige.descriptions import FilmingLine
 from tests.gige.leftovers import leave_all, survivors
 from tests.gige.referee import Referee
 from tests.needs import DESCRIPTIONS, need_descriptions, need_referee
@@ -85,3 +86,19 @@ def test_the_user_set_default_replaces_one_that_an_earlier_program_has_saved(
     assert camera.expose(noise(1).tobytes()) == 1
     assert stage.arrival().complete
     assert Referee(camera).value("BlackLevel") == black_level
+
+
+def test_a_board_is_filmed_by_three_makers_cameras_and_every_frame_is_proven(
+    plug: Callable[[str], Camera], tmp_path: Path
+) -> None:
+    """Their clocks count in 8 ns, in ns, and in ns of a USB3 camera."""
+    cameras = [plug(name) for name in ("AVT_Mako_G234B", "Basler-a2A2600-20gmBAS", "PGR_BFS_U3_51S5M")]
+    configured = [
+        camera_config(name=f"c{k}", address=camera.address, width=WIDTH, height=HEIGHT)
+        for k, camera in enumerate(cameras)
+    ]
+    line = FilmingLine(tmp_path, cameras, configured)
+    try:
+        assert line.proven(line.film(rows=3)) == 9
+    finally:
+        line.close()
