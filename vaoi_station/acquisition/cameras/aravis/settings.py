@@ -12,6 +12,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 from vaoi_station.acquisition.cameras.aravis import families
@@ -74,7 +75,16 @@ class Control:
         """Take an open camera, and its name in messages."""
         self.camera, self.name = camera, name
         self.features = Features(camera)
-        self.vendor, self.model = camera.get_vendor_name() or "", camera.get_model_name() or ""
+
+    @cached_property
+    def vendor(self) -> str:
+        """The name of its vendor."""
+        return self.camera.get_vendor_name() or ""
+
+    @cached_property
+    def model(self) -> str:
+        """The name of its model."""
+        return self.camera.get_model_name() or ""
 
     def put(self, setting: Setting) -> None:
         """Write a setting, read it back and compare; DeviceError if it is refused or ignored."""
