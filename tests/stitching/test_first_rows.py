@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vaoi_station.stitching import conclude
 from vaoi_station.stitching.adjustment import solver as adjustment
 from vaoi_station.stitching.matching.evidence import Evidence
 from vaoi_station.stitching.work import TaskRunner, all_tasks
@@ -26,6 +27,12 @@ def corners(stitch: Any) -> list[Any]:
     cad = np.array([[0.0, 0.0, 1.0], [40.0, 30.0, 1.0]]).T
     images = [m @ stitch.cad_matrix @ cad for of_camera in stitch.image_matrices for m in of_camera]
     return [at[:2] / at[2] for at in images]
+
+
+@pytest.fixture(autouse=True)
+def few_links_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the adjustment of a small board begin early, too."""
+    monkeypatch.setattr(conclude, "LEAST_BEGUN", 100)
 
 
 @pytest.fixture(scope="module")

@@ -50,8 +50,9 @@ from vaoi_station.stitching.quality.quality_document import LATER, explanation, 
 from vaoi_station.stitching.quality.verdict import judge_result
 from vaoi_station.version import __version__
 
-LEAST_BEGUN = 5
-"""Least number of rows that are adjusted before the last one arrives. Of fewer, it changes too much."""
+LEAST_BEGUN = 16_000
+"""Least number of links with which the adjustment begins before the last row arrives. With fewer, all steps together
+take less time than it costs to begin."""
 NO_BOARD_TYPE = Failure("no board type was given, so there is no CAD mapping", ReasonCode.NO_BOARD_TYPE)
 _NO_PLACE = Failure(
     "the board is not placed: no links connect the rows that show its fiducials, so that the distance of the fiducials "
@@ -133,8 +134,10 @@ class Beginning(NamedTuple):
 
     @staticmethod
     def of(of_rows: RowsLinks, detections: Iterable[Detections], rows: int) -> Beginning | None:
-        """Put the evidence in order; None if a row was not linked to the one before."""
+        """Put the evidence in order; None if a row was not linked to the one before, or the links are few."""
         times_s = [0.0]
+        if sum(len(e.a_px) for links in of_rows.values() for e in links) < LEAST_BEGUN:
+            return None
         for row in range(1, rows):
             if (row - 1, row) not in of_rows:
                 return None
@@ -237,7 +240,7 @@ class Stitcher:
         """
         last = len(self.times_s) - 1
         there = [key for key in self.scene.present if key[1] < last]
-        if last < LEAST_BEGUN or len(there) < last * len(self.scene.cameras):
+        if len(there) < last * len(self.scene.cameras):
             return None
         of_rows = {rows: links for rows, links in known.of_rows.items() if rows[1] < last}
         beginning = Beginning.of(of_rows, [d for d in known.detections if d.task.a[1] < last], last)

@@ -27,7 +27,7 @@ from vaoi_station.stitching.adjustment.solver import Unknowns
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane
 from vaoi_station.stitching.board.fiducials import detect_marks
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.conclude import LEAST_BEGUN, Beginning, PriorKnowledge, Stitcher, explained
+from vaoi_station.stitching.conclude import Beginning, PriorKnowledge, Stitcher, explained
 from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.matching.evidence import (
     METHODS,
@@ -208,7 +208,7 @@ class TaskRunner:
         rows = None
         while self._settled(self._rows):
             self._rows, rows = self._rows + 1, self._rows + 1
-        if rows is None or rows < LEAST_BEGUN:
+        if rows is None:
             return None
         every = [e for row in range(rows) for e in self._of_row[row]]
         links, marks = (e for e in every if isinstance(e, Links)), (e for e in every if isinstance(e, Detections))
