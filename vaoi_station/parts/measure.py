@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
-from vaoi_station.parts.models import STRANGE, VISIBLE, Kind, Models
+from vaoi_station.parts.models import VISIBLE, Kind, Models
 from vaoi_station.parts.patches import RunPatches, ViewClass, cut_patches, kind_of, view_classes
 from vaoi_station.parts.registration import Fit, Floats, Floats32, Template
 from vaoi_station.parts.search import search
 
 _UNLIKE = 3.0
 """How unlike good ones a part may look that is as usual."""
-_NEAR_MM = 0.12
-"""Distance from its place beyond which a part that looks unlike is searched; a strange one always is."""
+_ODD, _NEAR_MM = 10.0, 0.12
+"""How unlike a part must look to be searched and compared with other kinds.
+
+Less suffices for one that lies this far from its place."""
 _FITS, _BETTER = 25.0, 0.4
 """How unlike a part may look where it was found by searching, also as a share of how unlike it looks on its place."""
 _MOST_KINDS, _SIMILAR_MM, _MOST_EXCHANGED = 8, 1.0, 120
@@ -100,7 +102,7 @@ def collect(
     gains = {} if gains is None else gains
     first = _compare(patches, models, gains)
     off = np.hypot(*first.place_mm.T)
-    odd = np.flatnonzero((first.unlike > STRANGE) | ((off > _NEAR_MM) & (first.unlike > _UNLIKE)))
+    odd = np.flatnonzero((first.unlike > _ODD) | ((off > _NEAR_MM) & (first.unlike > _UNLIKE)))
     odd = odd[np.argsort(-first.unlike[odd], kind="stable")][:_MOST_SEARCHED]
     if not len(odd):
         return patches, first
@@ -111,7 +113,7 @@ def collect(
         old[odd[better]] = new[better]
     found = first
     found.searched[odd] = True
-    strange = odd[found.unlike[odd] > STRANGE][:_MOST_EXCHANGED]
+    strange = odd[found.unlike[odd] > _ODD][:_MOST_EXCHANGED]
     if len(strange):
         found.other[strange] = np.minimum(found.other[strange], _as_others(run, models, patches, strange, gains))
     return patches, found
@@ -232,12 +234,13 @@ def _like(kind: Kind, pictures: Floats32, cad_mm_from_px: Floats, key: tuple[str
     best = kind.template.fit(pictures)
     misfit = {0: best.misfit.copy()}
     for q, template in kind.turned.items():
-        misfit[q] = _turned_misfit(template, pictures, best, kind, q)
-        if kind.asymmetry[q] > VISIBLE:
-            at = np.flatnonzero(misfit[q] < _TURNED * best.misfit)
-            if len(at):
-                for old, new in zip(best, template.fit(pictures[at]), strict=True):
-                    old[at] = new
+        if kind.asymmetry[q] < VISIBLE:
+            continue
+        misfit[q] = _turned_misfit(template, pictures, best, kind)
+        at = np.flatnonzero(misfit[q] < _TURNED * best.misfit)
+        if len(at):
+            for old, new in zip(best, template.fit(pictures[at]), strict=True):
+                old[at] = new
     usual = best.misfit < _UNLIKE * kind.usual
     if key not in gains and usual.sum() > 2:
         gains[key] = max(float(np.median(best.gain[usual])), 0.05)
@@ -294,12 +297,10 @@ def _evidence(
     )  # fmt: skip
 
 
-def _turned_misfit(template: Template, pictures: Floats32, best: Fit, kind: Kind, quarters: int) -> Floats:
+def _turned_misfit(template: Template, pictures: Floats32, best: Fit, kind: Kind) -> Floats:
     """Return the misfit with the template turned; it is fitted anew only where a part may lie so."""
     # Where the upright part fits as good ones do, the turned template is compared at the same place.
     misfit = template.compare(pictures, best.pose).misfit
-    if kind.asymmetry[quarters] < VISIBLE:
-        return misfit
     odd = np.flatnonzero(best.misfit > _UNLIKE * kind.usual)
     if len(odd):
         misfit[odd] = template.fit(pictures[odd], rounds=3).misfit

@@ -24,7 +24,7 @@ ALIKE = (8.75, -3.09)
 """Likeness to good boards: constant, unlikeness."""
 PLACE = (3.0, 0.03, 0.04)
 """Standard deviation of a place: multiple of that by noise, pixels, and pixels per unlikeness (logarithm)."""
-TURN = (2.0, 0.02, 0.06)
+TURN = (2.0, 0.02, 0.09)
 """Standard deviation of a turn: the same, with pixels at the end of the part."""
 SPREAD_MM, SPREAD_DEG = 0.02, 0.25
 """Spread of the places of good parts that is assumed for the mean place of those taught."""
