@@ -20,7 +20,7 @@ _AT_ONCE = 400
 """Number of parts that are measured at once, which bounds the memory."""
 _PRESENT = 0.5
 """Probability of presence from which on place and orientation are stated."""
-_SURE = (0.05, 0.95)
+_SURE = (0.2, 0.8)
 """Without good boards, a probability between these is not stated."""
 _SLENDER, _CHIP_MM = 1.6, 3.6
 """Least ratio of the sides and largest length of parts of which the height alone tells that they are absent."""
