@@ -183,6 +183,7 @@ class Station:
                 coordinator.kept.recordings.thread,
                 coordinator.kept.identities.queue.thread,
                 coordinator.heights.queue.thread,
+                coordinator.parts.queue.thread,
                 coordinator.kept.mosaics.queue.thread,
             )
             parts.callback(supervisor.stop)

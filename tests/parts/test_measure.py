@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from tests.parts.conftest import stitched, taught
-from vaoi_station.parts.document import changes, disagreements, measure_parts, parts_document
+from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
 from vaoi_station.parts.learned import TaughtBoard
 from vaoi_station.parts.models import Models
+from vaoi_station.steps import completed
 
 ABSENT = ("C2", "C4", "R3", "R7", "R11", "R15", "R17", "R21", "R25", "C11")
 
@@ -36,8 +37,8 @@ def test_a_board_without_good_ones_says_what_heights_alone_tell() -> None:
 
 def test_an_absent_part_on_a_good_board_is_shown_with_board_and_part(good_boards: tuple[TaughtBoard, ...]) -> None:
     bad = taught(stitched(2, ("R7",)), "not-good")
-    assert ("not-good", "R7") in {(d["board"], d["part"]) for d in disagreements((*good_boards, bad))}
-    assert not any(d["part"] == "R7" for d in disagreements(good_boards))
+    assert ("not-good", "R7") in {(d["board"], d["part"]) for d in completed(disagreement_steps((*good_boards, bad)))}
+    assert not any(d["part"] == "R7" for d in completed(disagreement_steps(good_boards)))
 
 
 def test_a_board_on_which_most_parts_are_unlike_is_called_another_revision(

@@ -33,9 +33,10 @@ def parts(
     """Measure every part of a board: is it there, where, turned by how much, which way round, like good ones."""
     from vaoi_station.cli.opened_case import refuse_input
     from vaoi_station.files.documents import write_json
-    from vaoi_station.parts.document import changes, disagreements, measure_parts, parts_document
+    from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
     from vaoi_station.parts.learned import ENDING, TaughtBoard, merged, parts_digest, read_taught_board
     from vaoi_station.parts.models import Models
+    from vaoi_station.steps import completed
 
     refuse_input(out, case, case / "result.json", calibration, board)
     run, taken_with = _stitched(case, calibration, board)
@@ -53,7 +54,7 @@ def parts(
     known = merged(boards)
     models = Models(known)
     measured = measure_parts(run, models)
-    disagreeing = disagreements(known)
+    disagreeing = completed(disagreement_steps(known))
     document = parts_document(run, models, measured, changes(run, known, taken_with))
     write_json(out, document | {"good_boards_disagree": disagreeing})
     said = [p["presence"] for p in measured.values() if p["presence"] is not None]

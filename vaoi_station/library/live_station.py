@@ -54,9 +54,11 @@ from vaoi_station.runs.states.schemas import (
     BoardTypeSummary,
     CalibrationStatus,
     Choice,
+    GoodBoards,
     HeightEntry,
     HeightList,
     LeaseStatus,
+    PartsDocument,
     ReferenceStatus,
     RunCounts,
     StitchingMethod,
@@ -332,6 +334,18 @@ class StationRun:
     def heights(self) -> Mapping[str, HeightEntry]:
         """Return the heights of the components above the board, by address; GoneError if they were not measured."""
         return self._client.read(HeightList, self._path("heights")).heights
+
+    def parts(self) -> PartsDocument:
+        """Return the measures of the parts of the run; GoneError if they were not measured while frames were there."""
+        return self._client.read(PartsDocument, self._path("parts"))
+
+    def keep_as_good(self) -> GoodBoards:
+        """Keep what the parts of this board look like, as those of a good board; see the reply's doubts."""
+        return self._client.write(GoodBoards, "PUT", self._path("good"))
+
+    def remove_from_good(self) -> GoodBoards:
+        """Remove this board from the good ones of its type."""
+        return self._client.write(GoodBoards, "DELETE", self._path("good"))
 
     def timeline(self) -> Timeline:
         """Return the times of the steps of the run: frames, links, result, and what followed."""

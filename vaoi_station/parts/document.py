@@ -14,6 +14,7 @@ from vaoi_station.parts.learned import TaughtBoard, parts_digest
 from vaoi_station.parts.measure import Evidence, Gains, Run, collect
 from vaoi_station.parts.models import STRANGE, VISIBLE, Models
 from vaoi_station.parts.patches import RunPatches, same_class
+from vaoi_station.steps import Steps
 
 FORMAT, VERSION = "vaoi-parts", 1
 _AT_ONCE = 400
@@ -139,8 +140,11 @@ def parts_document(run: Run, models: Models, parts: dict[str, dict[str, Any]], d
     }  # fmt: skip
 
 
-def disagreements(boards: Sequence[TaughtBoard]) -> list[dict[str, Any]]:
-    """Return the parts of good boards that look otherwise than on the other good boards: board, part and unlikeness."""
+def disagreement_steps(boards: Sequence[TaughtBoard]) -> Steps[list[dict[str, Any]]]:
+    """Return the parts of good boards that look otherwise than on the other good boards: board, part and unlikeness.
+
+    Each step compares the parts of one kind.
+    """
     found: dict[tuple[str, str], float] = {}
     models = Models(boards)
     for grid, view in sorted({(g, c) for b in boards for g in b.grids for c in b.classes}):
@@ -152,6 +156,7 @@ def disagreements(boards: Sequence[TaughtBoard]) -> list[dict[str, Any]]:
             for key, value in zip(kind.of, unlike.tolist(), strict=True):
                 if value > STRANGE and key[1] not in usual:
                     found[key] = max(value, found.get(key, 0.0))
+        yield
     return [{"board": b, "part": a, "unlike": round(u, 1)} for (b, a), u in sorted(found.items())]
 
 

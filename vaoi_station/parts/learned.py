@@ -11,7 +11,7 @@ import io
 import json
 import zipfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +126,18 @@ def read_taught_board(path: Path) -> TaughtBoard:
         head["name"], head["board_type"], head["calibration"], classes, grids, addresses, tuple(pictures),
         tuple(heights),
     )  # fmt: skip
+
+
+def joined(pieces: Sequence[TaughtBoard]) -> TaughtBoard:
+    """Return one board of pieces, each with all of its parts of some kinds."""
+    first = pieces[0]
+    return replace(
+        first,
+        grids=tuple(g for piece in pieces for g in piece.grids),
+        addresses=tuple(a for piece in pieces for a in piece.addresses),
+        patches=tuple(p for piece in pieces for p in piece.patches),
+        heights_mm=tuple(h for piece in pieces for h in piece.heights_mm),
+    )
 
 
 def merged(boards: Iterable[TaughtBoard]) -> tuple[TaughtBoard, ...]:

@@ -16,6 +16,7 @@ from vaoi_station.model import Status
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
+from vaoi_station.runs.archive.measured_parts import MeasuredParts
 from vaoi_station.runs.archive.read_identities import ReadIdentities
 from vaoi_station.runs.archive.recordings import DIRECTORY, Recordings
 from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
@@ -49,6 +50,7 @@ class KeptRuns:
         events: EventLog,
         frames: FrameSource,
         heights: MeasuredHeights,
+        parts: MeasuredParts,
         mosaics: KeptMosaics,
         render: Callable[[PictureJob, str], Any],
     ) -> None:
@@ -58,7 +60,7 @@ class KeptRuns:
         self.recordings.program = config.program
         self.archive_status: Callable[[], ArchiveStatus | None] = lambda: None
         """Function that returns the state of the archive to which runs are handed."""
-        self.heights, self.mosaics = heights, mosaics
+        self.heights, self.parts, self.mosaics = heights, parts, mosaics
         self.identities = ReadIdentities(archive, render, frames.bay_of, events)
         self.history = RunHistory(archive, events)
         names = [camera.name for camera in config.cameras]
@@ -67,15 +69,17 @@ class KeptRuns:
         self.identities.on_changed = self._identity_changed
 
     def start(self) -> None:
-        """Start the threads that write recordings, and have codes read and heights measured."""
+        """Start the threads that write recordings, and have codes read, heights and parts measured."""
         self.recordings.start()
         self.identities.start()
         self.heights.queue.start()
+        self.parts.queue.start()
         self.mosaics.queue.start()
 
     def stop(self) -> None:
         """End these threads."""
         self.mosaics.queue.stop()
+        self.parts.queue.stop()
         self.heights.queue.stop()
         self.identities.queue.stop()
         self.recordings.stop()
@@ -96,6 +100,7 @@ class KeptRuns:
             "identity": self.identities.finished,
             "recording": self.recordings.finished,
             "picture of the board": self.mosaics.finished,
+            "measures of parts": self.parts.finished,
         }
         if self._after_run:
             parts["heights"] = lambda run: self.heights.queue.put(run.id)

@@ -390,6 +390,18 @@ class Store:
             (*packed(document), run), patient=True, durable=False, size=len(document),
         )  # fmt: skip
 
+    def parts(self, run: str) -> str | None:
+        """Return the measures of the parts of a run; None if it has none."""
+        return self.database.text("SELECT document, packed FROM parts WHERE run = ?", (run,))
+
+    def save_parts(self, run: str, document: str) -> Future[int]:
+        """Write the measures of parts of a finished run; no effect if its result was deleted meanwhile."""
+        return self.database.execute(
+            """INSERT OR REPLACE INTO parts SELECT id, ?, ? FROM runs
+               WHERE id = ? AND finish_number IS NOT NULL AND detail <> ''""",
+            (*packed(document), run), patient=True, durable=False, size=len(document),
+        )  # fmt: skip
+
     def decisions(self, runs: Sequence[str]) -> dict[str, str]:
         """Return what persons have decided about some runs, by run id; runs without a decision are left out."""
         rows = self.database.read(f"SELECT run, document FROM decisions WHERE run {ANY_OF}", (keys_of(runs),))

@@ -65,7 +65,7 @@ class RunRetention:
         )
 
     def forget_details(self, runs: Sequence[str]) -> Future[None]:
-        """Delete results, heights, details and timelines of runs; their summaries stay."""
+        """Delete results, heights, measures of parts, details and timelines of runs; their summaries stay."""
 
         def write(connection: sqlite3.Connection) -> None:
             for run in runs:
@@ -74,6 +74,7 @@ class RunRetention:
                     continue
                 connection.execute("DELETE FROM results WHERE run = ?", (run,))
                 connection.execute("DELETE FROM heights WHERE run = ?", (run,))
+                connection.execute("DELETE FROM parts WHERE run = ?", (run,))
                 connection.execute(
                     """UPDATE runs SET detail = '', head = NULL, timeline = NULL, packed_detail = NULL,
                        packed_timeline = NULL WHERE id = ?""",

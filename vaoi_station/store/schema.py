@@ -116,7 +116,12 @@ CREATE INDEX figure_marks_by_kind ON figure_marks (kind, board_type);
 """
 """All tables of version 13. STRICT tables reject a value of the wrong type."""
 
-STEPS = {13: _TABLES}
+_PARTS = """
+CREATE TABLE parts (run TEXT PRIMARY KEY REFERENCES runs (id), document TEXT NOT NULL, packed BLOB) STRICT;
+"""
+"""Measures of the parts of runs."""
+
+STEPS = {13: _TABLES, 14: _PARTS}
 """By version, the statements that make it from the version before; the first one begins with an empty file."""
 OLDEST, VERSION = min(STEPS), max(STEPS)
 PACKED = "packed"

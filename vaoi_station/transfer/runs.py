@@ -31,7 +31,7 @@ from vaoi_station.runs.archive.stored_documents import decided, identity_row, in
 from vaoi_station.runs.run.run_views import summary_of
 from vaoi_station.runs.run.verdict import RunVerdict, identified
 from vaoi_station.runs.states.run_ids import assigned_s, is_run_id, utc
-from vaoi_station.runs.states.schemas import HeightList, Origin, RunDetail, Timeline
+from vaoi_station.runs.states.schemas import HeightList, Origin, PartsDocument, RunDetail, Timeline
 from vaoi_station.runs.states.tables import RunState
 from vaoi_station.store.documents import digest_of, write_identity
 from vaoi_station.store.retention import MOST_PINS
@@ -42,6 +42,7 @@ from vaoi_station.version import __version__
 
 KIND = "vaoi-run"
 TIMELINE_FILE, HEIGHTS_FILE, IDENTITY_FILE, HEAD_FILE = "timeline.json", "heights.json", "identity.json", "head.json"
+PARTS_FILE = "parts.json"
 CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = "configuration.json", "calibration.json", "board.json"
 
 
@@ -106,6 +107,7 @@ def _documents(database: sqlite3.Connection, detail: RunDetail) -> Iterator[Entr
     for name, query in (
         (RESULT_FILE, "SELECT document, packed FROM results WHERE run = ?"),
         (HEIGHTS_FILE, "SELECT document, packed FROM heights WHERE run = ?"),
+        (PARTS_FILE, "SELECT document, packed FROM parts WHERE run = ?"),
         (IDENTITY_FILE, "SELECT document, packed FROM identities WHERE run = ?"),
         (TIMELINE_FILE, "SELECT timeline, packed_timeline FROM runs WHERE id = ? AND timeline IS NOT NULL"),
         (HEAD_FILE, "SELECT head, NULL FROM runs WHERE id = ? AND head IS NOT NULL"),
@@ -144,6 +146,7 @@ class _Content:
     result: str | None
     timeline: str | None
     heights: str | None
+    parts: str | None
     identity: IdentityDocument | None
     configuration: str | None
     frames_bytes: int
@@ -227,6 +230,7 @@ class _Unpacked:
             self._document(IdentityDocument, IDENTITY_FILE).without_reading() if self._has(IDENTITY_FILE) else None
         )
         heights = self._document(HeightList, HEIGHTS_FILE) if self._has(HEIGHTS_FILE) else None
+        parts = self._document(PartsDocument, PARTS_FILE) if self._has(PARTS_FILE) else None
         for model, name in ((Stitch, RESULT_FILE), (Timeline, TIMELINE_FILE)):
             if self._has(name):
                 self._document(model, name)
@@ -243,6 +247,7 @@ class _Unpacked:
             result,
             timeline,
             None if heights is None else self._stored(heights, HEIGHTS_FILE, exclude_none=True),
+            None if parts is None else self._stored(parts, PARTS_FILE),
             identity,
             configuration,
             size,
@@ -395,6 +400,8 @@ def _insert(connection: sqlite3.Connection, content: _Content) -> None:
         connection.execute("INSERT INTO results VALUES (?, ?, ?)", (detail.id, *packed(content.result)))
     if content.heights is not None:
         connection.execute("INSERT INTO heights VALUES (?, ?, ?)", (detail.id, *packed(content.heights)))
+    if content.parts is not None:
+        connection.execute("INSERT INTO parts VALUES (?, ?, ?)", (detail.id, *packed(content.parts)))
     if content.identity is not None:
         write_identity(connection, detail.id, identity_row(content.identity))
     connection.execute("INSERT INTO pins VALUES (?, ?)", (detail.id, now))

@@ -38,7 +38,7 @@ from vaoi_station.errors import InputError, NotFoundError, VaoiError
 from vaoi_station.model import BoardType, Strict
 from vaoi_station.model.recording import Program
 from vaoi_station.runs.lighting.programs import ProgramCheck
-from vaoi_station.runs.states.schemas import ReferenceStatus, StitchingMethod
+from vaoi_station.runs.states.schemas import GoodBoards, ReferenceStatus, StitchingMethod
 
 BODY = {
     "requestBody": {
@@ -184,6 +184,11 @@ def _add_stitching(routes: APIRouter, services: Services) -> None:
 
     unchanged_reference = partial(unchanged, lock=teaching, read=coordinator.reference, what="reference")
     unchanged_method = partial(unchanged, lock=changing, read=coordinator.method, what="method")
+
+    @routes.get("/{name}/good")
+    async def get_good_boards(name: BoardTypeName) -> GoodBoards:
+        """Return the good boards with which the parts of later boards of this type are compared."""
+        return await ask(coordinator.parts.good, name)
 
     @routes.get("/{name}/reference")
     async def get_reference(response: Response, name: BoardTypeName) -> ReferenceStatus:

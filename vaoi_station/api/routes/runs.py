@@ -20,8 +20,10 @@ from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.kept_runs import Wanted
 from vaoi_station.runs.states.run_ids import in_utc, is_run_id, last_midnight, utc
 from vaoi_station.runs.states.schemas import (
+    GoodBoards,
     HeightList,
     LeaseStatus,
+    PartsDocument,
     RunCounts,
     RunDetail,
     RunOverlay,
@@ -158,6 +160,30 @@ def router(services: Services) -> APIRouter:
         distance. 410: the frames are no longer in memory, and the heights were not measured while they were.
         """
         return json_response(request, await services.pictures.ask(coordinator.heights.document, run))
+
+    @routes.get("/{run}/parts", response_model=PartsDocument, dependencies=[Depends(services.picture_seats.hold)])
+    async def get_parts(request: Request, run: RunId) -> Response:
+        """Measure all parts: is it there, where, turned by how much, which way round, like good ones. No verdict.
+
+        They are measured after each run of a board type with good boards, and kept with the result; without good
+        boards at each request, by heights alone. 409: no CAD mapping. 410: the frames are no longer in memory, and the
+        parts were not measured while they were.
+        """
+        return json_response(request, await services.pictures.ask(coordinator.parts.document, run), REVALIDATE)
+
+    @routes.put("/{run}/good", dependencies=[Depends(services.picture_seats.hold)])
+    async def keep_as_good(run: RunId) -> GoodBoards:
+        """Keep what the parts of this board look like: it is a good one. Later runs of its type are compared with it.
+
+        The reply lists the good boards, parts that look otherwise than on the others, and parts that were measured as
+        absent on this one: check these, and remove the board if one is wrong. 410: its frames are no longer in memory.
+        """
+        return await services.pictures.ask(coordinator.parts.teach, run)
+
+    @routes.delete("/{run}/good")
+    async def remove_from_good(run: RunId) -> GoodBoards:
+        """Remove this board from the good ones of its type: it was none after all. Stored measures stay as they are."""
+        return await ask(coordinator.parts.forget, run)
 
     @routes.get("/{run}/timeline", response_model=Timeline)
     async def get_timeline(request: Request, run: RunId) -> Response:

@@ -24,6 +24,8 @@ from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
 from vaoi_station.runs.archive.finished_runs import RunFigures
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
+from vaoi_station.runs.archive.measured_parts import DIRECTORY as GOOD_BOARDS
+from vaoi_station.runs.archive.measured_parts import MeasuredParts
 from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.pictures import FrameAccess, ViewRequest
@@ -106,10 +108,11 @@ class StationCoordinator(BoardTypeRequests):
         config, events, fields = parts.config, parts.events, parts.config.flat_fields
         pixels = parts.archive, access.lease, access.render
         self.heights = MeasuredHeights(*pixels, access.bay_of, events, fields)
+        self.parts = MeasuredParts(*pixels, access.bay_of, events, config.data / GOOD_BOARDS)
         known, hastened = self.heights.known, parts.workers.hastened
         self.mosaics = Mosaics(*pixels, fields, known, hastened, access.note_fetch, access.tile)
         pictures = KeptMosaics(config.data / MOSAICS, config.keep, parts.archive, self.mosaics, access, events)
-        self.kept = KeptRuns(config, parts.archive, events, access, self.heights, pictures, access.render)
+        self.kept = KeptRuns(config, parts.archive, events, access, self.heights, self.parts, pictures, access.render)
         access.heights, parts.watch.on_checked = known, self.kept.trends.checked
         if parts.px_per_mm:
             self.kept.trends.sigma_limit_px = sigma_limit_px(sum(parts.px_per_mm) / len(parts.px_per_mm))

@@ -641,6 +641,59 @@ class HeightList(Strict):
     heights: dict[str, HeightEntry]
 
 
+class PartMeasure(Strict):
+    """What the pictures of one part say; a value that is null cannot be said, for the `reasons`."""
+
+    presence: Number | None = Field(description="Probability that the part is there.")
+    dx_mm: Number | None = Field(description="Place against the CAD data, along the CAD axes.")
+    dy_mm: Number | None
+    sigma_mm: Number | None = Field(description="Standard deviation of the place along the worse axis.")
+    turn_deg: Number | None = Field(description="Turn against the CAD data, counter-clockwise as seen.")
+    sigma_deg: Number | None
+    orientation: dict[str, Number] | None = Field(description="Probability by turn, degrees; null without marks.")
+    alike: Number | None = Field(description="Probability that it is what good boards have there.")
+    height_mm: Number | None = Field(description="Height above the board by parallax.")
+    frames: int = Field(strict=True, description="Number of frames on which the measure rests.")
+    boards: int = Field(strict=True, description="Number of good boards on which it rests.")
+    reasons: tuple[str, ...] = Field(description="Why something is null; `reason_texts` has the sentences.")
+
+
+class PartsDocument(Strict):
+    """The measures of a run's parts, by address."""
+
+    format: Literal["vaoi-parts"]
+    version: Literal[1]
+    board_type: str
+    good_boards: tuple[str, ...] = Field(description="Runs with which it was compared.")
+    remarks: tuple[str, ...] = Field(description="What changed since teaching; whether this is another revision.")
+    parts: dict[str, PartMeasure]
+    reason_texts: dict[str, str]
+
+
+class GoodBoard(Strict):
+    """One good board of a board type."""
+
+    run: str
+    size_bytes: int = Field(description="Size of what is kept of it.")
+
+
+class Disagreement(Strict):
+    """A part of a good board that looks otherwise than on the other good boards."""
+
+    board: str
+    part: str
+    unlike: Number = Field(description="How unlike it looks; good ones mostly stay below 3.")
+
+
+class GoodBoards(Strict):
+    """The good boards of a board type, and doubts about the one that was just taught."""
+
+    board_type: str
+    boards: tuple[GoodBoard, ...]
+    disagreements: tuple[Disagreement, ...] = ()
+    absent: tuple[str, ...] = Field((), description="Parts of the taught board that were measured as absent before.")
+
+
 Point = tuple[float, float]
 
 

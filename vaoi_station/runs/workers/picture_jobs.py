@@ -66,7 +66,9 @@ MOST_DECODED = 500_000_000
 Frames in memory are not decoded, and only the windows that are compared are read."""
 
 
-def _reader(slots: Slots, frame: ReadSlot) -> Callable[[int, int], NDArray[Any] | None]:
+def reader(slots: Slots, frame: ReadSlot) -> Callable[[int, int], NDArray[Any] | None]:
+    """Return a function that returns the pixels of a camera and row, None for a frame without a slot."""
+
     def read(camera: int, row: int) -> NDArray[Any] | None:
         slot = slots.get((camera, row))
         return None if slot is None else frame(slot)
@@ -274,7 +276,7 @@ class PlanJob(SteppedJob):
             # more urgent jobs come in between
             time.sleep(SLICE_S)
             yield
-        read, projector = _reader(self.slots, frame), FrameIndex.of_result(self.stitch, self.cameras)
+        read, projector = reader(self.slots, frame), FrameIndex.of_result(self.stitch, self.cameras)
         reduction = 1
         while self.grid.width * self.grid.height > OVERVIEW_PX * reduction**2:
             reduction *= 2
@@ -315,7 +317,7 @@ class TileJob(PictureJob):
 
     def perform(self, frame: ReadSlot) -> bytes | NDArray[Any] | None:
         """Render the tile."""
-        picture = render_tile(self.spec, _reader(self.slots, frame))
+        picture = render_tile(self.spec, reader(self.slots, frame))
         if self.format is None:
             return picture
         if picture is None:
@@ -377,7 +379,7 @@ class HeightsJob(PictureJob):
         if not later_code_is_there():
             time.sleep(SLICE_S)
             return {}
-        pixels = _reader(self.slots, frame)
+        pixels = reader(self.slots, frame)
         places, frames = open_places(self.board_type, self.stitch, self.cameras), PartFrames(pixels)
         if self.flat_fields is not None:
             frames = PartFrames(equalised_frames(pixels, opened_fields(self.flat_fields), self.lights))
@@ -441,10 +443,10 @@ class IdentityJob(PictureJob):
     def perform(self, frame: ReadSlot) -> IdentitySlice:
         """Try further pictures."""
         began_s = time.monotonic()
-        pictures = RegionPictures(self.board_type, self.stitch, self.cameras, [*self.slots], _reader(self.slots, frame))
-        reader = CodeReader(self.board_type, pictures)
-        progress = reader.work(self.progress, lambda: time.monotonic() - began_s < SLICE_S)
-        return IdentitySlice(progress, reader.reading(progress), time.monotonic() - began_s)
+        pictures = RegionPictures(self.board_type, self.stitch, self.cameras, [*self.slots], reader(self.slots, frame))
+        codes = CodeReader(self.board_type, pictures)
+        progress = codes.work(self.progress, lambda: time.monotonic() - began_s < SLICE_S)
+        return IdentitySlice(progress, codes.reading(progress), time.monotonic() - began_s)
 
 
 class CheckedBoard(NamedTuple):
@@ -476,7 +478,7 @@ class BoardCheckJob(PictureJob):
 
     def perform(self, frame: ReadSlot) -> CheckedBoard:
         """Check the board type."""
-        pixels = _reader(self.slots, frame)
+        pixels = reader(self.slots, frame)
         run = CheckedRun(self.stitch, self.stitch.cameras(self.cameras), pixels, self.lights, self.own)
         report = check_board(run, self.board_type)
         return CheckedBoard(report, encode_jpeg(picture_of_check(run, self.board_type, report)))

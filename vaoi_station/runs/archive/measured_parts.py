@@ -1,0 +1,215 @@
+"""Parts of finished runs: measured by workers after each run of a taught board type, or on request, and stored.
+
+What good boards look like is kept in one file for each of them, in a directory for each board type: a board is removed
+from the good ones, or taken over from another station, with its file.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
+from vaoi_station.parts.learned import ENDING
+from vaoi_station.runs.archive.event_log import EventLog
+from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.run.memory import Bay
+from vaoi_station.runs.states.run_ids import is_run_id
+from vaoi_station.runs.states.schemas import Disagreement, GoodBoard, GoodBoards, RunDetail
+from vaoi_station.runs.workers.jobs import PictureJob, Priority
+from vaoi_station.runs.workers.parts_jobs import PartsJob, Taught, TeachJob
+from vaoi_station.supervised_queue import SupervisedQueue
+
+_log = logging.getLogger(__name__)
+
+DIRECTORY = "good-boards"
+_KEPT = 16
+"""Number of runs whose document is kept in memory."""
+_MOST_WAITING = 8
+"""Largest number of runs that wait for their parts to be measured; the oldest ones are then not measured."""
+MOST_GOOD = 50
+"""Largest number of good boards of a board type: more would not make measures better, but slower."""
+_ABSENT = 0.5
+"""Probability of presence below which a part counts as absent in messages."""
+
+
+class MeasuredParts:
+    """Has parts measured by workers, stores the documents, and keeps good boards. Usable from any thread."""
+
+    def __init__(
+        self,
+        archive: Archive,
+        lease: Callable[[str, str], AbstractContextManager[Bay]],
+        render: Callable[[PictureJob, str], Any],
+        bay_of: Callable[[str], Bay],
+        events: EventLog,
+        directory: Path,
+    ) -> None:
+        """Store the parts, as `MeasuredHeights` does. `directory` is that of the good boards."""
+        self._archive, self._lease, self._render, self._bay_of = archive, lease, render, bay_of
+        self._events, self._directory = events, directory
+        self._known: OrderedDict[str, bytes] = OrderedDict()
+        self._memory = threading.Lock()
+        """Guards `_known`; never held while a worker or the disk is awaited."""
+        self._lock = threading.Lock()
+        """Held during a measurement or a teaching."""
+        self.queue = SupervisedQueue(self._measure_after, "parts", _MOST_WAITING)
+        """The runs whose parts are to be measured after their end; started and stopped by the owner."""
+
+    def finished(self, detail: RunDetail) -> None:
+        """Have the parts of a run measured that has just ended, if its board type was taught; it returns at once."""
+        if self._good_files(detail.board_type):
+            self.queue.put(detail.id)
+
+    def document(self, run: str) -> bytes:
+        """Return the measures of a run's parts as JSON.
+
+        Raises:
+            NotFoundError: the run is unknown or has no result.
+            StateError: the run has no CAD mapping.
+            GoneError: the frames are no longer in memory, and the parts were not measured while they were.
+        """
+        if (found := self._stored(run)) is not None:
+            return found
+        with self._lock:
+            if (found := self._stored(run)) is not None:
+                return found
+            finished = _checked(self._archive.get(run))
+            with self._lease(run, "measures of parts") as bay:
+                return self._measured(finished, bay, Priority.RENDER)
+
+    def teach(self, run: str) -> GoodBoards:
+        """Keep a run as that of a good board of its type, and return the good boards.
+
+        Raises the errors of `document`, and StateError: the board type has `MOST_GOOD` good boards.
+        """
+        with self._lock:
+            finished = _checked(self._archive.get(run))
+            name = finished.board_type.name
+            file = self._directory / name / f"{run}{ENDING}"
+            others = tuple(one for one in self._good_files(name) if one[0] != file)
+            if len(others) >= MOST_GOOD:
+                raise StateError(
+                    f"Board type {name!r} has {len(others)} good boards, the largest number.",
+                    action="Remove one of them from the good boards first.",
+                    code="too-many-good-boards",
+                )
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with self._lease(run, "teaching of parts") as bay:
+                job = TeachJob(
+                    run, bay.number, bay.generation, finished.board_type, finished.lean, finished.cameras,
+                    _head(finished), finished.slots, finished.detail.calibration, file, others,
+                )  # fmt: skip
+                taught: Taught = self._render(job, "good board")
+        self._events.add("parts", f"The board is kept as a good one of {name!r}.", run=run, state="good")
+        absent = [
+            ref
+            for ref, entry in json.loads(self._stored(run) or b'{"parts": {}}')["parts"].items()
+            if entry["presence"] is not None and entry["presence"] < _ABSENT
+        ]
+        doubts = tuple(Disagreement.model_validate(d) for d in taught.disagreements)
+        return self.good(name).model_copy(update={"disagreements": doubts, "absent": tuple(absent)})
+
+    def forget(self, run: str) -> GoodBoards:
+        """Remove a run from the good boards, and return those that are left; NotFoundError if it is none of them."""
+        found = sorted(self._directory.glob(f"*/{run}{ENDING}")) if is_run_id(run) else []
+        if not found:
+            raise NotFoundError(
+                f"Run {run!r} is not one of the good boards.",
+                action="See the good boards of the board type.",
+                code="not-good",
+            )
+        with self._lock:
+            found[0].unlink(missing_ok=True)
+        self._events.add("parts", "The board is no longer one of the good ones.", run=run, state="not-good")
+        return self.good(found[0].parent.name)
+
+    def good(self, board_type: str) -> GoodBoards:
+        """Return the good boards of a board type."""
+        boards = (GoodBoard(run=path.name.removesuffix(ENDING), size_bytes=path.stat().st_size)
+                  for path, _ in self._good_files(board_type))  # fmt: skip
+        return GoodBoards(board_type=board_type, boards=tuple(boards))
+
+    def _good_files(self, board_type: str) -> tuple[tuple[Path, int], ...]:
+        """Return the files of the good boards of a type, with the times of their last changes, ns."""
+        files = sorted((self._directory / board_type).glob(f"*{ENDING}"))
+        return tuple((path, path.stat().st_mtime_ns) for path in files)
+
+    def _stored(self, run: str) -> bytes | None:
+        """Return the measures of a run from memory or the database."""
+        with self._memory:
+            if (found := self._known.get(run)) is not None:
+                return found
+        text = self._archive.store.parts(run)
+        return None if text is None else self._remember(run, text.encode())
+
+    def _remember(self, run: str, content: bytes) -> bytes:
+        with self._memory:
+            self._known[run] = content
+            if len(self._known) > _KEPT:
+                self._known.popitem(last=False)
+        return content
+
+    def _measured(self, finished: FinishedRun, bay: Bay, priority: Priority) -> bytes:
+        """Have all parts measured, and store their document if there are good boards: without, it is not final."""
+        run, good = finished.detail.id, self._good_files(finished.board_type.name)
+        job = PartsJob(
+            run, bay.number, bay.generation, finished.board_type, finished.lean, finished.cameras, _head(finished),
+            finished.slots, finished.detail.calibration, good, priority=priority,
+        )  # fmt: skip
+        content: bytes = self._render(job, "parts")
+        if good:
+            self._remember(run, content)
+            self._archive.store.save_parts(run, content.decode())
+        return content
+
+    def _measure_after(self, run: str) -> None:
+        """Measure the parts of a run that has just ended, if it can have measures."""
+        try:
+            finished = _checked(self._archive.get(run))
+            with self._lock:
+                if self._stored(run) is not None:
+                    return
+                content = self._measured(finished, self._bay_of(run), Priority.HEIGHTS)
+        except (StateError, GoneError, NotFoundError, BusyError):
+            return  # It has no result, its frames were needed, or the station stops.
+        except Exception as fault:  # noqa: BLE001  the thread must go on: later runs need it
+            _log.warning("parts of run %s failed", run, exc_info=True)
+            self._events.add("trouble", f"Parts were not measured: {fault}", run=run, code="parts-not-measured")
+            return
+        self._events.add("parts", _sentence(json.loads(content)), run=run, state="measured")
+
+
+def _checked(finished: FinishedRun) -> FinishedRun:
+    """Return a run that can have measures; raise StateError or NotFoundError for another, before a worker is asked."""
+    _ = finished.view_calculator, _head(finished)
+    return finished
+
+
+def _head(finished: FinishedRun) -> Any:
+    if finished.head is None:
+        raise NotFoundError(
+            f"Run {finished.detail.id} was cut short, so that its parts are not known.",
+            action="Film the board again.",
+            code="no-result",
+        )
+    return finished.head
+
+
+def _sentence(document: dict[str, Any]) -> str:
+    """Return the message of the event of measured parts."""
+    presence = {ref: entry["presence"] for ref, entry in document["parts"].items()}
+    said = {ref: p for ref, p in presence.items() if p is not None}
+    absent = [ref for ref, p in said.items() if p < _ABSENT]
+    text = f"{len(said)} of {len(presence)} parts are measured"
+    if document["remarks"]:
+        text += f"; {document['remarks'][-1]}"
+    elif absent:
+        text += f", {len(absent)} of them look absent: {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}"
+    return f"{text.removesuffix('.')}."

@@ -1,0 +1,122 @@
+"""Jobs that measure the parts of a run, and that keep what a good board looks like.
+
+Both run in steps of some tens of milliseconds, one kind of parts after the other.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+from vaoi_station.geometry import Camera
+from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
+from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
+from vaoi_station.parts.learned import TaughtBoard, joined, parts_digest, read_taught_board
+from vaoi_station.parts.measure import Gains, Run
+from vaoi_station.parts.models import Models
+from vaoi_station.parts.patches import kind_of
+from vaoi_station.runs.workers.jobs import Priority, ReadSlot, SteppedJob
+from vaoi_station.runs.workers.picture_jobs import Slots, reader
+from vaoi_station.steps import Steps
+
+_STEP_PARTS = 32
+"""Least number of parts that are measured in one step."""
+
+
+@dataclass(frozen=True)
+class PartsJob(SteppedJob):
+    """Measure all parts of a run; the reply's value is their document (JSON)."""
+
+    what: ClassVar[str] = "the parts"
+    board_type: BoardType
+    stitch: Stitch
+    cameras: tuple[Camera, ...]
+    head: RecordingHead
+    slots: Slots
+    """Slots of the usable frames."""
+    calibration: str
+    """Digest of the calibration."""
+    good: tuple[tuple[Path, int], ...]
+    """Files of the good boards, with the times of their last changes, ns."""
+    priority: Priority = field(default=Priority.HEIGHTS, kw_only=True)
+
+    def steps(self, frame: ReadSlot) -> Steps[bytes]:
+        """Measure some parts in each step."""
+        models = _models(self.good)
+        run = Run(self.board_type, self.stitch, self.cameras, self.head, reader(self.slots, frame))
+        measured: dict[str, dict[str, Any]] = {}
+        gains: Gains = {}
+        for some in _in_steps(self.board_type):
+            measured |= measure_parts(run, models, some, gains)
+            yield
+        in_order = {part.address: measured[part.address] for part in self.board_type.components}
+        remarks = changes(run, models.boards, self.calibration)
+        return json.dumps(parts_document(run, models, in_order, remarks), ensure_ascii=False).encode()
+
+
+class Taught(NamedTuple):
+    """What was kept of a good board."""
+
+    parts: int
+    """Number of parts of which frames show enough."""
+    size_bytes: int
+    disagreements: list[dict[str, Any]]
+    """Parts of good boards that look otherwise than on the other ones, as `disagreement_steps` returns them."""
+
+
+@dataclass(frozen=True)
+class TeachJob(SteppedJob):
+    """Keep what the parts of a good board look like in a file; the reply's value is a `Taught`."""
+
+    what: ClassVar[str] = "the parts of a good board"
+    board_type: BoardType
+    stitch: Stitch
+    cameras: tuple[Camera, ...]
+    head: RecordingHead
+    slots: Slots
+    calibration: str
+    file: Path
+    others: tuple[tuple[Path, int], ...]
+    """Files of the other good boards, with the times of their last changes, ns."""
+
+    def steps(self, frame: ReadSlot) -> Steps[Taught]:
+        """Cut the patches of some parts in each step, write the file, and compare the good boards."""
+        run = Run(self.board_type, self.stitch, self.cameras, self.head, reader(self.slots, frame))
+        digest, pieces = parts_digest(self.board_type), []
+        for some in _in_steps(self.board_type):
+            pieces.append(TaughtBoard.of_run(self.run, run.cut(some), digest, self.calibration))
+            yield
+        board = joined(pieces)
+        board.write(self.file)
+        yield
+        disagreements = yield from disagreement_steps((*_models(self.others).boards, board))
+        known = sum(int((patches.any((1, 2, 3))).sum()) for patches in board.patches)
+        return Taught(known, self.file.stat().st_size, disagreements)
+
+
+# A worker mostly measures boards of one type; a second one may be taught meanwhile.
+@lru_cache(maxsize=2)
+def _models(good: tuple[tuple[Path, int], ...]) -> Models:
+    return Models(tuple(read_taught_board(path) for path, _ in good))
+
+
+def _in_steps(board_type: BoardType) -> Iterator[list[Component]]:
+    """Yield the parts for each step, all of one kind together, the most frequent kind first.
+
+    The contrast of frequent kinds is that with which rare ones are compared.
+    """
+    kinds: dict[str, list[Component]] = {}
+    for part in board_type.components:
+        kinds.setdefault(kind_of(part, board_type), []).append(part)
+    some: list[Component] = []
+    for parts in sorted(kinds.values(), key=len, reverse=True):
+        some += parts
+        if len(some) >= _STEP_PARTS:
+            yield some
+            some = []
+    if some:
+        yield some
