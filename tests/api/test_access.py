@@ -152,6 +152,8 @@ EXPECTED = {
         "POST /board-data/previews/{preview}/confirm",
         "PUT /board-types/{name}",
         "DELETE /board-types/{name}",
+        "PUT /runs/{run}/good",
+        "DELETE /runs/{run}/good",
         "PUT /board-types/{name}/reference",
         "DELETE /board-types/{name}/reference",
         "POST /board-types/{name}/revisions/{revision}/restore",

@@ -116,15 +116,18 @@ def test_the_end_of_a_run_survives_a_power_failure_before_it_is_announced(store:
     assert levels == [2, 1], "FULL for a run that ended, NORMAL for one that began"
 
 
-def test_heights_are_deleted_with_the_result_and_do_not_come_back(store: Store, make_run: MakeRun) -> None:
+@pytest.mark.parametrize("what", ["heights", "parts"])
+def test_measures_are_deleted_with_the_result_and_do_not_come_back(store: Store, make_run: MakeRun, what: str) -> None:
+    read, save = getattr(store, what), getattr(store, f"save_{what}")
     store.save_run(make_run("r1"))
-    store.save_heights("r1", "{}").result(10)
-    assert store.heights("r1") is None, "the run has not ended"
+    save("r1", "{}").result(10)
+    assert read("r1") is None, "the run has not ended"
     store.save_run(make_run("r1", "ready", 1))
-    store.save_heights("r1", "{}").result(10)
+    save("r1", "{}").result(10)
+    assert read("r1") == "{}"
     store.retention.forget_details(["r1"]).result(10)
-    assert store.heights("r1") is None
-    store.save_heights("r1", "{}").result(10)
-    assert store.heights("r1") is None
+    assert read("r1") is None
+    save("r1", "{}").result(10)
+    assert read("r1") is None
     store.retention.forget_runs(["r1"]).result(10)
     assert store.run("r1") is None

@@ -63,6 +63,17 @@ def test_a_database_of_an_unknown_version_is_refused_and_left_unchanged(
     assert objects_in(connection) == []
 
 
+def test_a_database_of_an_earlier_version_keeps_its_rows_and_gets_what_is_new(
+    connection: sqlite3.Connection, path: Path
+) -> None:
+    connection.executescript(f"{schema.STEPS[13]} PRAGMA user_version = 13;")
+    connection.execute("INSERT INTO standing VALUES ('k', '{}')")
+    schema.migrate(connection, path)
+    assert version_of(connection) == schema.VERSION
+    assert connection.execute("SELECT document FROM standing").fetchall() == [("{}",)]
+    assert connection.execute("SELECT count(*) FROM parts").fetchone() == (0,)
+
+
 def test_a_packed_text_is_unpacked_exactly_and_a_short_one_stays_readable() -> None:
     long = json.dumps([{"x": n, "unit": "µm"} for n in range(200)])
     text, content = schema.packed(long)

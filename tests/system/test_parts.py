@@ -83,4 +83,4 @@ def test_a_taught_board_type_has_its_parts_measured_after_each_run(
 
 def absent_in(document: dict[str, Any]) -> set[str]:
     """Return the parts that a document calls absent."""
-    return {ref for ref, p in document["parts"].items() if p["presence"] is not None and p["presence"] < 0.5}
+    return {ref for ref, p in document["parts"].items() if p.get("presence", 1.0) < 0.5}

@@ -28,8 +28,8 @@ from vaoi_station.supervised_thread import SupervisedThread
 
 TIMEOUT_S = 180.0
 THREADS = (
-    "store", "coordinator", "bays", "workers", "acquisition-link", "housekeeping", "recordings", "heights", "mosaics",
-    "identity",
+    "store", "coordinator", "bays", "workers", "acquisition-link", "housekeeping", "recordings", "heights", "parts",
+    "mosaics", "identity",
 )  # fmt: skip
 
 

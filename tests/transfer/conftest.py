@@ -29,6 +29,12 @@ class Site:
     rig: Any
 
 
+MEASURES = (
+    '{"format":"vaoi-parts","version":1,"board_type":"small","good_boards":["r"],"remarks":[],'
+    '"parts":{"R1":{"presence":0.9,"frames":4,"boards":1,"reasons":[]}},"reason_texts":{}}'
+)
+
+
 @pytest.fixture
 def site(make_rig: Callable[..., Any], tmp_path: Path) -> Site:
     rig = make_rig()
@@ -36,6 +42,7 @@ def site(make_rig: Callable[..., Any], tmp_path: Path) -> Site:
     rig.store.configurations.begin('{"name": "test"}', "2026")
     sound = filmed(rig)
     rig.store.save_heights(sound, '{"heights":{}}').result(10)
+    rig.store.save_parts(sound, MEASURES).result(10)
     code = BoardCode(
         text="SN-1", symbology="qr", board_id="SN-1", center=(0, 0), corners=((0, 0), (1, 0), (1, 1), (0, 1)),
         module_mm=0.2, error_correction_used=0,

@@ -34,6 +34,9 @@ def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> N
     site.rig.coordinator.kept.pin(site.sound)
     site.rig.wait_for(lambda: site.rig.coordinator.kept.recordings.runs == 2, "the recording")
     (site.rig.config.data / "station.db.damaged-1").write_text("set aside")
+    good = Path("good-boards", "small", f"{site.sound}.parts")
+    (site.rig.config.data / good).parent.mkdir(parents=True)
+    (site.rig.config.data / good).write_text("patches")
     expected = {run: site.rig.coordinator.stitch_text(run) for run in (site.sound, site.degraded)}
     events = len(site.rig.coordinator.events(0))
     site.rig.store.database.write(lambda _: None).result(10)  # all events are written
@@ -52,6 +55,7 @@ def test_everything_is_back_on_an_empty_machine(site: Site, tmp_path: Path) -> N
     store = Store(Database(config.data / "station.db"))
     archive = Archive(store, EventLog(store))
     assert {run: archive.get(run).text for run in expected} == expected
+    assert (config.data / good).read_text() == "patches"
     assert store.retention.pins() == {site.sound}
     assert len(store.events(0, 1000)) >= events
     shelf = ReferenceStore(config.data / "references", store, calibration.cameras(config.heads))

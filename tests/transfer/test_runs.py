@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 import pytest
 
-from tests.transfer.conftest import Site
+from tests.transfer.conftest import MEASURES, Site
 from vaoi_station.config import StationConfig, read_config
 from vaoi_station.demo.station_files import to_toml
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError
@@ -54,6 +54,7 @@ def test_a_run_without_frames_has_result_calibration_and_board_type(site: Site, 
     assert not (tmp_path / "out" / "recording.json").exists()
     assert read_stitch(tmp_path / "out" / "result.json").status is Status.OK
     assert (tmp_path / "out" / "heights.json").read_text() == '{"heights":{}}'
+    assert (tmp_path / "out" / "parts.json").read_text() == MEASURES
     assert read_board_type(tmp_path / "out" / "board.json").name == "small"
     assert len(read_calibration(tmp_path / "out" / "calibration.json").camera_matrices) == 2
 
@@ -189,6 +190,7 @@ def test_an_imported_run_is_no_board_of_this_line(site: Site, other: Other, expo
         import_into_history(exported(run), other.config_path)
     archive = Archive(other.store, EventLog(other.store))
     assert [archive.store.heights(run) for run in (site.sound, site.degraded)] == ['{"heights":{}}', None]
+    assert [archive.store.parts(run) for run in (site.sound, site.degraded)] == [MEASURES, None]
     assert archive.identities.runs_of("SN-1", 9, None) == [site.sound]
     assert '"not-compared"' in (archive.identities.document(site.sound) or "")
     assert archive.latest() is None

@@ -247,7 +247,7 @@ class _Unpacked:
             result,
             timeline,
             None if heights is None else self._stored(heights, HEIGHTS_FILE, exclude_none=True),
-            None if parts is None else self._stored(parts, PARTS_FILE),
+            None if parts is None else self._stored(parts, PARTS_FILE, exclude_none=True),
             identity,
             configuration,
             size,

@@ -1,10 +1,12 @@
-"""Mosaics, heights, batches and merged pictures of a held station: the real ones, made in the thread of the caller."""
+"""Mosaics, heights, parts, batches and merged pictures of a held station: the real ones, made by the caller."""
 
 from __future__ import annotations
 
 import pickle
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,8 +18,10 @@ from tests.runs.merging.finished_board import Merging
 from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.files.images import encode_jpeg
 from vaoi_station.hdr.encoding import MergedFormat
+from vaoi_station.model import RecordingHead
 from vaoi_station.mosaic import MosaicGrid
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
+from vaoi_station.runs.archive.measured_parts import MeasuredParts
 from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.merging.merged_pictures import MergedChoice, MergeRequest
 from vaoi_station.runs.mosaics.mosaics import Mosaics
@@ -25,16 +29,25 @@ from vaoi_station.runs.mosaics.opened_mosaics import PictureName
 
 
 class HeldMosaics(Mosaics):
-    """The real mosaics, heights and batches; archive, lease and worker are stood in for."""
+    """The real mosaics, heights, parts and batches; archive, lease and worker are stood in for."""
 
     def __init__(self, station: Any) -> None:
         self._station = station
         self.jobs: list[str] = []
-        kept: dict[str, str] = {}
-        store = SimpleNamespace(heights=kept.get, save_heights=kept.__setitem__)
+        heights = dict[str, str]()
+        self.measures = dict[str, str]()
+        """Stored documents of parts, by run."""
+        store = SimpleNamespace(
+            heights=heights.get, save_heights=heights.__setitem__,
+            parts=self.measures.get, save_parts=self.measures.__setitem__,
+        )  # fmt: skip
         archive: Any = SimpleNamespace(get=self._finished, explained=self._finished, store=store)
         super().__init__(archive, self._held, self._perform)
         station.heights = MeasuredHeights(self._archive, self._held, self._render, self._bay, station)
+        recorded: Any = SimpleNamespace(get=self._recorded, store=store)
+        events: Any = SimpleNamespace(add=station.publish)
+        self._good = tempfile.TemporaryDirectory()
+        station.parts = MeasuredParts(recorded, self._held, self._render, self._bay, events, Path(self._good.name))
         station.batches = BatchAccess(
             self._timed, self._timed, self._held, lambda *_: None, self._perform, station.merged
         )
@@ -54,6 +67,16 @@ class HeldMosaics(Mosaics):
             document=self._station.stitch_text(run),
             head=head,
         )
+
+    def _recorded(self, run: str) -> Any:
+        detail, lights = self._station.run(run), self._station.lights
+        camera = {"width": 320, "height": 240, "exposure_us": 100.0}
+        head = {
+            "format": "vaoi-recording", "version": 1, "cameras": [camera] * detail.cameras, "rows": detail.rows,
+            "trigger_period_s": 0.1, "conveyor_mm_s": (50, 0),
+            "lights": [lights[j % 2] for j in range(detail.rows)] if lights else None,
+        }  # fmt: skip
+        return self._finished(run, RecordingHead.model_validate(head))
 
     def _timed(self, run: str) -> Any:
         rows = self._station.run(run).rows

@@ -93,6 +93,34 @@ def test_heights_are_measured_once_and_refused_without_a_working_distance(client
     assert station.mosaics.jobs.count("table of heights") == 1
 
 
+def test_parts_are_compared_with_boards_that_were_taught_as_good_until_these_are_removed(
+    client: Any, station: Any
+) -> None:
+    first, second, third = (station.film() for _ in range(3))
+    untaught = client.get(f"{RUNS}/{first}/parts").json()
+    assert untaught["parts"]["U1"]["reasons"] == ["untaught", "undecided"]
+    assert set(untaught["reason_texts"]) == {"untaught", "undecided"}
+    assert [b["run"] for b in client.put(f"{RUNS}/{first}/good").json()["boards"]] == [first]
+    taught = client.put(f"{RUNS}/{second}/good").json()
+    assert {d["part"] for d in taught["disagreements"]} == {"R1"}, "it is noise, and U1 a square"
+    assert client.get("/api/v1/board-types/demo-board/good").json()["boards"] == taught["boards"]
+    answer = client.get(f"{RUNS}/{third}/parts")
+    found = answer.json()
+    assert found["good_boards"] == [first, second]
+    assert found["parts"]["U1"]["presence"] > 0.99
+    assert found["parts"]["R1"]["presence"] < 0.5
+    assert client.delete(f"{RUNS}/{first}/good").json()["boards"] == taught["boards"][1:]
+    refused = client.delete(f"{RUNS}/{first}/good")
+    assert (refused.status_code, refused.json()["code"]) == (404, "not-good")
+    assert client.get(f"{RUNS}/{third}/parts").content == answer.content, "measured once"
+    assert client.get(f"{RUNS}/{third}/parts", headers={"if-none-match": answer.headers["etag"]}).status_code == 304
+    assert [(e.run, e.state) for e in station.log if e.kind == "parts"] == [
+        (first, "good"), (second, "good"), (first, "not-good"),
+    ]  # fmt: skip
+    client.post(f"{RUNS}/{second}/release")
+    assert client.put(f"{RUNS}/{second}/good").status_code == 410
+
+
 def test_a_decision_needs_a_name_and_a_reason_and_is_shown(client: Any, station: Any) -> None:
     run = station.film(verdict=Status.DEGRADED)
     decision = {"choice": "film-again", "name": "Ada", "reason": "Rows are missing."}

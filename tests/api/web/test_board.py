@@ -165,12 +165,53 @@ def test_a_board_whose_frames_are_gone_has_its_kept_picture(page: Page, served: 
     expect(page.get_by_role("link", name="Kept picture, JPEG")).to_be_visible()
 
 
+def test_a_board_is_taught_as_good_and_the_parts_in_doubt_of_another_one_are_gone_through(
+    page: Page, served: Any
+) -> None:
+    first, second, third = (served.station.film(board_id=f"SN-{n}") for n in range(3))
+    page.goto(f"{served.url}/#/board/{first}")
+    expect(page.locator("#measures-note")).to_contain_text("No good board of this type is known")
+    page.get_by_role("button", name="Measure by heights").click()
+    expect(page.locator("#part-facts")).to_contain_text("no good board has this part; frames alone do not tell")
+    page.get_by_role("button", name="This board is good").click()
+    expect(page.locator("#good-answer")).to_have_text("Kept as a good board; there is 1 of this type.")
+    page.goto(f"{served.url}/#/board/{second}")
+    page.get_by_role("button", name="This board is good").click()
+    expect(page.locator("#good-answer")).to_contain_text("Look at these parts.")
+    expect(page.locator("#good-answer a")).to_have_text(f"R1 on {first}: looks otherwise than on the other good boards")
+    page.locator("#good-answer a").click()
+    expect(page.locator("#component")).to_have_value("R1")
+    page.get_by_role("button", name="Not good after all").click()
+    expect(page.locator("#good-answer")).to_contain_text("No longer a good board; 1 of this type is left.")
+    served.station.parts.teach(first)
+    page.goto(f"{served.url}/#/board/{third}")
+    expect(page.locator("#measures-note")).to_have_text(
+        "3 of 3 parts are measured, against 2 good boards. These are measures, not a judgement."
+    )
+    doubts = page.locator("#doubts button")
+    expect(doubts).to_have_text([re.compile("^R1: looks absent"), re.compile("^2/R1: looks absent")])
+    doubts.first.click()
+    expect(page.locator("#component")).to_have_value("R1")
+    page.keyboard.press("ArrowDown")
+    expect(page.locator("#component")).to_have_value("2/R1")
+    expect(doubts.last).to_be_focused()
+    expect(doubts.last).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#part-facts")).to_contain_text("3 frames, 2 good boards")
+    page.get_by_label("Colour parts by").select_option("presence")
+    expect(page.locator(".outlines .agrees title")).to_have_text("U1: 100 %")
+    expect(page.locator(".outlines .lower")).to_have_count(2)
+    page.get_by_label("Colour parts by").select_option("shift")
+    expect(page.locator(".outlines .c0 title")).to_have_text(re.compile("U1: .+ mm"))
+    expect(page.locator(".outlines .none title").last).to_have_text("2/R1: cannot say")
+
+
 def test_nothing_is_clipped(browser: Browser, served: Any) -> None:
     """In German, whose words are longer than those of English."""
     station = served.station
     station.lights = ("left", "right")
     station.film(board_id="SN-47-of-a-long-series")
     run = fail(station, "SN-48-of-a-long-series", Status.DEGRADED)
+    station.parts.teach(run)
     context = browser.new_context(locale="de", color_scheme="dark")
     page = context.new_page()
     page.goto(f"{served.url}/#/board/{run}?colour=sigma&show=frames,links,fiducials,residuals&light=left&with=previous")

@@ -20,7 +20,6 @@ from vaoi_station.parts.learned import ENDING
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.states.run_ids import is_run_id
 from vaoi_station.runs.states.schemas import Disagreement, GoodBoard, GoodBoards, RunDetail
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
 from vaoi_station.runs.workers.parts_jobs import PartsJob, Taught, TeachJob
@@ -111,14 +110,14 @@ class MeasuredParts:
         absent = [
             ref
             for ref, entry in json.loads(self._stored(run) or b'{"parts": {}}')["parts"].items()
-            if entry["presence"] is not None and entry["presence"] < _ABSENT
+            if entry.get("presence", 1.0) < _ABSENT
         ]
         doubts = tuple(Disagreement.model_validate(d) for d in taught.disagreements)
         return self.good(name).model_copy(update={"disagreements": doubts, "absent": tuple(absent)})
 
     def forget(self, run: str) -> GoodBoards:
         """Remove a run from the good boards, and return those that are left; NotFoundError if it is none of them."""
-        found = sorted(self._directory.glob(f"*/{run}{ENDING}")) if is_run_id(run) else []
+        found = [path for path in self._directory.glob(f"*/*{ENDING}") if path.name == f"{run}{ENDING}"]
         if not found:
             raise NotFoundError(
                 f"Run {run!r} is not one of the good boards.",
@@ -204,10 +203,10 @@ def _head(finished: FinishedRun) -> Any:
 
 def _sentence(document: dict[str, Any]) -> str:
     """Return the message of the event of measured parts."""
-    presence = {ref: entry["presence"] for ref, entry in document["parts"].items()}
-    said = {ref: p for ref, p in presence.items() if p is not None}
+    parts = document["parts"]
+    said = {ref: entry["presence"] for ref, entry in parts.items() if "presence" in entry}
     absent = [ref for ref, p in said.items() if p < _ABSENT]
-    text = f"{len(said)} of {len(presence)} parts are measured"
+    text = f"{len(said)} of {len(parts)} parts are measured"
     if document["remarks"]:
         text += f"; {document['remarks'][-1]}"
     elif absent:

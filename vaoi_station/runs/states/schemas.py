@@ -642,20 +642,20 @@ class HeightList(Strict):
 
 
 class PartMeasure(Strict):
-    """What the pictures of one part say; a value that is null cannot be said, for the `reasons`."""
+    """What the pictures of one part say. What cannot be said is absent, for the `reasons`."""
 
-    presence: Number | None = Field(description="Probability that the part is there.")
-    dx_mm: Number | None = Field(description="Place against the CAD data, along the CAD axes.")
-    dy_mm: Number | None
-    sigma_mm: Number | None = Field(description="Standard deviation of the place along the worse axis.")
-    turn_deg: Number | None = Field(description="Turn against the CAD data, counter-clockwise as seen.")
-    sigma_deg: Number | None
-    orientation: dict[str, Number] | None = Field(description="Probability by turn, degrees; null without marks.")
-    alike: Number | None = Field(description="Probability that it is what good boards have there.")
-    height_mm: Number | None = Field(description="Height above the board by parallax.")
+    presence: Number | None = Field(None, description="Probability that the part is there.")
+    dx_mm: Number | None = Field(None, description="Place against the CAD data, along the CAD axes.")
+    dy_mm: Number | None = None
+    sigma_mm: Number | None = Field(None, description="Standard deviation of the place along the worse axis.")
+    turn_deg: Number | None = Field(None, description="Turn against the CAD data, counter-clockwise as seen.")
+    sigma_deg: Number | None = None
+    orientation: dict[str, Number] | None = Field(None, description="Probability by turn, degrees; needs marks.")
+    alike: Number | None = Field(None, description="Probability that it is what good boards have there.")
+    height_mm: Number | None = Field(None, description="Height above the board by parallax.")
     frames: int = Field(strict=True, description="Number of frames on which the measure rests.")
     boards: int = Field(strict=True, description="Number of good boards on which it rests.")
-    reasons: tuple[str, ...] = Field(description="Why something is null; `reason_texts` has the sentences.")
+    reasons: tuple[str, ...] = Field(description="Why something is absent; `reason_texts` has the sentences.")
 
 
 class PartsDocument(Strict):

@@ -55,7 +55,13 @@ class PartsJob(SteppedJob):
             yield
         in_order = {part.address: measured[part.address] for part in self.board_type.components}
         remarks = changes(run, models.boards, self.calibration)
-        return json.dumps(parts_document(run, models, in_order, remarks), ensure_ascii=False).encode()
+        document = parts_document(run, models, in_order, remarks)
+        # As in all replies of the station, what is not known is absent.
+        document["parts"] = {
+            address: {key: value for key, value in part.items() if value is not None}
+            for address, part in document["parts"].items()
+        }
+        return json.dumps(document, ensure_ascii=False).encode()
 
 
 class Taught(NamedTuple):

@@ -1,13 +1,14 @@
 // One board: the whole board to zoom into, the pictures of its parts, the report, the times of its steps, and files to take.
 import { boardAsked, boardId } from "../ahead.js";
 import { Decisions } from "../parts/decisions.js";
-import { make, saidOf, setText, View } from "../parts/elements.js";
+import { arrowKeys, make, saidOf, setText, View } from "../parts/elements.js";
 import { boardAdvice } from "../parts/orders.js";
 import * as rest from "../parts/rest.js";
 import { draw } from "../parts/signs.js";
 import { texts } from "../texts/texts.js";
 import { Comparison, shownMosaics } from "./comparison.js";
 import { showExports } from "./exports.js";
+import { Measures } from "./measures.js";
 import { PageState } from "./page_state.js";
 import { Pictures } from "./pictures.js";
 import { showReport } from "./report.js";
@@ -28,7 +29,7 @@ const PART = `
 <section id="zoom" data-label="mosaic"></section>
 <section id="side">
   <div id="tabs" role="tablist" data-label="board.tabs"></div>
-  <div id="tab-part" role="tabpanel"><div id="compare"></div><div id="part"></div></div>
+  <div id="tab-part" role="tabpanel"><div id="measures"></div><div id="compare"></div><div id="part"></div></div>
   <div id="tab-report" role="tabpanel" hidden></div>
   <div id="tab-timing" role="tabpanel" hidden></div>
   <div id="tab-export" role="tabpanel" hidden></div>
@@ -40,10 +41,11 @@ export class BoardView extends View {
   #state;
   #run = null;
   #seen = "";
-  #shown = { parts: [], mosaics: [], overlay: null, heights: null };
+  #shown = { parts: [], mosaics: [], overlay: null, heights: null, measures: null };
   #zoom;
   #pictures;
   #comparison;
+  #measures;
   #decisions;
   #opening = null;
   #closed = new AbortController();
@@ -56,12 +58,12 @@ export class BoardView extends View {
     this.#zoom = new ZoomSide(this.part("zoom"), this.#state, (address) => this.#choose(address));
     this.#pictures = new Pictures(this.part("part"), this.#state);
     this.#comparison = new Comparison(this.part("compare"), this.#state, (other) => this.#compare(other));
+    this.#measures = new Measures(this.part("measures"), (address) => this.#choose(address), (found) => this.#showMeasured(found));
     this.#makeTabs();
     this.#placeTabs();
     NARROW.addEventListener("change", () => this.#placeTabs(), this.#closed);
   }
 
-  // Tabs as WAI-ARIA has them: one is reached by the tabulator, the others by the arrow keys.
   #makeTabs() {
     const tabs = TABS.map((name) => {
       const tab = make("button", { type: "button", id: `to-${name}`, textContent: texts.board.tab[name] });
@@ -76,14 +78,7 @@ export class BoardView extends View {
       return tab;
     });
     this.part("tabs").append(...tabs);
-    this.part("tabs").addEventListener("keydown", (event) => {
-      const by = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-      if (!by) return;
-      event.preventDefault();
-      const next = tabs[(tabs.indexOf(document.activeElement) + by + tabs.length) % tabs.length];
-      next.focus();
-      next.click();
-    });
+    arrowKeys(this.part("tabs"), () => tabs);
     this.#open(TABS.includes(this.#state.get("tab")) ? this.#state.get("tab") : TABS[0]);
   }
 
@@ -165,17 +160,17 @@ export class BoardView extends View {
     const listed = result ? [rest.components(run.id).catch(() => []), rest.overlay(run.id).catch(() => null)] : [[], null];
     const [parts, overlay] = await Promise.all(listed);
     if (run !== this.#run) return; // its state has changed meanwhile
-    this.#shown = { parts, mosaics, overlay, heights: null };
+    this.#shown = { parts, mosaics, overlay, heights: null, measures: null };
     showReport(this.part("tab-report"), run, this.#shown);
     showExports(this.part("tab-export"), run, this.#shown);
     if (this.#state.get("tab") === "timing") rest.unattended(timing(this.part("tab-timing"), run));
-    this.part("part").hidden = this.part("compare").hidden = parts.length === 0;
+    this.part("part").hidden = this.part("compare").hidden = this.part("measures").hidden = parts.length === 0;
     const asked = parts.some((part) => part.address === this.#state.get("component"));
     if (!asked) this.#state.set({ component: (largestSeen(parts) ?? parts[0])?.address ?? "" });
     await this.#zoom.show({ parts, mosaics, overlay, why: mosaics.length ? whatIsShown(mosaics[0]) : why(run, parts) });
     if (!parts.length) return;
     this.#choose(this.#state.get("component"), asked);
-    rest.unattended(this.#showHeights(run));
+    rest.unattended(this.#showHeights(run).then(() => run === this.#run && this.#measures.show(run)));
     await this.#comparison.show(run);
   }
 
@@ -183,10 +178,15 @@ export class BoardView extends View {
   async #showHeights(run) {
     const heights = await rest.heights(run.id).catch(() => null);
     if (run !== this.#run) return;
-    this.#shown.heights = heights;
-    this.#zoom.heights(heights);
-    this.#pictures.heights(heights);
-    showExports(this.part("tab-export"), run, this.#shown);
+    this.#showMeasured({ heights });
+  }
+
+  // Show what is measured of the parts.
+  #showMeasured(found) {
+    Object.assign(this.#shown, found);
+    this.#zoom.measured(this.#shown);
+    this.#pictures.measured(this.#shown);
+    showExports(this.part("tab-export"), this.#run, this.#shown);
   }
 
   #choose(address, fly = true) {
@@ -194,8 +194,9 @@ export class BoardView extends View {
     if (!part) return;
     this.#state.set({ component: address });
     this.#zoom.choose(address, fly);
+    this.#measures.choose(address);
     const matrix = this.#shown.mosaics[0]?.image_from_cad;
-    rest.unattended(this.#pictures.show(this.#run, part, this.#shown.heights, matrix?.[0][0] < 0));
+    rest.unattended(this.#pictures.show(this.#run, part, this.#shown, matrix?.[0][0] < 0));
   }
 
   #compare({ run, mosaics, visible, from }) {

@@ -1,9 +1,13 @@
-// What parts are coloured by: classes of σ, of the number of views, and of heights, each with its colour and its line.
+// What parts are coloured by: classes of σ, of the number of views, of heights, and of what is measured of parts, each with its colour and
+// its line.
 // The colours differ in lightness too, and every class has a line of its own: none depends on colour alone.
 import { number, texts } from "../texts/texts.js";
 
 const SIGMA_PX = [0.05, 0.1, 0.2, 0.5]; // 0.2 px is the limit of the verdict
 const VIEWS = [0, 1, 2, 4];
+const LIMITS = { shift: [0.05, 0.1, 0.2, 0.5], turn: [1, 2, 5, 10] }; // mm, degrees
+const PROBABLE = ["agrees", "ambiguous", "lower"]; // at least 0.99, at least 0.5, less
+export const COLOURS = ["none", "sigma", "views", "height", "presence", "shift", "turn", "orientation", "alike"];
 
 function sigmaOf(part) {
   if (part.sigma_px == null) return { key: "none", text: texts.board.noValue, rank: -1 };
@@ -38,25 +42,61 @@ export function heightText(entry) {
   return `${measured}${expected}${entry.comparison ? `: ${texts.board.heights[entry.comparison]}` : ""}`;
 }
 
-// The class of a part: key of its style, what it says, and a rank, the largest of which is the worst.
-export function classOf(colour, part, heights) {
+const UNIT = { shift: " mm", turn: "°" };
+const percent = (p) => `${number(100 * p, p > 0.99 && p < 1 ? 1 : 0)} %`;
+
+// The figures of a measured part; null where nothing can be said.
+export const VALUES = {
+  presence: (measure) => measure.presence,
+  shift: (measure) => (measure.dx_mm == null ? null : Math.hypot(measure.dx_mm, measure.dy_mm)),
+  turn: (measure) => (measure.turn_deg == null ? null : Math.abs(measure.turn_deg)),
+  orientation: (measure) => measure.orientation?.["0"] ?? null,
+  alike: (measure) => measure.alike,
+};
+
+const TEXTS = {
+  presence: (measure) => percent(measure.presence),
+  shift: (measure) => `${number(measure.dx_mm, 3)}, ${number(measure.dy_mm, 3)} ± ${number(measure.sigma_mm, 3)} mm`,
+  turn: (measure) => `${number(measure.turn_deg, 1)} ± ${number(measure.sigma_deg, 1)}°`,
+  orientation: (measure) => Object.entries(measure.orientation).map(([turn, p]) => `${turn}°: ${percent(p)}`).join(", "),
+  alike: (measure) => percent(measure.alike),
+};
+
+export const measureText = (name, measure) => (VALUES[name](measure) == null ? texts.board.cannotSay : TEXTS[name](measure));
+
+function measureOf(name, measure) {
+  const value = measure ? VALUES[name](measure) : null;
+  if (value == null) return { key: "none", text: measure ? texts.board.cannotSay : texts.board.noValue, rank: -1 };
+  const text = measureText(name, measure);
+  if (!LIMITS[name]) return { key: PROBABLE[value >= 0.99 ? 0 : value >= 0.5 ? 1 : 2], text, rank: 1 - value };
+  const n = LIMITS[name].findIndex((limit) => value <= limit);
+  return { key: `c${n < 0 ? LIMITS[name].length : n}`, text, rank: value };
+}
+
+// The class of a part: key of its style, what it says, and a rank, the largest of which is the worst. `measured`: what is known of all
+// parts, heights and measures by address, or null.
+export function classOf(colour, part, { heights, measures }) {
+  if (VALUES[colour]) return measureOf(colour, measures?.[part.address]);
   return colour === "sigma" ? sigmaOf(part) : colour === "views" ? viewsOf(part) : colour === "height" ? heightOf(part, heights) : null;
 }
 
 // The classes of a colouring, best first, as [key, label].
 export function classes(colour) {
-  if (colour === "sigma") {
-    const px = SIGMA_PX.map((limit) => `≤ ${number(limit, 2)}`);
-    return [...px.map((label, n) => [`c${n}`, label]), [`c${SIGMA_PX.length}`, `> ${number(SIGMA_PX.at(-1), 2)} px`], ["none", texts.board.noValue]];
-  }
+  if (colour === "sigma") return limited(SIGMA_PX, 2, " px", texts.board.noValue);
+  if (LIMITS[colour]) return limited(LIMITS[colour], colour === "shift" ? 2 : 0, UNIT[colour], texts.board.cannotSay);
+  if (VALUES[colour]) return [...PROBABLE.map((key, n) => [key, texts.board.probable[colour][n]]), ["none", texts.board.cannotSay]];
   if (colour === "views") return [["v3", "≥ 4"], ["v2", "2, 3"], ["v1", "1"], ["v0", "0"]];
   if (colour === "height") return ["agrees", "unknown", "ambiguous", "lower", "higher"].map((key) => [key, texts.board.heights[key]]).concat([["none", texts.board.noValue]]);
   return [];
 }
 
+const limited = (limits, digits, unit, none) => [
+  ...limits.map((limit, n) => [`c${n}`, `≤ ${number(limit, digits)}`]), [`c${limits.length}`, `> ${number(limits.at(-1), digits)}${unit}`], ["none", none],
+];
+
 // The parts in the order in which an engineer goes through them: the worst first, by name where they are alike.
-export function worstFirst(colour, parts, heights) {
-  const rank = (part) => classOf(colour, part, heights)?.rank ?? 0;
+export function worstFirst(colour, parts, measured) {
+  const rank = (part) => classOf(colour, part, measured)?.rank ?? 0;
   const byName = new Intl.Collator("en", { numeric: true }).compare;
   return [...parts].sort((a, b) => rank(b) - rank(a) || byName(a.address, b.address));
 }

@@ -45,7 +45,7 @@ export class DeepZoom {
   #shapes = new Map();
   #drawn = {};
   #wanted = null;
-  #coloured = ["none", null];
+  #coloured = ["none", {}];
   #other = { mosaic: null, visible: true, from: 0 };
   #turn = 0;
   #placed = 0;
@@ -140,12 +140,12 @@ export class DeepZoom {
   }
 
   // Colour the parts by a figure.
-  colour(colour, heights) {
-    this.#coloured = [colour, heights];
+  colour(colour, measured) {
+    this.#coloured = [colour, measured];
     for (const part of this.#parts) {
       const shape = this.#shapes.get(part.address);
       if (!shape) continue;
-      const found = classOf(colour, part, heights);
+      const found = classOf(colour, part, measured);
       shape.setAttribute("class", [part.unseen && "unseen", found && `filled ${found.key}`, part.address === this.#wanted?.[0] && "chosen"].filter(Boolean).join(" "));
       shape.querySelector("title").textContent = found ? `${part.address}: ${found.text}` : part.address;
     }

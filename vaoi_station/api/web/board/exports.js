@@ -4,7 +4,7 @@ import { saveTable } from "../parts/files.js";
 import { runAddress } from "../parts/rest.js";
 import { texts } from "../texts/texts.js";
 
-export function showExports(root, run, { parts, mosaics, heights }) {
+export function showExports(root, run, { parts, mosaics, heights, measures }) {
   const result = run.verdict != null && run.verdict !== "failed";
   const frames = run.frames_available || run.recording;
   const tiff = mosaics.find((m) => m.tiff);
@@ -13,6 +13,7 @@ export function showExports(root, run, { parts, mosaics, heights }) {
     ["document", runAddress(run.id, ""), `${run.id}.json`, true],
     ["matrices", runAddress(run.id, "/matrices"), `${run.id}-matrices.json`, run.verdict != null, texts.board.noResult],
     ["heightsOf", runAddress(run.id, "/heights"), `${run.id}-heights.json`, Boolean(heights), texts.board.noHeights],
+    ["partsOf", runAddress(run.id, "/parts"), `${run.id}-parts.json`, Boolean(measures), texts.board.noMeasures],
     ["overlayOf", runAddress(run.id, "/overlay"), `${run.id}-overlay.json`, result, texts.board.noResult],
     ["timelineOf", runAddress(run.id, "/timeline"), `${run.id}-timeline.json`, run.finished, texts.board.noResult],
     ["allPictures", runAddress(run.id, "/images?container=zip&format=png"), `${run.id}-pictures.zip`, result && frames, texts.picturesGone],

@@ -4,7 +4,7 @@ import { stateShown } from "../parts/settings.js";
 const DEFAULTS = {
   component: "", // address of the chosen part
   tab: "part", // part, report, timing, export
-  colour: "none", // what parts are coloured by: none, sigma, views, height
+  colour: "none", // what parts are coloured by: none, sigma, views, height, presence, shift, turn, orientation, alike
   show: "", // frames, links, fiducials, residuals: separated by commas
   mosaic: "", // name of the mosaic; empty: the first
   light: "", // pictures under this light only

@@ -3,6 +3,7 @@ import { lines, make, options, saidOf, setText, View } from "../parts/elements.j
 import * as rest from "../parts/rest.js";
 import { number, texts } from "../texts/texts.js";
 import { heightText } from "./colours.js";
+import { linesOf } from "./measures.js";
 
 const MAX_PICTURES = 48;
 const DECODE_LIMIT_MS = 1000;
@@ -52,17 +53,17 @@ export class Pictures extends View {
   }
 
   // Show a part of a run. `mirrored`: its pictures show the bottom side, on which angles run the other way.
-  async show(run, part, heights, mirrored) {
+  async show(run, part, measured, mirrored) {
     if (part.address !== this.#shown?.address && this.#shown) this.#state.set({ picture: "" });
     [this.#run, this.#shown, this.#mirrored] = [run, part, mirrored];
     setText(this.part("part-name"), part.address);
-    this.heights(heights);
+    this.measured(measured);
     this.#offer(run);
     await this.#load();
   }
 
-  // Say how high the part is, and its other figures.
-  heights(heights) {
+  // Say how high the part is, what is measured of it, and its other figures.
+  measured({ heights, measures, reason_texts }) {
     const part = this.#shown;
     if (!part) return;
     const figures = [
@@ -70,6 +71,7 @@ export class Pictures extends View {
       ...(part.coverage == null ? [] : [[texts.board.coverage, `${number(part.coverage * 100)} %${part.in_one_frame ? "" : `, ${texts.board.inSeveral}`}`]]),
       [texts.board.height, heights?.[part.address] ? heightText(heights[part.address]) : texts.board.noValue],
       [texts.board.footprint, `${number(part.width_mm, 1)} × ${number(part.height_mm, 1)} mm, ${number(part.rotation_deg)}°`],
+      ...(measures?.[part.address] ? linesOf(measures[part.address], reason_texts) : []),
     ];
     this.part("part-facts").replaceChildren(...lines(figures));
   }

@@ -2,11 +2,10 @@
 import { make, options, setText, View } from "../parts/elements.js";
 import { unattended } from "../parts/rest.js";
 import { number, texts } from "../texts/texts.js";
-import { classes, worstFirst } from "./colours.js";
+import { classes, COLOURS, worstFirst } from "./colours.js";
 import { DeepZoom, prepare } from "./deep_zoom.js";
 import { DRAWINGS } from "./drawings.js";
 
-const COLOURS = ["none", "sigma", "views", "height"];
 const PART = `
 <div id="zoom-tools">
   <form id="finder" role="search">
@@ -32,7 +31,7 @@ export class ZoomSide extends View {
   #parts = [];
   #mosaics = [];
   #overlay = null;
-  #heights = null;
+  #measured = {};
 
   // state: PageState; onPart(address): a part was chosen.
   constructor(root, state, onPart) {
@@ -111,15 +110,16 @@ export class ZoomSide extends View {
     this.#redraw();
   }
 
-  heights(heights) {
-    this.#heights = heights;
+  // measured: heights and measures of parts, as `classOf` takes them.
+  measured(measured) {
+    this.#measured = measured;
     this.#recolour(this.#state.get("colour"));
   }
 
   #recolour(colour) {
     this.#state.set({ colour });
     this.part("colour").value = colour;
-    this.#deep?.colour(colour, this.#heights);
+    this.#deep?.colour(colour, this.#measured);
     this.#legend();
   }
 
@@ -149,7 +149,7 @@ export class ZoomSide extends View {
 
   // The next part: the worst by the present colour first.
   #step(by) {
-    const order = worstFirst(this.#state.get("colour"), this.#parts, this.#heights);
+    const order = worstFirst(this.#state.get("colour"), this.#parts, this.#measured);
     const at = order.findIndex((part) => part.address === this.#state.get("component"));
     if (order.length) this.#onPart(order[(at + by + order.length) % order.length].address);
   }

@@ -45,6 +45,19 @@ export class View {
   }
 }
 
+// Of these elements one is reached by the tabulator, the others from it by the arrow keys, as WAI-ARIA has it. A key also presses.
+export function arrowKeys(root, elements) {
+  root.addEventListener("keydown", (event) => {
+    const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+    const all = elements();
+    if (!by || !all.includes(document.activeElement)) return;
+    event.preventDefault();
+    const next = all[(all.indexOf(document.activeElement) + by + all.length) % all.length];
+    next.focus();
+    next.click();
+  });
+}
+
 // The choices of a select, from pairs of value and text.
 export const options = (pairs) => pairs.map(([value, textContent]) => make("option", { value, textContent }));
 

@@ -71,6 +71,10 @@ export const component = (id, ref, query = {}) =>
 export const timeline = (id) => call("GET", `/runs/${encodeURIComponent(id)}/timeline`);
 export const overlay = (id) => call("GET", `/runs/${encodeURIComponent(id)}/overlay`);
 export const heights = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/heights`)).heights;
+export const measures = (id) => call("GET", `/runs/${encodeURIComponent(id)}/parts`);
+export const goodBoards = (type) => call("GET", `/board-types/${encodeURIComponent(type)}/good`);
+export const keepAsGood = (id) => call("PUT", `/runs/${encodeURIComponent(id)}/good`);
+export const removeFromGood = (id) => call("DELETE", `/runs/${encodeURIComponent(id)}/good`);
 export const merged = async (id, query) => (await call("GET", `/runs/${encodeURIComponent(id)}/merged?${new URLSearchParams(query)}`)).pictures;
 export const reference = (type) => call("GET", `/board-types/${encodeURIComponent(type)}/reference`);
 export const runAddress = (id, rest) => `${api}/runs/${encodeURIComponent(id)}${rest}`;

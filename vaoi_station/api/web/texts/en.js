@@ -15,9 +15,17 @@ const board = {
   wholeBoard: "Whole board",
   noPart: (name) => `There is no part ${name}.`,
   colourBy: "Colour parts by",
-  colours: { none: "nothing", sigma: "σ of place", views: "views", height: "height" },
-  legend: { sigma: "σ in the worst view, px", views: "Frames that show the part", height: "Height against board type" },
+  colours: {
+    none: "nothing", sigma: "σ of place", views: "views", height: "height", presence: "presence", shift: "shift", turn: "turn", orientation: "orientation", alike: "likeness",
+  },
+  legend: {
+    sigma: "σ in the worst view, px", views: "Frames that show the part", height: "Height against board type", presence: "Probability that the part is there",
+    shift: "Shift against the CAD data, mm", turn: "Turn against the CAD data", orientation: "Probability that it is the right way round", alike: "Probability that it is what good boards have there",
+  },
   heights: { agrees: "agrees", lower: "lower", higher: "higher", ambiguous: "several heights fit: inspect the part", unknown: "not certain" },
+  probable: {
+    presence: ["there", "not certain", "looks absent"], orientation: ["right way round", "not certain", "turned otherwise"], alike: ["like good boards", "not certain", "unlike"],
+  },
   or: " or ",
   expected: "expected",
   noValue: "not known",
@@ -40,6 +48,31 @@ const board = {
   notRecorded: "They were not kept as a recording.",
   nothingKept: "No small picture of the board was kept: the station makes one in spare time, within [keep] mosaics_gb.",
   recordingKept: "They are kept as a recording: the pictures of its parts can be seen.",
+
+  // measures of parts
+  cannotSay: "cannot say",
+  cannotSayWhy: {}, // the station's sentences are English
+  restsOn: "Rests on",
+  basis: (frames, boards) => `${frames} ${frames === 1 ? "frame" : "frames"}, ${boards} good ${boards === 1 ? "board" : "boards"}`,
+  parallax: "Height by parallax",
+  doubts: "Parts in doubt",
+  noDoubts: "No part is in doubt by these measures.",
+  moreDoubts: (n) => `and ${n} more: colour parts by likeness.`,
+  doubt: { absent: (presence) => `looks absent (there: ${presence})`, unlike: (alike) => `unlike good ones (like: ${alike})` },
+  measuring: "The parts are being measured …",
+  measured: (n, all, boards) => `${n} of ${all} parts are measured, against ${boards} good ${boards === 1 ? "board" : "boards"}. These are measures, not a judgement.`,
+  noGoodBoards: "No good board of this type is known: heights alone can be measured.",
+  noMeasures: "Parts were not measured.",
+  measure: "Measure by heights",
+  isGood: "This board is good",
+  notGood: "Not good after all",
+  teaching: "Please wait …",
+  keptAsGood: (n) => `Kept as a good board; there ${n === 1 ? "is 1" : `are ${n}`} of this type.`,
+  removed: (n) => `No longer a good board; ${n} of this type ${n === 1 ? "is" : "are"} left. Measures that are stored stay as they are.`,
+  lookAt: "Look at these parts. If one is not as it should be, that board is not good after all:",
+  wasAbsent: (address) => `${address}: measured as absent here`,
+  disagrees: (address) => `${address}: looks otherwise than on the other good boards`,
+  otherDisagrees: (address, run) => `${address} on ${run}: looks otherwise than on the other good boards`,
 
   // one part
   sigma: "σ of place",
@@ -96,7 +129,7 @@ const board = {
 
   // export
   export: {
-    table: "Components, CSV", document: "Run, JSON", matrices: "Matrices, JSON", heightsOf: "Heights, JSON", overlayOf: "Overlay, JSON",
+    table: "Components, CSV", document: "Run, JSON", matrices: "Matrices, JSON", heightsOf: "Heights, JSON", partsOf: "Parts, JSON", overlayOf: "Overlay, JSON",
     timelineOf: "Timeline, JSON", allPictures: "All pictures, ZIP", wholeFile: "Whole board, TIFF", keptFile: "Kept picture, JPEG",
   },
   exported: {
@@ -104,6 +137,7 @@ const board = {
     document: "Verdict, reasons, every frame, and what the run was made with.",
     matrices: "M_ij, C, D_j with covariances and all quality figures.",
     heightsOf: "How far every part stands above the board.",
+    partsOf: "What is measured of every part: presence, place, turn, orientation, likeness.",
     overlayOf: "Frames, links, fiducials and residuals on the board.",
     timelineOf: "When everything happened.",
     allPictures: "Every picture of every part, with its list of views.",
