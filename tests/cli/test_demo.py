@@ -30,8 +30,8 @@ def test_exit_code_of_one_board_and_its_document(
     filmed = SimpleNamespace(ok=ok, model_dump_json=lambda indent: json.dumps({"ok": ok}, indent=indent))
 
     def film(*arguments: Any) -> object:
-        *given, say = arguments
-        calls.append(tuple(given))
+        scenario, out, service, say = arguments
+        calls.append((scenario, out, service.port))
         say("a stage")
         return filmed
 

@@ -29,14 +29,14 @@ REPORT, SHEET, PICTURES, MATRICES = "report.json", "contact-sheet.png", "compone
 
 
 def film_single_board(
-    scenario: Path, out: Path, port: int = 0, say: Callable[[str], object] = lambda _: None
+    scenario: Path, out: Path, service: Service, say: Callable[[str], object] = lambda _: None
 ) -> DemoReport:
     """Film one board and write report, matrices, component images and contact sheet to `out`.
 
     Args:
         scenario: file of the twin's scenario.
         out: a new or empty directory, or the output of an earlier demo.
-        port: port of the service; 0 for any free one.
+        service: its process imports meanwhile; its station.toml and all other files are written here.
         say: is called with one line per stage.
 
     Raises:
@@ -48,45 +48,44 @@ def film_single_board(
     def stage(text: str) -> None:
         say(f"{time.monotonic() - started_s:5.1f} s  {text}")
 
-    refuse_taken_port(port)
+    refuse_taken_port(service.port)
     prepare_output(out)
-    with tempfile.TemporaryDirectory(prefix="vaoi-demo-") as folder:
-        config, twin = write_station_files(scenario, Path(folder), boards=1)
-        stage("The station starts; its line renders the frames of the first board meanwhile.")
-        with Service(config, port) as service:
-            client = Client(service.address)
-            wait_until_idle(client, stage)
-            client.post("/station/arm", board_type=twin.board_type.name, board_id="1", job_id="demo", runs=1)
-            stage("The station is ready and armed; the board comes when its frames are rendered.")
-            run = wait_for_run(client, None)
-            stage(f"The board is filmed and stitched: {run['verdict']}.")
-            try:
-                matrices = client.get(f"/runs/{run['id']}/matrices")
-            except NotFoundError:  # the run has failed early
-                matrices = {}
-            concluded_s = time.monotonic()
-            tiles, pictures = fetch_component_images(client, run, twin.board_type, out / PICTURES)
-            pictures_s = time.monotonic() - concluded_s
-            stage(f"The pictures of the board are there: {out / PICTURES}")
-            service.request_end()  # it ends while the report is written
-            report = evaluate(
-                scenario.stem,
-                run,
-                matrices,
-                twin.passage(0),
-                components=len(tiles),
-                pictures=pictures,
-                pictures_s=round(pictures_s, 3),
-                total_s=round(time.monotonic() - started_s, 3),
-                out=str(out),
-                contact_sheet=str(out / SHEET),
-            )
-            title, status = f"Board type {run['board_type']}", Status(run["verdict"])
-            write_image(out / SHEET, contact_sheet(tiles, title, status, headline(report)))
-            write_json(out / MATRICES, matrices)
-            # The report comes last: `prepare_output` takes it as the sign that a demo wrote this directory completely.
-            write_json(out / REPORT, report.model_dump(mode="json"))
-            stage(f"All of them are on one sheet: {out / SHEET}")
+    _, twin = write_station_files(scenario, service.config.parent, boards=1)
+    stage("The station starts; its line renders the frames of the first board meanwhile.")
+    with service:
+        client = Client(service.address)
+        wait_until_idle(client, stage)
+        client.post("/station/arm", board_type=twin.board_type.name, board_id="1", job_id="demo", runs=1)
+        stage("The station is ready and armed; the board comes when its frames are rendered.")
+        run = wait_for_run(client, None)
+        stage(f"The board is filmed and stitched: {run['verdict']}.")
+        try:
+            matrices = client.get(f"/runs/{run['id']}/matrices")
+        except NotFoundError:  # the run has failed early
+            matrices = {}
+        concluded_s = time.monotonic()
+        tiles, pictures = fetch_component_images(client, run, twin.board_type, out / PICTURES)
+        pictures_s = time.monotonic() - concluded_s
+        stage(f"The pictures of the board are there: {out / PICTURES}")
+        service.request_end()  # it ends while the report is written
+        report = evaluate(
+            scenario.stem,
+            run,
+            matrices,
+            twin.passage(0),
+            components=len(tiles),
+            pictures=pictures,
+            pictures_s=round(pictures_s, 3),
+            total_s=round(time.monotonic() - started_s, 3),
+            out=str(out),
+            contact_sheet=str(out / SHEET),
+        )
+        title, status = f"Board type {run['board_type']}", Status(run["verdict"])
+        write_image(out / SHEET, contact_sheet(tiles, title, status, headline(report)))
+        write_json(out / MATRICES, matrices)
+        # The report comes last: `prepare_output` takes it as the sign that a demo wrote this directory completely.
+        write_json(out / REPORT, report.model_dump(mode="json"))
+        stage(f"All of them are on one sheet: {out / SHEET}")
     return report
 
 

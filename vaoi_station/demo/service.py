@@ -1,4 +1,7 @@
-"""Run the service in a separate process: start it, read the service's address from its log, and end it."""
+"""Run the service in a separate process: start it, read the service's address from its log, and end it.
+
+This module imports little, so that the process can be started before anything else.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,11 @@ import subprocess
 import sys
 import threading
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from vaoi_station.config import ApiConfig
 from vaoi_station.errors import DeviceError, InternalError
 
 START_S = 180.0
@@ -28,11 +32,14 @@ class Service:
     """Context manager of a service process; `address` and `pid` are valid inside the block.
 
     Attributes:
+        config: path of its station.toml.
+        port: port where it is to listen, 0 for any free one.
         address: `http://HOST:PORT` where it listens.
     """
 
     def __init__(self, config: Path, port: int = 0) -> None:
         """Prepare the service of the station.toml at `config`. Port 0 selects any free port."""
+        self.config, self.port = config, port
         self._command = [sys.executable, "-m", "vaoi_station.demo.service_process", str(config), str(port)]
         self._log: deque[str] = deque(maxlen=_LOG_LINES)
         self._found: queue.SimpleQueue[str | None] = queue.SimpleQueue()
@@ -51,6 +58,15 @@ class Service:
     def log(self) -> str:
         """The last lines of the log that the service wrote."""
         return "".join(self._log)
+
+    @contextmanager
+    def importing(self) -> Iterator[Service]:
+        """Start the process, which imports meanwhile. Its station.toml must be there before its own block begins."""
+        self._launch()
+        try:
+            yield self
+        finally:
+            self._end()
 
     def __enter__(self) -> Service:
         try:
@@ -72,8 +88,8 @@ class Service:
         if code and kind is None:
             raise InternalError(f"the service ended with code {code}; its last log line: {self._last_line()}")
 
-    def _start(self) -> None:
-        """Start the process and wait until it listens."""
+    def _launch(self) -> None:
+        """Start the process, which waits for `_start` before it reads its configuration."""
         # The service gets a separate session: Ctrl-C at the terminal then reaches this process only, which ends it.
         # Its output is not buffered, because the line with the address must arrive at once, not when a block is full.
         environment = os.environ | {"PYTHONUNBUFFERED": "1"}
@@ -89,6 +105,16 @@ class Service:
         assert self._process.stdout is not None
         self._reader = threading.Thread(target=self._read, args=(self._process.stdout,), name="service log")
         self._reader.start()
+
+    def _start(self) -> None:
+        """Start the process if it was not started, and wait until it listens."""
+        if self._process is None:
+            self._launch()
+        assert self._process is not None, "it was launched"
+        assert self._process.stdin is not None, "it is a pipe"
+        with suppress(BrokenPipeError):  # it has ended, which the end of its log shows
+            self._process.stdin.write("\n")
+            self._process.stdin.flush()
         try:
             address = self._found.get(timeout=START_S)
         except queue.Empty:
@@ -120,7 +146,8 @@ class Service:
             process.kill()
             process.wait()
         if process.stdin is not None:
-            process.stdin.close()
+            with suppress(BrokenPipeError):
+                process.stdin.close()
         if self._reader is not None:
             self._reader.join()
         return process.returncode
@@ -134,10 +161,11 @@ def refuse_taken_port(port: int) -> None:
     if port == 0:
         return
     # Checked here before the board is drawn, which takes seconds; the service itself refuses a port taken meanwhile.
-    host = ApiConfig().host
     # Imported here: the package of the web server imports the whole station, which only the service's process needs.
     from vaoi_station.api.web_server import open_listener
+    from vaoi_station.config import ApiConfig
 
+    host = ApiConfig().host
     try:
         open_listener(host, port, "vaoi demo").close()
     except DeviceError as error:

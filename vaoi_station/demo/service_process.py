@@ -1,7 +1,8 @@
 """The process of the demo's service: `python -m vaoi_station.demo.service_process station.toml PORT`.
 
-It runs the same service as `vaoi serve`, and also ends when its parent process ends: its standard input is a pipe that
-the kernel then closes.
+It runs the same service as `vaoi serve`. It imports everything first, and reads station.toml when its parent process
+has sent a byte: the parent writes the file meanwhile. It also ends when its parent process ends: its standard input is
+a pipe that the kernel then closes.
 """
 
 from __future__ import annotations
@@ -14,8 +15,7 @@ from pathlib import Path
 
 
 def main(config: str, port: str) -> int:
-    """Serve until SIGTERM, or until standard input ends."""
-    threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
+    """Wait for a byte from standard input, then serve until SIGTERM, or until standard input ends."""
     # Imported here: each child process of the station imports this module anew, but none of these.
     from vaoi_station.runs.host.processes import no_collections
 
@@ -25,6 +25,9 @@ def main(config: str, port: str) -> int:
         from vaoi_station.runs.host.logs import configure_logging
         from vaoi_station.station import serve
 
+    if not os.read(0, 1):
+        return 0
+    threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     configure_logging(as_json=False)
     try:
         serve(read_config(Path(config)), int(port), Path(config))

@@ -96,6 +96,7 @@ def test_freed_memory_is_used_again_without_page_faults() -> None:
 @pytest.mark.parametrize(
     "module",
     [
+        "vaoi_station.demo.service",
         "vaoi_station.demo.service_process",
         "vaoi_station.runs.host.processes",
         "vaoi_station.runs.workers.fork_server",
