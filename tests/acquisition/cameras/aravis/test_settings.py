@@ -69,6 +69,16 @@ def test_what_another_program_left_is_made_neutral_and_what_is_neutral_is_not_wr
     assert "ReverseX" not in dict(camera.device.written)
 
 
+@pytest.mark.parametrize(("stated", "doubtful"), [("Bayer_GB", True), ("BayerRG", False), ("None", False)])
+def test_a_camera_that_states_another_order_of_its_colours_is_doubtful(stated: str, doubtful: bool) -> None:
+    camera = StandInCamera()
+    camera.device.features["PixelColorFilter"] = stated
+    camera.device.entries["PixelFormat"] = ("Mono8", "BayerRG12p")
+    warning = settings.apply(camera, camera_config(pixel_format="BayerRG12p"))
+    assert ("set pixel_format to BayerGB12p" in warning) == doubtful == bool(warning)
+    assert settings.apply(camera, camera_config(pixel_format="Mono8")) == ""
+
+
 def with_user_sets() -> StandInCamera:
     camera = StandInCamera()
     camera.device.features |= {"UserSetSelector": "UserSet1", "UserSetLoad": None}

@@ -222,6 +222,7 @@ class Connection:
         self._lock = threading.Lock()
         self._stream: SlotStream | None = None
         self.is_gige = bool(self._camera.is_gv_device())
+        self._doubtful_colours = ""
         self.packet_bytes = self._chunk_bytes = 0
         self.packets_proven = False
         """Whether a test packet of this size came here from the camera."""
@@ -267,7 +268,7 @@ class Connection:
         if not self.packet_bytes:
             self.measure_link()
         with self._device_access("does not take its settings"), self._noticing_restarts():
-            settings.apply(self._camera, self.config)
+            self._doubtful_colours = settings.apply(self._camera, self.config)
             if self.config.chunk_room_bytes:
                 sequencer.switch_chunks_on(self._camera, self.config)
             if self.sequence:
@@ -390,7 +391,10 @@ class Connection:
         return not self.is_gige or bool(self._camera.get_device().is_controller())
 
     def warning(self) -> str:
-        """Return a warning if the set-up can lose frames under load, with its cause; an empty text if it cannot."""
+        """Return a warning if the set-up can lose frames under load, or colours are doubtful; else an empty text."""
+        return self._link_warning() or self._doubtful_colours
+
+    def _link_warning(self) -> str:
         if not self.is_gige:
             found = version()
             return "" if found >= USB3_MIN_VERSION else f"Aravis {'.'.join(map(str, found))} is unreliable with USB3."

@@ -212,8 +212,11 @@ def write(camera: Any, name: str, settings: Iterable[Setting]) -> None:
         control.put(setting)
 
 
-def apply(camera: Any, config: CameraConfig) -> None:
-    """Bring a camera into a known state: its user set, neutral values, the settings of station.toml, the trigger."""
+def apply(camera: Any, config: CameraConfig) -> str:
+    """Bring a camera into a known state: its user set, neutral values, the settings of station.toml, the trigger.
+
+    Return what is doubtful about its colours; an empty text if nothing is.
+    """
     control = Control(camera, config.label)
     with _reporting(control):
         _load_user_set(control, config)
@@ -228,6 +231,7 @@ def apply(camera: Any, config: CameraConfig) -> None:
             if setting.feature not in named:
                 control.compare(setting)
         _require_global_shutter(control)
+        return _doubtful_colours(control, config)
 
 
 def apply_exposure(camera: Any, config: CameraConfig) -> None:
@@ -532,6 +536,27 @@ def _require_global_shutter(control: Control, *, put: bool = False) -> None:
                 code="rolling-shutter",
             )
         control.put(Setting(name, best, why="lines would be exposed one after the other"))
+
+
+def _doubtful_colours(control: Control, config: CameraConfig) -> str:
+    """Return a warning if a camera states another order of its colours than its pixel format; else an empty text.
+
+    It is no error: frames come in the pixel format, and some cameras may state the filter of their unmirrored sensor.
+    """
+    if not config.pixel_format.startswith("Bayer"):
+        return ""
+    with answered():
+        if control.features.has("PixelColorFilter"):
+            # Basler-scA1400-30gm has Bayer_RG, FLIR_ORX_10G_245S8M has BayerRG.
+            stated = str(control.features.read("PixelColorFilter")).replace("_", "")
+            order = config.pixel_format[: len("BayerRG")]
+            if stated in ("BayerRG", "BayerGR", "BayerGB", "BayerBG") and stated != order:
+                return (
+                    f"It states the colours {stated} (PixelColorFilter), but its frames are read as "
+                    f"{config.pixel_format}: if red and blue, or green, are exchanged in its pictures, set "
+                    f"pixel_format to {config.pixel_format.replace(order, stated)}, and do not mirror its picture."
+                )
+    return ""
 
 
 @contextlib.contextmanager
