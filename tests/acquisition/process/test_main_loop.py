@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import CameraExposure
+from vaoi_station.acquisition.cameras.interface import CameraExposure, CameraHealth, CameraLost
 from vaoi_station.acquisition.clocks import ClockReading
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process import main_loop
@@ -29,6 +29,8 @@ from vaoi_station.acquisition.process.messages import (
 )
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
+from vaoi_station.errors import DeviceError
+from vaoi_station.model import Verdict
 from vaoi_station.supervised_thread import SupervisedThread
 
 
@@ -152,6 +154,39 @@ def test_a_line_that_is_armed_during_a_trial_is_armed_after_its_last_frame(start
     failed = bench.until(TrialFailed)
     assert (failed.run, failed.why.code) == ("trial-2", "wrong-state")
     assert bench.of(Trouble) == []
+
+
+class AbsentCamera:
+    """A camera that could not be opened at the start."""
+
+    def __init__(self, number: int, camera: Any) -> None:
+        self.number, self.camera = number, camera
+        self.error = DeviceError("camera c1: there is no camera.", code="camera-absent")
+
+    def start(self, events: Any) -> None:
+        events.put(CameraLost(self.number, 0.0, "it was never there", self.error))
+
+    def read_clock(self) -> ClockReading:
+        raise self.error
+
+    def health(self) -> CameraHealth:
+        return CameraHealth(connected=False, message=self.error.message)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.camera, name)
+
+
+def test_a_camera_that_is_absent_at_the_start_keeps_no_other_from_filming(start: Start, make_config: Make) -> None:
+    def open_without_the_second(config: StationConfig) -> Devices:
+        devices = open_devices(config)
+        return replace(devices, cameras=(devices.cameras[0], AbsentCamera(1, devices.cameras[1])))
+
+    bench = start(make_config(), open_backend=open_without_the_second)
+    assert bench.until(Trouble).code == "camera-absent"
+    assert [camera.connected for camera in bench.until(Health).cameras] == [True, False]
+    bench.grant("one", 0)
+    bench.send(FireOne())
+    assert [(frame.camera, frame.verdict) for frame in bench.until(RunFinished).frames][:1] == [(0, Verdict.OK)]
 
 
 def test_a_board_that_is_passing_is_filmed_before_the_line_is_disarmed(start: Start, make_config: Make) -> None:

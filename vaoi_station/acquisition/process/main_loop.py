@@ -174,8 +174,11 @@ class _MainLoop:
             camera.start(self._inbox.messages)
         self._devices.controller.start(self._inbox.messages)
         for _ in range(FIRST_READINGS):
-            for clock, source in zip(self._clocks, self._sources, strict=True):
-                clock.add(source.read_clock())
+            self._clocks[0].add(self._devices.controller.read_clock())
+            for clock, camera in zip(self._clocks[1:], self._devices.cameras, strict=True):
+                # A camera that is lost from the start reports that itself, and its clock when it is back.
+                with contextlib.suppress(VaoiError):
+                    clock.add(camera.read_clock())
         woken, waker = multiprocessing.Pipe(duplex=False)
         commands = SupervisedThread(partial(self._receive_commands, woken), "commands")
         self._clock_thread = SupervisedThread(self._poll_clocks, "clocks", CLOCKS_LIMIT_S)
