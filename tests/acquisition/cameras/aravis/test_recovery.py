@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,6 +47,27 @@ def test_every_board_without_a_frame_leads_to_the_next_step_until_each_was_tried
     assert recovery.message().startswith("Sent nothing of the last board; everything was tried.")
     clock.now_s += 3600.0
     assert recovery.next_step(STEPS) is REOPEN, "an hour later it is tried again"
+
+
+class FilmingAgain(Recovery):
+    """A camera of which a frame comes, in another thread, as soon as its state was read."""
+
+    def __getattribute__(self, name: str) -> Any:
+        value = super().__getattribute__(name)
+        if name == "state" and value is not None:
+            self.filmed()
+        return value
+
+
+def test_a_frame_may_come_while_the_state_is_looked_at() -> None:
+    clock = Clock()
+    recovery = FilmingAgain(clock)
+    recovery.next_step(STEPS)
+    assert recovery.message().startswith("Sent nothing of the last board; it was opened again.")
+    assert recovery.message() == ""
+    recovery.take(POWER, "silent")
+    clock.now_s += POWER.time_s
+    assert recovery.next_step(()) is None
 
 
 def test_a_camera_gets_the_time_of_a_step_before_the_next_one() -> None:

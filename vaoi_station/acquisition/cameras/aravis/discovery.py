@@ -136,8 +136,9 @@ def free_address(camera: FoundCamera, wished: Iterable[str], used: Collection[st
     """
     own = ipaddress.IPv4Interface(camera.local)
     wishes = [address for address in wished if _fits(address, own) and address not in used]
-    # Beginning behind the port's own address: the addresses in front of it mostly belong to switches and routers.
-    following = (own.ip + step for step in itertools.count(1))
+    # Beginning behind the port's own address: the first ones of a network mostly belong to switches and routers.
+    first, count = own.network.network_address, own.network.num_addresses
+    following = (first + (int(own.ip) - int(first) + step) % count for step in range(1, count))
     next_ones = (str(address) for address in itertools.islice(following, _SEARCHED))
     for address in (*wishes, *(a for a in next_ones if _fits(a, own) and a not in used)):
         if not is_taken(address, tries=1):

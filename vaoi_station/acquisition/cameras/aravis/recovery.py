@@ -68,7 +68,8 @@ class Recovery:
             if step in possible and self.take(step, "silent"):
                 self._next = STEPS.index(step) + 1
                 return step
-        if self.state is not None and self.state.step != SPENT:
+        state = self.state  # read once: a frame may end it at any time
+        if state is not None and state.step != SPENT:
             self.state = CameraRecovery(SPENT, "silent", self._clock())
         return None
 
@@ -91,12 +92,13 @@ class Recovery:
 
     def message(self) -> str:
         """Return what is wrong and what was done, for the camera's status; empty while it films."""
-        if self.state is None:
+        state = self.state  # read once: a frame may end it at any time
+        if state is None:
             return ""
-        what = "Sent nothing of the last board" if self.state.why == "silent" else "Did not answer"
-        if self.state.step == SPENT:
+        what = "Sent nothing of the last board" if state.why == "silent" else "Did not answer"
+        if state.step == SPENT:
             return f"{what}; everything was tried. Check its trigger wire, its cable and its power, or exchange it."
-        done = next(step.done for step in STEPS if step.code == self.state.step)
+        done = next(step.done for step in STEPS if step.code == state.step)
         return f"{what}; {done}. The next board shows whether that helped."
 
 

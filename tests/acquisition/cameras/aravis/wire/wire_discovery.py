@@ -72,6 +72,11 @@ def test_the_address_of_the_predecessor_is_preferred_if_it_is_free(foreign: Fore
     assert free_address(far, [FREE], (FREE,)) not in (FREE, "127.0.0.1", "127.0.0.2")
 
 
+def test_behind_the_last_address_of_a_network_the_search_goes_on_with_its_first_one() -> None:
+    camera = FoundCamera("S", "10.0.0.1", interface="lo", local="127.255.255.254/8")
+    assert free_address(camera, (), ("127.0.0.2",)).startswith("127.0.0.")
+
+
 def test_no_camera_and_two_of_one_number_are_refused() -> None:
     one = FoundCamera("S", "10.0.0.1", "02:00:00:00:00:01")
     with pytest.raises(DeviceError, match="No camera with serial number 'T'"):
