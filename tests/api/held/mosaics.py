@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import tempfile
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,8 +48,9 @@ class HeldMosaics(Mosaics):
         station.heights = MeasuredHeights(self._archive, self._held, self._render, self._bay, station)
         recorded: Any = SimpleNamespace(get=self._recorded, store=store)
         events: Any = SimpleNamespace(add=station.publish)
-        self._good = tempfile.TemporaryDirectory()
-        station.parts = MeasuredParts(recorded, self._held, self._render, self._bay, events, Path(self._good.name))
+        good = Path(tempfile.mkdtemp())
+        weakref.finalize(self, shutil.rmtree, good, ignore_errors=True)
+        station.parts = MeasuredParts(recorded, self._held, self._render, self._bay, events, good)
         station.batches = BatchAccess(
             self._timed, self._timed, self._held, lambda *_: None, self._perform, station.merged
         )
