@@ -70,7 +70,7 @@ def replace(
     fields = {"serial": serial} if address is None else {"serial": serial, "address": address}
     made = client.post(f"/cameras/{number}/exchange", **fields)
     typer.echo(f"{made['name']}: {made['serial']} at {made['address']} is in the place of {made['before']}.")
-    typer.echo(f"Let a board pass; then: vaoi cameras confirm {number}")
+    typer.echo(f"Let a board pass; then: vaoi cameras confirm {place}")
 
 
 @cameras.command()

@@ -5,16 +5,17 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from queue import SimpleQueue
 from typing import TypeVar
 
 import numpy as np
 import pytest
 
-from tests.acquisition.cameras.aravis.stand_in import camera_config
+from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from vaoi_station.acquisition.cameras.aravis import camera as camera_module
-from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera
-from vaoi_station.acquisition.cameras.aravis.connection import Identity, PortShare
+from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera, Unopened
+from vaoi_station.acquisition.cameras.aravis.connection import Connection, Identity, PortShare
 from vaoi_station.acquisition.cameras.aravis.stream import SlotResult
 from vaoi_station.acquisition.cameras.interface import (
     CameraBack,
@@ -271,3 +272,27 @@ def test_a_sequence_is_set_now_or_when_the_camera_is_back_and_begins_anew(bench:
     assert bench.next(CameraLost).error is bench.connection.made[0].error
     bench.next(CameraBack)
     assert bench.connection.sequence == sequence
+
+
+class AtPort(Connection):
+    """An open camera at a port of 1 Gbit/s."""
+
+    def __init__(self, config: CameraConfig, port: str) -> None:
+        self.config, self.identity, self.share = config, Identity(config.serial or "", "", port), PortShare()
+        self.is_gige, self.packet_bytes, self._speed_mbit_s, self._limit_mbit_s = True, 9000, 1000.0, None
+
+
+def test_absent_cameras_are_expected_where_cameras_are_missing(tmp_path: Path) -> None:
+    """All twelve at one port would need 140 ms for a row."""
+    size: dict[str, object] = {"width": 1392, "height": 1040, "link_mbit_s": 1000.0, "address": None}
+    configs = [camera_config(name=f"c{n}", serial=f"S{n}", **size) for n in range(12)]
+    station = station_config(tmp_path, configs, 0.1)
+    pauses = []
+    for absent in (range(12, 12), range(6, 11)):
+        members: list[AtPort | Unopened] = [
+            Unopened(config, DeviceError("")) if n in absent else AtPort(config, "eth1" if n < 6 else "eth2")
+            for n, config in enumerate(configs)
+        ]
+        camera_module._share_links(station, members)
+        pauses.append((members[0].share.delay_ns, members[11].share.delay_ns))
+    assert pauses[0] == pauses[1]

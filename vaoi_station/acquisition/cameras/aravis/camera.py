@@ -554,12 +554,19 @@ def _check_distinct(connections: Sequence[Connection]) -> None:
 
 def _share_links(config: StationConfig, members: Sequence[Connection | Unopened]) -> None:
     """Share the links as if all cameras were there: one that is absent may come at any time."""
-    there = [connection.sender for connection in _open(members)]
-    place, packets = _open(members)[0].identity.interface, there[0].packet_bytes
-    senders = [
-        member.sender if isinstance(member, Connection) else sender_of(member.config, place, None, packets)
-        for member in members
-    ]
+    there = _open(members)
+    counts = Counter(connection.identity.interface for connection in there)
+    packets = {connection.identity.interface: connection.sender.packet_bytes for connection in there}
+    senders = []
+    for member in members:
+        if isinstance(member, Connection):
+            senders.append(member.sender)
+            continue
+        port = network.interface_towards(member.config.address or "")
+        # Without its address, nothing says where it hangs: most likely where cameras are missing.
+        port = port if port in counts else min(counts, key=counts.__getitem__)
+        counts[port] += 1
+        senders.append(sender_of(member.config, port, None, packets[port]))
     period_s = config.line.shortest_period_s
     row_s = check_row(senders, period_s)
     for member, share in zip(members, share_links(senders), strict=True):

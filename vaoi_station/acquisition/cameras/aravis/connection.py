@@ -128,7 +128,7 @@ def open_device(config: CameraConfig, address: str) -> Any:
     try:
         camera = aravis().Camera.new(address)
     except glib_error() as error:
-        if config.address is not None and network.is_reachable(address, tries=1):
+        if network.is_ip(address) and network.is_reachable(address, tries=1):
             raise _description_error(config, address, error_text(error)) from error
         raise absence_error(config, address, error_text(error)) from error
     # `Camera.new` succeeds for a camera of another client; only `create_stream` would fail, with code 10 (measured).
@@ -488,12 +488,13 @@ class Connection:
 
     def _identity(self, where: str) -> Identity:
         camera = self._camera
-        address, interface = where, ""
+        address, interface, model = where, "", camera.get_model_name() or ""
         if self.is_gige:
             device = camera.get_device()
             address = device.get_device_address().get_address().to_string()
             interface = network.interface_of(device.get_interface_address().get_address().to_string())
-        return Identity(camera.get_device_serial_number() or "", address, interface, camera.get_model_name() or "")
+            model = network.model_name(address) or model
+        return Identity(camera.get_device_serial_number() or "", address, interface, model)
 
     @contextlib.contextmanager
     def _noticing_restarts(self) -> Iterator[None]:

@@ -275,8 +275,9 @@ def _as_int(address: bytes) -> int:
 
 
 _KEY, _ACKNOWLEDGE = 0x42, 0x01
-_READ_REGISTER = 0x0080
-"""Command number; the number of an acknowledgement is one higher."""
+_READ_REGISTER, _READ_MEMORY = 0x0080, 0x0084
+"""Command numbers; the number of an acknowledgement is one higher."""
+_MODEL_NAME, _MODEL_BYTES = 0x0068, 32
 _VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
 _CAPABILITY_REGISTER, _LINK_SPEED_REGISTER = 0x0934, 0x0670
 _STATES_LINK_SPEED = 1 << 28
@@ -310,6 +311,15 @@ def is_reply(datagram: bytes, number: int, request_id: int) -> bool:
     return bool(acknowledged == number + 1 and acknowledged_id == request_id)
 
 
+def is_ip(address: str) -> bool:
+    """Return whether this is an IP address, and not the id of a USB camera."""
+    try:
+        socket.inet_aton(address)
+    except OSError:
+        return False
+    return True
+
+
 def is_reachable(address: str, timeout_s: float = 0.2, tries: int = 3) -> bool:
     """Return whether a camera replies at an IP address. At most `tries` requests are sent, `timeout_s` apart."""
     return _read_register(address, _VERSION_REGISTER, timeout_s, tries) is not None
@@ -337,15 +347,28 @@ def _number(address: str, register: int) -> int:
     return int.from_bytes((_read_register(address, register, 0.2, 3) or b"")[:4], "big")
 
 
+def model_name(address: str) -> str:
+    """Read the model of the camera at an IP address, as its reply to a search states it; empty without a reply.
+
+    DeviceModelName of a description may be another text (AVT_Manta_G507B has it in a register of its own).
+    """
+    reply = _ask(address, _READ_MEMORY, struct.pack(">II", _MODEL_NAME, _MODEL_BYTES), 0.2, 3)
+    return (reply or b"")[4:].split(b"\0")[0].decode("ascii", "replace").strip()
+
+
 def _read_register(address: str, register: int, timeout_s: float, tries: int) -> bytes | None:
     """Return the content of a register; empty bytes if the camera refuses to read it, None if no camera replies."""
+    return _ask(address, _READ_REGISTER, register.to_bytes(4, "big"), timeout_s, tries)
+
+
+def _ask(address: str, number: int, content: bytes, timeout_s: float, tries: int) -> bytes | None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(timeout_s)
         try:
             client.connect((address, CONTROL_PORT))
         except OSError:
             return None
-        replies = (request(client, _READ_REGISTER, register.to_bytes(4, "big")) for _ in range(tries))
+        replies = (request(client, number, content) for _ in range(tries))
         return next((reply for reply in replies if reply is not None), None)
 
 

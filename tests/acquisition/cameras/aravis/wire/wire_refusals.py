@@ -12,6 +12,7 @@ import pytest
 from tests.acquisition.cameras.aravis.stand_in import camera_config
 from tests.needs import DESCRIPTIONS, need_descriptions
 from vaoi_station.acquisition.cameras.aravis.connection import Connection
+from vaoi_station.acquisition.cameras.aravis.discovery import discover, find
 from vaoi_station.errors import DeviceError
 from vaoi_station.rig.gige.camera import Camera
 
@@ -43,7 +44,7 @@ def as_it_is(_camera: Camera) -> None:
 
 
 def opened(camera: Camera, changes: dict[str, object]) -> None:
-    connection = Connection(camera_config(address=camera.address, **changes), camera.address)
+    connection = Connection(camera_config(**{"address": camera.address, **changes}), camera.address)
     try:
         connection.configure()
     finally:
@@ -54,6 +55,7 @@ def opened(camera: Camera, changes: dict[str, object]) -> None:
     ("fault", "changes", "code", "words"),
     [
         (unparsable, {}, "description-wrong", "answers, but its description cannot be read"),
+        (unparsable, {"address": None, "serial": "S2"}, "description-wrong", "its description cannot be read"),
         (refusing, {}, "setting-refused", r"refuses ExposureTimeAbs = 250.0 .*access-denied"),
         (keeping, {}, "setting-ignored", "Width was set to 16, but reads 640"),
         (restarting, {}, "camera-lost", "has restarted or gone while it was set up .ignores a setting: Exposure"),
@@ -75,5 +77,19 @@ def test_a_camera_is_refused_by_name_with_what_to_do(
             opened(camera, changes)
         assert refused.value.code == code
         assert refused.value.action
+    finally:
+        camera.close()
+
+
+def test_an_open_camera_has_the_model_that_a_search_states() -> None:
+    """In its description, a Manta has the name of its model elsewhere, without the number of its variant."""
+    need_descriptions()
+    text = gzip.decompress((DESCRIPTIONS / "AVT_Manta_G507B.xml.gz").read_bytes()).decode("utf-8-sig")
+    camera = Camera("127.0.0.2", text, serial="S2")
+    try:
+        camera.write(0x68, b"Manta G-507B (E0022704)\0")
+        connection = Connection(camera_config(address=camera.address), camera.address)
+        assert connection.identity.model == find("S2", discover(0.4)).model == "Manta G-507B (E0022704)"
+        connection.close()
     finally:
         camera.close()
