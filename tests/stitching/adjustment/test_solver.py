@@ -361,3 +361,43 @@ def test_the_solution_of_all_rows_but_the_last_leads_to_that_of_all(
     at_once, begun = adjust(problem, start, C), adjust(problem, start, C, known=unknowns)
     assert np.abs(begun.motion.shift - at_once.motion.shift).max() < 2e-5
     assert begun.similarity == pytest.approx(at_once.similarity, abs=2e-5)
+
+
+def first_rows_and_all(truth: Bench) -> tuple[Problem, Problem]:
+    """Return the problem of all rows but the last one, and that of all rows, whose links stand last."""
+    made, last = truth.problem(), ROWS - 1
+    evidence = sorted(made.links.groups, key=lambda e: e.rows[1])
+    component = made.component[np.argsort(made.links.q, kind="stable")]
+    problem = replace(made, links=to_observations(evidence, truth.cameras), component=component)
+    problem = replace(truth.with_fiducials(problem), cameras=truth.cameras)
+    early, points = to_observations([e for e in evidence if e.rows[1] < last], truth.cameras), problem.fiducials
+    assert points is not None
+    seen = points.select(np.flatnonzero(points.row < last))
+    first = replace(problem, times_s=TIMES[:last], links=early, component=component[: len(early)], fiducials=seen)
+    return first, problem
+
+
+def test_a_last_row_that_moves_nothing_is_still_weighed_by_the_noise_of_all_links(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first step has the sum of the earlier links only, without their noise floors and their influence."""
+    monkeypatch.setattr(adjustment, "_SAMPLE_LINKS", 150)
+    monkeypatch.setattr(adjustment, "_PER_ROW", 25)
+    first, problem = first_rows_and_all(replace(bench(5), real_px=1e-4, pair_px=0.0))
+    start, last = started(problem), ROWS - 1
+    known = completed(adjust_first_rows(first, Motion(start.angle[:last], start.shift[:last], start.pivot), C))
+    assert known.sums is not None
+    at_once = adjust(problem, start, C)
+    begun = adjust(problem, start, C, known=known, converged_mm=1e-2)
+    assert begun.floor_px == pytest.approx(at_once.floor_px, rel=0.1)
+    assert begun.sigma0 == pytest.approx(at_once.sigma0, rel=0.1)
+
+
+def test_a_problem_does_not_begin_with_as_many_other_links(bench: Any) -> None:
+    """Links off the board are left out by C, which moves with the last row: one more on the left, one less on the right."""
+    problem = bench(5).problem()
+    every = np.arange(len(problem.links))
+    whole, first = problem.select(every[1:]), problem.select(every[1:-40])
+    assert whole.begins_with(replace(first, links=replace(first.links, groups=first.links.groups[:-1])))
+    other = problem.select(np.delete(every, 5))
+    assert not other.begins_with(replace(first, links=replace(first.links, groups=first.links.groups[:-1])))

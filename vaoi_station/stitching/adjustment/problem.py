@@ -321,8 +321,11 @@ class Problem:
 
     def begins_with(self, first: Problem) -> bool:
         """Return whether the first links of this problem are those of another one."""
-        groups = first.links.groups
-        return self.links.groups[: len(groups)] == groups and int(self.links.begins[len(groups)]) == len(first.links)
+        groups, count = first.links.groups, len(first.links)
+        if self.links.groups[: len(groups)] != groups or int(self.links.begins[len(groups)]) != count:
+            return False
+        # Of the same pairs of frames, as many links may be left, but other ones: which lie off the board follows from C.
+        return np.array_equal(self.links.a_mm[:count], first.links.a_mm)
 
     def select(self, at: Ints) -> Problem:
         """Return the problem with the links of these indices only."""

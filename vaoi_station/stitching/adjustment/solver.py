@@ -355,8 +355,10 @@ class _Solver:
         """Make steps until one moves no row by `converged_mm` or more; return False if that takes too many."""
         for _ in range(most_steps):
             yield
-            # As long as their prior is wide, cameras may seem displaced: the first steps do not count.
-            still = self.step() < converged_mm and self.steps > _FREE_STEPS
+            # As long as their prior is wide, cameras may seem displaced: the first steps do not count. Nor does a step
+            # with a known sum: the noise floors, the weights and the influence of all links follow from later ones.
+            every = self.sums is None
+            still = self.step() < converged_mm and self.steps > _FREE_STEPS and every
             if still and self.cameras.settled and not self.cameras.reconsider():
                 return True
         return False
