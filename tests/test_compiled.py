@@ -178,3 +178,39 @@ def test_code_is_renewed_with_what_it_calls_and_with_constants_and_by_nothing_el
     for file in (tmp_path / "cache").glob("*.nbc"):
         os.truncate(file, file.stat().st_size // 2)
     assert run(3.0, 0.5) == "11.0 1", "a power cut has left a part of it"
+
+
+_AFTER_A_LOSS = """
+import shutil
+from pathlib import Path
+from vaoi_station.compiled import cache_directory, compiled
+
+@compiled
+def half(x):
+    return x / 2
+
+@compiled
+def third(x):
+    return x / 3
+
+@compiled
+def fourth(x):
+    return x / 4
+
+directory = cache_directory()
+assert half(2.0) == 1.0
+shutil.rmtree(directory)
+assert third(3.0) == 1.0
+assert [*directory.glob("*.nbc")], "what was emptied is filled again"
+shutil.rmtree(directory)
+directory.write_text("as little can be written here as on a full disk")
+assert fourth(4.0) == 1.0
+"""
+
+
+def test_a_cache_that_is_lost_while_a_process_runs_costs_only_time(tmp_path: Path) -> None:
+    source = tmp_path / "lost.py"
+    source.write_text(_AFTER_A_LOSS)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    done = subprocess.run([sys.executable, source], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

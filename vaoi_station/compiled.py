@@ -189,9 +189,12 @@ class _KeptCode:
         context.refresh()
         name = self._file(signature, context.codegen())
         for directory in (SHIPPED, cache_directory()):
-            if directory is None or not (file := directory / name).is_file():
+            if directory is None:
                 continue
-            content = file.read_bytes()
+            try:
+                content = (file := directory / name).read_bytes()
+            except OSError:  # it is not there, or of another user who lets nobody read it
+                continue
             # A file that a power cut has left incomplete would keep every process from starting.
             if hashlib.sha256(content[:-_DIGEST_BYTES]).digest() == content[-_DIGEST_BYTES:]:
                 with suppress(OSError):  # shipped code cannot be written to
@@ -331,8 +334,11 @@ def _lock(path: Path | None, how: int) -> Iterator[None]:
         if path is None or path in _held:
             yield
             return
-        with path.open("w") as file:
-            fcntl.flock(file, how)
+        with ExitStack() as opened:
+            # Where the directory is gone, full, or has a lock of another user, the code is compiled without a lock.
+            with suppress(OSError):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                fcntl.flock(opened.enter_context(path.open("w")), how)
             _held.add(path)
             try:
                 yield

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
 
@@ -124,6 +125,19 @@ def test_entries_that_a_result_still_lacks_are_awaited_for_a_time(
     for _ in range(3):
         assert own.result is first
     assert client.read.call_count == fetched
+
+
+def test_a_result_that_was_fetched_early_is_fetched_again_however_late(
+    run: vaoi.StationRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, now_s = run.result, 1000.0
+    monkeypatch.setattr(live_station, "time", SimpleNamespace(monotonic=lambda: now_s))
+    first = whole.model_copy(update={"quality": {**whole.quality, "later": ["heights_mm"]}})
+    client = Mock(read=Mock(side_effect=[first, whole]))
+    own = vaoi.StationRun("r1", {}, client)
+    assert "later" in own.result.quality
+    now_s += 60
+    assert "later" not in own.result.quality
 
 
 def test_two_files_that_are_written_at_once_are_both_complete(tmp_path: Path) -> None:

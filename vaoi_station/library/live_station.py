@@ -200,12 +200,14 @@ class StationRun:
         """Matrices, uncertainty and verdict of the run, fetched at the first access.
 
         Directly after the run, `quality["later"]` names entries that follow within moments: for ten seconds, it is then
-        fetched again at each access. What is missing after that, the station does not have.
+        fetched again at each access, and once after them. What is missing then, the station does not have.
         """
-        known: Stitch | None = self.__dict__.get("_result")
-        until_s = self.__dict__.setdefault("_awaited_until_s", time.monotonic() + _AWAITED_S)
-        if known is None or ("later" in known.quality and time.monotonic() < until_s):
-            known = self.__dict__["_result"] = self._client.read(Stitch, self._path("matrices"))
+        now_s, own = time.monotonic(), self.__dict__
+        until_s = own.setdefault("_awaited_until_s", now_s + _AWAITED_S)
+        known: Stitch | None = own.get("_result")
+        if known is None or ("later" in known.quality and own["_fetched_s"] < until_s):
+            known, own["_fetched_s"] = self._client.read(Stitch, self._path("matrices")), now_s
+            own["_result"] = known
         return known
 
     @property

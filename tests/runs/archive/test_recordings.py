@@ -233,6 +233,35 @@ def test_a_recording_gets_the_complete_result_and_is_offered_with_it(rig: Any, t
     assert ("later" in read_stitch(result).quality) == lost
 
 
+def test_a_result_that_is_completed_while_its_record_is_renewed_reaches_the_recording(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The identity of a board is decided at about the same time."""
+    run, archive, get = a_board(rig), rig.archive, rig.archive.get
+    whole = get(run.id)
+    first = whole.lean.model_copy(update={"quality": {**whole.lean.quality, "later": ["heights_mm"]}})
+    archive._cache(replace(whole, stitch=first, document=stitch_text(first)))
+    archive._unexplained.add(run.id)
+    keeper = a_keeper(rig, tmp_path, rig.coordinator._frames)
+    archive.on_explained = keeper.update
+    keeper.start()
+    keeper.request(run.id)
+    wait_event(rig, run.id, "recording")
+    rig.wait_for(lambda: not (keeper._waiting or keeper._updates), "the recording")
+
+    def completed_meanwhile(of: str) -> Any:
+        found = get(of)
+        monkeypatch.setattr(archive, "get", get)
+        archive.explain(of, whole.text)
+        return found
+
+    monkeypatch.setattr(archive, "get", completed_meanwhile)
+    keeper.update(run.id)
+    result = tmp_path / "kept" / run.id / "result.json"
+    rig.wait_for(lambda: "later" not in read_stitch(result).quality, "the complete result")
+    keeper.stop()
+
+
 @pytest.mark.parametrize("cause", ["quota", "disk", "fault"])
 def test_a_recording_without_room_is_refused_and_counted(
     rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: str

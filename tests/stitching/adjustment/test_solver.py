@@ -394,7 +394,7 @@ def test_a_last_row_that_moves_nothing_is_still_weighed_by_the_noise_of_all_link
 
 
 def test_a_problem_does_not_begin_with_as_many_other_links(bench: Any) -> None:
-    """Links off the board are left out by C, which moves with the last row: one more on the left, one less on the right."""
+    """Links off the board are left out by C, which moves with the last row: one more on the left, one less beyond."""
     problem = bench(5).problem()
     every = np.arange(len(problem.links))
     whole, first = problem.select(every[1:]), problem.select(every[1:-40])

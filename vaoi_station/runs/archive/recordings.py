@@ -329,7 +329,8 @@ class Recordings:
         known: RunDetail | None = None
         with suppress(NotFoundError, InputError):
             known = parse(RunDetail, read_json(path), path)
-        finished = None
+        # Asked first: a result that is completed after this is followed by another call.
+        settled, finished = not self._archive.awaits_explanation(run), None
         try:
             finished = self._archive.get(run)
             record: RunDetail | None = finished.detail
@@ -348,7 +349,7 @@ class Recordings:
             changed = known is None or lasting != (known.verdict, known.reasons, known.identity)
             if changed:
                 write_bytes(path, record.model_dump_json().encode())
-            if run in self._unexplained and not self._archive.awaits_explanation(run):
+            if run in self._unexplained and settled:
                 changed = True
                 if finished is not None and finished.complete:
                     write_bytes(path.with_name(RESULT_FILE), finished.text.encode())

@@ -324,7 +324,7 @@ class Problem:
         groups, count = first.links.groups, len(first.links)
         if self.links.groups[: len(groups)] != groups or int(self.links.begins[len(groups)]) != count:
             return False
-        # Of the same pairs of frames, as many links may be left, but other ones: which lie off the board follows from C.
+        # As many links may be left of the same frames, but other ones: which lie off the board follows from C.
         return np.array_equal(self.links.a_mm[:count], first.links.a_mm)
 
     def select(self, at: Ints) -> Problem:
