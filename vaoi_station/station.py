@@ -113,7 +113,7 @@ class Station:
             workers = WorkerPool(config.workers, ring.path)
             link = AcquisitionLink(self._launch or spawn_launcher(lambda: self.config, ring.path))
             grants = BayGrants(ring.blacken, link)
-            archive = Archive(store, events)
+            archive = Archive(store, events, config.flat_fields)
             watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras], config.heads)
             cameras, board_types = calibration.cameras(config.heads), BoardTypeDirectory(config.board_types)
             shelf = ReferenceStore(config.data / REFERENCES, store, cameras)

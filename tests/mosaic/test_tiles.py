@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.mosaic.conftest import BOARD_MM, DARK, Film, Filmed, radiance
+from tests.mosaic.conftest import BOARD_MM, DARK, SIZE, Film, Filmed, radiance
 from tests.mosaic.test_plan import plan_of
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import apply
@@ -19,6 +19,7 @@ from vaoi_station.mosaic.plan import MosaicPlan, RaisedBody
 from vaoi_station.mosaic.tile_specs import TileRenderer
 from vaoi_station.mosaic.tiles import FrameCache, render_tile, write_mosaic
 from vaoi_station.photometry import FlatFields
+from vaoi_station.photometry.flat_fields import FlatFieldDocument
 
 
 def picture_of(board: Filmed, *, hdr: bool = False, reduced: int = 1, box: Any = None) -> Any:
@@ -72,6 +73,29 @@ def test_pixel_types_and_colour(film: Film, dtype: Any, channels: int) -> None:
     ratio = grey / (257.0 if dtype == np.uint16 else 1.0) / expected(grid)
     assert ratio.std() < 0.03
     assert ratio.mean() == pytest.approx(0.95, abs=0.08)
+
+
+def test_a_tint_of_the_light_is_balanced_by_flat_fields_in_colour(film: Film) -> None:
+    tinted = film(channels=3)
+    tint = np.array([0.5, 1.0, 0.8])  # blue, green, red
+    frames = {k: np.rint((p - DARK).clip(0) * tint + DARK).astype(np.uint8) for k, p in tinted.frames.items()}
+    size = {"width": SIZE[0], "height": SIZE[1], "dark": DARK, "read": 1.0, "shot": 0.03}
+    heads = [
+        {"camera": c, "file": f"fields/{c}.tiff", "level": 1, "rows": 4, "white": (0.9, 1.12, 0.56)} for c in (0, 1)
+    ]
+    fields = FlatFields(
+        FlatFieldDocument.model_validate(
+            {"format": "vaoi-flatfield", "version": 1, "cameras": [size] * 2, "fields": heads}
+        ),
+        {(c, None): np.ones(SIZE[::-1], np.float32) for c in (0, 1)},
+    )
+    board = replace(tinted, frames=frames)
+    plan = plan_of(board, fields=fields)
+    spec = TileRenderer(plan, board.projector, board.base).spec((0, 0, board.base.width, board.base.height))
+    picture = render_tile(spec, board.read)
+    assert picture is not None
+    red, blue = picture[..., 2].mean(), picture[..., 0].mean()
+    assert [red, blue] == pytest.approx([picture[..., 1].mean()] * 2, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import pytest
 from tests.rendering.computed import compute_views
 from vaoi_station.api.rest_models import ViewEntry
 from vaoi_station.errors import InputError, StateError
+from vaoi_station.photometry import WhiteBalance
 from vaoi_station.rendering import (
     ChosenImages,
     View,
@@ -158,6 +159,22 @@ def test_a_difference_is_rendered_with_equal_exposures(make: Any) -> None:
     frame, other = (np.asarray(scene * x.facts.exposure_us / 100, np.uint8) for x in (choice, choice.minus))
     assert (render_chosen(choice, frame, other) == 128).all()
     assert (render_chosen(choice, frame) == render(choice.view, frame)).all()
+
+
+def test_white_is_grey_in_the_difference_of_two_lights_of_different_tint(make: Any) -> None:
+    choice = next(x for x in chosen_of(make(), light="left", minus="right").chosen if x.view.coverage == 1)
+    assert choice.minus is not None
+    warm = choice.facts._replace(white_balance=WhiteBalance((1.0, 1.25, 2.5)))
+    cold = choice.minus.facts._replace(white_balance=WhiteBalance((2.0, 1.0, 1.0)))
+    balanced = replace(choice, facts=warm, minus=replace(choice.minus, facts=cold))
+    scenes = ((40, 80, 100), (100, 100, 50))  # blue, green, red
+    frames = [
+        np.asarray(np.full((180, 240, 3), scene) * x.facts.exposure_us / 400, np.uint8)
+        for scene, x in zip(scenes, (choice, choice.minus), strict=True)
+    ]
+    assert np.abs(render_chosen(balanced, *frames).astype(int) - 128).max() <= 2
+    assert np.ptp(render_chosen(choice, *frames)[9, 9]) > 10
+    assert describe(balanced, None)["white_balance"] == (1.0, 1.25, 2.5)
 
 
 @pytest.fixture(scope="module")

@@ -236,6 +236,11 @@ class ViewEntry(Strict):
     exposure_us: float | None = Field(default=None, description="Exposure time of the frame, if known.")
     gain: float | None = Field(default=None, description="Linear gain of the frame, if known.")
     light: str | None = Field(default=None, description="Light pattern of the row, if one is configured.")
+    white_balance: tuple[float, float, float] | None = Field(
+        default=None,
+        description="Factors by which red, green and blue of the image were multiplied, so that a white target is "
+        "grey; absent without flat fields in colour.",
+    )
     crop_from_cad: Matrix3 = Field(description="CAD coordinates (unit of the board type) to pixels of this image.")
     cad_from_crop: Matrix3
     image_from_crop: Matrix3 = Field(

@@ -352,6 +352,13 @@ def _show(before: Calibration, after: Calibration, heads: Sequence[CameraHead], 
     typer.echo(f"→ {out}, picture {picture}")
 
 
+def _colours(white: tuple[float, float, float] | None, balanced: bool) -> str:
+    if white is None:
+        return ""
+    why = "" if balanced else " (no white light: colours are not balanced)"
+    return f", red : green : blue {' : '.join(f'{share:.2f}' for share in white)}{why}"
+
+
 def flatfield(
     white: Annotated[Path, typer.Argument(help="Recording of a white target that fills all frames (a directory).")],
     out: Annotated[Path, typer.Option(help="Write the flat fields to this new directory.")],
@@ -382,7 +389,7 @@ def flatfield(
         light = "" if head.light is None else f" under {head.light!r}"
         typer.echo(
             f"camera {head.camera}{light}: {head.level:.4g} grey levels/µs, flat {flat.min():.3f} to {flat.max():.3f}, "
-            f"{head.rows} rows"
+            f"{head.rows} rows{_colours(head.white, (head.camera, head.light) in fields.white_balances)}"
         )
     if dark is None:
         typer.echo("no darkness was given: a dark level of 0 is assumed, which makes dark places too bright")

@@ -122,7 +122,8 @@ def cut(
     ] = None,
     hdr: Annotated[bool, typer.Option("--hdr", help="Merge frames of several exposures to linear radiance.")] = False,
     flatfield: Annotated[
-        Path | None, typer.Option(help="With --hdr: use these flat fields (of `vaoi flatfield`).")
+        Path | None,
+        typer.Option(help="Use these flat fields (of `vaoi flatfield`): for radiance with --hdr, else for colours."),
     ] = None,
     format: Annotated[
         Literal["npy", "tiff", "png", "jpeg"] | None,
@@ -150,6 +151,7 @@ def cut(
     from vaoi_station.cli.opened_case import Case
     from vaoi_station.errors import InputError
     from vaoi_station.library.recordings import StitchedRun
+    from vaoi_station.photometry import FlatFields
 
     chosen = [bool(component), all_components, region is not None]
     if sum(chosen) != 1:
@@ -157,7 +159,7 @@ def cut(
             f"vaoi cut: {sum(chosen)} of --component, --all and --region were given, but it must be one.",
             action="Name components, or all of them, or a region.",
         )
-    only_merged = {"--region": region, "--flatfield": flatfield, "--format": format, "--sigma": sigma or None}
+    only_merged = {"--region": region, "--format": format, "--sigma": sigma or None}
     for name, value in only_merged.items():
         if value is not None and not hdr:
             raise InputError(f"vaoi cut: {name} was given without --hdr.", action=f"Add --hdr, or leave {name} out.")
@@ -176,7 +178,9 @@ def cut(
             flatfield=flatfield, form=(format or "tiff", sigma),
         )  # fmt: skip
         return
-    run = StitchedRun(opened.recording, tuple(opened.cameras), opened.board_type, opened.stitch)
+    fields = FlatFields.peek(flatfield) if flatfield else FlatFields.none()
+    fields.check_head(opened.recording.head)
+    run = StitchedRun(opened.recording, tuple(opened.cameras), opened.board_type, opened.stitch, fields)
     for part in parts:
         write_images(run, part.address, wanted, out)
 

@@ -116,6 +116,10 @@ def _document(order: MosaicOrder, plan: MosaicPlan, grid: MosaicGrid, layout: Py
         "flat_fields": order.flatfield is not None,
         "exposures_us": sorted({f.taken.exposure_us for f in plan.frames}, reverse=True),
         "reference_us": None if plan.hdr else plan.reference_us,
+        "white_balance": [
+            None if plan.hdr or i not in plan.cameras else (plan.cameras[i].white_balance or (None,))[0]
+            for i in range(max(plan.cameras, default=-1) + 1)
+        ],
         "dark": [plan.cameras[i].dark if i in plan.cameras else None for i in range(max(plan.cameras, default=-1) + 1)],
         "frames": [
             {"camera": f.taken.camera, "row": f.taken.row, "gain": round(float(2.718281828459045**f.log_gain), 5)}

@@ -21,6 +21,7 @@ from vaoi_station.geometry.transforms import Floats
 from vaoi_station.library.arguments import require_path, require_text, require_whole, whole
 from vaoi_station.library.component_images import ComponentImages, component_height, made_image
 from vaoi_station.model import BoardType, Calibration, Component, Status, Stitch
+from vaoi_station.photometry import FlatFields
 from vaoi_station.rendering import (
     ChosenImages,
     ChosenView,
@@ -205,6 +206,8 @@ class StitchedRun:
     cameras: tuple[Camera, ...]
     board_type: BoardType | None
     result: Stitch
+    flat_fields: FlatFields | None = None
+    """Flat fields of the array, which balance the colours of images."""
 
     @property
     def status(self) -> Status:
@@ -328,7 +331,7 @@ class StitchedRun:
     @cached_property
     def _facts(self) -> dict[tuple[int, int], FrameFacts]:
         """How each frame (camera, row) was taken."""
-        return frame_facts(self.recording.head)
+        return frame_facts(self.recording.head, self.flat_fields)
 
     def _measured(self, view: View) -> Measures:
         return measure(view, self._frame(view))

@@ -33,7 +33,7 @@ from vaoi_station.mosaic.gains import (
     survey,
 )
 from vaoi_station.mosaic.grid import MosaicGrid
-from vaoi_station.photometry import FlatFields, NoiseModel
+from vaoi_station.photometry import FlatFields, NoiseModel, WhiteBalance
 from vaoi_station.steps import Steps
 
 Labels = NDArray[np.int32]
@@ -426,6 +426,7 @@ class CameraPhotometry(NamedTuple):
     dark: float
     """Dark level, 8-bit grey levels."""
     noise: NoiseModel
+    white_balance: WhiteBalance | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -546,7 +547,8 @@ def _photometry(
         fh, fw = flat.shape
         field *= np.pad(flat, ((0, h - fh), (0, w - fw)), mode="edge")
     level = float(np.mean(dark)) + gains.dark
-    return CameraPhotometry(field, level, known.maps(camera, light).noise)
+    balance = known.white_balances.get((camera, light))
+    return CameraPhotometry(field, level, known.maps(camera, light).noise, balance)
 
 
 def _tone(surveyed: Sequence[SurveyedFrame], dark: float) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from vaoi_station.mosaic.frames import TakenFrame
 from vaoi_station.mosaic.gains import Floats32
 from vaoi_station.mosaic.grid import MosaicGrid
 from vaoi_station.mosaic.plan import CELL_PX, FIELD_PX, MosaicPlan, PlannedFrame
-from vaoi_station.photometry import NoiseModel
+from vaoi_station.photometry import NoiseModel, WhiteBalance
 
 _LINEAR = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _STILL_PX = 0.1
@@ -58,6 +58,7 @@ class FramePart(NamedTuple):
     dark: float
     gain: float
     noise: NoiseModel
+    white_balance: WhiteBalance | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +187,7 @@ class TileRenderer:
             photometry.dark,
             taken.gain,
             photometry.noise,
+            photometry.white_balance,
         )
 
 

@@ -78,6 +78,8 @@ def _render_plain(spec: TileSpec, frames: Frames) -> NDArray[Any] | None:
         x0, y0, x1, y1 = part.window
         size = np.array([(x1 - x0, y1 - y0)])
         [pixels] = resampled(source.pixels, of_part(source.matrix, x0, y0)[None], size)
+        if part.white_balance is not None:
+            pixels = part.white_balance.applied(pixels)
         signal = pixels.astype(np.float32).reshape(y1 - y0, -1)
         fields = np.ones((2, *part.factor.shape), np.float32)
         fields[0] = part.factor

@@ -5,7 +5,7 @@ the same unit). The flat fields have mean 1 over all cameras and lights, so that
 all of them. Without flat fields the flat is 1, and radiance of different cameras differs as their lenses do.
 """
 
-from vaoi_station.photometry.flat_fields import FieldMaps, FlatFields
+from vaoi_station.photometry.flat_fields import FieldMaps, FlatFields, WhiteBalance
 from vaoi_station.photometry.noise import NoiseModel, Taken, noise_from_frames
 
-__all__ = ["FieldMaps", "FlatFields", "NoiseModel", "Taken", "noise_from_frames"]
+__all__ = ["FieldMaps", "FlatFields", "NoiseModel", "Taken", "WhiteBalance", "noise_from_frames"]

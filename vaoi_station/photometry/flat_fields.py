@@ -8,14 +8,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.files.documents import check_format, parse, read_json, write_bytes, write_json
 from vaoi_station.files.images import decode, encode_tiff
 from vaoi_station.model import CameraHead, Finite, FrozenModel, Positive, RecordingHead, Whole
@@ -27,8 +29,14 @@ EXPIRED_DAYS = 180
 _MAKE = "Make flat fields of this array with 'vaoi flatfield'."
 _LARGEST = 1e3
 """Largest value of a flat field; one of a real lens is below 3."""
+_LEAST_CHANNEL = 0.125
+"""Least share of the strongest channel that the weakest one has under white light.
+
+Sensors and warm white lamps stay above 0.25. Under a coloured lamp it is below 0.1, and nothing there can be white.
+"""
 
 Side = Annotated[Whole, Field(ge=16, le=65536)]
+Share = Annotated[Finite, Field(ge=0, le=100)]
 FileName = Annotated[str, Field(pattern=r"^fields/[A-Za-z0-9._-]+\.tiff$", max_length=200)]
 
 
@@ -57,6 +65,8 @@ class FieldHead(FrozenModel):
     """Mean of the white target over the frame, grey levels per µs at gain 1."""
     rows: Annotated[Whole, Field(ge=1)]
     """Number of rows from which it was made."""
+    white: tuple[Share, Share, Share] | None = None
+    """Red, green and blue of the white target as shares of its grey level; None of a grey camera."""
 
 
 class FlatFieldDocument(FrozenModel):
@@ -80,6 +90,23 @@ class FlatFieldDocument(FrozenModel):
                 f"{len(lights)} lights"
             )
         return self
+
+
+class WhiteBalance(NamedTuple):
+    """What makes a white target grey in the pictures of one camera under one light."""
+
+    gains: tuple[float, float, float]
+    """Factors of red, green and blue, at least 1: what is saturated stays so, and white."""
+    dark: float = 0.0
+    """Dark level of the camera, 8-bit grey levels, which is not multiplied."""
+
+    def applied(self, picture: NDArray[Any]) -> NDArray[Any]:
+        """Return a picture (h, w, 3) of 8 or 16 bits with balanced colours; one in grey as it is."""
+        if picture.ndim == 2:
+            return picture
+        factors = np.array(self.gains[::-1])  # OpenCV stores colours as blue, green, red
+        black = self.dark * np.iinfo(picture.dtype).max / 255
+        return np.asarray(cv2.transform(picture, np.column_stack([np.diag(factors), black * (1 - factors)])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +192,25 @@ class FlatFields:
         found = self.document.cameras[camera]
         return FieldMaps(flat, self.darks.get(camera, float(found.dark)), NoiseModel(found.read, found.shot))
 
+    @cached_property
+    def white_balances(self) -> Mapping[tuple[int, str | None], WhiteBalance]:
+        """The white balance by camera and light, of cameras in colour under white light.
+
+        The channel that is strongest in any camera of a light keeps its grey levels, and so do the ratios of cameras.
+        """
+        found: dict[tuple[int, str | None], WhiteBalance] = {}
+        if self.document is None:
+            return found
+        for light in self.lights:
+            whites = {f.camera: f.white for f in self.document.fields if f.light == light and f.white is not None}
+            if any(min(white) <= _LEAST_CHANNEL * max(white) for white in whites.values()):
+                continue
+            most = max((max(white) for white in whites.values()), default=1.0)
+            for camera, (red, green, blue) in whites.items():
+                gains = most / red, most / green, most / blue
+                found[camera, light] = WhiteBalance(gains, self.document.cameras[camera].dark)
+        return found
+
     def check(self, cameras: Sequence[CameraHead], lights: Sequence[str] | None) -> None:
         """Raise `InputError` if number, frame sizes, lights or serial numbers (where both are known) differ."""
         if self.document is None:
@@ -211,6 +257,20 @@ def write_flat_fields(directory: Path, fields: FlatFields) -> None:
         if camera.dark_file is not None:
             write_bytes(directory / camera.dark_file, encode_tiff(fields.darks[i]), durable=False)
     write_json(directory / DOCUMENT, document.model_dump(mode="json", exclude_none=True))
+
+
+def fitting_balances(
+    directory: Path | None, head: RecordingHead | None
+) -> Mapping[tuple[int, str | None], WhiteBalance]:
+    """Return the white balances of flat fields for a run; none if they do not fit, of which the station warns."""
+    if directory is None or head is None:
+        return {}
+    try:
+        fields = FlatFields.peek(directory)
+        fields.check_head(head)
+    except VaoiError:
+        return {}
+    return fields.white_balances
 
 
 def _read_document(directory: Path) -> FlatFieldDocument:

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording
 from vaoi_station.photometry.flat_fields import CameraFields, FieldHead, FlatFieldDocument, FlatFields
-from vaoi_station.photometry.noise import Floats32, NoiseModel, fit_line, grey_levels, is_saturated
+from vaoi_station.photometry.noise import FULL_SCALE, Floats32, NoiseModel, fit_line, grey_levels, is_saturated
+
+Floats64 = NDArray[np.float64]
 
 _INNER = (0.03, 0.97)
 """Shares of the distribution between which it is fitted: hot pixels are in its upper end."""
@@ -233,7 +235,7 @@ def measure_flat_fields(white: Recording, dark: Recording | None = None) -> Flat
         _check_same_array(white, dark)
     lights = tuple(dict.fromkeys(head.light(row) for row in range(head.rows)))
     cameras: list[CameraFields] = []
-    targets: dict[tuple[int, str | None], tuple[WhiteTarget, int]] = {}
+    targets: dict[tuple[int, str | None], tuple[WhiteTarget, list[Floats64]]] = {}
     darks: dict[int, Floats32] = {}
     for i, shape in enumerate(head.cameras):
         darkness = _measure_dark(dark, i) if dark else None
@@ -249,8 +251,15 @@ def measure_flat_fields(white: Recording, dark: Recording | None = None) -> Flat
     # One common factor keeps the ratios of cameras and lights: a white target has one radiance for all of them.
     common = float(np.mean([target.level for target, _ in targets.values()]))
     fields = [
-        FieldHead(camera=i, light=light, file=f"fields/c{i:02d}_l{lights.index(light):02d}.tiff", level=t.level, rows=n)
-        for (i, light), (t, n) in targets.items()
+        FieldHead(
+            camera=i,
+            light=light,
+            file=f"fields/c{i:02d}_l{lights.index(light):02d}.tiff",
+            level=t.level,
+            rows=len(used),
+            white=_white(used),
+        )
+        for (i, light), (t, used) in targets.items()
     ]
     created = datetime.now(UTC).isoformat(timespec="seconds")
     document = FlatFieldDocument(
@@ -291,8 +300,11 @@ def _measure_dark(dark: Recording, camera: int) -> Darkness:
 
 def _measure_white(
     white: Recording, camera: int, light: str | None, darkness: Darkness | None
-) -> tuple[WhiteTarget, int]:
-    """Measure the white target of one camera under one light; also return the number of rows that were used."""
+) -> tuple[WhiteTarget, list[Floats64]]:
+    """Measure the white target of one camera under one light; also return the mean signals of the rows that were used.
+
+    Those of a row are (1,) of a grey camera, else (4,): of the grey level, red, green and blue.
+    """
     head = white.head
     where = f"{white.directory}: camera {camera}" + (f", light {light!r}" if light is not None else "")
     rows = [r for r in range(head.rows) if head.light(r) == light and (camera, r) not in head.missing]
@@ -302,7 +314,7 @@ def _measure_white(
             action=f"Film the white target for at least {LEAST_ROWS} rows under every light.",
         )
     dark: Floats32 | float = 0.0 if darkness is None else darkness.level if darkness.map is None else darkness.map
-    signals, scales, most_saturated, least = [], [], 0.0, np.inf
+    signals, scales, means, most_saturated, least = [], [], [], 0.0, np.inf
     for row in _spread(rows):
         pixels = _frame(white, camera, row)
         saturated = float(is_saturated(pixels).mean())
@@ -313,11 +325,22 @@ def _measure_white(
         if saturated <= _MOST_SATURATED and mean >= LEAST_SIGNAL:
             signals.append(signal)
             scales.append(head.exposure_us(camera, row) * head.gain(camera, row))
+            colours = pixels.mean((0, 1))[::-1] * FULL_SCALE / np.iinfo(pixels.dtype).max if pixels.ndim == 3 else ()
+            means.append(np.array([mean, *(np.asarray(colours) - np.mean(dark))]))
     if len(signals) < LEAST_ROWS:
         raise _unfit(where, len(signals), most_saturated, least)
     target = combine(signals, scales)
     _check(where, target)
-    return target, len(signals)
+    return target, means
+
+
+def _white(rows: Sequence[Floats64]) -> tuple[float, float, float] | None:
+    """Return red, green and blue of a white target as shares of its grey level; None in grey."""
+    grey, *colours = np.sum(rows, axis=0).tolist()
+    if not colours:
+        return None
+    red, green, blue = (round(max(colour, 0.0) / grey, 4) for colour in colours)
+    return red, green, blue
 
 
 def _unfit(where: str, usable: int, saturated: float, signal: float) -> InputError:

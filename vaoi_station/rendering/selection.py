@@ -21,6 +21,7 @@ from vaoi_station.errors import InputError, StateError
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
 from vaoi_station.model.stitch_result import BodyHeight, body_height
+from vaoi_station.photometry import FlatFields, WhiteBalance
 from vaoi_station.rendering.request import AZIMUTHS, WITHIN_DEG, Bounds, Choice, ImageRequest
 from vaoi_station.rendering.temporary import render, subtract
 from vaoi_station.rendering.views import View, ViewCalculator, sigma_px
@@ -102,6 +103,8 @@ class FrameFacts(NamedTuple):
     light: str | None = None
     time_s: float | None = None
     """Time of the row's pulse after that of row 0."""
+    white_balance: WhiteBalance | None = None
+    """What makes white things grey in its pictures; None without flat fields that know it."""
 
     def brightness_to(self, other: FrameFacts) -> float:
         """Return how much brighter a frame is than another one of the same scene; 1 if exposures are not known."""
@@ -110,12 +113,15 @@ class FrameFacts(NamedTuple):
         return self.exposure_us * (self.gain or 1.0) / (other.exposure_us * (other.gain or 1.0))
 
 
-def frame_facts(head: RecordingHead) -> dict[tuple[int, int], FrameFacts]:
-    """Return how each frame (camera, row) of a recording was taken."""
+def frame_facts(head: RecordingHead, fields: FlatFields | None = None) -> dict[tuple[int, int], FrameFacts]:
+    """Return how each frame (camera, row) of a recording was taken. `fields` are flat fields that fit it."""
+    balances = fields.white_balances if fields is not None else {}
     times_s = (head.row_times_s() - head.row_times_s()[0]).tolist()
     lights = head.lights or ("",) * head.rows
     return {
-        (i, j): FrameFacts(head.exposure_us(i, j), head.gain(i, j), lights[j] or None, times_s[j])
+        (i, j): FrameFacts(
+            head.exposure_us(i, j), head.gain(i, j), lights[j] or None, times_s[j], balances.get((i, lights[j] or None))
+        )
         for i in range(len(head.cameras))
         for j in range(head.rows)
     }
@@ -301,10 +307,10 @@ def choose_all(
 
 def render_chosen(choice: ChosenView, frame: NDArray[Any], other: NDArray[Any] | None = None) -> NDArray[Any]:
     """Render one temporary image. `other` is the frame of the image that is subtracted, if there is one."""
-    image = render(choice.view, frame)
+    image = render(choice.view, frame, choice.facts.white_balance)
     if choice.minus is None or other is None:
         return image
-    return subtract(image, render(choice.minus.view, other), choice.ratio)
+    return subtract(image, render(choice.minus.view, other, choice.minus.facts.white_balance), choice.ratio)
 
 
 def plane_remark(part: Component, height: BodyHeight | None, cameras_know: bool) -> str | None:
@@ -365,6 +371,7 @@ def describe(choice: ChosenView, covariance_px2: Floats | None) -> dict[str, Any
         "exposure_us": facts.exposure_us,
         "gain": facts.gain,
         "light": facts.light,
+        "white_balance": None if facts.white_balance is None else facts.white_balance.gains,
         "crop_from_cad": view.crop_matrix.tolist(),
         "cad_from_crop": np.linalg.inv(view.crop_matrix).tolist(),
         "image_from_crop": view.matrix.tolist(),

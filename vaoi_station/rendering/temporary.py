@@ -11,20 +11,23 @@ from numpy.typing import NDArray
 
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.resampling import resampled, resampled_in_tiles
+from vaoi_station.photometry import WhiteBalance
 from vaoi_station.rendering.views import Tile, View, ViewTable
 
 
-def render(view: View, frame: NDArray[Any]) -> NDArray[Any]:
+def render(view: View, frame: NDArray[Any], balance: WhiteBalance | None = None) -> NDArray[Any]:
     """Resample a frame into one temporary image, (height, width) or (height, width, channels).
 
     The image has the pixel type of the frame: every pixel is the bilinear interpolation at the place that equation 22
     states, within one grey level. Places outside the frame are black; within one pixel of its border the image fades to
     black. If lens distortion matters in this view, the image is made in tiles, with an error of at most 0.004 px for
-    the lenses of such an array.
+    the lenses of such an array. With `balance`, its colours are balanced.
     """
     if view.tiles:
-        return _of_tiles(frame, view.tiles)
-    return resampled(frame, view.matrix[None], np.array([(view.width, view.height)]))[0]
+        image = _of_tiles(frame, view.tiles)
+    else:
+        image = resampled(frame, view.matrix[None], np.array([(view.width, view.height)]))[0]
+    return image if balance is None else balance.applied(image)
 
 
 def render_all(views: ViewTable, frame: Callable[[int, int], NDArray[Any] | None]) -> list[NDArray[Any] | None]:

@@ -7,12 +7,14 @@ import math
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError
+from vaoi_station.files.documents import write_json
 from vaoi_station.runs.control import pictures
 from vaoi_station.runs.control.pictures import frame_record
 from vaoi_station.runs.host import processes
@@ -124,6 +126,31 @@ def test_the_bytes_are_those_of_a_worker(rig: Any, run: str, format: Any, monkey
         reply = worker.reply(Numbered(1, job))
     assert isinstance(reply, Reply)
     assert reply.value == own
+
+
+def test_the_flat_fields_of_the_station_balance_the_colours_of_pictures(
+    rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.archive._flat_fields = tmp_path
+    grant = rig.arm()
+    rig.board(grant)
+    rig.result_of(grant.run)
+    head = rig.archive.get(grant.run).head
+    cameras = [{"width": c.width, "height": c.height, "dark": 2, "read": 1, "shot": 0.1} for c in head.cameras]
+    fields = [
+        {"camera": i, "light": light, "file": f"fields/{i}_{n}.tiff", "level": 1, "rows": 4, "white": [0.8, 1.2, 0.6]}
+        for i in range(len(cameras))
+        for n, light in enumerate(dict.fromkeys(head.lights or (None,)))
+    ]
+    write_json(
+        tmp_path / "flatfield.json", {"format": "vaoi-flatfield", "version": 1, "cameras": cameras, "fields": fields}
+    )
+    monkeypatch.setattr(pictures, "LARGEST_PX", 0)
+    rig.coordinator.image(grant.run, "U1", 0)
+    [job] = jobs(rig)
+    assert job.white_balance is not None
+    assert job.white_balance.gains == pytest.approx((1.5, 1.0, 2.0))
+    assert job.white_balance.dark == 2.0
 
 
 def test_each_of_two_callers_gets_its_own_reply_whatever_their_order(

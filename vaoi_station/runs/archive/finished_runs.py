@@ -17,6 +17,7 @@ from concurrent.futures import Future, wait
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import DeviceError, GoneError, NotFoundError, StateError, VaoiError
@@ -25,6 +26,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.identity.comparison import compare
 from vaoi_station.model import BoardType, Calibration, FrameRecord, RecordingHead, Stitch
 from vaoi_station.model.board_identity import IdentityDocument
+from vaoi_station.photometry.flat_fields import fitting_balances
 from vaoi_station.rendering import FrameFacts, ViewCalculator
 from vaoi_station.runs.archive import stored_documents
 from vaoi_station.runs.archive.event_log import EventLog
@@ -63,6 +65,8 @@ class FinishedRun:
     """The verdict without the identity of the board."""
     identity: IdentityDocument | None
     """Which board it shows; None if its boards have no codes."""
+    flat_fields: Path | None = None
+    """Directory of the station's flat fields."""
 
     @cached_property
     def view_calculator(self) -> ViewCalculator:
@@ -118,8 +122,11 @@ class FinishedRun:
         """How each frame (camera, row) was taken."""
         times_s = self.head.row_times_s().tolist() if self.head else []
         since_s = dict(enumerate(time_s - times_s[0] for time_s in times_s))
+        balances = fitting_balances(self.flat_fields, self.head)
         return {
-            key: FrameFacts(f.exposure_us, f.gain, f.light or None, since_s.get(f.row))
+            key: FrameFacts(
+                f.exposure_us, f.gain, f.light or None, since_s.get(f.row), balances.get((f.camera, f.light or None))
+            )
             for key, f in self.frame_records.items()
         }
 
@@ -130,8 +137,8 @@ class Archive:
     Runs that are not on disk yet stay in memory until they are.
     """
 
-    def __init__(self, store: Store, events: EventLog) -> None:
-        self.store, self._events = store, events
+    def __init__(self, store: Store, events: EventLog, flat_fields: Path | None = None) -> None:
+        self.store, self._events, self._flat_fields = store, events, flat_fields
         self.storage = StorageWatch(store, events, self.count_unstored)
         self.keep_s = 0.0
         """Time from the announcement of a run during which its frames are not evicted, s."""
@@ -183,7 +190,7 @@ class Archive:
         detail, document = identified(own, before, identity), progress.result.document if progress.result else None
         finished = FinishedRun(
             detail, self._finished, order.board_type, order.setup.cameras, progress.stitch, document,
-            timeline_of(progress), progress.head, before, identity,
+            timeline_of(progress), progress.head, before, identity, self._flat_fields,
         )  # fmt: skip
         # The run is put into memory before it is written: callers get its result while the disk is still busy, and even
         # if the disk refuses the result.
@@ -510,6 +517,7 @@ class Archive:
                 head=head,
                 before=RunVerdict(own.verdict, own.reasons),
                 identity=stored_documents.identity(self.store.identities.document(row.id)),
+                flat_fields=self._flat_fields,
             )
 
 

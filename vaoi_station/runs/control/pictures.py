@@ -243,7 +243,10 @@ def _job(
     minus = None if choice.minus is None else _job(finished, choice.minus, format, place, files[1:])
     file = files[0] if files else None
     run, view, ratio = finished.detail.id, choice.view, choice.ratio
-    return RenderJob(run, *place, record.slot, view, format, file=file, minus=minus, ratio=ratio)
+    balance = choice.facts.white_balance
+    return RenderJob(
+        run, *place, record.slot, view, format, file=file, minus=minus, ratio=ratio, white_balance=balance
+    )  # fmt: skip
 
 
 def frame_record(detail: RunDetail, camera: int, row: int) -> FrameRecord:

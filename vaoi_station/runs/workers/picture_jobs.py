@@ -43,7 +43,7 @@ from vaoi_station.mosaic.gains import COARSE_PX
 from vaoi_station.mosaic.reduction import Reduced, ReducedFrames
 from vaoi_station.mosaic.tile_specs import TileSpec
 from vaoi_station.mosaic.tiles import NODATA, Frames, render_tile
-from vaoi_station.photometry import FlatFields, Taken
+from vaoi_station.photometry import FlatFields, Taken, WhiteBalance
 from vaoi_station.photometry.flat_fields import changed_ns
 from vaoi_station.rendering import View, render
 from vaoi_station.rendering.temporary import subtract
@@ -126,6 +126,7 @@ class RenderJob(PictureJob):
     """The picture that is subtracted from this one (`rendering.temporary.subtract`); None for a plain picture."""
     ratio: float = 1.0
     """Factor on the grey levels of `minus`."""
+    white_balance: WhiteBalance | None = None
 
     @property
     def recorded(self) -> bool:
@@ -137,7 +138,7 @@ class RenderJob(PictureJob):
         return encode(self._picture(frame), self.format)
 
     def _picture(self, frame: ReadSlot) -> NDArray[Any]:
-        picture = render(self.view, _pixels(frame, self.slot, self.file))
+        picture = render(self.view, _pixels(frame, self.slot, self.file), self.white_balance)
         return picture if self.minus is None else subtract(picture, self.minus._picture(frame), self.ratio)
 
     def __str__(self) -> str:
