@@ -164,6 +164,29 @@ def cache_directories() -> tuple[Path, ...]:
     return _PACKAGE / "__pycache__" / "machine_code", users / "vaoi-station"
 
 
+def read_kept(file: Path) -> bytes | None:
+    """Return what `write_kept` has written to a file; None if it does not exist, or a power cut left it incomplete."""
+    with suppress(OSError):
+        # This fails if the file is not there, or belongs to a user who lets nobody read it.
+        content = file.read_bytes()
+        if hashlib.sha256(content[:-_DIGEST_BYTES]).digest() == content[-_DIGEST_BYTES:]:
+            with suppress(OSError):  # shipped code cannot be written to
+                os.utime(file)  # it is in use
+            return content[:-_DIGEST_BYTES]
+    return None
+
+
+def write_kept(file: Path, content: bytes) -> None:
+    """Write a file with its digest; a disk that is full or broken costs nothing but the time to make it again."""
+    new = file.with_suffix(f".{os.getpid()}")
+    with suppress(OSError):
+        try:
+            new.write_bytes(content + hashlib.sha256(content).digest())
+            new.replace(file)
+        finally:
+            new.unlink(missing_ok=True)
+
+
 class _KeptCode:
     """The machine code of one function on disk, a file for each combination of argument types.
 
@@ -189,16 +212,7 @@ class _KeptCode:
         context.refresh()
         name = self._file(signature, context.codegen())
         for directory in (SHIPPED, cache_directory()):
-            if directory is None:
-                continue
-            try:
-                content = (file := directory / name).read_bytes()
-            except OSError:  # it is not there, or of another user who lets nobody read it
-                continue
-            # A file that a power cut has left incomplete would keep every process from starting.
-            if hashlib.sha256(content[:-_DIGEST_BYTES]).digest() == content[-_DIGEST_BYTES:]:
-                with suppress(OSError):  # shipped code cannot be written to
-                    os.utime(file)  # it is in use
+            if directory is not None and (content := read_kept(directory / name)) is not None:
                 return result._rebuild(context, *pickle.loads(content))
         return None
 
@@ -209,15 +223,8 @@ class _KeptCode:
         dumps: Any = serialize.dumps
         if (directory := cache_directory()) is None:
             return
-        file = directory / self._file(signature, result.codegen)
-        new = file.with_suffix(f".{os.getpid()}")
+        write_kept(directory / self._file(signature, result.codegen), dumps(result._reduce()))
         with suppress(OSError):
-            try:
-                code = dumps(result._reduce())
-                new.write_bytes(code + hashlib.sha256(code).digest())
-                new.replace(file)
-            finally:
-                new.unlink(missing_ok=True)
             for old in directory.glob(f"{self._name}-*.nbc"):
                 if time.time() - old.stat().st_mtime > _UNUSED_S:
                     old.unlink()

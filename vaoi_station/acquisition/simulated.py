@@ -38,6 +38,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError, InternalError, StateError, VaoiError
 from vaoi_station.model.recording import linear_gain, row_of
 from vaoi_station.simulation import Passage, Scenario, Twin, calibration_board, read_scenario
+from vaoi_station.simulation.board.kept_artwork import kept_or_drawn
 from vaoi_station.supervised_thread import DEVICE_LIMIT_S, SupervisedThread
 
 READOUT_S = 0.008
@@ -472,7 +473,7 @@ class SimulatedController(Controller):
 def open_simulated(config: StationConfig) -> Devices:
     """Open cameras, controller and line of `config.simulation`."""
     assert config.simulation is not None
-    twin = Twin(read_scenario(config.simulation.scenario))
+    twin = Twin(read_scenario(config.simulation.scenario), kept_or_drawn)
     _check(twin.scenario, config)
     cameras = tuple(SimulatedCamera(n, simulated_clock(n), c.exposure_us) for n, c in enumerate(config.cameras))
     simulation, interlock = config.simulation, config.controller.interlock == "on"

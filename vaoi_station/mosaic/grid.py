@@ -7,10 +7,10 @@ Level k is the mosaic reduced by 2ᵏ. Deep Zoom (DZI) counts from the other end
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -124,7 +124,7 @@ def dzi_document(grid: MosaicGrid, suffix: str) -> str:
     """Return the .dzi file of a mosaic whose tiles have this suffix."""
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f'<Image xmlns={quoteattr(_DZI)} Format={quoteattr(suffix)} Overlap="0" TileSize="{TILE_PX}">'
+        f'<Image xmlns="{_DZI}" Format="{html.escape(suffix)}" Overlap="0" TileSize="{TILE_PX}">'
         f'<Size Width="{grid.width}" Height="{grid.height}"/></Image>\n'
     )
 

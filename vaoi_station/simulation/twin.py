@@ -6,7 +6,7 @@ A frame is a pure function of scenario, board number, camera and row. Frames tha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -36,6 +36,8 @@ from vaoi_station.simulation.truth import passage_truth
 TEXTURE_PER_PIXEL = 1.1
 """Texture resolution divided by image resolution. A lower value would blur frames, a much higher one would alias."""
 _SLOPE_S = 1e-4
+MakeArtwork = Callable[[BoardSection, float, float], Artwork]
+"""Function of board section, resolution in px/mm and grey of the belt."""
 
 
 class Twin:
@@ -46,8 +48,9 @@ class Twin:
         pinholes: the cameras with their real mounting errors, before any fault.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
+    def __init__(self, scenario: Scenario, artwork: MakeArtwork | None = None) -> None:
+        """Prepare a twin; `artwork` draws its boards; None: `draw`, whose latest drawings this process keeps."""
+        self.scenario, self._make_artwork = scenario, artwork or _artwork
         self.pinholes: tuple[Pinhole, ...] = mount_cameras(scenario.array)
         self._paints: dict[tuple[str, int], LitTextures] = {}
         self._shades: dict[tuple[int, str], Plane] = {}
@@ -108,7 +111,7 @@ class Twin:
     def artwork(self) -> Artwork:
         """The artwork of the boards. Twins with equal board section, resolution and belt share one artwork."""
         s = self.scenario
-        return _artwork(s.board, TEXTURE_PER_PIXEL * s.array.finest_px_per_mm, s.belt.grey)
+        return self._make_artwork(s.board, TEXTURE_PER_PIXEL * s.array.finest_px_per_mm, s.belt.grey)
 
     @property
     def parts(self) -> tuple[Part, ...]:
