@@ -94,6 +94,8 @@ class StandInDevice:
         """Entries of enumerations; by default the present one."""
         self.bounds: dict[str, tuple[float, float]] = {}
         """Limits of numbers."""
+        self.steps: dict[str, int] = {}
+        """Steps of integers; 1 by default."""
 
     def is_feature_available(self, feature: str) -> bool:
         return feature in self.features
@@ -113,8 +115,8 @@ class StandInDevice:
         low, high = self.bounds.get(feature, (0, 1 << 40))
         return int(low), int(high)
 
-    def get_integer_feature_increment(self, _feature: str) -> int:
-        return 1
+    def get_integer_feature_increment(self, feature: str) -> int:
+        return self.steps.get(feature, 1)
 
     def read_register(self, address: int) -> int:
         return self.registers.get(address, 0)

@@ -40,6 +40,28 @@ def test_a_setting_that_is_refused_or_that_the_camera_lacks_is_named() -> None:
     assert refused.value.code == "setting-refused"
 
 
+@pytest.mark.parametrize(("step", "written"), [(20, 260), (30, 260), (100, None)])
+def test_an_exposure_in_steps_is_rounded_within_its_tolerance(step: int, written: int | None) -> None:
+    camera = StandInCamera()
+    camera.device.features["ExposureTime"] = 1000
+    camera.device.bounds["ExposureTime"] = (20, 100_000)
+    camera.device.steps["ExposureTime"] = step
+    if written is None:
+        with pytest.raises(DeviceError, match=r"ExposureTime = 250 is outside of what the camera states: .*, step 100"):
+            settings.apply(camera, camera_config(exposure_us=250.0))
+    else:
+        settings.apply(camera, camera_config(exposure_us=250.0))
+        assert camera.device.features["ExposureTime"] == written
+
+
+def test_what_counts_from_one_is_off_at_one() -> None:
+    camera = StandInCamera()
+    camera.device.features["Binning"] = 2
+    camera.device.bounds["Binning"] = (1, 4)
+    settings.apply(camera, camera_config())
+    assert camera.device.features["Binning"] == 1
+
+
 @pytest.mark.parametrize(
     ("modes", "words"), [([], "it has no feature ExposureMode"), (["Timed"], "its ExposureMode offers Timed")]
 )

@@ -90,10 +90,10 @@ class Control:
         """Write a setting, read it back and compare; DeviceError if it is refused or ignored."""
         if self.features.kind(setting.feature) is None:
             raise self._lacks(f"has no feature {setting.feature}, which is to be {setting.value!r}")
-        self._require_within_limits(setting)
+        value = self._within_limits(setting)
         try:
             self.features.select(setting.at)
-            self.features.write(setting.feature, setting.value)
+            self.features.write(setting.feature, value)
         except glib_error() as error:
             why = f"; otherwise {setting.why}" if setting.why else ""
             offered = self.features.entries(setting.feature)
@@ -172,16 +172,17 @@ class Control:
             lambda db: float(round(formula.count(db, low))),
         )
 
-    def _require_within_limits(self, setting: Setting) -> None:
+    def _within_limits(self, setting: Setting) -> Value:
+        """Return the value, on a step of the camera if its tolerance permits that; DeviceError if it cannot be."""
         if isinstance(setting.value, bool | str):
-            return
+            return setting.value
         limits = None
         # A camera that does not state its limits refuses a value beyond them itself.
         with answered():
             self.features.select(setting.at)
             limits = self.features.limits(setting.feature)
         if limits is None or limits[:2] == (0, 0):  # nothing is stated
-            return
+            return setting.value
         low, high, step = limits
         if low > high or step < 0:
             raise DeviceError(
@@ -191,7 +192,8 @@ class Control:
                 code="description-wrong",
             )
         slack = max(setting.tolerance, 1e-6 * abs(setting.value))
-        off_step = step > 1 and round(setting.value - low) % step
+        nearest = setting.value if step <= 1 else int(low + round((setting.value - low) / step) * step)
+        off_step = abs(nearest - setting.value) > setting.tolerance or nearest > max(high, setting.value)
         if not low - slack <= setting.value <= high + slack or off_step:
             steps = f", step {step:g}" if step > 1 else ""
             raise DeviceError(
@@ -200,6 +202,7 @@ class Control:
                 action=_WHAT_IT_CAN,
                 code="setting-beyond-limits",
             )
+        return nearest
 
     def _lacks(self, what: str) -> DeviceError:
         return DeviceError(f"{self.name}: {what}.", action=_WHAT_IT_CAN, code="feature-absent")
@@ -405,7 +408,8 @@ def _in_kind(features: Features, name: str, wanted: Wanted) -> Value | None:
     low, high, _ = features.limits(name) or (0.0, 0.0, 0.0)
     if low == high:
         return None  # there is no choice
-    number = low if wanted is families.LEAST else wanted if isinstance(wanted, int | float) else 0.0
+    # A number that is off at 0 is off at its lowest value if it cannot be 0.
+    number = low if wanted is families.LEAST else wanted if isinstance(wanted, int | float) else max(low, 0.0)
     return int(number) if kind == "integer" else float(number)
 
 
