@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,3 +49,32 @@ def test_a_cut_file_is_refused(good_boards: tuple[TaughtBoard, ...], tmp_path: P
     path.write_bytes(path.read_bytes()[:-2000])
     with pytest.raises(InputError, match="damaged"):
         read_taught_board(path)
+
+
+def test_a_member_that_cannot_be_unpacked_is_refused(good_boards: tuple[TaughtBoard, ...], tmp_path: Path) -> None:
+    path = tmp_path / "bits.parts"
+    good_boards[0].write(path)
+    data = bytearray(path.read_bytes())
+    with zipfile.ZipFile(path) as file:
+        begin = file.getinfo("0.patches").header_offset + 30 + len("0.patches")
+    data[begin : begin + 20] = b"\xff" * 20
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"bits\.parts.*damaged"):
+        read_taught_board(path)
+
+
+@pytest.mark.parametrize(("key", "value"), [("name", None), ("body_px", []), ("body_px", "ab"), ("body_px", [1, 2, 3])])
+def test_an_edited_head_is_refused(key: str, value: Any, good_boards: tuple[TaughtBoard, ...], tmp_path: Path) -> None:
+    path, edited = tmp_path / "good.parts", tmp_path / "edited.parts"
+    good_boards[0].write(path)
+    with zipfile.ZipFile(path) as file, zipfile.ZipFile(edited, "w") as out:
+        head = json.loads(file.read("head.json"))
+        if value is None:
+            del head[key]
+        else:
+            head["grids"][0][key] = value
+        out.writestr("head.json", json.dumps(head))
+        for member in file.namelist()[1:]:
+            out.writestr(member, file.read(member))
+    with pytest.raises(InputError, match=r"edited\.parts.*damaged"):
+        read_taught_board(edited)

@@ -119,4 +119,4 @@ def main(folder: Path) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(main(Path(sys.argv[1])), default=str))
+    print(json.dumps(main(Path(sys.argv[1]).resolve()), default=str))

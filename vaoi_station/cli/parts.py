@@ -39,6 +39,10 @@ def parts(
     from vaoi_station.steps import completed
 
     refuse_input(out, case, case / "result.json", calibration, board)
+    for path in good or ():
+        for read in (path, path / "result.json"):
+            refuse_input(out, path, read, None, None)
+    _refuse_equal_names(good or [])
     run, taken_with = _stitched(case, calibration, board)
     boards = []
     for path in good or ():
@@ -64,6 +68,19 @@ def parts(
         typer.echo(f"- good board {one['board']}: {one['part']} looks otherwise than on the others; is it right there?")
     for remark in document["remarks"]:
         typer.echo(f"- {remark}")
+
+
+def _refuse_equal_names(good: list[Path]) -> None:
+    """Raise InputError if two recordings have one name: only one of them would count, and be kept."""
+    from vaoi_station.errors import InputError
+
+    known: dict[str, Path] = {}
+    for path in good:
+        if path.is_dir() and known.setdefault(path.resolve().name, path).resolve() != path.resolve():
+            raise InputError(
+                f"{path}: has the same name as another good board, {known[path.resolve().name]}.",
+                action="Rename one of the directories.",
+            )
 
 
 def _stitched(case: Path, calibration: Path | None, board: Path | None) -> tuple[Run, str]:

@@ -10,6 +10,7 @@ import hashlib
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -105,10 +106,11 @@ def read_taught_board(path: Path) -> TaughtBoard:
                     action="Teach the board again with this version.",
                 )
             grids = tuple(
-                Grid(g["name"], int(g["width"]), int(g["height"]), float(g["px_per_mm"]), tuple(g["body_px"]))
+                Grid(str(g["name"]), int(g["width"]), int(g["height"]), float(g["px_per_mm"]), _size(g["body_px"]))
                 for g in head["grids"]
             )
-            addresses = tuple(tuple(g["parts"]) for g in head["grids"])
+            addresses = tuple(tuple(str(part) for part in g["parts"]) for g in head["grids"])
+            name, board_type, calibration = (str(head[key]) for key in ("name", "board_type", "calibration"))
             classes = tuple(ViewClass(str(light), float(exposure)) for light, exposure in head["classes"])
             pictures, heights = [], []
             for n, (grid, parts) in enumerate(zip(grids, addresses, strict=True)):
@@ -117,15 +119,17 @@ def read_taught_board(path: Path) -> TaughtBoard:
                 heights.append(
                     np.frombuffer(file.read(f"{n}.heights"), "<f4").reshape(len(parts), 3).astype(np.float32)
                 )
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, LookupError, ValueError, TypeError, RuntimeError) as error:
         raise InputError(
             f"{path}: is no file of a taught board, or damaged: {error}.",
             action="Remove it, and teach the board again.",
         ) from error
-    return TaughtBoard(
-        head["name"], head["board_type"], head["calibration"], classes, grids, addresses, tuple(pictures),
-        tuple(heights),
-    )  # fmt: skip
+    return TaughtBoard(name, board_type, calibration, classes, grids, addresses, tuple(pictures), tuple(heights))
+
+
+def _size(value: Sequence[float]) -> tuple[float, float]:
+    width, height = value
+    return float(width), float(height)
 
 
 def joined(pieces: Sequence[TaughtBoard]) -> TaughtBoard:

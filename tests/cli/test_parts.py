@@ -1,0 +1,29 @@
+"""`vaoi parts`: what would lose a good board is refused before anything is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.cli.conftest import Result
+
+
+def test_a_good_board_is_not_overwritten(tmp_path: Path, vaoi: Callable[..., Result]) -> None:
+    good = tmp_path / "good.parts"
+    good.write_bytes(b"a good board")
+    done = vaoi("parts", tmp_path / "case", "--good", good, "--out", good)
+    assert done.code == 2
+    assert "good.parts: is read by this command and is not overwritten" in done.err
+    assert good.read_bytes() == b"a good board"
+    result = tmp_path / "good" / "result.json"
+    done = vaoi("parts", tmp_path / "case", "--good", result.parent, "--out", result)
+    assert "result.json: is read by this command and is not overwritten" in done.err
+
+
+def test_two_recordings_of_one_name_are_refused(tmp_path: Path, vaoi: Callable[..., Result]) -> None:
+    monday, tuesday = tmp_path / "monday" / "1", tmp_path / "tuesday" / "1"
+    monday.mkdir(parents=True)
+    tuesday.mkdir(parents=True)
+    done = vaoi("parts", tmp_path / "case", "--good", monday, "--good", tuesday, "--out", tmp_path / "parts.json")
+    assert done.code == 2
+    assert "has the same name as another good board" in done.err
