@@ -35,7 +35,7 @@ KINDS = (
     _Kind(("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"), 1, 2),
     _Kind(("AcquisitionBurstFrameCount", "TriggerDivider", "TriggerMultiplier"), 1, 2),
     _Kind(("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"), False, 1),
-    _Kind(("TestPattern", "TestImageSelector"), "Off", ""),
+    _Kind(("TestPattern", "TestImageSelector", "PtpMode"), "Off", ""),
     _Kind(("SequencerMode", "SequencerConfigurationMode"), "Off", "On"),
     _Kind(("SequenceEnable", "PtpEnable", "GevIEEE1588", "pgrHDRModeEnabled"), False, 1),
     _Kind(("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "SharpnessAuto", "HueAuto"), "Off", ""),

@@ -65,8 +65,8 @@ MODES = (
     Neutral(
         ("AcquisitionBurstFrameCount", "TriggerFrameCount", "triggerFrameCount"), 1, "one pulse would give many frames"
     ),
-    # PTP, under its names in SFNC 2 and GigE Vision: the station fits every clock by itself.
-    Neutral(("PtpEnable", "GevIEEE1588"), OFF, "the camera's clock might jump"),
+    # PTP, under its names in SFNC 2, GigE Vision and AVT_Manta_G507B: the station fits every clock by itself.
+    Neutral(("PtpEnable", "GevIEEE1588", "PtpMode"), OFF, "the camera's clock might jump"),
     Neutral(("DeviceScanType",), ("Areascan", "AreaScan"), "lines instead of frames would be sent"),
     Neutral(
         (
