@@ -88,6 +88,22 @@ def test_what_a_displacement_does_not_explain_is_refused(made: Made, knocked_twi
         calibrate_exchanged(twin.calibration, twin.heads, [moved])
 
 
+def test_after_the_camera_was_touched_the_latest_two_boards_count(
+    made: Made, knocked_twin: Callable[..., Twin]
+) -> None:
+    twin = knocked_twin()
+    vague = without_place(twin.calibration, 1)
+
+    def run(number: int, x_px: float) -> RunCheck:
+        return made(number, [(0.0, 0.0, 0.0), (x_px, -8.0, 1.0), (0.0, 0.0, 0.0)])
+
+    with pytest.raises(InputError, match="the runs disagree about camera 1") as refused:
+        calibrate_exchanged(vague, twin.heads, [run(0, 20.0), run(1, 24.0)])
+    assert (refused.value.action or "").startswith("Let more boards pass")
+    proposal = calibrate_exchanged(vague, twin.heads, [run(0, 20.0), run(1, 24.0), run(2, 24.0)])
+    assert proposal.found.displacement_px[1] == pytest.approx((24.0, -8.0, 1.0), abs=0.01)
+
+
 def test_a_calibration_board_that_lay_elsewhere_calibrates_the_new_camera_alone(
     knocked_twin: Callable[..., Twin],
 ) -> None:

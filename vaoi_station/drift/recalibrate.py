@@ -30,6 +30,8 @@ _AGREE_PX, _AGREE_SIGMAS = 0.15, 5.0
 It is stated in px and in standard deviations; the larger of the two is the limit."""
 _LEFT_PX, _LEFT_FACTOR = 0.3, 3.0
 """Largest accepted rms residual of an exchanged camera, px, and as a multiple of the smallest one of the others."""
+_LEAST_AGREEING = 2
+"""Least number of the latest runs that show an exchanged camera if those before disagree with them."""
 _STEP_PX = 0.05
 
 
@@ -86,9 +88,23 @@ def recalibrate(calibration: Calibration, heads: Sequence[CameraHead], checks: S
 def calibrate_exchanged(calibration: Calibration, heads: Sequence[CameraHead], checks: Sequence[RunCheck]) -> Proposal:
     """Propose a calibration with N_i of the cameras that are not calibrated; one run may suffice. All others are held.
 
-    `checks` are those of runs that were stitched with the calibration. `InputError`: no camera is to be calibrated, the
-    runs show it too little, another camera has moved as well, or the camera sees otherwise than its predecessor.
+    `checks` are those of runs that were stitched with the calibration. If they disagree, the latest ones count, at
+    least two: the camera was touched in between. `InputError`: no camera is to be calibrated, the runs show too little,
+    another camera has moved as well, or the camera sees otherwise than its predecessor.
     """
+    while True:
+        try:
+            return _calibrated(calibration, heads, checks)
+        except InputError as refusal:
+            if refusal.code != "runs-disagree":
+                raise
+            if len(checks) <= _LEAST_AGREEING:
+                action = "Let more boards pass, and do not touch the camera. If they disagree too, its mount is loose."
+                raise InputError(refusal.message, action=action, code=refusal.code) from refusal
+            checks = checks[-max(_LEAST_AGREEING, len(checks) // 2) :]
+
+
+def _calibrated(calibration: Calibration, heads: Sequence[CameraHead], checks: Sequence[RunCheck]) -> Proposal:
     cameras = calibration.cameras(tuple(heads))
     new = uncalibrated(cameras)
     if not new:

@@ -206,7 +206,7 @@ const cameras = {
     put: (serial) => `${serial} an den Platz setzen`,
     done: (name, serial) => `${serial} ist am Platz von Kamera ${name}. Jetzt die Linie aktivieren, eine Baugruppe durchlaufen lassen und deaktivieren.`,
     heads: ["Seriennummer", "Modell", "Hersteller", "Adresse", "Anschluss", "Zustand"],
-    states: { place: (name) => `Kamera ${name}`, foreign: "frei, mit einer Adresse aus einem anderen Netz", used: "von einem anderen Programm benutzt", free: "frei" },
+    states: { place: (name) => `Kamera ${name}`, foreign: "mit einer Adresse aus einem anderen Netz", used: "von einem anderen Programm benutzt", free: "frei" },
     uncalibrated: (name) => `Kamera ${name} wurde getauscht und ist noch nicht kalibriert: Bis dahin sind Baugruppen nur mit Vorbehalt gut.`,
     noBoard: "Die Linie aktivieren, eine Baugruppe durchlaufen lassen und deaktivieren.",
     notYet: (n) => `${n === 1 ? "Eine Baugruppe ist" : `${n} Baugruppen sind`} durchgelaufen; das genügt noch nicht.`,

@@ -205,7 +205,7 @@ const cameras = {
     put: (serial) => `Put ${serial} in its place`,
     done: (name, serial) => `${serial} is in the place of camera ${name}. Now arm the line, let a board pass, and disarm it.`,
     heads: ["Serial number", "Model", "Maker", "Address", "Port", "State"],
-    states: { place: (name) => `camera ${name}`, foreign: "free, with an address of another network", used: "used by another program", free: "free" },
+    states: { place: (name) => `camera ${name}`, foreign: "with an address of another network", used: "used by another program", free: "free" },
     uncalibrated: (name) => `Camera ${name} was exchanged and is not calibrated yet: its boards are good only with reservations.`,
     noBoard: "Arm the line, let a board pass, and disarm it.",
     notYet: (n) => `${n === 1 ? "One board has" : `${n} boards have`} passed, and that does not suffice yet.`,
