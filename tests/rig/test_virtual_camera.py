@@ -1,40 +1,15 @@
-"""The description and the pictures of a virtual camera."""
+"""The pictures of a virtual camera."""
 
 from __future__ import annotations
 
-from xml.etree import ElementTree as ET
+import gzip
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vaoi_station.rig.virtual_camera import (
-    BLACK_LEVEL,
-    apply_brightness,
-    with_line0_trigger,
-)
-
-DESCRIPTION = """<RegisterDescription>
-<Enumeration Name="Other"><EnumEntry Name="Line0"><Value>0</Value></EnumEntry></Enumeration>
-<Enumeration Name="TriggerSource" NameSpace="Standard">
-<EnumEntry Name="Line0" NameSpace="Standard"><Value>0</Value></EnumEntry>
-<EnumEntry Name="Software" NameSpace="Standard"><Value>1</Value></EnumEntry>
-</Enumeration>
-</RegisterDescription>
-"""
-
-
-def numbers(description: str, enumeration: str) -> dict[str, int]:
-    """Name → number of the entries of one enumeration."""
-    root = ET.fromstring(description)
-    [found] = [e for e in root.iter("Enumeration") if e.get("Name") == enumeration]
-    return {str(entry.get("Name")): int(entry.findtext("Value") or "") for entry in found.iter("EnumEntry")}
-
-
-def test_only_the_trigger_sources_change_places() -> None:
-    changed = with_line0_trigger(DESCRIPTION)
-    assert numbers(changed, "TriggerSource") == {"Line0": 1, "Software": 0}
-    assert numbers(changed, "Other") == {"Line0": 0}
-
+from vaoi_station.errors import InputError
+from vaoi_station.rig.virtual_camera import BLACK_LEVEL, OWN_DESCRIPTION, apply_brightness, read_description
 
 MONO_8, MONO_16 = 0x01080001, 0x01100007
 
@@ -49,3 +24,29 @@ def test_light_multiplies_what_is_above_the_black_level(code: int, kind: str, sc
     assert half == [black // 2, black, black + 5 * scale, 101 * scale, round(black + (top - black) / 2)]
     assert apply_brightness(flat, 0.0, code).view(kind).tolist() == [black] * 5
     assert apply_brightness(flat, 100.0, code).view(kind).tolist()[2:] == [top] * 3
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("cut.xml", OWN_DESCRIPTION.read_bytes()[:900], "cannot be parsed"),
+        ("other.xml", b"<html/>", "no element RegisterDescription"),
+        ("cut.xml.gz", gzip.compress(OWN_DESCRIPTION.read_bytes())[:200], "ended before"),
+        ("plain.xml.gz", OWN_DESCRIPTION.read_bytes(), "Not a gzipped file"),
+        ("missing.xml", None, "No such file"),
+    ],
+)
+def test_a_file_that_is_no_description_is_refused_by_its_name(
+    tmp_path: Path, name: str, content: bytes | None, why: str
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"{name}: cannot be read as the description of a camera: .*{why}"):
+        read_description(path)
+
+
+def test_a_packed_description_is_read_as_the_plain_one(tmp_path: Path) -> None:
+    packed = tmp_path / "camera.xml.gz"
+    packed.write_bytes(gzip.compress(OWN_DESCRIPTION.read_bytes()))
+    assert read_description(packed) == read_description(OWN_DESCRIPTION)

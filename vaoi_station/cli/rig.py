@@ -24,6 +24,13 @@ FAULTS = Annotated[
         "--fault", help="Inject a fault: NAME or NAME:KEY=VALUE,…; repeat for several. `vaoi rig faults` lists them."
     ),
 ]
+DESCRIPTIONS = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--description",
+        help="GenICam description (.xml, .xml.gz) of the cameras; repeat for several, one per camera in turn.",
+    ),
+]
 FILMS = Annotated[
     Path | None, typer.Option(help="Keep rendered boards in this directory for the next call [not kept].")
 ]
@@ -37,6 +44,7 @@ def run(
     cameras: CAMERAS = None,
     boards: Annotated[int, typer.Option(min=1, max=1000, help="Number of boards that pass.")] = 3,
     fault: FAULTS = None,
+    description: DESCRIPTIONS = None,
     films: FILMS = None,
     different: DIFFERENT = 3,
     workers: Annotated[int, typer.Option(min=1, max=64, help="Number of worker processes of the station.")] = 2,
@@ -51,6 +59,7 @@ def run(
     from vaoi_station.rig.network import enter_namespace
     from vaoi_station.rig.report import text_lines
     from vaoi_station.rig.run import Plan, run_rig
+    from vaoi_station.rig.virtual_camera import read_description
     from vaoi_station.simulation import find_scenario, read_scenario
 
     path, words = find_scenario(scenario), tuple(fault or ())
@@ -63,10 +72,13 @@ def run(
         films,
         min(different, boards),
         workers,
+        tuple(description or ()),
     )
     check_supported(plan.scenario)
     check_faults(plan.faults, plan.scenario.array.cameras, boards)
     check_sources()
+    for file in description or ():
+        read_description(file)
     enter_namespace()
     try:
         with interruptible():
@@ -87,6 +99,7 @@ def up(
     scenario: SCENARIO = "demo",
     cameras: CAMERAS = None,
     fault: FAULTS = None,
+    description: DESCRIPTIONS = None,
     films: FILMS = None,
     different: DIFFERENT = 3,
     still: Annotated[
@@ -107,6 +120,7 @@ def up(
     from vaoi_station.rig.line import check_supported, with_cameras
     from vaoi_station.rig.network import enter_namespace, may_add_addresses
     from vaoi_station.rig.run import run_until_interrupted
+    from vaoi_station.rig.virtual_camera import read_description
     from vaoi_station.simulation import find_scenario, read_scenario
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -116,6 +130,8 @@ def up(
     check_supported(chosen)
     check_faults(faults, chosen.array.cameras, different)
     check_sources()
+    for file in description or ():
+        read_description(file)
     # To add addresses to loopback needs a privilege. Inside a new network name space the process has it.
     if own_network or not may_add_addresses():
         enter_namespace()
@@ -123,7 +139,14 @@ def up(
     try:
         with interruptible():
             run_until_interrupted(
-                chosen, faults, out.resolve(), (films or out / "films").resolve(), different, typer.echo, still=still
+                chosen,
+                faults,
+                out.resolve(),
+                (films or out / "films").resolve(),
+                different,
+                typer.echo,
+                still=still,
+                descriptions=tuple(file.resolve() for file in description or ()),
             )
     except KeyboardInterrupt:
         raise typer.Exit(0) from None

@@ -20,7 +20,7 @@ class TriggerCommand:
     picture: int
     """Index of the picture in the selected file of frames; DARK: a black frame."""
     timestamp_ns: int = 0
-    """Start of the exposure, ns in the camera's clock; 0: use the time at which the frame is sent."""
+    """Start of the exposure, ns of CLOCK_MONOTONIC; 0: use the time at which the frame is sent."""
     brightness: float = 1.0
     """Factor on the grey values above the black level."""
     lost_share: float = 0.0
@@ -48,8 +48,18 @@ ReportHandler = Callable[[str, int, int], None]
 class CameraProcess(DeviceProcess):
     """The process of one virtual camera."""
 
-    def __init__(self, address: str, serial: str, on_report: ReportHandler = lambda _word, _picture, _id: None) -> None:
-        command = [sys.executable, "-m", "vaoi_station.rig.virtual_camera", address, serial]
+    def __init__(
+        self,
+        address: str,
+        serial: str,
+        on_report: ReportHandler = lambda _word, _picture, _id: None,
+        sensor_px: tuple[int, int] = (640, 480),
+        description: Path | None = None,
+    ) -> None:
+        """Prepare the process; without a file with a description the camera has the rig's own."""
+        command = [sys.executable, "-m", "vaoi_station.rig.virtual_camera", address, serial, *map(str, sensor_px)]
+        if description is not None:
+            command.append(str(description))
         super().__init__(f"the virtual camera at {address}", command)
         self.address, self.serial, self._on_report = address, serial, on_report
         self._frames: Path | None = None

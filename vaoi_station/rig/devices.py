@@ -44,9 +44,19 @@ class Devices:
         folder: Path,
         frame_faults: FrameFaults | None = None,
         on_row: Callable[[int, int], None] = lambda _board, _row: None,
+        descriptions: Sequence[Path] = (),
     ) -> None:
-        """Prepare the devices; they start when the context is entered."""
+        """Prepare the devices; they start when the context is entered.
+
+        Args:
+            scenario: what the cameras see, and how many there are.
+            folder: folder for files of the devices.
+            frame_faults: faults of frames.
+            on_row: is called for every row before the cameras are triggered.
+            descriptions: descriptions that the cameras serve in turn; none: the rig's own.
+        """
         self._scenario, self._folder, self._on_row = scenario, folder, on_row
+        self._descriptions = tuple(descriptions)
         self._frame_faults = frame_faults or FrameFaults()
         self._resources = ExitStack()
         self.addresses = addresses(scenario.array.cameras)
@@ -56,10 +66,7 @@ class Devices:
         with ExitStack() as resources:
             resources.enter_context(LoopbackAddresses(self.addresses))
             built = build(self._folder / "firmware")
-            self.cameras = [
-                CameraProcess(address, f"VAOI-{n:02d}", partial(self._report, n))
-                for n, address in enumerate(self.addresses)
-            ]
+            self.cameras = [self._camera(n, address, f"VAOI-{n:02d}") for n, address in enumerate(self.addresses)]
             for camera in self.cameras:
                 resources.callback(camera.stop)
                 camera.start()
@@ -82,7 +89,7 @@ class Devices:
     def exchange_camera(self, number: int, address: str, serial: str) -> None:
         """Unplug a camera, and plug in another one at its place, which answers at another address."""
         self.cameras[number].kill()
-        other = CameraProcess(address, serial, partial(self._report, number))
+        other = self._camera(number, address, serial)
         self._resources.callback(other.stop)
         other.start()
         other.wait_ready()
@@ -92,6 +99,11 @@ class Devices:
     def lay_calibration_board(self) -> None:
         """Render frames of the calibration board, which cameras send for pulses fired while no board passes."""
         self._renderer.render(FrameRequest(None))
+
+    def _camera(self, number: int, address: str, serial: str) -> CameraProcess:
+        description = self._descriptions[number % len(self._descriptions)] if self._descriptions else None
+        sensor_px = self._scenario.array.frame_px(number)
+        return CameraProcess(address, serial, partial(self._report, number), sensor_px, description)
 
     def _report(self, camera: int, word: str, picture: int, _: int) -> None:
         self.line.on_camera_report(camera, word, picture)

@@ -41,7 +41,6 @@ BRIGHTNESS_TOLERANCE = 0.005
 """Relative difference up to which a brightness counts as the rendered brightness. LED on-times are exact to 0.2 µs."""
 LOST_PACKET_SHARE = 0.05
 
-_MIN_READINGS, _MAX_READINGS, _NARROW_NS = 3, 100, 20_000
 END_MARGIN_S = 0.5
 
 FrameOutcome = Literal["sent", "ignored", "hit", "lost", "dead", "late", "unarmed"]
@@ -117,7 +116,7 @@ class FiredPulse:
     note: str = ""
     """Text that states how the pulse differs from the pulse for which frames were rendered; empty if it does not."""
     sent_ms: dict[int, float] = field(default_factory=dict)
-    """Camera → time, ms, from the pulse to the first packet of the camera's frame."""
+    """Camera → time, ms, from the pulse to the last packet of the camera's frame."""
 
 
 @dataclass
@@ -256,9 +255,8 @@ class VirtualLine:
         passage.fired.append(fired)
         # The cameras are triggered here, in the chip's thread, because a queue between threads would add latency.
         if row is not None and not note:
-            timestamp_ns = wall_clock_ns(pulse.host_ns)
             for n in range(count):
-                self._trigger_camera(passage, fired, row, n, timestamp_ns)
+                self._trigger_camera(passage, fired, row, n)
         if note:
             t = (pulse.cycle - passage.start_cycle) / HZ
             light_name = self._lighting.light_of(pulse) or passage.rendered.metadata.lights[0]
@@ -275,15 +273,13 @@ class VirtualLine:
             return f"LED channels {pulse.channels} were lit, not those of {light!r}"
         return ""
 
-    def _trigger_camera(
-        self, passage: BoardPassage, fired: FiredPulse, row: int, camera: int, timestamp_ns: int
-    ) -> None:
+    def _trigger_camera(self, passage: BoardPassage, fired: FiredPulse, row: int, camera: int) -> None:
         if (passage.board, row, camera) in self._frame_faults.ignored:
             fired.outcomes[camera] = "ignored"
             return
         fired.outcomes[camera], lost = self._outcome(passage, row, camera)
         picture = row * len(self._cameras) + camera
-        timestamp_ns += self._frame_faults.stamp_delay_ns(passage.board, camera)
+        timestamp_ns = fired.pulse.host_ns + self._frame_faults.stamp_delay_ns(passage.board, camera)
         timed, by_width = self._lighting.brightnesses(fired.pulse, camera, row)
         if not self._cameras[camera].trigger(TriggerCommand(picture, timestamp_ns, timed, lost, by_width)):
             fired.outcomes[camera] = "dead"
@@ -300,24 +296,13 @@ class VirtualLine:
                 frames = self._render_on_demand(request)
             except InternalError:  # the rig is being stopped
                 return
-            timestamp_ns = wall_clock_ns(pulse.host_ns)
             for n, camera in enumerate(self._cameras):
-                stamp_ns = timestamp_ns + self._frame_faults.stamp_delay_ns(max(self._boards - 1, 0), n)
+                stamp_ns = pulse.host_ns + self._frame_faults.stamp_delay_ns(max(self._boards - 1, 0), n)
                 command = TriggerCommand(n if frames else DARK, stamp_ns, self._lighting.brightness(pulse, n))
                 camera.trigger(command, frames)
 
         # Rendering takes longer than a trigger period. In the chip's thread it would delay the pulses that follow.
         threading.Thread(target=send, name="late frames", daemon=True).start()
-
-
-def wall_clock_ns(host_ns: int) -> int:
-    """Convert a time of CLOCK_MONOTONIC to CLOCK_REALTIME, the clock of the virtual cameras. Both are in ns."""
-    # An interruption between the readings of two clocks makes their difference wrong: the shortest of several counts.
-    readings: list[tuple[int, int]] = []
-    while len(readings) < _MIN_READINGS or (min(readings)[0] > _NARROW_NS and len(readings) < _MAX_READINGS):
-        before_ns, wall_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        readings.append((after_ns - before_ns, wall_ns - (before_ns + after_ns) // 2))
-    return host_ns + min(readings)[1]
 
 
 def _rendered_row(passage: BoardPassage, pulse: Pulse) -> tuple[int | None, float]:

@@ -126,6 +126,8 @@ class Plan:
     """Folder in which rendered boards are kept; None: a temporary folder."""
     different: int = 3
     workers: int = 2
+    descriptions: tuple[Path, ...] = ()
+    """GenICam descriptions that the cameras serve in turn; none: the rig's own."""
 
 
 @dataclass
@@ -171,7 +173,8 @@ def run_rig(plan: Plan, progress: Callable[[str], None]) -> RigReport:
         )
         injector = FaultInjector(plan.faults)
         progress(f"Starting {scenario.array.cameras} cameras and the controller.")
-        with Devices(scenario, folder, frame_faults_of(plan.faults), injector.on_row) as devices:
+        frame_faults = frame_faults_of(plan.faults)
+        with Devices(scenario, folder, frame_faults, injector.on_row, plan.descriptions) as devices:
             site: dict[str, Any] = {"name": f"rig-{os.getpid()}", "workers": plan.workers, "interlock": True}
             config = build_site(
                 scenario, rendered[0], folder, addresses=devices.addresses, port=devices.terminal, **site
@@ -364,12 +367,13 @@ def run_until_interrupted(
     progress: Callable[[str], None],
     *,
     still: bool = False,
+    descriptions: Sequence[Path] = (),
 ) -> NoReturn:
     """Run the devices until Ctrl-C. At the end all processes are stopped, and only the files in `folder` are left."""
     faulty = with_belt_faults(scenario, faults)
     boards = prepare_boards(faulty, faults, different, different, cache, progress)
     injector = FaultInjector(faults)
-    with Devices(faulty, folder, frame_faults_of(faults), injector.on_row) as devices, injector:
+    with Devices(faulty, folder, frame_faults_of(faults), injector.on_row, descriptions) as devices, injector:
         injector.attach(devices)
         progress("Rendering the calibration board.")
         # The frames of the calibration board are rendered now, so that a station that starts at once need not wait.

@@ -1,108 +1,81 @@
-"""A virtual GigE Vision camera: Aravis' fake camera with a hardware trigger, given frames and packet loss.
+"""The process of a virtual GigE Vision camera: frames from a file for triggers on standard input.
 
-    python -m vaoi_station.rig.virtual_camera 127.0.0.2 SERIAL
+    python -m vaoi_station.rig.virtual_camera 127.0.0.2 SERIAL WIDTH HEIGHT [DESCRIPTION]
 
-Standard input takes one command per line:
+WIDTH and HEIGHT are those of its sensor; DESCRIPTION is a file with its GenICam description. Standard input takes one
+command per line:
 
     film PATH                          raw frames in one file, each as large as the client's payload;
                                        used by the triggers that follow
     fire PICTURE STAMP LIGHT LOST WIDE a rising edge of the trigger line: send this picture of the file (-1: black)
 
-STAMP is the start of the exposure, ns of CLOCK_REALTIME (0: now). LIGHT is a factor on the brightness; WIDE is that in
-the ExposureMode TriggerWidth, or None for the same. LOST is the share of the packets that are not sent. Standard output
-has `ready ADDRESS`, then `sent PICTURE ID` for every frame, and `ignored PICTURE` for a trigger that came while no
-client had armed the camera. The program ends at the end of its standard input.
-
-The fake accepts a trigger only while its source register holds the number of *Software*. So the numbers of *Line0* and
-*Software* are exchanged in its GenICam description: a client that selects Line0 has selected what the rig triggers.
+STAMP is the time of the edge, ns of CLOCK_MONOTONIC (0: now). LIGHT is a factor on the brightness; WIDE is that in
+the ExposureMode TriggerWidth, or None for the same. LOST is the share of the packets that are not sent, neither when
+the client asks for them again. Standard output has `ready ADDRESS`, then `sent PICTURE ID` for every frame, and
+`ignored PICTURE` for a trigger that came while no client had armed the camera. The program ends at the end of its
+standard input.
 """
 
 from __future__ import annotations
 
-import ctypes
+import gzip
 import mmap
-import re
+import random
 import sys
-import tempfile
 import threading
-from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.acquisition.cameras.aravis.library import aravis, shared_library
-from vaoi_station.errors import DeviceError, InternalError, VaoiError
-from vaoi_station.rig.camera_process import DARK, TriggerCommand
+from vaoi_station.errors import DeviceError, InputError, VaoiError
+from vaoi_station.rig.camera_process import TriggerCommand
+from vaoi_station.rig.gige.camera import Camera, as_it_is
+from vaoi_station.rig.gige.description import Description, DescriptionError
+from vaoi_station.rig.gige.first_values import Sensor
 
-_ENTRY = re.compile(r'(<EnumEntry Name="([^"]*)"[^>]*>.*?<Value>)(\d+)', re.DOTALL)
-_TEMPERATURE = """
-	<Float Name="DeviceTemperature" NameSpace="Standard">
-		<DisplayName>Device Temperature</DisplayName>
-		<Value>{celsius}</Value>
-		<Unit>C</Unit>
-	</Float>
-"""
-
-EXPOSURE_MODE_ADDRESS = 0x9000
-"""Address of the register that holds the ExposureMode, in the fake's memory beyond its own registers."""
-TIMED, TRIGGER_WIDTH = 0, 1
-_EXPOSURE_MODE = f"""
-	<Enumeration Name="ExposureMode" NameSpace="Standard">
-		<DisplayName>Exposure Mode</DisplayName>
-		<EnumEntry Name="Timed" NameSpace="Standard"><Value>{TIMED}</Value></EnumEntry>
-		<EnumEntry Name="TriggerWidth" NameSpace="Standard"><Value>{TRIGGER_WIDTH}</Value></EnumEntry>
-		<pValue>ExposureModeRegister</pValue>
-	</Enumeration>
-	<IntReg Name="ExposureModeRegister" NameSpace="Custom">
-		<Address>{EXPOSURE_MODE_ADDRESS}</Address>
-		<Length>4</Length>
-		<AccessMode>RW</AccessMode>
-		<pPort>Device</pPort>
-		<Sign>Unsigned</Sign>
-		<Endianess>BigEndian</Endianess>
-	</IntReg>
-"""
-
-
-def with_line0_trigger(description: str, celsius: float = 41.5) -> str:
-    """Return the fake's GenICam description with Line0 as trigger source, a temperature and ExposureMode."""
-    sources = re.search(r'<Enumeration Name="TriggerSource".*?</Enumeration>', description, re.DOTALL)
-    numbers = {entry[2]: entry[3] for entry in _ENTRY.finditer(sources[0])} if sources is not None else {}
-    if sources is None or not {"Line0", "Software"} <= numbers.keys():
-        raise InternalError("Aravis' fake camera has no trigger source Line0 or Software.")
-    exchanged = numbers | {"Line0": numbers["Software"], "Software": numbers["Line0"]}
-    inside = _ENTRY.sub(lambda entry: entry[1] + exchanged[entry[2]], sources[0])
-    added = _TEMPERATURE.format(celsius=celsius) + _EXPOSURE_MODE + "</RegisterDescription>"
-    return (description[: sources.start()] + inside + description[sources.end() :]).replace(
-        "</RegisterDescription>", added
-    )
-
-
-POLL_HZ = 50.0
-"""Frequency at which Aravis' fake camera polls its trigger register. A higher frequency costs CPU time, because the
-fake waits in a busy loop during the last millisecond of each interval.
-"""
+OWN_DESCRIPTION = Path(__file__).with_name("gige") / "camera.xml"
 BLACK_LEVEL = 2
+FIRST_ID = 65_400
+"""Of the first frame: soon before the numbers begin again, so that this happens in every run."""
 _MONO_16 = 0x01100007
+
+
+def read_description(path: Path) -> str:
+    """Read a GenICam description, .xml or .xml.gz."""
+    try:
+        content = path.read_bytes()
+        text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode("utf-8-sig")
+        Description(text)
+    except (OSError, EOFError, UnicodeDecodeError, DescriptionError) as error:
+        raise InputError(
+            f"{path}: cannot be read as the description of a camera: {error}",
+            action="Give the GenICam file of a camera, as XML or packed by gzip.",
+        ) from error
+    return text
 
 
 class VirtualCamera:
     """One virtual camera at one local address. It serves its clients until the process ends."""
 
-    def __init__(self, address: str, serial: str, output: TextIO) -> None:
+    def __init__(
+        self, address: str, serial: str, sensor: Sensor, output: TextIO, description: str | None = None
+    ) -> None:
         """Start to serve GVCP and GVSP at the address, and write the line `ready` to `output`."""
-        self._aravis, self._library = _aravis()
-        self._output, self._commands = output, deque[tuple[TriggerCommand, _FrameFile]]()
-        self._reporting = threading.Lock()
+        self._output, self._reporting = output, threading.Lock()
         self._frames = _FrameFile()
-        self._server = self._serve(address, serial)
-        self._fake = self._server.get_fake_camera()
-        self._fake.set_trigger_frequency(POLL_HZ)
-        # The C library keeps no reference to the callback. Without this attribute Python would free it.
-        self._fill = _FILL(self._fill_buffer)
-        self._library.arv_fake_camera_set_fill_pattern(hash(self._fake), self._fill, None)
+        self._random = random.Random(serial)
+        text = read_description(OWN_DESCRIPTION) if description is None else description
+        try:
+            self.camera = Camera(address, text, serial=serial, sensor=sensor)
+        except OSError as error:
+            raise DeviceError(
+                f"no camera can be served at {address}: {error.strerror} (is UDP port 3956 in use?).",
+                action=f"ip addr add {address}/8 dev lo",
+            ) from error
+        self.camera.next_id = FIRST_ID
         self.report(f"ready {address}")
 
     def execute(self, line: str) -> None:
@@ -121,69 +94,22 @@ class VirtualCamera:
             self._output.write(line + "\n")
             self._output.flush()
 
-    def _serve(self, address: str, serial: str) -> Any:
-        plain = self._aravis.FakeCamera.new(serial).get_genicam_xml()
-        text = plain[0] if isinstance(plain, tuple) else plain
-        # The fake camera reads this file once, in its constructor. Afterwards the file may be deleted.
-        with tempfile.NamedTemporaryFile("w", suffix=".xml") as file:
-            file.write(with_line0_trigger(text))
-            file.flush()
-            server = self._aravis.GvFakeCamera.new_full(address, serial, file.name)
-        if not server.is_running():
-            raise DeviceError(
-                f"no camera can be served at {address}: the machine has no such address, or UDP port 3956 is in use.",
-                action=f"ip addr add {address}/8 dev lo",
-            )
-        return server
-
     def _trigger(self, command: TriggerCommand) -> None:
-        if not self._armed():
-            self.report(f"ignored {command.picture}")
-            return
-        self._commands.append((command, self._frames))
-        self._fire()
+        camera = self.camera
+        brightness = command.brightness
+        if command.by_width is not None and camera.offers("ExposureMode"):
+            brightness = command.by_width if camera.value("ExposureMode") == "TriggerWidth" else brightness
+        pixels = self._frames.picture(command.picture, brightness, camera.payload_bytes, camera.stream.pixel_format)
 
-    def _fire(self) -> None:
-        self._write("TRIGGER_SOFTWARE", 1)
+        def without_lost(packets: list[bytes]) -> Sequence[bytes]:
+            count = min(max(round(command.lost_share * len(packets)), 1), len(packets))
+            lost = frozenset(self._random.sample(range(len(packets)), count))
+            return [packet for k, packet in enumerate(packets) if k not in lost]
 
-    def _armed(self) -> bool:
-        """Whether a client has armed the camera for the hardware trigger.
-
-        A real camera ignores a trigger edge before AcquisitionStart. Aravis' fake camera would keep the edge and send a
-        frame later.
-        """
-        return bool(
-            self._fake.get_control_channel_privilege()
-            and self._fake.get_acquisition_status()
-            and self._fake.is_in_software_trigger_mode()
-        )
-
-    def _exposes_by_width(self) -> bool:
-        """Whether the client has selected the exposure mode TriggerWidth."""
-        return bool(self._fake.read_register(EXPOSURE_MODE_ADDRESS)[1] == TRIGGER_WIDTH)
-
-    def _write(self, register: str, value: int) -> None:
-        self._fake.write_register(getattr(self._aravis, f"FAKE_CAMERA_REGISTER_{register}"), value)
-
-    def _fill_buffer(self, buffer: int, _: Any, _exposure_us: int, _gain: int, pixel_format: int) -> None:
-        """Fill the buffer of a frame. The server's thread calls this method before it sends the first packet."""
-        # A frame without a command means that the client lets the camera run freely; such frames are black.
-        command, frames = self._commands.popleft() if self._commands else (TriggerCommand(DARK), self._frames)
-        # `arv_buffer_get_data` reports a size of 0 before the frame is sent, so the payload gives the size.
-        unused = ctypes.c_size_t()
-        address = self._library.arv_buffer_get_data(buffer, ctypes.byref(unused))
-        size = self._fake.get_payload()
-        target = np.ctypeslib.as_array((ctypes.c_ubyte * size).from_address(address))
-        by_width = command.by_width is not None and self._exposes_by_width()
-        brightness = command.by_width if by_width and command.by_width is not None else command.brightness
-        target[:] = frames.picture(command.picture, brightness, size, pixel_format)
-        self._server.set_property("gvsp-lost-ratio", command.lost_share)
-        if command.timestamp_ns:
-            self._library.arv_buffer_set_timestamp(buffer, command.timestamp_ns)
-        # Two edges between two polls set the trigger register only once, so the second frame is fired from here.
-        if self._commands:
-            self._fire()
-        self.report(f"sent {command.picture} {self._library.arv_buffer_get_frame_id(buffer)}")
+        loses = command.lost_share > 0
+        camera.resend_script = (lambda _packets: ()) if loses else as_it_is
+        number = camera.expose(pixels.data, without_lost if loses else as_it_is, command.timestamp_ns or None)
+        self.report(f"sent {command.picture} {number}" if number else f"ignored {command.picture}")
 
 
 class _FrameFile:
@@ -216,28 +142,12 @@ def apply_brightness(pixels: NDArray[np.uint8], brightness: float, pixel_format:
     return np.asarray(table.astype(kind)[pixels.view(kind)]).view(np.uint8)
 
 
-_FILL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
-"""C type of the callback: void (ArvBuffer *, void *, exposure in us, gain, pixel format)."""
-
-
-def _aravis() -> tuple[Any, ctypes.CDLL]:
-    """Return the Python binding of Aravis, and its C library with declared argument types."""
-    # PyGObject's set_fill_pattern crashes before Aravis 0.9.1; through ctypes the function works.
-    library = shared_library()
-    library.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, _FILL, ctypes.c_void_p]
-    library.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
-    library.arv_buffer_get_data.restype = ctypes.c_void_p
-    library.arv_buffer_set_timestamp.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
-    library.arv_buffer_get_frame_id.argtypes = [ctypes.c_void_p]
-    library.arv_buffer_get_frame_id.restype = ctypes.c_uint64
-    return aravis(), library
-
-
-def main(address: str, serial: str) -> int:
+def main(address: str, serial: str, width: str, height: str, description: str | None = None) -> int:
     """Serve a camera until the end of standard input; return the exit code of the process."""
     # CameraProcess reads the message from standard error and shows it to the user.
     try:
-        camera = VirtualCamera(address, serial, sys.stdout)
+        text = read_description(Path(description)) if description else None
+        camera = VirtualCamera(address, serial, Sensor(int(width), int(height)), sys.stdout, text)
     except VaoiError as error:
         sys.stderr.write(f"{error}\n")
         return 3

@@ -69,7 +69,7 @@ class Camera(Device):
     def armed(self) -> bool:
         """Whether a client controls the camera, has started it, and has turned its frame trigger on."""
         with self.lock:
-            return self.controlled and self.acquiring and self.trigger() is not None
+            return self.controlled and self.acquiring and self.trigger() not in (None, "Software")
 
     @property
     def frame_trigger(self) -> str | None:
@@ -185,7 +185,7 @@ class Camera(Device):
     def payload_bytes(self) -> int:
         """Bytes of a frame."""
         stream = self.stream
-        return stream.width * stream.height * max((stream.pixel_format >> 16 & 0xFF) // 8, 1)
+        return -(-stream.width * stream.height * max(stream.pixel_format >> 16 & 0xFF, 8) // 8)
 
     def expose(self, pixels: bytes | memoryview, script: Script = as_it_is, edge_ns: int | None = None) -> int:
         """Send the frame of a trigger edge; return its id. A camera that is not armed sends nothing: 0.

@@ -1,6 +1,6 @@
 """Tests that need a separate network: the files in `wire/`, each in a process with a network namespace.
 
-Real GVCP and GVSP between Aravis' fake cameras and our backend; GigE Vision has one fixed port, so no other
+Real GVCP and GVSP between cameras of the virtual rig and our backend; GigE Vision has one fixed port, so no other
 cameras may be on that network.
 """
 

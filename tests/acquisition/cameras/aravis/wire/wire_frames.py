@@ -69,7 +69,7 @@ def test_a_camera_exposes_for_the_width_of_the_trigger_while_that_is_set(
 
 
 def test_every_frame_has_its_own_number_and_pixels_over_the_wrap(device: Plug, station: Make, opened: Open) -> None:
-    """The fake counts from 65400; 0 never occurs."""
+    """The rig's camera counts from 65400; 0 never occurs."""
     camera = device(0)
     pictures = [noise(seed) for seed in range(7)]
     camera.show(*pictures)
