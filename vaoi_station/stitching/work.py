@@ -87,6 +87,15 @@ class StitchSetup:
         return None if self.board_type is None else board_plane(self.board_type, self.cameras[0])
 
     @cached_property
+    def shortest_run(self) -> int:
+        """Least number of rows of a complete board, whichever way it lies; 0 if it is not known."""
+        step_mm = float(np.hypot(*self.conveyor_mm_s)) * self.trigger_period_s
+        if self.board_type is None or step_mm == 0:
+            return 0
+        low, high = self.board_type.extent()
+        return int(float((high - low).min()) * self.board_type.mm_per_unit / step_mm)
+
+    @cached_property
     def packed(self) -> bytes:
         """The pickled settings, without what was computed from them."""
         return pickle.dumps([getattr(self, f.name) for f in fields(self)], pickle.HIGHEST_PROTOCOL)
@@ -204,11 +213,14 @@ class TaskRunner:
         return True
 
     def _next_beginning(self) -> Steps[None] | None:
-        """Begin with the rows that have arrived if these are more than before; return None if they are not."""
+        """Begin with the rows that have arrived if these are more than before; return None if they are not.
+
+        It takes as long as a conclusion, so it is not done while more of the board is surely to come.
+        """
         rows = None
         while self._settled(self._rows):
             self._rows, rows = self._rows + 1, self._rows + 1
-        if rows is None:
+        if rows is None or rows < self._setup.shortest_run:
             return None
         every = [e for row in range(rows) for e in self._of_row[row]]
         links, marks = (e for e in every if isinstance(e, Links)), (e for e in every if isinstance(e, Detections))
