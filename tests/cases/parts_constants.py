@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.library.recordings import open_recording
 from vaoi_station.parts import probability
-from vaoi_station.parts.document import describe
+from vaoi_station.parts.document import describe, scale_of
 from vaoi_station.parts.learned import TaughtBoard, parts_digest
 from vaoi_station.parts.measure import Evidence, Run, collect
 from vaoi_station.parts.models import Models
@@ -34,6 +34,7 @@ class Measured(NamedTuple):
     boards: int
     truth: list[dict[str, Any]]
     evidence: Evidence
+    scale: probability.Scale
     parts: list[dict[str, Any]]
 
 
@@ -61,7 +62,10 @@ def measured(good: Sequence[Path], bad: Sequence[Path], counts: Sequence[int]) -
             patches, evidence = collect(run, models, run.board_type.components)
             parts = describe(patches, evidence)
             addresses = [p.address for p in patches.parts]
-            out.append(Measured(count, [truth[a] for a in addresses], evidence, [parts[a] for a in addresses]))
+            out.append(Measured(
+                count, [truth[a] for a in addresses], evidence, scale_of(patches, evidence),
+                [parts[a] for a in addresses],
+            ))  # fmt: skip
     return out
 
 
@@ -155,6 +159,42 @@ def constants(found: Sequence[Measured]) -> None:
     print("ALIKE =", logistic_fit(unlike[two], (kind[two] == "good") * 1.0, balance[two]).round(3).tolist())
 
 
+def sigma_constants(found: Sequence[Measured]) -> None:
+    """Print the constants of standard deviations with which errors of places and turns are most probable.
+
+    Good parts count as much as those that are shifted or turned.
+    """
+    use = [
+        (m, k, t, p)
+        for m in found
+        for k, (t, p) in enumerate(zip(m.truth, m.parts, strict=True))
+        if t["kind"] in ("good", "shifted", "turned") and p["dx_mm"] is not None
+    ]
+    scale = probability.Scale(*(np.array([m.scale[n][k] for m, k, _, _ in use]) for n in range(7)))
+    noise = np.array([(m.evidence.noise_mm[k], m.evidence.noise_deg[k]) for m, k, _, _ in use])
+    error = np.array(
+        [(p["dx_mm"] - t["dx"], p["dy_mm"] - t["dy"], (p["turn_deg"] - t["turn_deg"] + 180) % 360 - 180)
+         for _, _, t, p in use]
+    )  # fmt: skip
+    moved = np.array([t["kind"] != "good" for _, _, t, _ in use])
+    weight = np.where(moved, 1 / max(moved.sum(), 1), 1 / max((~moved).sum(), 1))
+    for name, of, which in (("PLACE", error[:, :2], 0), ("TURN", error[:, 2:], 1)):
+        best, least = np.array(getattr(probability, name), float), np.inf
+        for step in (2.0, 1.4, 1.1, 1.03) * 3:
+            for k in range(len(best)):
+                for factor in (1.0, step, 1 / step):
+                    tried = best.copy()
+                    tried[k] = max(tried[k], 0.003) * factor
+                    tried[4] = max(tried[4], 1.0)
+                    setattr(probability, name, tuple(tried))
+                    sigma = probability.sigmas(noise[:, 0], noise[:, 1], scale)[which]
+                    cost = (np.log(sigma) + (of.T / sigma) ** 2 / 2).mean(0) @ weight
+                    if cost < least - 1e-9:
+                        best, least = tried, float(cost)
+        setattr(probability, name, tuple(best))
+        print(f"{name} =", best.round(3).tolist())
+
+
 def main() -> None:
     """Print figures or constants."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
@@ -167,6 +207,7 @@ def main() -> None:
     figures(found)
     if given.constants:
         constants(found)
+        sigma_constants(found)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from vaoi_station.model import Component
 from vaoi_station.parts import probability
 from vaoi_station.parts.learned import TaughtBoard, parts_digest
 from vaoi_station.parts.measure import Evidence, Gains, Run, collect
-from vaoi_station.parts.models import STRANGE, VISIBLE, Models
+from vaoi_station.parts.models import STRANGE, VISIBLE, Models, is_chip
 from vaoi_station.parts.patches import RunPatches, same_class
 from vaoi_station.steps import Steps
 
@@ -23,8 +23,6 @@ _PRESENT = 0.5
 """Probability of presence from which on place and orientation are stated."""
 _SURE = (0.2, 0.8)
 """Without good boards, a probability between these is not stated."""
-_SLENDER, _CHIP_MM = 1.6, 3.6
-"""Least ratio of the sides and largest length of parts of which the height alone tells that they are absent."""
 _PLACED = 9.0
 """How unlike good ones a part may look whose place is stated."""
 _ALIKE = 0.5
@@ -60,8 +58,7 @@ def measure_parts(
 
 def describe(patches: RunPatches, evidence: Evidence) -> dict[str, dict[str, Any]]:
     """Return the measures of n parts by address, as they stand in documents."""
-    e, ppm = evidence, np.array([g.px_per_mm for g in patches.grids])[patches.grid]
-    length = np.array([max(g.body_px) for g in patches.grids])[patches.grid]
+    e = evidence
     taught = e.boards > 0
     measured, sigma = np.column_stack([e.lift, e.wide]), np.column_stack([e.lift_sigma, e.wide_sigma])
     heights = probability.height_evidence(measured, sigma, e.lifts)
@@ -72,8 +69,7 @@ def describe(patches: RunPatches, evidence: Evidence) -> dict[str, dict[str, Any
     )
     alike = probability.alike(e.unlike)
     turns = probability.orientation(e.ratio, e.marks, math.log(VISIBLE))
-    scale = probability.Scale(ppm, length, e.samples, e.unlike, e.searched)
-    place_sigma, turn_sigma = probability.sigmas(e.noise_mm, e.noise_deg, scale)
+    place_sigma, turn_sigma = probability.sigmas(e.noise_mm, e.noise_deg, scale_of(patches, e))
     out = {}
     for k, part in enumerate(patches.parts):
         found: dict[str, Any] = dict.fromkeys(
@@ -92,10 +88,9 @@ def describe(patches: RunPatches, evidence: Evidence) -> dict[str, dict[str, Any
         p = float(presence[k])
         if not taught[k]:
             reasons.append("untaught")
-            w, h = patches.grids[patches.grid[k]].body_px
             # Of a part with leads, the footprint shows the bare board as well.
-            chip = max(w, h) > _SLENDER * min(w, h) and max(w, h) < _CHIP_MM * ppm[k]
-            if not np.isfinite(e.lift[k]) or _SURE[0] < p < _SURE[1] or (p < _SURE[0] and not chip):
+            told = p >= _SURE[1] or (p <= _SURE[0] and is_chip(patches.grids[patches.grid[k]]))
+            if not np.isfinite(e.lift[k]) or not told:
                 reasons.append("undecided")
             else:
                 found["presence"] = round(p, 4)
@@ -121,6 +116,15 @@ def describe(patches: RunPatches, evidence: Evidence) -> dict[str, dict[str, Any
             reasons.append("no-marks")
         out[part.address] = found
     return out
+
+
+def scale_of(patches: RunPatches, e: Evidence) -> probability.Scale:
+    """Return what the standard deviations of the places and turns of parts depend on."""
+    grids = [patches.grids[g] for g in patches.grid]
+    return probability.Scale(
+        np.array([g.px_per_mm for g in grids]), np.array([max(g.body_px) for g in grids]), e.samples, e.unlike,
+        e.searched, np.hypot(*e.place_mm.T), e.turn_deg,
+    )  # fmt: skip
 
 
 def parts_document(run: Run, models: Models, parts: dict[str, dict[str, Any]], doubts: Sequence[str]) -> dict[str, Any]:

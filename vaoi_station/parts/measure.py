@@ -23,6 +23,8 @@ _ODD, _NEAR_MM = 10.0, 0.12
 Less suffices for one that lies this far from its place."""
 _FITS, _BETTER = 25.0, 0.4
 """How unlike a part may look where it was found by searching, also as a share of how unlike it looks on its place."""
+_LOWER = 0.5
+"""How much lower, as a share of the expected height, a part must not lie where it was found by searching."""
 _MOST_KINDS, _SIMILAR_MM, _MOST_EXCHANGED = 8, 1.0, 120
 """Largest number of other kinds with which a part is compared, difference of their sizes, and number of such parts."""
 _MOST_SEARCHED = 400
@@ -108,7 +110,9 @@ def collect(
         return patches, first
     again = _search(run, models, patches, odd, gains)
     # A place where the part still looks otherwise is no better than that of the CAD data.
-    better = np.flatnonzero(again.unlike < np.minimum(_BETTER * first.unlike[odd], _FITS))
+    closer = again.unlike < np.minimum(_BETTER * first.unlike[odd], _FITS)
+    # Nor is one that lies on the ground, where plain ground resembles a plain body.
+    better = np.flatnonzero(closer & ~(again.lift < first.lift[odd] - _LOWER))
     for old, new in zip(first, again, strict=True):
         old[odd[better]] = new[better]
     found = first
@@ -165,9 +169,11 @@ def _search(run: Run, models: Models, patches: RunPatches, odd: NDArray[np.int_]
                 kinds, picture = models.kinds(grid, view), wide.values[wide.grid[n], c][rank[n]]
                 if not kinds or np.isnan(picture).any():
                     continue
+                bodies = models.bodies(grid, view)
+                kinds = bodies or kinds
                 kind = next((v for v in kinds if patches.parts[k].address in (v.addresses or ())), kinds[0])
                 templates = {0: kind.template} | {q: t for q, t in kind.turned.items() if kind.asymmetry[q] > VISIBLE}
-                found = search(picture, wide.grids[wide.grid[n]], templates, grid)
+                found = search(picture, wide.grids[wide.grid[n]], templates, grid, weighted=bool(bodies))
                 if found is not None:
                     x, y = wide.cad_mm_from_px[n] @ found.pose[:2]
                     moves[patches.parts[k].address] = (float(x), float(y), -float(np.degrees(found.pose[2])))
@@ -213,8 +219,9 @@ def _compare(
                 continue
             some, pictures = mine[shown], patches.values[g, c][shown]
             found = _like(kinds[0], pictures, patches.cad_mm_from_px[some], (grid.name, c), gains)
-            for variant in kinds[1:]:
-                at = [n for n, k in enumerate(some) if patches.parts[k].address in (variant.addresses or ())]
+            for variant in (*kinds[1:], *(models.bodies(grid, view) if moves else ())):
+                its = variant.addresses
+                at = [n for n, k in enumerate(some) if its is None or patches.parts[k].address in its]
                 if at:
                     other = _like(variant, pictures[at], patches.cad_mm_from_px[some[at]], (grid.name, c), gains)
                     closer = other.unlike < found.unlike[at]

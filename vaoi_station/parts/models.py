@@ -14,8 +14,6 @@ from vaoi_station.parts.learned import TaughtBoard
 from vaoi_station.parts.patches import Grid, ViewClass, same_class
 from vaoi_station.parts.registration import Fit, Floats, Floats32, Template, warp
 
-_EDGE_PX = 0.0
-"""Strip around the body that belongs to the template: its edges."""
 _ROUNDS = 3
 _PRIOR_SD, _PRIOR_SAMPLES = 14.0, 2.0
 """Standard deviation of a pixel, grey levels, that is assumed, and the number of parts as which this counts."""
@@ -37,6 +35,10 @@ _SAME_KIND = 0.45
 """Largest difference of two patches of parts of one kind, as a share of the contrast."""
 _RAISED = 0.3
 """Share of the expected height below which a part of a taught board is missing, and is no variant."""
+_BODY, _LEADS_WEIGHT = 0.62, 0.02
+"""Share of width and height of a footprint with leads that is body, and weight of the pixels around it."""
+_SLENDER, _CHIP_MM = 1.6, 3.6
+"""Least ratio of the sides and largest length of parts without leads: chips, whose ends move with them."""
 _TRIM = 0.9
 """Share of the best fitting parts that make the template; a part that is absent, or of another kind, does not."""
 
@@ -217,11 +219,28 @@ def _spread(values: Floats, prior: float) -> float:
     )
 
 
-def body_mask(grid: Grid) -> Floats32:
-    """Return the weights (h, w) of the pixels of a body and its edges."""
+def is_chip(grid: Grid) -> bool:
+    """Return whether parts of this shape have no leads."""
+    long, short = max(grid.body_px), min(grid.body_px)
+    return long > _SLENDER * short and long < _CHIP_MM * grid.px_per_mm
+
+
+def body_of(kind: Kind, grid: Grid) -> Kind:
+    """Return a kind in which leads count little: they cover pads, which stay when the part moves."""
+    old = kind.template
+    mask = old.mask * (_LEADS_WEIGHT + (1 - _LEADS_WEIGHT) * body_mask(grid, _BODY))
+    template = Template(old.picture, old.variance, mask)
+    turned = {q: _turned(template, q) for q in kind.turned}
+    asymmetry = {q: float(t.fit(old.picture[None]).misfit[0]) / kind.usual for q, t in turned.items()}
+    # A plain body hardly tells the contrast.
+    return kind._replace(template=template, turned=turned, asymmetry=asymmetry, gain_sd=3 * kind.gain_sd)
+
+
+def body_mask(grid: Grid, share: float = 1.0) -> Floats32:
+    """Return the weights (h, w) of the pixels of a share of a footprint, around its centre, and its edges."""
     x = np.abs(np.arange(grid.width) - (grid.width - 1) / 2)
     y = np.abs(np.arange(grid.height) - (grid.height - 1) / 2)
-    a, b = (np.clip(s / 2 + _EDGE_PX + 0.5 - v, 0, 1) for s, v in zip(grid.body_px, (x, y), strict=True))
+    a, b = (np.clip(share * s / 2 + 0.5 - v, 0, 1) for s, v in zip(grid.body_px, (x, y), strict=True))
     return np.asarray(b[:, None] * a, np.float32)
 
 
@@ -250,6 +269,7 @@ class Models:
         """Store the boards."""
         self.boards = tuple(boards)
         self._kinds: dict[tuple[Grid, ViewClass], tuple[Kind, ...]] = {}
+        self._bodies: dict[tuple[Grid, ViewClass], tuple[Kind, ...]] = {}
         self.names = frozenset(grid.name for board in boards for grid in board.grids)
         heights: dict[str, list[NDArray[np.float32]]] = {}
         for board in boards:
@@ -270,3 +290,10 @@ class Models:
         if key not in self._kinds:
             self._kinds[key] = learn_kinds(grid, view, self.boards)
         return self._kinds[key]
+
+    def bodies(self, grid: Grid, view: ViewClass) -> tuple[Kind, ...]:
+        """Return the same for parts that do not lie on their pads; empty for parts without leads."""
+        key = grid, view
+        if key not in self._bodies:
+            self._bodies[key] = () if is_chip(grid) else tuple(body_of(kind, grid) for kind in self.kinds(grid, view))
+        return self._bodies[key]

@@ -1,7 +1,7 @@
 """Probabilities and standard deviations of measures, from what the pictures say.
 
-The constants were fitted by `python -m tests.cases.parts_constants` to painted boards whose truth is known
-(docs/measured/parts.md).
+PRESENT, HEIGHT_ALONE, the slope of ALIKE, PLACE and TURN were fitted by `python -m tests.cases.parts_constants` to
+painted boards whose truth is known (docs/measured/parts.md); the others were chosen by looking at such boards.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ HEIGHT_ALONE = (2.341, 0.45, 1.453)
 """Presence by the height alone: constant, evidence of the height, alone and with a strip."""
 ALIKE = (8.75, -3.09)
 """Likeness to good boards: constant, unlikeness."""
-PLACE = (3.0, 0.03, 0.04)
-"""Standard deviation of a place: multiple of that by noise, pixels, and pixels per unlikeness (logarithm)."""
-TURN = (2.0, 0.02, 0.09)
-"""Standard deviation of a turn: the same, with pixels at the end of the part."""
+PLACE = (2.8, 0.03, 0.08, 0.01, 1.5)
+"""Standard deviation of a place: multiple of that by noise, pixels, pixels per unlikeness (logarithm), and share of the
+displacement, as pads that stay are seen beside the part; factor for parts that were found by searching."""
+TURN = (2.2, 0.003, 0.01, 1.75, 1.6)
+"""Standard deviation of a turn: the same, with pixels at the end of the part; the share is of the turn, by pixels of
+half the length."""
 SPREAD_MM, SPREAD_DEG = 0.02, 0.25
 """Spread of the places of good parts that is assumed for the mean place of those taught."""
-SEARCHED = 1.6
-"""Factor on the standard deviations of a part that was found by searching: its surroundings are other ones."""
 TURNED = 6.0
 """Slope of the probability of an orientation over the share of the expected difference."""
 _KNEE, _MOST = 2.0, 6.0
@@ -122,17 +122,25 @@ class Scale(NamedTuple):
     """Number of good parts that make the template, whose mean place is taken for that of the CAD data."""
     unlike: Floats
     searched: NDArray[np.bool_]
+    moved_mm: Floats
+    """Distance from the place of the CAD data."""
+    turned_deg: Floats
+    """Turn against the CAD data."""
 
 
 def sigmas(noise_mm: Floats, noise_deg: Floats, scale: Scale) -> tuple[Floats, Floats]:
     """Return the standard deviations of places, mm, and of turns, degrees, of those by noise alone."""
+    unit = 2 / scale.length_px
+    of_turn = _sigma(noise_deg, np.degrees(unit), unit * scale.turned_deg, SPREAD_DEG, scale, TURN)
+    return _sigma(noise_mm, 1 / scale.px_per_mm, scale.moved_mm, SPREAD_MM, scale, PLACE), of_turn
+
+
+def _sigma(
+    noise: Floats, unit: Floats, off: Floats, spread: float, scale: Scale, constants: tuple[float, ...]
+) -> Floats:
+    """Return the standard deviations of one measure; `unit` is that of a pixel."""
+    by_noise, px, by_odd, by_off, searched = constants
     odd = np.log(np.maximum(scale.unlike, 1.0))
-    factor = np.where(scale.searched, SEARCHED, 1.0)
-    found = []
-    for noise, unit, spread, (by_noise, px, by_odd) in (
-        (noise_mm, 1 / scale.px_per_mm, SPREAD_MM, PLACE),
-        (noise_deg, np.degrees(2 / scale.length_px), SPREAD_DEG, TURN),
-    ):
-        own = (by_noise * noise) ** 2 + (unit * px) ** 2 + (unit * by_odd * odd) ** 2
-        found.append(np.asarray(np.sqrt(own * factor**2 + spread**2 / np.maximum(scale.samples, 1))))
-    return found[0], found[1]
+    own = (by_noise * noise) ** 2 + unit**2 * (px**2 + (by_odd * odd) ** 2) + (by_off * off) ** 2
+    factor = np.where(scale.searched, searched, 1.0)
+    return np.asarray(np.sqrt(own * factor**2 + spread**2 / np.maximum(scale.samples, 1)))
