@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
-from vaoi_station.parts.models import VISIBLE, Kind, Models
+from vaoi_station.parts.models import VISIBLE, Kind, Models, is_chip
 from vaoi_station.parts.patches import RunPatches, ViewClass, cut_patches, kind_of, view_classes
 from vaoi_station.parts.registration import Fit, Floats, Floats32, Template
 from vaoi_station.parts.search import search
@@ -24,7 +24,9 @@ Less suffices for one that lies this far from its place."""
 _FITS, _BETTER = 25.0, 0.4
 """How unlike a part may look where it was found by searching, also as a share of how unlike it looks on its place."""
 _LOWER = 0.5
-"""How much lower, as a share of the expected height, a part must not lie where it was found by searching."""
+"""How much lower, as a share of the expected height, a part must not lie where it was found by searching.
+
+One with leads must lie higher than this there."""
 _MOST_KINDS, _SIMILAR_MM, _MOST_EXCHANGED = 8, 1.0, 120
 """Largest number of other kinds with which a part is compared, difference of their sizes, and number of such parts."""
 _MOST_SEARCHED = 400
@@ -111,8 +113,10 @@ def collect(
     again = _search(run, models, patches, odd, gains)
     # A place where the part still looks otherwise is no better than that of the CAD data.
     closer = again.unlike < np.minimum(_BETTER * first.unlike[odd], _FITS)
-    # Nor is one that lies on the ground, where plain ground resembles a plain body.
-    better = np.flatnonzero(closer & ~(again.lift < first.lift[odd] - _LOWER))
+    # A plain body resembles plain ground: of a part with leads, the height must confirm the place.
+    leads = np.array([not is_chip(patches.grids[g]) for g in patches.grid[odd]])
+    standing = ~leads | (again.lift > _LOWER)
+    better = np.flatnonzero(closer & standing & ~(again.lift < first.lift[odd] - _LOWER))
     for old, new in zip(first, again, strict=True):
         old[odd[better]] = new[better]
     found = first
