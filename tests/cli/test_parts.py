@@ -27,3 +27,16 @@ def test_two_recordings_of_one_name_are_refused(tmp_path: Path, vaoi: Callable[.
     done = vaoi("parts", tmp_path / "case", "--good", monday, "--good", tuesday, "--out", tmp_path / "parts.json")
     assert done.code == 2
     assert "has the same name as another good board" in done.err
+
+
+def test_a_board_that_is_not_there_is_named_and_a_kept_one_stays(tmp_path: Path, vaoi: Callable[..., Result]) -> None:
+    done = vaoi("parts", tmp_path / "case", "--good", tmp_path / "nowhere", "--out", tmp_path / "parts.json")
+    assert (done.code, "nowhere: is neither a recording nor a file of --keep" in done.err) == (2, True)
+    (tmp_path / "good").mkdir()
+    kept = tmp_path / "kept" / "good.parts"
+    kept.parent.mkdir()
+    kept.write_bytes(b"another board")
+    options = ("--good", tmp_path / "good", "--keep", kept.parent, "--out", tmp_path / "parts.json")
+    done = vaoi("parts", tmp_path / "case", *options)
+    assert (done.code, "good.parts: exists already" in done.err) == (2, True)
+    assert kept.read_bytes() == b"another board"

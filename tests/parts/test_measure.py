@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.parts.conftest import stitched, taught
+from vaoi_station.model import Status
 from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
 from vaoi_station.parts.learned import TaughtBoard
 from vaoi_station.parts.models import Models
@@ -73,3 +74,11 @@ def test_parts_can_be_measured_in_shares(good_boards: tuple[TaughtBoard, ...], p
     some = measure_parts(run, Models(good_boards), run.board_type.components[:parts])
     assert len(some) == parts
     assert all(p["presence"] is None or p["presence"] > 0.5 for p in some.values())
+
+
+def test_doubts_about_the_run_itself_are_remarks(good_boards: tuple[TaughtBoard, ...]) -> None:
+    run = stitched(0)
+    degraded = run._replace(stitch=run.stitch.model_copy(update={"status": Status.DEGRADED}))
+    assert any("degraded" in remark for remark in changes(degraded, good_boards, "c"))
+    assert any("one of the good boards" in remark for remark in changes(run, good_boards, "c", "good-0"))
+    assert not changes(run, good_boards, "c", "another")

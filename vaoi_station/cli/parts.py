@@ -42,7 +42,7 @@ def parts(
     for path in good or ():
         for read in (path, path / "result.json"):
             refuse_input(out, path, read, None, None)
-    _refuse_equal_names(good or [])
+    _refuse_wrong(good or [], keep)
     run, taken_with = _stitched(case, calibration, board)
     boards = []
     for path in good or ():
@@ -59,23 +59,31 @@ def parts(
     models = Models(known)
     measured = measure_parts(run, models)
     disagreeing = completed(disagreement_steps(known))
-    document = parts_document(run, models, measured, changes(run, known, taken_with))
+    document = parts_document(run, models, measured, changes(run, known, taken_with, case.resolve().name))
     write_json(out, document | {"good_boards_disagree": disagreeing})
     said = [p["presence"] for p in measured.values() if p["presence"] is not None]
     absent = sum(p < 0.5 for p in said)
     typer.echo(f"{len(measured)} part(s): {len(said)} measured, {absent} absent → {out}")
     for one in disagreeing:
-        typer.echo(f"- good board {one['board']}: {one['part']} looks otherwise than on the others; is it right there?")
+        typer.echo(f"- good board {one['board']}: {one['part']} looks unlike others of its kind; is it right there?")
     for remark in document["remarks"]:
         typer.echo(f"- {remark}")
 
 
-def _refuse_equal_names(good: list[Path]) -> None:
-    """Raise InputError if two recordings have one name: only one of them would count, and be kept."""
+def _refuse_wrong(good: list[Path], keep: Path | None) -> None:
+    """Raise InputError if a good board is missing or would be kept over another one, or if two have one name.
+
+    Of two with one name only one would count, and be kept.
+    """
     from vaoi_station.errors import InputError
+    from vaoi_station.parts.learned import ENDING
 
     known: dict[str, Path] = {}
     for path in good:
+        if not path.exists():
+            raise InputError(f"{path}: is neither a recording nor a file of --keep.", action="Give the path of one.")
+        if path.is_dir() and keep is not None and (kept := keep / f"{path.resolve().name}{ENDING}").exists():
+            raise InputError(f"{kept}: exists already.", action="Remove it, or give it by --good.")
         if path.is_dir() and known.setdefault(path.resolve().name, path).resolve() != path.resolve():
             raise InputError(
                 f"{path}: has the same name as another good board, {known[path.resolve().name]}.",
@@ -95,10 +103,13 @@ def _stitched(case: Path, calibration: Path | None, board: Path | None) -> tuple
     run = recorded.with_result(result) if result.is_file() else recorded.stitch()
     if run.board_type is None:
         raise InputError(f"{case}: has no board type.", action="Add board.json, or give --board.")
+    if not run.board_type.components:
+        raise InputError(f"{case}: its board type has no parts.", action="Give the whole board type by --board.")
     if run.result.cad_matrix is None:
+        why = f": {'; '.join(run.reasons)}" if run.reasons else ""
         raise InputError(
-            f"{case}: is not placed by its CAD data, so it is not known where its parts are: {'; '.join(run.reasons)}",
-            action="Leave out this recording.",
+            f"{case}: is not placed by its CAD data, so it is not known where its parts are{why}.",
+            action="Stitch it again with its board type, or film the board again.",
         )
     frame = lru_cache(_KEPT_FRAMES)(run.recording.frame)
     digest = str((run.result.quality.get(KEY) or {}).get("calibration", ""))

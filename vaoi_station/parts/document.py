@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.model import Component
+from vaoi_station.model import Component, Status
 from vaoi_station.parts import probability
 from vaoi_station.parts.learned import TaughtBoard, parts_digest
 from vaoi_station.parts.measure import Evidence, Gains, Run, collect
@@ -145,7 +145,7 @@ def parts_document(run: Run, models: Models, parts: dict[str, dict[str, Any]], d
 
 
 def disagreement_steps(boards: Sequence[TaughtBoard]) -> Steps[list[dict[str, Any]]]:
-    """Return the parts of good boards that look otherwise than on the other good boards: board, part and unlikeness.
+    """Return the parts of good boards that look unlike others of their kind: board, part and unlikeness.
 
     Each step compares the parts of one kind.
     """
@@ -164,14 +164,21 @@ def disagreement_steps(boards: Sequence[TaughtBoard]) -> Steps[list[dict[str, An
     return [{"board": b, "part": a, "unlike": round(u, 1)} for (b, a), u in sorted(found.items())]
 
 
-def changes(run: Run, boards: Sequence[TaughtBoard], calibration: str) -> list[str]:
-    """Return what has changed since boards were taught, and what still holds."""
+def changes(run: Run, boards: Sequence[TaughtBoard], calibration: str, name: str = "") -> list[str]:
+    """Return what limits the measures of a run: its own doubts, and what has changed since boards were taught.
+
+    `name` is that of the run among good boards.
+    """
     out = []
+    if run.stitch.status is not Status.OK:
+        out.append(f"the run is {run.stitch.status.value}: its reasons hold for the measures of its parts, too.")
+    if name in {b.name for b in boards}:
+        out.append("this board is one of the good boards, so that its own faults are not seen.")
     digest = parts_digest(run.board_type)
     if other := [b.name for b in boards if b.board_type != digest]:
         out.append(
-            f"the board type has changed since {', '.join(other)} was taught: parts of the same package and size are "
-            "compared, others are not. Teach a board again."
+            f"the board type has changed since {', '.join(other)} {_were(other)} taught: parts of the same package and "
+            "size are compared, others are not. Teach a board again."
         )
     if other := [b.name for b in boards if b.calibration != calibration]:
         out.append(
@@ -183,3 +190,7 @@ def changes(run: Run, boards: Sequence[TaughtBoard], calibration: str) -> list[s
         named = ", ".join(f"{c.light or 'no name'} at {c.exposure:g} µs" for c in missing)
         out.append(f"no good board was filmed under the light {named}: only other lights are compared.")
     return out
+
+
+def _were(names: Sequence[str]) -> str:
+    return "was" if len(names) == 1 else "were"

@@ -207,8 +207,8 @@ def _sentence(document: dict[str, Any]) -> str:
     said = {ref: entry["presence"] for ref, entry in parts.items() if "presence" in entry}
     absent = [ref for ref, p in said.items() if p < _ABSENT]
     text = f"{len(said)} of {len(parts)} parts are measured"
+    if absent:
+        text += f", {len(absent)} of them look absent: {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}"
     if document["remarks"]:
         text += f"; {document['remarks'][-1]}"
-    elif absent:
-        text += f", {len(absent)} of them look absent: {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}"
     return f"{text.removesuffix('.')}."

@@ -54,7 +54,7 @@ class PartsJob(SteppedJob):
             measured |= measure_parts(run, models, some, gains)
             yield
         in_order = {part.address: measured[part.address] for part in self.board_type.components}
-        remarks = changes(run, models.boards, self.calibration)
+        remarks = changes(run, models.boards, self.calibration, self.run)
         document = parts_document(run, models, in_order, remarks)
         # As in all replies of the station, what is not known is absent.
         document["parts"] = {
