@@ -83,6 +83,20 @@ def test_one_camera_alone_is_calibrated_and_in_force_at_once(
     assert [c.uncalibrated for c in used] == [()]
 
 
+def test_a_trial_is_not_accepted_once_another_calibration_is_in_force(
+    station: HeldStation, files: StationFiles, wanted: TrialRequest
+) -> None:
+    """A camera may have been exchanged since: the trial does not know that its place is unknown."""
+    trials = Trials(station, files)
+    trials.begin(wanted)
+    trials.perform(wanted)
+    exchanged = without_place(read_calibration(files.config.calibration), 1)
+    write_calibration(files.config.calibration, exchanged)
+    with pytest.raises(StateError, match="was replaced after this trial"):
+        trials.accept()
+    assert read_calibration(files.config.calibration).uncalibrated == exchanged.uncalibrated != ()
+
+
 def test_what_cannot_be_tried_is_refused_at_once(
     station: HeldStation, files: StationFiles, wanted: TrialRequest
 ) -> None:

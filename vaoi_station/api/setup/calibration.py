@@ -307,6 +307,8 @@ class Trials:
         self._lock = threading.Lock()
         self._trial = CalibrationTrial(state="none")
         self._made: Calibration | None = None
+        self._made_beside: bytes | None = None
+        """Content of the station's calibration file when the trial was made; None if it could not be read."""
         self._accepting = False
         """Whether the file of the station is being replaced, during which no other trial begins or is accepted."""
         self._pictures: dict[str, bytes] = {}
@@ -355,6 +357,12 @@ class Trials:
             self._require_rest()
             if self._made is None or self._trial.state != "judged":
                 raise StateError("There is no trial to accept.", action="Make one.", code="no-trial")
+            if self._in_force() != self._made_beside:
+                raise StateError(
+                    "The calibration in force was replaced after this trial was made, so that it no longer holds.",
+                    action="Make another trial.",
+                    code="no-trial",
+                )
             made, run, alone = self._made, self._trial.run, self._trial.camera is not None
             self._accepting = True
         # The disk may take long: meanwhile the lock is free, so that the status is returned.
@@ -391,6 +399,13 @@ class Trials:
         if picture is None:
             raise NotFoundError(f"The trial has no picture {name!r}.", code="no-trial")
         return picture
+
+    def _in_force(self) -> bytes | None:
+        """Return the content of the station's calibration file; None if it cannot be read."""
+        try:
+            return self._files.config.calibration.read_bytes()
+        except OSError:
+            return None
 
     def _require_rest(self) -> None:
         """Raise StateError while a trial is made or accepted; the caller holds the lock."""
@@ -432,7 +447,7 @@ class Trials:
             cameras = self._cameras(outcome)
             self._change(state="refused", cameras=cameras, notes=notes, message=error.message, action=error.action)
             return
-        made = outcome.calibration()
+        made, beside = outcome.calibration(), self._in_force()
         try:
             before = read_calibration(self._files.config.calibration, len(heads))
         except VaoiError:
@@ -453,7 +468,7 @@ class Trials:
                 "turned_deg": round(math.degrees(difference.angle_rad), 5),
                 "in_force_created": before.created,
             }
-        self._made = made
+        self._made, self._made_beside = made, beside
         self._change(state="judged", cameras=self._cameras(outcome, difference), notes=notes, **found)
 
     def _cameras(self, outcome: Outcome, difference: CalibrationDifference | None = None) -> list[TrialCamera]:
