@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
-from vaoi_station.parts.models import VISIBLE, Kind, Models, is_chip
+from vaoi_station.parts.models import VISIBLE, Kind, Models
 from vaoi_station.parts.patches import RunPatches, ViewClass, cut_patches, kind_of, view_classes
 from vaoi_station.parts.registration import Fit, Floats, Floats32, Template
 from vaoi_station.parts.search import search
@@ -26,7 +26,7 @@ _FITS, _BETTER = 25.0, 0.4
 _LOWER = 0.5
 """How much lower, as a share of the expected height, a part must not lie where it was found by searching.
 
-One with leads must lie higher than this there."""
+One of which the body alone is compared must lie higher than this there."""
 _MOST_KINDS, _SIMILAR_MM, _MOST_EXCHANGED = 8, 1.0, 120
 """Largest number of other kinds with which a part is compared, difference of their sizes, and number of such parts."""
 _MOST_SEARCHED = 400
@@ -113,10 +113,7 @@ def collect(
     again = _search(run, models, patches, odd, gains)
     # A place where the part still looks otherwise is no better than that of the CAD data.
     closer = again.unlike < np.minimum(_BETTER * first.unlike[odd], _FITS)
-    # A plain body resembles plain ground: of a part with leads, the height must confirm the place.
-    leads = np.array([not is_chip(patches.grids[g]) for g in patches.grid[odd]])
-    standing = ~leads | (again.lift > _LOWER)
-    better = np.flatnonzero(closer & standing & ~(again.lift < first.lift[odd] - _LOWER))
+    better = np.flatnonzero(closer & ~(again.lift < first.lift[odd] - _LOWER))
     for old, new in zip(first, again, strict=True):
         old[odd[better]] = new[better]
     found = first
@@ -215,6 +212,8 @@ def _compare(
     n = len(patches.parts)
     sums = _Likeness(*(np.zeros((n, *shape)) for shape in ((), (), (), (), (3,), (), (2,), (4,), (4,), (2,))))
     classes = np.zeros(n)
+    # A plain body resembles plain ground: the height must confirm it.
+    stands = patches.above_mm > (_LOWER - 1) * patches.height_mm
     for g, grid in enumerate(patches.grids):
         mine = patches.members(g)
         for c, view in enumerate(patches.classes):
@@ -223,9 +222,13 @@ def _compare(
                 continue
             some, pictures = mine[shown], patches.values[g, c][shown]
             found = _like(kinds[0], pictures, patches.cad_mm_from_px[some], (grid.name, c), gains)
-            for variant in (*kinds[1:], *(models.bodies(grid, view) if moves else ())):
-                its = variant.addresses
-                at = [n for n, k in enumerate(some) if its is None or patches.parts[k].address in its]
+            others = [(v, v.addresses, False) for v in kinds[1:]]
+            others += [(v, v.addresses, True) for v in models.bodies(grid, view)] if moves else []
+            for variant, its, confirmed in others:
+                at = [
+                    n for n, k in enumerate(some)
+                    if (its is None or patches.parts[k].address in its) and (stands[k] or not confirmed)
+                ]  # fmt: skip
                 if at:
                     other = _like(variant, pictures[at], patches.cad_mm_from_px[some[at]], (grid.name, c), gains)
                     closer = other.unlike < found.unlike[at]
