@@ -88,6 +88,7 @@ class HeldStation(StationCoordinator):
         self.reasons, self.warnings, self.held_back = [tuple[Reason, ...]()] * 3
         self.lost: tuple[int, ...] = ()
         self.recovering: dict[int, CameraRecoveryStatus] = {}
+        self.balances_colours = False
         self.despite_lost = False  # whether the order accepts boards without lost cameras
         self.next_try: str | None = None
         self.types = HeldTypes({"demo-board": BoardType.model_validate(BOARD)})

@@ -62,8 +62,8 @@ class Service:
     @contextmanager
     def importing(self) -> Iterator[Service]:
         """Start the process, which imports meanwhile. Its station.toml must be there before its own block begins."""
-        self._launch()
         try:
+            self._launch()
             yield self
         finally:
             self._end()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from vaoi_station.model import Component, Status
 from vaoi_station.parts import probability
 from vaoi_station.parts.learned import TaughtBoard, parts_digest
-from vaoi_station.parts.measure import Evidence, Gains, Run, collect
+from vaoi_station.parts.measure import Evidence, Run, SoFar, collect
 from vaoi_station.parts.models import STRANGE, VISIBLE, Models, is_chip
 from vaoi_station.parts.patches import RunPatches, same_class
 from vaoi_station.steps import Steps
@@ -42,22 +42,23 @@ REASONS = {
 
 
 def measure_parts(
-    run: Run, models: Models, parts: Sequence[Component] | None = None, gains: Gains | None = None
+    run: Run, models: Models, parts: Sequence[Component] | None = None, so_far: SoFar | None = None
 ) -> dict[str, dict[str, Any]]:
     """Measure parts of a run, by address; all of its board type if `parts` is None.
 
-    `gains` is shared by the calls for one run, so that later ones know how bright its good parts are.
+    `so_far` is shared by the calls for one run, so that later ones know how bright its good parts are.
     """
     every = run.board_type.components if parts is None else parts
-    gains = {} if gains is None else gains
+    so_far = SoFar() if so_far is None else so_far
+    known = {address for board in models.boards for some in board.addresses for address in some}
     found: dict[str, dict[str, Any]] = {}
     for begin in range(0, len(every), _AT_ONCE):
-        found |= describe(*collect(run, models, every[begin : begin + _AT_ONCE], gains))
+        found |= describe(*collect(run, models, every[begin : begin + _AT_ONCE], so_far), known)
     return found
 
 
-def describe(patches: RunPatches, evidence: Evidence) -> dict[str, dict[str, Any]]:
-    """Return the measures of n parts by address, as they stand in documents."""
+def describe(patches: RunPatches, evidence: Evidence, known: Collection[str] = ()) -> dict[str, dict[str, Any]]:
+    """Return the measures of n parts by address, as they stand in documents; `known` are the parts of good boards."""
     e = evidence
     taught = e.boards > 0
     measured, sigma = np.column_stack([e.lift, e.wide]), np.column_stack([e.lift_sigma, e.wide_sigma])
@@ -87,7 +88,7 @@ def describe(patches: RunPatches, evidence: Evidence) -> dict[str, dict[str, Any
             found["height_mm"] = round(float(e.lift[k] * patches.height_mm[k]), 3)
         p = float(presence[k])
         if not taught[k]:
-            reasons.append("untaught")
+            reasons.append("light-untaught" if part.address in known else "untaught")
             # Of a part with leads, the footprint shows the bare board as well.
             told = p >= _SURE[1] or (p <= _SURE[0] and is_chip(patches.grids[patches.grid[k]]))
             if not np.isfinite(e.lift[k]) or not told:

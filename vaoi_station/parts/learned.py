@@ -59,7 +59,8 @@ class TaughtBoard:
             stack = np.zeros((len(mine), len(patches.classes), grid.height, grid.width), np.uint8)
             for c in range(len(patches.classes)):
                 values = np.clip(np.rint(np.nan_to_num(patches.values[g, c])), 1, 255).astype(np.uint8)
-                stack[:, c] = np.where((patches.frames[mine, c] > 0)[:, None, None], values, 0)
+                shown = (patches.frames[mine, c] > 0) & ~patches.dark[mine]
+                stack[:, c] = np.where(shown[:, None, None], values, 0)
             pictures.append(stack)
             expected = patches.height_mm[mine]
             measured = expected + patches.above_mm[mine], expected + patches.wide_mm[mine]
@@ -119,7 +120,16 @@ def read_taught_board(path: Path) -> TaughtBoard:
                 heights.append(
                     np.frombuffer(file.read(f"{n}.heights"), "<f4").reshape(len(parts), 3).astype(np.float32)
                 )
-    except (zipfile.BadZipFile, zlib.error, EOFError, LookupError, ValueError, TypeError, RuntimeError) as error:
+    except (
+        OSError,
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        LookupError,
+        ValueError,
+        TypeError,
+        RuntimeError,
+    ) as error:
         raise InputError(
             f"{path}: is no file of a taught board, or damaged: {error}.",
             action="Remove it, and teach the board again.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,16 +99,29 @@ class Evidence(NamedTuple):
     searched: NDArray[np.bool_]
 
 
+@dataclass
+class SoFar:
+    """What earlier calls for other parts of the same run have found."""
+
+    gains: Gains = field(default_factory=dict)
+    searched: int = 0
+    """Number of parts that were searched."""
+    exchanged: int = 0
+    """Number of parts that were compared with other kinds."""
+
+
 def collect(
-    run: Run, models: Models, parts: Sequence[Component], gains: Gains | None = None
+    run: Run, models: Models, parts: Sequence[Component], so_far: SoFar | None = None
 ) -> tuple[RunPatches, Evidence]:
-    """Collect what the pictures of a run say of some of its parts; `gains` are those of other parts of the run."""
+    """Collect what the pictures of a run say of some of its parts; calls for one run share `so_far`."""
     patches = run.cut(parts, heights_mm=models.heights_mm)
-    gains = {} if gains is None else gains
+    so_far = SoFar() if so_far is None else so_far
+    gains = so_far.gains
     first = _compare(patches, models, gains)
     off = np.hypot(*first.place_mm.T)
     odd = np.flatnonzero((first.unlike > _ODD) | ((off > _NEAR_MM) & (first.unlike > _UNLIKE)))
-    odd = odd[np.argsort(-first.unlike[odd], kind="stable")][:_MOST_SEARCHED]
+    odd = odd[np.argsort(-first.unlike[odd], kind="stable")][: _MOST_SEARCHED - so_far.searched]
+    so_far.searched += len(odd)
     if not len(odd):
         return patches, first
     again = _search(run, models, patches, odd, gains)
@@ -118,7 +132,8 @@ def collect(
         old[odd[better]] = new[better]
     found = first
     found.searched[odd] = True
-    strange = odd[found.unlike[odd] > _ODD][:_MOST_EXCHANGED]
+    strange = odd[found.unlike[odd] > _ODD][: _MOST_EXCHANGED - so_far.exchanged]
+    so_far.exchanged += len(strange)
     if len(strange):
         found.other[strange] = np.minimum(found.other[strange], _as_others(run, models, patches, strange, gains))
     return patches, found
@@ -213,7 +228,8 @@ def _compare(
     sums = _Likeness(*(np.zeros((n, *shape)) for shape in ((), (), (), (), (3,), (), (2,), (4,), (4,), (2,))))
     classes = np.zeros(n)
     # A plain body resembles plain ground: the height must confirm it.
-    stands = patches.above_mm > (_LOWER - 1) * patches.height_mm
+    known = patches.height_mm > _LEAST_HEIGHT_MM
+    stands = known & (patches.above_mm > (_LOWER - 1) * patches.height_mm)
     for g, grid in enumerate(patches.grids):
         mine = patches.members(g)
         for c, view in enumerate(patches.classes):

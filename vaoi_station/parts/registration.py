@@ -84,6 +84,8 @@ class Template:
         warped = warp(patches, pose).reshape(n, -1).astype(np.float64)
         two = self._weighted[:, :2]
         normal = two.T @ self._design[:, :2]
+        # A template of one grey level, as of saturated or black bodies, shows no gain.
+        normal[np.diag_indices(2)] *= 1 + 1e-9
         found = (warped @ two) @ np.linalg.inv(normal)
         rest = warped - found @ self._design[:, :2].T
         misfit = (rest * rest) @ self._weight / self._total

@@ -100,6 +100,11 @@ class WhiteBalance(NamedTuple):
     dark: float = 0.0
     """Dark level of the camera, 8-bit grey levels, which is not multiplied."""
 
+    @property
+    def brightness(self) -> float:
+        """Factor by which it makes the luminance of a white target brighter (BT.601)."""
+        return 1 / sum(w / gain for w, gain in zip((0.299, 0.587, 0.114), self.gains, strict=True))
+
     def applied(self, picture: NDArray[Any]) -> NDArray[Any]:
         """Return a picture (h, w, 3) of 8 or 16 bits with balanced colours; one in grey as it is."""
         if picture.ndim == 2:

@@ -107,10 +107,14 @@ class FrameFacts(NamedTuple):
     """What makes white things grey in its pictures; None without flat fields that know it."""
 
     def brightness_to(self, other: FrameFacts) -> float:
-        """Return how much brighter a frame is than another one of the same scene; 1 if exposures are not known."""
+        """Return how much brighter a picture is than another one of the same scene.
+
+        If exposures are not known, only the balance of colours counts.
+        """
+        own, others = (1.0 if b is None else b.brightness for b in (self.white_balance, other.white_balance))
         if self.exposure_us is None or other.exposure_us is None:
-            return 1.0
-        return self.exposure_us * (self.gain or 1.0) / (other.exposure_us * (other.gain or 1.0))
+            return own / others
+        return self.exposure_us * (self.gain or 1.0) * own / (other.exposure_us * (other.gain or 1.0) * others)
 
 
 def frame_facts(head: RecordingHead, fields: FlatFields | None = None) -> dict[tuple[int, int], FrameFacts]:

@@ -23,6 +23,7 @@ import mmap
 import random
 import sys
 import threading
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
@@ -39,7 +40,7 @@ from vaoi_station.rig.gige.first_values import Sensor
 OWN_DESCRIPTION = Path(__file__).with_name("gige") / "camera.xml"
 BLACK_LEVEL = 2
 FIRST_ID = 65_400
-"""Of the first frame: soon before the numbers begin again, so that this happens in every run."""
+"""Of the first frame: soon before the numbers begin again, so that this happens in runs of more than 136 frames."""
 _MONO_16 = 0x01100007
 
 
@@ -49,7 +50,7 @@ def read_description(path: Path) -> str:
         content = path.read_bytes()
         text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode("utf-8-sig")
         Description(text)
-    except (OSError, EOFError, UnicodeDecodeError, DescriptionError) as error:
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError, DescriptionError) as error:
         raise InputError(
             f"{path}: cannot be read as the description of a camera: {error}",
             action="Give the GenICam file of a camera, as XML or packed by gzip.",

@@ -47,7 +47,7 @@ from vaoi_station.acquisition.process.run_reports import clock_jump_error, troub
 from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring import Ring, RingLayout
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InternalError, StateError, VaoiError
+from vaoi_station.errors import DeviceError, InternalError, StateError, VaoiError
 from vaoi_station.supervised_thread import SupervisedThread, ThreadFault, faults_of
 
 HELD_UP_S = 0.1
@@ -173,12 +173,16 @@ class _MainLoop:
         for camera in self._devices.cameras:
             camera.start(self._inbox.messages)
         self._devices.controller.start(self._inbox.messages)
+        cameras = [*zip(self._clocks[1:], self._devices.cameras, strict=True)]
         for _ in range(FIRST_READINGS):
             self._clocks[0].add(self._devices.controller.read_clock())
-            for clock, camera in zip(self._clocks[1:], self._devices.cameras, strict=True):
-                # A camera that is lost from the start reports that itself, and its clock when it is back.
-                with contextlib.suppress(VaoiError):
+            for clock, camera in cameras[:]:
+                # A camera that is lost from the start reports that itself, and its clock when it is back. It is not
+                # asked again, since each reading of a silent camera takes seconds.
+                try:
                     clock.add(camera.read_clock())
+                except DeviceError:
+                    cameras.remove((clock, camera))
         woken, waker = multiprocessing.Pipe(duplex=False)
         commands = SupervisedThread(partial(self._receive_commands, woken), "commands")
         self._clock_thread = SupervisedThread(self._poll_clocks, "clocks", CLOCKS_LIMIT_S)

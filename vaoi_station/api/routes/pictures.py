@@ -191,6 +191,9 @@ def router(services: Services) -> APIRouter:
         """Return how an answer may be kept; call it in a thread, and before the content is made."""
         if coordinator.run(run).state not in FINISHED:
             return LIVE
+        # Colours are balanced by the flat fields in force, which may be measured again.
+        if coordinator.balances_colours:
+            return REVALIDATE
         # Heights are measured after the result: until they are known, images on the tops of bodies may change.
         final = wanted is None or wanted.framing.plane != "top" or coordinator.heights.known(run) is not None
         return IMMUTABLE if final and coordinator.is_complete(run) else REVALIDATE

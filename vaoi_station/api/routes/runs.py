@@ -175,7 +175,7 @@ def router(services: Services) -> APIRouter:
     async def keep_as_good(run: RunId) -> GoodBoards:
         """Keep what the parts of this board look like: it is a good one. Later runs of its type are compared with it.
 
-        The reply lists the good boards, parts that look otherwise than on the others, and parts that were measured as
+        The reply lists the good boards, parts that look unlike others of their kind, and parts that were measured as
         absent on this one: check these, and remove the board if one is wrong. 410: its frames are no longer in memory.
         """
         return await services.pictures.ask(coordinator.parts.teach, run)

@@ -8,21 +8,23 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
 
 from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
+from vaoi_station.model.board_type import STORED_NAME
 from vaoi_station.parts.learned import ENDING
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import Disagreement, GoodBoard, GoodBoards, RunDetail
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
-from vaoi_station.runs.workers.parts_jobs import PartsJob, Taught, TeachJob
+from vaoi_station.runs.workers.parts_jobs import MOST_GOOD, PartsJob, Taught, TeachJob
 from vaoi_station.supervised_queue import SupervisedQueue
 
 _log = logging.getLogger(__name__)
@@ -32,8 +34,6 @@ _KEPT = 16
 """Number of runs whose document is kept in memory."""
 _MOST_WAITING = 8
 """Largest number of runs that wait for their parts to be measured; the oldest ones are then not measured."""
-MOST_GOOD = 50
-"""Largest number of good boards of a board type: more would not make measures better, but slower."""
 _ABSENT = 0.5
 """Probability of presence below which a part counts as absent in messages."""
 
@@ -57,7 +57,7 @@ class MeasuredParts:
         self._memory = threading.Lock()
         """Guards `_known`; never held while a worker or the disk is awaited."""
         self._lock = threading.Lock()
-        """Held during a measurement or a teaching."""
+        """Held during a measurement for a caller, or a teaching."""
         self.queue = SupervisedQueue(self._measure_after, "parts", _MOST_WAITING)
         """The runs whose parts are to be measured after their end; started and stopped by the owner."""
 
@@ -76,6 +76,9 @@ class MeasuredParts:
         """
         if (found := self._stored(run)) is not None:
             return found
+        # Of a run without frames it is said at once.
+        _checked(self._archive.get(run))
+        self._bay_of(run)
         with self._lock:
             if (found := self._stored(run)) is not None:
                 return found
@@ -99,7 +102,6 @@ class MeasuredParts:
                     action="Remove one of them from the good boards first.",
                     code="too-many-good-boards",
                 )
-            file.parent.mkdir(parents=True, exist_ok=True)
             with self._lease(run, "teaching of parts") as bay:
                 job = TeachJob(
                     run, bay.number, bay.generation, finished.board_type, finished.lean, finished.cameras,
@@ -124,21 +126,28 @@ class MeasuredParts:
                 action="See the good boards of the board type.",
                 code="not-good",
             )
-        with self._lock:
-            found[0].unlink(missing_ok=True)
+        found[0].unlink(missing_ok=True)
         self._events.add("parts", "The board is no longer one of the good ones.", run=run, state="not-good")
         return self.good(found[0].parent.name)
 
     def good(self, board_type: str) -> GoodBoards:
         """Return the good boards of a board type."""
-        boards = (GoodBoard(run=path.name.removesuffix(ENDING), size_bytes=path.stat().st_size)
-                  for path, _ in self._good_files(board_type))  # fmt: skip
+        boards = []
+        for path, _ in self._good_files(board_type):
+            with suppress(FileNotFoundError):  # It was removed meanwhile.
+                boards.append(GoodBoard(run=path.name.removesuffix(ENDING), size_bytes=path.stat().st_size))
         return GoodBoards(board_type=board_type, boards=tuple(boards))
 
     def _good_files(self, board_type: str) -> tuple[tuple[Path, int], ...]:
         """Return the files of the good boards of a type, with the times of their last changes, ns."""
-        files = sorted((self._directory / board_type).glob(f"*{ENDING}"))
-        return tuple((path, path.stat().st_mtime_ns) for path in files)
+        # Names of imported runs are free texts.
+        if not re.fullmatch(STORED_NAME, board_type):
+            return ()
+        found = []
+        for path in sorted((self._directory / board_type).glob(f"*{ENDING}")):
+            with suppress(FileNotFoundError):  # It was removed meanwhile.
+                found.append((path, path.stat().st_mtime_ns))
+        return tuple(found)
 
     def _stored(self, run: str) -> bytes | None:
         """Return the measures of a run from memory or the database."""
@@ -172,10 +181,10 @@ class MeasuredParts:
         """Measure the parts of a run that has just ended, if it can have measures."""
         try:
             finished = _checked(self._archive.get(run))
-            with self._lock:
-                if self._stored(run) is not None:
-                    return
-                content = self._measured(finished, self._bay_of(run), Priority.HEIGHTS)
+            # Without the lock: callers do not wait for spare time. Measuring twice is harmless.
+            if self._stored(run) is not None:
+                return
+            content = self._measured(finished, self._bay_of(run), Priority.HEIGHTS)
         except (StateError, GoneError, NotFoundError, BusyError):
             return  # It has no result, its frames were needed, or the station stops.
         except Exception as fault:  # noqa: BLE001  the thread must go on: later runs need it
@@ -188,6 +197,11 @@ class MeasuredParts:
 def _checked(finished: FinishedRun) -> FinishedRun:
     """Return a run that can have measures; raise StateError or NotFoundError for another, before a worker is asked."""
     _ = finished.view_calculator, _head(finished)
+    if not re.fullmatch(STORED_NAME, finished.board_type.name):
+        raise StateError(
+            f"Board type {finished.board_type.name!r} of run {finished.detail.id} has a name that cannot be stored.",
+            action="Rename it where the run was exported.",
+        )
     return finished
 
 

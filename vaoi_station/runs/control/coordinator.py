@@ -106,6 +106,10 @@ class StationCoordinator(BoardTypeRequests):
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, parts.workers)
         config, events, fields = parts.config, parts.events, parts.config.flat_fields
+        self.balances_colours = fields is not None and any(
+            not camera.pixel_format.startswith("Mono") for camera in config.cameras
+        )
+        """Whether pictures depend on flat fields."""
         pixels = parts.archive, access.lease, access.render
         self.heights = MeasuredHeights(*pixels, access.bay_of, events, fields)
         self.parts = MeasuredParts(*pixels, access.bay_of, events, config.data / GOOD_BOARDS)

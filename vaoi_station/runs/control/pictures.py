@@ -81,10 +81,10 @@ class FrameAccess:
         answer: Future[Reply] = Future()
         self._workers.submit(job, answer.set_result)
         try:
-            reply = answer.result(RENDER_LIMIT_S)
+            reply = answer.result(job.awaited_s or RENDER_LIMIT_S)
         except TimeoutError:
             raise DeviceError(
-                f"No worker rendered image {name} within {RENDER_LIMIT_S:.0f} s.",
+                f"No worker rendered image {name} within {job.awaited_s or RENDER_LIMIT_S:.0f} s.",
                 action="Check the state of the workers.",
             ) from None
         if reply.error is not None:

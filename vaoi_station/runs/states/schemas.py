@@ -678,7 +678,7 @@ class GoodBoard(Strict):
 
 
 class Disagreement(Strict):
-    """A part of a good board that looks otherwise than on the other good boards."""
+    """A part of a good board that looks unlike others of its kind on good boards."""
 
     board: str
     part: str

@@ -153,6 +153,8 @@ class PictureJob(ABC):
     """Whether an idle worker repeats the job when it is overdue."""
     longest_s: ClassVar[float | None] = None
     """Longest time for the job; None: the limit of all jobs."""
+    awaited_s: ClassVar[float | None] = None
+    """Longest wait for the reply, if the job is done in spare time; None: the limit of all callers."""
 
     def __str__(self) -> str:
         return f"{self.what} of run {self.run}"

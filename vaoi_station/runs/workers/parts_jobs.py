@@ -1,6 +1,7 @@
 """Jobs that measure the parts of a run, and that keep what a good board looks like.
 
-Both run in steps of some tens of milliseconds, one kind of parts after the other.
+Both run in steps, one kind of parts after the other. Most take some tens of milliseconds; the first of a kind, in which
+a worker learns what good parts look like, takes longer, a second for some thousand patches.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
+from vaoi_station.errors import InputError
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
 from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
 from vaoi_station.parts.learned import TaughtBoard, joined, parts_digest, read_taught_board
-from vaoi_station.parts.measure import Gains, Run
+from vaoi_station.parts.measure import Run, SoFar
 from vaoi_station.parts.models import Models
 from vaoi_station.parts.patches import kind_of
 from vaoi_station.runs.workers.jobs import Priority, ReadSlot, SteppedJob
@@ -24,7 +26,9 @@ from vaoi_station.runs.workers.picture_jobs import Slots, reader
 from vaoi_station.steps import Steps
 
 _STEP_PARTS = 32
-"""Least number of parts that are measured in one step."""
+"""Number of parts that are measured in one step."""
+MOST_GOOD = 20
+"""Largest number of good boards of a board type: a worker has all of them in memory, 2.2 kB a part and board."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class PartsJob(SteppedJob):
     """Measure all parts of a run; the reply's value is their document (JSON)."""
 
     what: ClassVar[str] = "the parts"
+    awaited_s: ClassVar[float | None] = 600.0
     board_type: BoardType
     stitch: Stitch
     cameras: tuple[Camera, ...]
@@ -46,15 +51,24 @@ class PartsJob(SteppedJob):
 
     def steps(self, frame: ReadSlot) -> Steps[bytes]:
         """Measure some parts in each step."""
-        models = _models(self.good)
+        known: list[TaughtBoard] = []
+        remarks: list[str] = []
+        for path, changed_ns in self.good:
+            try:
+                known.append(_board(path, changed_ns))
+            except InputError as error:  # The other good boards hold.
+                remarks.append(error.message)
+            yield
+        models = _models(tuple(known))
         run = Run(self.board_type, self.stitch, self.cameras, self.head, reader(self.slots, frame))
         measured: dict[str, dict[str, Any]] = {}
-        gains: Gains = {}
+        so_far = SoFar()
         for some in _in_steps(self.board_type):
-            measured |= measure_parts(run, models, some, gains)
-            yield
+            for first in range(0, len(some), _STEP_PARTS):
+                measured |= measure_parts(run, models, some[first : first + _STEP_PARTS], so_far)
+                yield
         in_order = {part.address: measured[part.address] for part in self.board_type.components}
-        remarks = changes(run, models.boards, self.calibration, self.run)
+        remarks += changes(run, models.boards, self.calibration, self.run)
         document = parts_document(run, models, in_order, remarks)
         # As in all replies of the station, what is not known is absent.
         document["parts"] = {
@@ -71,7 +85,7 @@ class Taught(NamedTuple):
     """Number of parts of which frames show enough."""
     size_bytes: int
     disagreements: list[dict[str, Any]]
-    """Parts of good boards that look otherwise than on the other ones, as `disagreement_steps` returns them."""
+    """Parts of good boards that look unlike others of their kind, as `disagreement_steps` returns them."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +93,7 @@ class TeachJob(SteppedJob):
     """Keep what the parts of a good board look like in a file; the reply's value is a `Taught`."""
 
     what: ClassVar[str] = "the parts of a good board"
+    awaited_s: ClassVar[float | None] = 600.0
     board_type: BoardType
     stitch: Stitch
     cameras: tuple[Camera, ...]
@@ -92,6 +107,11 @@ class TeachJob(SteppedJob):
     def steps(self, frame: ReadSlot) -> Steps[Taught]:
         """Cut the patches of some parts in each step, write the file, and compare the good boards."""
         run = Run(self.board_type, self.stitch, self.cameras, self.head, reader(self.slots, frame))
+        # Read before anything is kept: if one is damaged, the board is not kept either.
+        others = []
+        for path, changed_ns in self.others:
+            others.append(_board(path, changed_ns))
+            yield
         digest, pieces = parts_digest(self.board_type), []
         for some in _in_steps(self.board_type):
             pieces.append(TaughtBoard.of_run(self.run, run.cut(some), digest, self.calibration))
@@ -99,15 +119,20 @@ class TeachJob(SteppedJob):
         board = joined(pieces)
         board.write(self.file)
         yield
-        disagreements = yield from disagreement_steps((*_models(self.others).boards, board))
+        disagreements = yield from disagreement_steps((*others, board))
         known = sum(int((patches.any((1, 2, 3))).sum()) for patches in board.patches)
         return Taught(known, self.file.stat().st_size, disagreements)
 
 
-# A worker mostly measures boards of one type; a second one may be taught meanwhile.
-@lru_cache(maxsize=2)
-def _models(good: tuple[tuple[Path, int], ...]) -> Models:
-    return Models(tuple(read_taught_board(path) for path, _ in good))
+@lru_cache(maxsize=MOST_GOOD)
+def _board(path: Path, _changed_ns: int) -> TaughtBoard:
+    return read_taught_board(path)
+
+
+# A worker mostly measures boards of one type.
+@lru_cache(maxsize=1)
+def _models(good: tuple[TaughtBoard, ...]) -> Models:
+    return Models(good)
 
 
 def _in_steps(board_type: BoardType) -> Iterator[list[Component]]:

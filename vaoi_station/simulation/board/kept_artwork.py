@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -37,7 +38,8 @@ def kept_or_drawn(section: BoardSection, px_per_mm: float, belt_grey: float) -> 
         write_kept(file, content)
         kept = sorted(directory.glob(f"*{_SUFFIX}"), key=_used_s, reverse=True)
         for old in kept[_KEPT:]:
-            old.unlink(missing_ok=True)
+            with suppress(OSError):  # It may be another user's.
+                old.unlink()
     return artwork
 
 

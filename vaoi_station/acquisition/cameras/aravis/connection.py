@@ -392,7 +392,7 @@ class Connection:
 
     def warning(self) -> str:
         """Return a warning if the set-up can lose frames under load, or colours are doubtful; else an empty text."""
-        return self._link_warning() or self._doubtful_colours
+        return " ".join(filter(None, (self._link_warning(), self._doubtful_colours)))
 
     def _link_warning(self) -> str:
         if not self.is_gige:

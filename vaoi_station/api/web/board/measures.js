@@ -135,8 +135,9 @@ export class Measures extends View {
       this.#offer(reply.boards);
       answer.replaceChildren(was ? texts.board.removed(reply.boards.length) : texts.board.keptAsGood(reply.boards.length), ...this.#doubtsOf(reply));
       if (reply.boards.length) await this.#ask();
+      else this.part("measures-note").replaceChildren(texts.board.noGoodBoards);
     } catch (error) {
-      answer.replaceChildren(...saidOf(error));
+      if (run === this.#run) answer.replaceChildren(...saidOf(error));
     } finally {
       this.part("good").disabled = false;
     }

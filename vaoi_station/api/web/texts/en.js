@@ -71,8 +71,8 @@ const board = {
   removed: (n) => `No longer a good board; ${n} of this type ${n === 1 ? "is" : "are"} left. Measures that are stored stay as they are.`,
   lookAt: "Look at these parts. If one is not as it should be, that board is not good after all:",
   wasAbsent: (address) => `${address}: measured as absent here`,
-  disagrees: (address) => `${address}: looks otherwise than on the other good boards`,
-  otherDisagrees: (address, run) => `${address} on ${run}: looks otherwise than on the other good boards`,
+  disagrees: (address) => `${address}: looks unlike others of its kind on good boards`,
+  otherDisagrees: (address, run) => `${address} on ${run}: looks unlike others of its kind on good boards`,
 
   // one part
   sigma: "σ of place",
