@@ -42,6 +42,7 @@ LEFT_OUT = {
         ),
         _DRAWN,
     ),
+    "get_good_boards": "the replies to `keep_as_good` and `remove_from_good` list them",
     **dict.fromkeys(("list_import_previews", "get_import_preview"), "a StationImport holds its document"),
     **dict.fromkeys(
         ("plan_optics", "get_optics_requirements"), "the arithmetic of `vaoi plan`, which needs no station"
@@ -158,6 +159,9 @@ def _calls(station: vaoi.Station, folder: Path) -> dict[type, dict[str, Callable
         "mosaics": lambda r: r.mosaics(),
         "save_mosaic": lambda r: r.save_mosaic("all", folder / "board.tif"),
         "heights": lambda r: r.heights(),
+        "parts": lambda r: r.parts(),
+        "keep_as_good": lambda r: r.keep_as_good(),
+        "remove_from_good": lambda r: r.remove_from_good(),
         "timeline": lambda r: r.timeline(),
         "identity": lambda r: r.identity(),
         "report_next_machine": lambda r: r.report_next_machine("SN-1"),

@@ -51,7 +51,15 @@ const board = {
 
   // measures of parts
   cannotSay: "cannot say",
-  cannotSayWhy: {}, // the station's sentences are English
+  cannotSayWhy: {
+    unseen: "no frame shows the whole part",
+    dark: "the part is saturated or black in all frames",
+    untaught: "no good board has this part",
+    "light-untaught": "no good board was filmed under this light and exposure",
+    undecided: "frames alone do not tell whether it is there; teach a good board",
+    "not-found": "the part is not where it belongs, or looks otherwise than good ones, so its place is not known",
+    "no-marks": "the part looks alike either way round",
+  },
   restsOn: "Rests on",
   basis: (frames, boards) => `${frames} ${frames === 1 ? "frame" : "frames"}, ${boards} good ${boards === 1 ? "board" : "boards"}`,
   parallax: "Height by parallax",

@@ -17,7 +17,7 @@ from tests.gige.line import ScriptedController
 from vaoi_station.acquisition.cameras.aravis.camera import open_aravis_cameras
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.pairing.evidence import NO_PACKET
-from vaoi_station.acquisition.process.messages import Ready, RunFinished, Trouble
+from vaoi_station.acquisition.process.messages import Health, Ready, RunFinished, Trouble
 from vaoi_station.model import FrameRecord, Verdict
 
 Open = Callable[[], "Line"]
@@ -51,6 +51,13 @@ class Line:
 
         self.controller.board(rows, expose)
         return self.bench.until(RunFinished)
+
+    def wait_for_camera(self) -> None:
+        """Wait until the camera was opened again after a board of which it sent nothing."""
+        while True:
+            [health] = self.bench.until(Health).cameras
+            if health.connected and health.recovery is not None and self.camera.armed:
+                return
 
 
 @pytest.fixture
@@ -112,6 +119,8 @@ def test_a_firewall_that_drops_all_frames_is_named(line: Open) -> None:
     assert {frame.verdict for frame in done.frames} == {Verdict.MISSING}
     assert {frame.cause for frame in done.frames} == {NO_PACKET}
     station.camera.blocked = False
+    # A camera that sent nothing of a board is opened again, since a firewall looks like a camera that hangs.
+    station.wait_for_camera()
     assert faults(station.film()) == {}
     station.camera.blocked = True
     assert "the camera sent no frame in this run" in station.film().frames[0].cause, "packets have come before"
