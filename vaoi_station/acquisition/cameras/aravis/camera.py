@@ -166,6 +166,14 @@ class AravisCamera:
             if connection is not None:
                 connection.rewind()
         except DeviceError as error:
+            self._note_access_error(connection, error)
+
+    def _note_access_error(self, connection: Connection | None, error: DeviceError) -> None:
+        """Let the supervisor know of an error of the present connection.
+
+        An access to a camera that is gone fails after 2.6 s only. Another one may have its place by then.
+        """
+        if connection is self._connection:
             self._access_error = error
 
     def sent_nothing(self, rows: int, since_s: float) -> None:
@@ -198,7 +206,7 @@ class AravisCamera:
             return connection.read_clock(self._epoch_ns)
         except DeviceError as error:
             # The supervisor, not this thread, decides whether the camera is lost: only it may replace the connection.
-            self._access_error = error
+            self._note_access_error(connection, error)
             raise
 
     def health(self) -> CameraHealth:
@@ -417,7 +425,7 @@ class AravisCamera:
                     self._arrivals.put(CameraBack(self.number, time.monotonic(), reading))
                     for slot in self._waiting:
                         connection.stream.queue(slot)
-                    self._waiting, self._connection = [], connection
+                    self._waiting, self._connection, self._access_error = [], connection, None
         except DeviceError as error:
             self._fault = error
             connection.close()
