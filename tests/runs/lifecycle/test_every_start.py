@@ -117,12 +117,13 @@ class EveryStart(RuleBasedStateMachine):
 
     @rule(companions=st.booleans())
     def delete_the_file(self, companions: bool) -> None:
+        # Before: what opens the file again does not know the limit that stands for a full disk, and its thread closes
+        # the connection. SQLite's module for Python ends the process if a connection is closed while it is used.
+        self.make_room()
         path = self.config.data / "station.db"
         path.unlink(missing_ok=True)
         if companions:
             path.with_name("station.db-wal").unlink(missing_ok=True)
-        if self.full:  # what opens the file again does not know the limit that stands for a full disk
-            self.make_room()
         self.flush()
 
     @rule(clean=st.booleans(), data=st.data())
