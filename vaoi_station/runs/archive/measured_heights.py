@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import logging
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -21,6 +20,7 @@ from vaoi_station.model import RecordingHead
 from vaoi_station.photometry import FlatFields
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.archive.kept_documents import KeptDocuments
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
 from vaoi_station.runs.workers.picture_jobs import CombineHeightsJob, HeightsJob
@@ -60,9 +60,7 @@ class MeasuredHeights:
         """
         self._archive, self._lease, self._render, self._bay_of = archive, lease, render, bay_of
         self._events, self._flat_fields = events, flat_fields
-        self._known: OrderedDict[str, bytes] = OrderedDict()
-        self._memory = threading.Lock()
-        """Guards `_known`; never held while a worker or the disk is awaited."""
+        self._documents = KeptDocuments(archive.store.heights, _KEPT)
         self._lock = threading.Lock()
         """Held during a measurement, which may wait for minutes behind later boards."""
         self.queue = SupervisedQueue(self._measure_after, "heights", _MOST_WAITING)
@@ -76,11 +74,11 @@ class MeasuredHeights:
             StateError: the run has no CAD mapping, or its calibration no working distance.
             GoneError: the frames are no longer in memory, and the heights were not measured while they were.
         """
-        if (found := self._stored(run)) is not None:
+        if (found := self._documents.get(run)) is not None:
             return found
         with self._lock:
             # A second request for the same run finds the heights of the first.
-            if (found := self._stored(run)) is not None:
+            if (found := self._documents.get(run)) is not None:
                 return found
             finished = _checked(self._archive.get(run))
             with self._lease(run, "heights of components") as bay:
@@ -91,25 +89,10 @@ class MeasuredHeights:
 
         It waits for no measurement.
         """
-        if (found := self._stored(run)) is None:
+        if (found := self._documents.get(run)) is None:
             return None
         entries = json.loads(found)["heights"]
         return {ref: (e["height_mm"], e["sigma_mm"]) for ref, e in entries.items() if "height_mm" in e}
-
-    def _stored(self, run: str) -> bytes | None:
-        """Return the heights of a run from memory or the database."""
-        with self._memory:
-            if (found := self._known.get(run)) is not None:
-                return found
-        text = self._archive.store.heights(run)
-        return None if text is None else self._remember(run, text.encode())
-
-    def _remember(self, run: str, content: bytes) -> bytes:
-        with self._memory:
-            self._known[run] = content
-            if len(self._known) > _KEPT:
-                self._known.popitem(last=False)
-        return content
 
     def _measured(self, finished: FinishedRun, bay: Bay, priority: Priority) -> bytes:
         """Have the heights of all components measured, slice by slice, combined and stored."""
@@ -127,7 +110,7 @@ class MeasuredHeights:
         if self.queue.stopping:
             raise StateError("The station is stopping; the heights were not measured.")
         combine = CombineHeightsJob(run, bay.number, bay.generation, board_type, stitch, parts, priority=priority)
-        content = self._remember(run, self._render(combine, "table of heights"))
+        content = self._documents.put(run, self._render(combine, "table of heights"))
         self._archive.store.save_heights(run, content.decode())
         return content
 
@@ -150,7 +133,7 @@ class MeasuredHeights:
             finished = _checked(self._archive.get(run))
             # Callers who request the heights meanwhile wait for these.
             with self._lock:
-                if self._stored(run) is None:
+                if self._documents.get(run) is None:
                     self._measured(finished, self._bay_of(run), Priority.HEIGHTS)
         except (StateError, GoneError, NotFoundError, BusyError):
             return  # It has no result, its frames were needed, or the station stops.

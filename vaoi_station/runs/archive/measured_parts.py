@@ -10,7 +10,6 @@ import json
 import logging
 import re
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
@@ -21,6 +20,7 @@ from vaoi_station.model.board_type import STORED_NAME
 from vaoi_station.parts.learned import ENDING
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
+from vaoi_station.runs.archive.kept_documents import KeptDocuments
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import Disagreement, GoodBoard, GoodBoards, RunDetail
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
@@ -53,9 +53,7 @@ class MeasuredParts:
         """Store the parts, as `MeasuredHeights` does. `directory` is that of the good boards."""
         self._archive, self._lease, self._render, self._bay_of = archive, lease, render, bay_of
         self._events, self._directory = events, directory
-        self._known: OrderedDict[str, bytes] = OrderedDict()
-        self._memory = threading.Lock()
-        """Guards `_known`; never held while a worker or the disk is awaited."""
+        self._documents = KeptDocuments(archive.store.parts, _KEPT)
         self._lock = threading.Lock()
         """Held during a measurement for a caller, or a teaching."""
         self.queue = SupervisedQueue(self._measure_after, "parts", _MOST_WAITING)
@@ -74,13 +72,13 @@ class MeasuredParts:
             StateError: the run has no CAD mapping.
             GoneError: the frames are no longer in memory, and the parts were not measured while they were.
         """
-        if (found := self._stored(run)) is not None:
+        if (found := self._documents.get(run)) is not None:
             return found
         # Of a run without frames it is said at once.
         _checked(self._archive.get(run))
         self._bay_of(run)
         with self._lock:
-            if (found := self._stored(run)) is not None:
+            if (found := self._documents.get(run)) is not None:
                 return found
             finished = _checked(self._archive.get(run))
             with self._lease(run, "measures of parts") as bay:
@@ -105,13 +103,13 @@ class MeasuredParts:
             with self._lease(run, "teaching of parts") as bay:
                 job = TeachJob(
                     run, bay.number, bay.generation, finished.board_type, finished.lean, finished.cameras,
-                    _head(finished), finished.slots, finished.detail.calibration, file, others,
+                    _head(finished), finished.slots, finished.detail.calibration, others, file,
                 )  # fmt: skip
                 taught: Taught = self._render(job, "good board")
         self._events.add("parts", f"The board is kept as a good one of {name!r}.", run=run, state="good")
         absent = [
             ref
-            for ref, entry in json.loads(self._stored(run) or b'{"parts": {}}')["parts"].items()
+            for ref, entry in json.loads(self._documents.get(run) or b'{"parts": {}}')["parts"].items()
             if entry.get("presence", 1.0) < _ABSENT
         ]
         doubts = tuple(Disagreement.model_validate(d) for d in taught.disagreements)
@@ -149,21 +147,6 @@ class MeasuredParts:
                 found.append((path, path.stat().st_mtime_ns))
         return tuple(found)
 
-    def _stored(self, run: str) -> bytes | None:
-        """Return the measures of a run from memory or the database."""
-        with self._memory:
-            if (found := self._known.get(run)) is not None:
-                return found
-        text = self._archive.store.parts(run)
-        return None if text is None else self._remember(run, text.encode())
-
-    def _remember(self, run: str, content: bytes) -> bytes:
-        with self._memory:
-            self._known[run] = content
-            if len(self._known) > _KEPT:
-                self._known.popitem(last=False)
-        return content
-
     def _measured(self, finished: FinishedRun, bay: Bay, priority: Priority) -> bytes:
         """Have all parts measured, and store their document if there are good boards: without, it is not final."""
         run, good = finished.detail.id, self._good_files(finished.board_type.name)
@@ -173,7 +156,7 @@ class MeasuredParts:
         )  # fmt: skip
         content: bytes = self._render(job, "parts")
         if good:
-            self._remember(run, content)
+            self._documents.put(run, content)
             self._archive.store.save_parts(run, content.decode())
         return content
 
@@ -182,7 +165,7 @@ class MeasuredParts:
         try:
             finished = _checked(self._archive.get(run))
             # Without the lock: callers do not wait for spare time. Measuring twice is harmless.
-            if self._stored(run) is not None:
+            if self._documents.get(run) is not None:
                 return
             content = self._measured(finished, self._bay_of(run), Priority.HEIGHTS)
         except (StateError, GoneError, NotFoundError, BusyError):

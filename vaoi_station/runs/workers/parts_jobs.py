@@ -25,6 +25,8 @@ from vaoi_station.runs.workers.jobs import Priority, ReadSlot, SteppedJob
 from vaoi_station.runs.workers.picture_jobs import Slots, reader
 from vaoi_station.steps import Steps
 
+GoodFiles = tuple[tuple[Path, int], ...]
+"""Files of good boards, with the times of their last changes, ns."""
 _STEP_PARTS = 32
 """Number of parts that are measured in one step."""
 MOST_GOOD = 20
@@ -32,10 +34,9 @@ MOST_GOOD = 20
 
 
 @dataclass(frozen=True)
-class PartsJob(SteppedJob):
-    """Measure all parts of a run; the reply's value is their document (JSON)."""
+class _PartsOfRun(SteppedJob):
+    """A job on the parts of a run."""
 
-    what: ClassVar[str] = "the parts"
     awaited_s: ClassVar[float | None] = 600.0
     board_type: BoardType
     stitch: Stitch
@@ -45,8 +46,19 @@ class PartsJob(SteppedJob):
     """Slots of the usable frames."""
     calibration: str
     """Digest of the calibration."""
-    good: tuple[tuple[Path, int], ...]
-    """Files of the good boards, with the times of their last changes, ns."""
+    good: GoodFiles
+    """The good boards; for `TeachJob`, the other ones."""
+
+    def opened(self, frame: ReadSlot) -> Run:
+        """Return the run, with the pixels of its usable frames."""
+        return Run(self.board_type, self.stitch, self.cameras, self.head, reader(self.slots, frame))
+
+
+@dataclass(frozen=True)
+class PartsJob(_PartsOfRun):
+    """Measure all parts of a run; the reply's value is their document (JSON)."""
+
+    what: ClassVar[str] = "the parts"
     priority: Priority = field(default=Priority.HEIGHTS, kw_only=True)
 
     def steps(self, frame: ReadSlot) -> Steps[bytes]:
@@ -60,7 +72,7 @@ class PartsJob(SteppedJob):
                 remarks.append(error.message)
             yield
         models = _models(tuple(known))
-        run = Run(self.board_type, self.stitch, self.cameras, self.head, reader(self.slots, frame))
+        run = self.opened(frame)
         measured: dict[str, dict[str, Any]] = {}
         so_far = SoFar()
         for some in _in_steps(self.board_type):
@@ -89,27 +101,18 @@ class Taught(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TeachJob(SteppedJob):
+class TeachJob(_PartsOfRun):
     """Keep what the parts of a good board look like in a file; the reply's value is a `Taught`."""
 
     what: ClassVar[str] = "the parts of a good board"
-    awaited_s: ClassVar[float | None] = 600.0
-    board_type: BoardType
-    stitch: Stitch
-    cameras: tuple[Camera, ...]
-    head: RecordingHead
-    slots: Slots
-    calibration: str
     file: Path
-    others: tuple[tuple[Path, int], ...]
-    """Files of the other good boards, with the times of their last changes, ns."""
 
     def steps(self, frame: ReadSlot) -> Steps[Taught]:
         """Cut the patches of some parts in each step, write the file, and compare the good boards."""
-        run = Run(self.board_type, self.stitch, self.cameras, self.head, reader(self.slots, frame))
+        run = self.opened(frame)
         # Read before anything is kept: if one is damaged, the board is not kept either.
         others = []
-        for path, changed_ns in self.others:
+        for path, changed_ns in self.good:
             others.append(_board(path, changed_ns))
             yield
         digest, pieces = parts_digest(self.board_type), []
