@@ -12,14 +12,15 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tests.drift.conftest import SCENARIO
 from vaoi_station.config import read_config
 from vaoi_station.demo.client import Client
 from vaoi_station.demo.service import Service
-from vaoi_station.demo.waiting import wait_until_idle
+from vaoi_station.demo.waiting import wait_for_run, wait_until_idle
 from vaoi_station.files.access_keys import KEY_FILE, KeyFile
 from vaoi_station.files.caller_credentials import CallerCredentials
 from vaoi_station.rig.devices import Devices, build_site
@@ -33,6 +34,8 @@ KNOCKS = [
     {"camera": 1, "about": about, "angle_deg": angle, "from_board": 1}
     for about, angle in (("x", -0.4), ("y", 0.3), ("z", -0.4))
 ]
+T = TypeVar("T")
+PATIENCE_S = 60.0
 MOST_PASSAGES = 3
 """How often the second board passes at most, until it shows enough of the new camera."""
 
@@ -47,25 +50,27 @@ class Exchange:
         """Arm for one board, let it pass, and return its run."""
         self._client.post("/station/arm", board_type=board.board_type.name, runs=1)
         before = self._client.get("/runs", limit=1)["runs"]
-        after = before[0]["id"] if before else None
         with BoardFeeder(self._devices.line, [board], self._interval_s) as feeder:
             feeder.finished.wait(60)
-        for _ in range(60):
-            runs = self._client.get("/runs", limit=1)["runs"]
-            if runs and runs[0]["id"] != after and runs[0].get("verdict"):
-                run: dict[str, Any] = self._client.get(f"/runs/{runs[0]['id']}")
-                return run
-            time.sleep(0.5)
-        raise AssertionError(f"no run: {self._client.get('/station')}")
+        return wait_for_run(self._client, before[0]["id"] if before else None)
+
+    def until(self, seen: Callable[[], T | None]) -> T:
+        """Return what `seen` returns once it is not None; each event of the station, heartbeats too, is a new try."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        for _ in self._client.messages():
+            if (found := seen()) is not None:
+                return found
+            assert time.monotonic() < deadline_s, self._client.get("/station")
+        raise AssertionError("the station has ended")
 
     def connected(self, camera: int, wanted: bool = True) -> dict[str, Any]:
         """Wait until a camera is connected, or lost; return its status."""
-        for _ in range(150):
+
+        def found() -> dict[str, Any] | None:
             status: dict[str, Any] = self._client.get("/station")["cameras"][camera]
-            if status["connected"] is wanted:
-                return status
-            time.sleep(0.2)
-        raise AssertionError(f"camera {camera}: {status}")
+            return status if status["connected"] is wanted else None
+
+        return self.until(found)
 
     def processes(self) -> dict[str, Any]:
         """Return the ids of the processes of the station by their names."""
@@ -101,10 +106,7 @@ def main(folder: Path) -> dict[str, Any]:
             for _ in range(MOST_PASSAGES):
                 run = rig.film(boards[1])
                 seen["runs"].append({"verdict": run["verdict"], "causes": [r.get("cause") for r in run["reasons"]]})
-                for _ in range(40):
-                    if rig.estimate(1).get("boards") == len(seen["runs"]):
-                        break
-                    time.sleep(0.25)
+                rig.until(lambda: rig.estimate(1).get("boards") == len(seen["runs"]) or None)
                 if rig.estimate(1).get("ready"):
                     break
             seen["estimate"] = rig.estimate(1)
