@@ -167,7 +167,7 @@ def cache_directories() -> tuple[Path, ...]:
 def read_kept(file: Path) -> bytes | None:
     """Return what `write_kept` has written to a file; None if it does not exist, or a power cut left it incomplete."""
     with suppress(OSError):
-        # This fails if the file is not there, or belongs to a user who lets nobody read it.
+        # This fails if the file is not there, or belongs to a user who permits no other one to read it.
         content = file.read_bytes()
         if hashlib.sha256(content[:-_DIGEST_BYTES]).digest() == content[-_DIGEST_BYTES:]:
             with suppress(OSError):  # shipped code cannot be written to

@@ -82,7 +82,7 @@ class Evidence(NamedTuple):
     quarters: NDArray[np.int_]
     """(n,) orientation that fits best, quarters of a turn."""
     ratio: Floats
-    """(n, 4) logarithm of the misfit by quarters of a turn, less that of the upright part; NaN if it cannot be told."""
+    """(n, 4) logarithm of the misfit by quarters of a turn, less that of the upright part; NaN if it is not known."""
     marks: Floats
     """(n, 4) the same that is expected of a part that lies upright."""
     lift: Floats

@@ -90,12 +90,12 @@ def alike(unlike: Floats) -> Floats:
 
 
 def orientation(ratio: Floats, marks: Floats, visible: float) -> Floats:
-    """Return the probabilities (n, 4) of the quarters of a turn; 0 where an orientation cannot be told.
+    """Return the probabilities (n, 4) of the quarters of a turn; 0 where an orientation is not known.
 
     Args:
         ratio: (n, 4) logarithm of the misfit by orientation, less that of the upright part.
         marks: (n, 4) the same of a part that lies upright.
-        visible: least value of `marks` with which orientations are told apart.
+        visible: least value of `marks` with which orientations are distinguished.
     """
     told = np.nan_to_num(marks) > visible
     told[:, 0] = True

@@ -89,7 +89,7 @@ def test_what_could_be_a_mistake_is_refused_and_changes_nothing(
         status, problem = post(client, f"{camera}/exchange", serial=serial, **body)
         return status, problem["code"], problem["detail"]
 
-    assert refusal(serial="NOBODY")[:2] == (503, "camera-absent")
+    assert refusal(serial="UNKNOWN")[:2] == (503, "camera-absent")
     assert refusal(serial="OLD-2")[1:] == (
         "serial-used",
         "The camera OLD-2 is that of place cam2; one camera cannot stand at two places.",

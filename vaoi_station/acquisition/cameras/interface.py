@@ -192,7 +192,7 @@ class CameraDevice(Protocol):
         return
 
     def sent_nothing(self, rows: int, since_s: float) -> None:  # noqa: ARG002
-        """Take note that no frame of this camera belongs to a run of so many rows since a time of time.monotonic().
+        """Note that no frame of this camera belongs to a run of this number of rows since a time of time.monotonic().
 
         Others filmed the run. Never blocks.
         """

@@ -298,7 +298,7 @@ class Camera(Device):
                 self.features.put(inner, 0)  # it clears itself: a client may ask whether it is done
 
     def _load_set(self, number: int) -> None:
-        """Restore a user set; those that nobody has saved are the first values."""
+        """Restore a user set; those that were never saved are the first values."""
         assert self._first is not None
         pages, banks = self._sets.get(number, self._first)
         before = self.features.value("UserSetSelector") if "UserSetSelector" in self.features else 0

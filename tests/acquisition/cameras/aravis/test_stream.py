@@ -67,7 +67,7 @@ def test_packets_that_were_asked_for_again_may_come_twice(monkeypatch: pytest.Mo
     assert "a packet came twice" in strict.fault(frame(began_ns=2_000), 256)
     assert careless.fault(frame(began_ns=3_000), 256) == ""
     stream.counters["n_duplicated_packets"] = 3
-    assert "a packet came twice" in careless.fault(frame(began_ns=4_000), 256), "nobody had asked for it"
+    assert "a packet came twice" in careless.fault(frame(began_ns=4_000), 256), "it was not asked for"
 
 
 def test_a_clock_that_was_set_back_makes_no_later_frame_suspect(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,7 +132,7 @@ def find(serial: str, found: Iterable[FoundCamera]) -> FoundCamera:
 def free_address(camera: FoundCamera, wished: Iterable[str], used: Collection[str]) -> str:
     """Return an address for a camera in the network of its port: a wished one, else the next one that is free.
 
-    `used` are addresses that are not to be taken although nobody answers there. `StateError`: none was found.
+    `used` are addresses that are not to be taken although no device answers there. `StateError`: none was found.
     """
     own = ipaddress.IPv4Interface(camera.local)
     wishes = [address for address in wished if _fits(address, own) and address not in used]

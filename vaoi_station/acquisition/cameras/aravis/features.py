@@ -170,7 +170,7 @@ def _silences() -> frozenset[int]:
 
 
 def _target(node: Any) -> str | None:
-    """Return the name of the node that has the value of another one; None if that node has its own."""
+    """Return the name of the node that has the value of another one; None if that node has a value itself."""
     child = node.get_first_child() if node is not None else None
     while child is not None:
         if child.get_node_name() == "pValue":

@@ -92,7 +92,7 @@ class FrameCheck:
             return False
         duplicates = self._stream.get_info_uint64_by_name(_DUPLICATES)
         requests = self._stream.get_info_uint64_by_name(_REQUESTS) if self._counts_requests else 0
-        # Each request brings one packet again, and the late packet itself may still come: so many may come twice
+        # Each request brings one packet again, and the late packet itself may still come: this number may come twice
         # with the same content. The request may be one of the frame before, which was received at the same time.
         if duplicates - self._duplicates > requests - self._requests[0]:
             self._duplicates_ns = time.time_ns()

@@ -40,7 +40,7 @@ export class Exchange {
     this.pending.replaceChildren(...waiting.map((camera) => this.#waiting(camera)));
   }
 
-  // Whoever has no key for it is asked for one in place of the orders.
+  // A caller without a key for it is asked for one in place of the orders.
   async #enter() {
     if (this.#entered) return;
     const place = make("div");

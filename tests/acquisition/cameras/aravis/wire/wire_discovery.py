@@ -43,7 +43,7 @@ def test_an_address_is_taken_at_once_and_kept(foreign: ForeignCamera) -> None:
     kept = [socket.inet_ntoa(foreign.memory[at : at + 4]) for at in (0x64C, 0x65C)]
     assert kept == [FREE, "255.0.0.0"]
     assert foreign.get(0x14) == 0b111, "the persistent address is used, and DHCP and link-local stay as they were"
-    assert foreign.get(0xA00) == 0, "and nobody controls it"
+    assert foreign.get(0xA00) == 0, "and no program controls it"
     now = found(foreign.serial)
     assert (now.address, now.in_network, now.control) == (FREE, True, Control.FREE)
 
