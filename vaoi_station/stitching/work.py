@@ -170,6 +170,7 @@ class TaskRunner:
         # All evidence by its last row, up to the first row of which some is missing, and what is begun with it.
         self._of_row: dict[int, list[Evidence]] = {}
         self._rows, self._times_s = 0, {0: 0.0}
+        self._awaited = (-1, 0)  # a row, and how much evidence it has if all its frames are good
         self._beginning: Steps[None] | None = None
         self._begun: dict[int, tuple[Beginning, Unknowns | None]] = {}  # by the number of rows, of the last two
 
@@ -232,10 +233,12 @@ class TaskRunner:
         found = self._of_row.get(row)
         if found is None or row not in self._times_s:
             return False
-        frames = [(camera, row) for camera in range(len(self._setup.cameras))]
-        times_s = {r: time_s for r, time_s in self._times_s.items() if r <= row}
-        tasks = {task for key in frames for task in _tasks_of(key, lambda _: True, times_s, self._setup)}
-        return len(found) == sum(task.kind != "reference" for task in tasks)
+        if self._awaited[0] != row:
+            frames = [(camera, row) for camera in range(len(self._setup.cameras))]
+            times_s = {r: time_s for r, time_s in self._times_s.items() if r <= row}
+            tasks = {task for key in frames for task in _tasks_of(key, lambda _: True, times_s, self._setup)}
+            self._awaited = row, sum(task.kind != "reference" for task in tasks)
+        return len(found) == self._awaited[1]
 
     def _begin(self, beginning: Beginning) -> Steps[None]:
         stitcher = self._stitcher(np.array(beginning.times_s), beginning.present, ())
