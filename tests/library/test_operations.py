@@ -42,6 +42,7 @@ LEFT_OUT = {
         ),
         _DRAWN,
     ),
+    "get_limits": "they are `limits` of the board type",
     "get_good_boards": "the replies to `keep_as_good` and `remove_from_good` list them",
     **dict.fromkeys(("list_import_previews", "get_import_preview"), "a StationImport holds its document"),
     **dict.fromkeys(
@@ -183,6 +184,7 @@ def _calls(station: vaoi.Station, folder: Path) -> dict[type, dict[str, Callable
         "put": lambda b: b.put(board, tag='"1"'),
         "delete": lambda b: b.delete("demo", tag='"1"'),
         "set_state": lambda b: b.set_state("demo", "approved"),
+        "set_limits": lambda b: (b.set_limits("demo", {}), b.set_limits("demo", {}, store=False)),
         "versions": lambda b: b.versions("demo"),
         "version": lambda b: b.version("demo", "latest"),
         "restore": lambda b: b.restore("demo"),

@@ -49,6 +49,7 @@ class AsyncBoardTypes(_InThreads[StationBoardTypes]):
     put = in_thread(StationBoardTypes.put)
     delete = in_thread(StationBoardTypes.delete)
     set_state = in_thread(StationBoardTypes.set_state)
+    set_limits = in_thread(StationBoardTypes.set_limits)
     versions = in_thread(StationBoardTypes.versions)
     version = in_thread(StationBoardTypes.version)
     restore = in_thread(StationBoardTypes.restore)

@@ -58,6 +58,7 @@ from vaoi_station.runs.states.schemas import (
     HeightEntry,
     HeightList,
     LeaseStatus,
+    LimitsReport,
     PartsDocument,
     ReferenceStatus,
     RunCounts,
@@ -120,6 +121,16 @@ class StationBoardTypes:
         """Set the state `draft`, `approved` or `retired`, and the revision of the data if it is given."""
         document = {"state": state} | ({} if revision is None else {"revision": revision})
         return self._client.write(BoardType, "PUT", _path(name, "state"), document)
+
+    def set_limits(self, name: str, limits: Mapping[str, Any], *, store: bool = True) -> LimitsReport:
+        """Set the limits beyond which measures of parts are marked; see in the reply what they would have marked.
+
+        `limits` is as `limits` of a board type: {"every": {"presence": 0.5}, "packages": {…}, "parts": {…}}.
+        `store=False` changes nothing: only the reply is made.
+        """
+        if not store:
+            return self._client.write(LimitsReport, "POST", _path(name, "limits", "check"), dict(limits))
+        return self._client.write(LimitsReport, "PUT", _path(name, "limits"), dict(limits))
 
     def versions(self, name: str) -> tuple[BoardTypeVersion, ...]:
         """Return the versions that were replaced or deleted, newest first."""

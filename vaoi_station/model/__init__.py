@@ -19,6 +19,7 @@ from vaoi_station.model.board_type import (
 )
 from vaoi_station.model.calibration import Calibration, Distortion
 from vaoi_station.model.frozen_model import Finite, FrozenModel, Positive, Strict, Whole
+from vaoi_station.model.part_limits import BoardLimits, PartLimits
 from vaoi_station.model.reason import Reason, ReasonCode
 from vaoi_station.model.recording import (
     CameraHead,
@@ -37,6 +38,7 @@ __all__ = [
     "VISIBILITY",
     "BoardCode",
     "BoardIdentity",
+    "BoardLimits",
     "BoardLine",
     "BoardReading",
     "BoardType",
@@ -51,6 +53,7 @@ __all__ = [
     "FrameRecord",
     "FrozenModel",
     "OtherMark",
+    "PartLimits",
     "Place",
     "Positive",
     "Program",

@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model.board_identity import BoardIdentity, check_places
 from vaoi_station.model.frozen_model import MOST_MM, Finite, FrozenModel, Millimetres, Point, Positive, Whole
+from vaoi_station.model.part_limits import BoardLimits
 from vaoi_station.model.recording import Program
 
 FoundBy = Literal["element", "attribute", "package", "name", "place"]
@@ -121,6 +122,7 @@ _NOT_FILMED: dict[str, Any] = OF_IMPORT | {
     "cut_outs": True,
     "other_marks": True,
     "identity": True,
+    "limits": True,
     "components": {"__all__": {"package", "size_from", "fitted"}},
 }
 """Keys on which no run depends. Without them the digest is that of versions that did not have them, so that drift is
@@ -242,6 +244,8 @@ class BoardType(FrozenModel):
     """Belt speed, rail, tail and longest board, where they differ from station.toml."""
     identity: BoardIdentity | None = None
     """The codes that state the id of a board; None: boards of this type have none."""
+    limits: BoardLimits | None = None
+    """Limits beyond which the measures of parts are marked; None: none are marked."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from vaoi_station.model import Component, Status
+from vaoi_station.model import BoardType, Component, Status
+from vaoi_station.model.part_limits import beyond
 from vaoi_station.parts import probability
 from vaoi_station.parts.learned import TaughtBoard, parts_digest
 from vaoi_station.parts.measure import Evidence, Run, SoFar, collect
@@ -129,7 +130,8 @@ def scale_of(patches: RunPatches, e: Evidence) -> probability.Scale:
 
 
 def parts_document(run: Run, models: Models, parts: dict[str, dict[str, Any]], doubts: Sequence[str]) -> dict[str, Any]:
-    """Return the document of a run: measures, good boards, doubts, and good boards that disagree."""
+    """Return the document of a run: measures, with those beyond limits marked, good boards, and doubts."""
+    _mark(run.board_type, parts)
     said = [p for p in parts.values() if p["alike"] is not None]
     unlike = sum(p["alike"] < _ALIKE for p in said)
     remarks = [*doubts]
@@ -143,6 +145,15 @@ def parts_document(run: Run, models: Models, parts: dict[str, dict[str, Any]], d
         "good_boards": [b.name for b in models.boards], "remarks": remarks, "parts": parts,
         "reason_texts": {c: REASONS[c] for c in sorted({c for p in parts.values() for c in p["reasons"]})},
     }  # fmt: skip
+
+
+def _mark(board_type: BoardType, parts: dict[str, dict[str, Any]]) -> None:
+    """Name in each part the measures that are beyond the limits of its board type."""
+    if board_type.limits is not None:
+        limits = board_type.limits.by_part({c.address: c.package for c in board_type.components})
+        for address in limits.keys() & parts.keys():
+            if marked := beyond(limits[address], parts[address]):
+                parts[address]["marked"] = marked
 
 
 def disagreement_steps(boards: Sequence[TaughtBoard]) -> Steps[list[dict[str, Any]]]:

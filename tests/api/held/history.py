@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vaoi_station.errors import NotFoundError
-from vaoi_station.model import BoardType
+from vaoi_station.model import BoardLimits, BoardType
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 
@@ -59,6 +59,10 @@ class HeldHistory:
         changes = {"state": state} | ({} if revision is None else {"revision": revision})
         self._types[name] = self._types[name].model_copy(update=changes)
         return self._types[name]
+
+    def set_limits(self, board_type: BoardType, limits: BoardLimits) -> BoardType:
+        self._types[board_type.name] = board_type.model_copy(update={"limits": limits})
+        return self._types[board_type.name]
 
     def restore(self, name: str, revision: str) -> BoardType:
         self._types[name] = self.get(name, revision)

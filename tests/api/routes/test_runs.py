@@ -93,6 +93,33 @@ def test_heights_are_measured_once_and_refused_without_a_working_distance(client
     assert station.mosaics.jobs.count("table of heights") == 1
 
 
+def test_limits_mark_parts_and_say_what_they_would_have_marked(client: Any, station: Any) -> None:
+    address, type_address = "/api/v1/board-types/demo-board/limits", "/api/v1/board-types/demo-board"
+    first, second = station.film(), station.film()
+    client.put(f"{RUNS}/{first}/good")
+    assert "marked" not in client.get(f"{RUNS}/{second}/parts").json()["parts"]["R1"], "no limit is a default"
+    limits = {"every": {"presence": 0.5}, "parts": {"U1": {"presence": 0.0, "most_height_mm": 0.01}}}
+    known = client.get(type_address).content
+    asked = client.post(f"{address}/check", json=limits)
+    assert client.get(type_address).content == known
+    report = asked.json()
+    assert (report["runs"], report["measured"], report["marked_runs"]) == (1, 3, 1)
+    assert {"run": second, "part": "R1", "measures": ["presence"]} in report["marked"]
+    assert client.put(address, json=limits).json() == report
+    assert client.get(address).json() == report["limits"]
+    assert client.get(type_address).json()["limits"] == report["limits"]
+    third = station.film()
+    measured = client.get(f"{RUNS}/{third}/parts").json()["parts"]
+    assert (measured["R1"]["marked"], measured["U1"]["marked"]) == (["presence"], ["height_mm"])
+    assert client.put(address, json={}).json()["marked_parts"] == 0
+    assert client.get(address).json() == {"packages": {}, "parts": {}}
+    refusals: list[Any] = [{"parts": {"R99": {}}}, {"packages": {"0603": {}}}, {"every": {"presence": 2}}, {"evry": {}}]
+    for wrong in refusals:
+        refused = client.put(address, json=wrong)
+        assert refused.status_code == 422, wrong
+    assert "evry" in refused.text
+
+
 def test_parts_are_compared_with_boards_that_were_taught_as_good_until_these_are_removed(
     client: Any, station: Any
 ) -> None:

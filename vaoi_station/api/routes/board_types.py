@@ -35,10 +35,11 @@ from vaoi_station.api.rest_models import (
 from vaoi_station.api.routes.services import Services
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.errors import InputError, NotFoundError, VaoiError
-from vaoi_station.model import BoardType, Strict
+from vaoi_station.model import BoardLimits, BoardType, Strict
 from vaoi_station.model.recording import Program
 from vaoi_station.runs.lighting.programs import ProgramCheck
-from vaoi_station.runs.states.schemas import GoodBoards, ReferenceStatus, StitchingMethod
+from vaoi_station.runs.states.schemas import GoodBoards, LimitsReport, ReferenceStatus, StitchingMethod
+from vaoi_station.store.run_search import RunFilter
 
 BODY = {
     "requestBody": {
@@ -47,6 +48,8 @@ BODY = {
     }
 }
 """OpenAPI description of the request body with which a board type is stored."""
+_LATEST_RUNS = 200
+"""Number of runs whose measures are compared with limits that are set."""
 Setting = TypeVar("Setting", StitchingMethod, ReferenceStatus)
 Checked = Annotated[
     str | None,
@@ -131,6 +134,34 @@ def router(services: Services) -> APIRouter:
         """
         async with unchanged_board_type(services, request, name):
             return shown(request, await ask(history.set_state, name, body.state, body.revision))
+
+    @routes.get("/{name}/limits")
+    async def get_limits(name: BoardTypeName) -> BoardLimits:
+        """Return the limits beyond which measures of parts are marked; without any, none are."""
+        return (await ask(coordinator.board_type, name)).limits or BoardLimits()
+
+    @routes.put("/{name}/limits", dependencies=[Depends(services.search_seats.hold)])
+    async def set_limits(request: Request, name: BoardTypeName, body: BoardLimits, _: IfMatch = None) -> LimitsReport:
+        """Set the limits of the parts of a board type, and return what they would have marked on the latest boards.
+
+        They mark and judge nothing: no verdict changes. Measures that are stored keep their marks; the new limits apply
+        from the next arming on. The version before can be restored. With `If-Match: ETAG` (of the board type) only if
+        it is still the one that the caller has read: else 412 `changed`.
+        """
+        async with unchanged_board_type(services, request, name):
+            board_type, report = await marked_by(name, body)
+            await ask(history.set_limits, board_type, body)
+        return report
+
+    @routes.post("/{name}/limits/check", dependencies=[Depends(services.search_seats.hold)])
+    async def check_limits(name: BoardTypeName, body: BoardLimits) -> LimitsReport:
+        """Return what limits would have marked on the latest boards, by their stored measures. Nothing is changed."""
+        return (await marked_by(name, body))[1]
+
+    async def marked_by(name: str, limits: BoardLimits) -> tuple[BoardType, LimitsReport]:
+        board_type, search = await ask(coordinator.board_type, name), services.searching.ask
+        runs, _ = await search(coordinator.kept.history.find, RunFilter(board_type=name), _LATEST_RUNS, None)
+        return board_type, await search(coordinator.parts.would_mark, board_type, limits, [run.id for run in runs])
 
     @routes.get("/{name}/revisions")
     async def list_revisions(name: BoardTypeName) -> BoardTypeVersions:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from vaoi_station.model import BoardType, Strict
+from vaoi_station.model import BoardLimits, BoardType, Strict
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.store import BoardTypeDirectory
@@ -51,6 +51,12 @@ class BoardTypeHistory:
         board_type = present.model_copy(update=changes)
         self._put(board_type, f": it is now {state}")
         return board_type
+
+    def set_limits(self, board_type: BoardType, limits: BoardLimits) -> BoardType:
+        """Store a board type with other limits of its parts, and return it."""
+        changed = board_type.model_copy(update={"limits": None if limits == BoardLimits() else limits})
+        self._put(changed, " with other limits of its parts")
+        return changed
 
     def restore(self, name: str, revision: str) -> BoardType:
         """Put an earlier version in force again, as if it were stored now, and return it.

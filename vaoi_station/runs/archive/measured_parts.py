@@ -10,19 +10,29 @@ import json
 import logging
 import re
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
 
-from vaoi_station.errors import BusyError, GoneError, NotFoundError, StateError
+from vaoi_station.errors import BusyError, GoneError, InputError, NotFoundError, StateError
+from vaoi_station.model import BoardLimits, BoardType
 from vaoi_station.model.board_type import STORED_NAME
+from vaoi_station.model.part_limits import beyond
 from vaoi_station.parts.learned import ENDING
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.kept_documents import KeptDocuments
 from vaoi_station.runs.run.memory import Bay
-from vaoi_station.runs.states.schemas import Disagreement, GoodBoard, GoodBoards, RunDetail
+from vaoi_station.runs.states.schemas import (
+    Disagreement,
+    GoodBoard,
+    GoodBoards,
+    LimitsReport,
+    MarkedPart,
+    RunDetail,
+)
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
 from vaoi_station.runs.workers.parts_jobs import MOST_GOOD, PartsJob, Taught, TeachJob
 from vaoi_station.supervised_queue import SupervisedQueue
@@ -34,6 +44,8 @@ _KEPT = 16
 """Number of runs whose document is kept in memory."""
 _MOST_WAITING = 8
 """Largest number of runs that wait for their parts to be measured; the oldest ones are then not measured."""
+_MOST_NAMED = 500
+"""Largest number of parts that the report about limits names."""
 _ABSENT = 0.5
 """Probability of presence below which a part counts as absent in messages."""
 
@@ -136,6 +148,33 @@ class MeasuredParts:
                 boards.append(GoodBoard(run=path.name.removesuffix(ENDING), size_bytes=path.stat().st_size))
         return GoodBoards(board_type=board_type, boards=tuple(boards))
 
+    def would_mark(self, board_type: BoardType, limits: BoardLimits, runs: Sequence[str]) -> LimitsReport:
+        """Return what limits would have marked on boards of a type, by the measures that are stored of them.
+
+        Raises InputError if the limits name a part or package that the board type does not have.
+        """
+        packages = {c.address: c.package for c in board_type.components}
+        for key, named, known in (
+            ("parts", limits.parts, packages.keys()),
+            ("packages", limits.packages, set(packages.values())),
+        ):
+            if unknown := sorted(named.keys() - known):
+                raise InputError.field("body", key, unknown[0], f"one that board type {board_type.name!r} has")
+        of_part, found, counts = limits.by_part(packages), list[MarkedPart](), Counter[str]()
+        for run in runs:
+            if (content := self._archive.store.parts(run)) is None:
+                continue
+            parts = json.loads(content)["parts"]
+            counts["runs"] += 1
+            counts["measured"] += len(parts)
+            for address, measure in parts.items():
+                if address in of_part and (marked := beyond(of_part[address], measure)):
+                    found.append(MarkedPart(run=run, part=address, measures=tuple(marked)))
+        return LimitsReport(
+            board_type=board_type.name, limits=limits, runs=counts["runs"], measured=counts["measured"],
+            marked_parts=len(found), marked_runs=len({one.run for one in found}), marked=tuple(found[:_MOST_NAMED]),
+        )  # fmt: skip
+
     def _good_files(self, board_type: str) -> tuple[tuple[Path, int], ...]:
         """Return the files of the good boards of a type, with the times of their last changes, ns."""
         # Names of imported runs are free texts.
@@ -205,7 +244,13 @@ def _sentence(document: dict[str, Any]) -> str:
     absent = [ref for ref, p in said.items() if p < _ABSENT]
     text = f"{len(said)} of {len(parts)} parts are measured"
     if absent:
-        text += f", {len(absent)} of them look absent: {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}"
+        text += f", {len(absent)} of them look absent: {_some(absent)}"
+    if marked := [ref for ref, entry in parts.items() if "marked" in entry]:
+        text += f", {len(marked)} of them are beyond limits: {_some(marked)}"
     if document["remarks"]:
         text += f"; {document['remarks'][-1]}"
     return f"{text.removesuffix('.')}."
+
+
+def _some(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}"

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.config import MethodName
-from vaoi_station.model import FrameRecord, Reason, Status, Strict
+from vaoi_station.model import BoardLimits, FrameRecord, Reason, Status, Strict
 from vaoi_station.model.board_identity import IdentityDocument, IdentityState
 from vaoi_station.model.board_type import BoardTypeState, UnseenCause
 from vaoi_station.runs.states.tables import RunState, StationState
@@ -656,6 +656,7 @@ class PartMeasure(Strict):
     frames: int = Field(strict=True, description="Number of frames on which the measure rests.")
     boards: int = Field(strict=True, description="Number of good boards on which it rests.")
     reasons: tuple[str, ...] = Field(description="Why something is absent; `reason_texts` has the sentences.")
+    marked: tuple[str, ...] = Field((), description="The measures that are beyond the limits of the board type.")
 
 
 class PartsDocument(Strict):
@@ -692,6 +693,26 @@ class GoodBoards(Strict):
     boards: tuple[GoodBoard, ...]
     disagreements: tuple[Disagreement, ...] = ()
     absent: tuple[str, ...] = Field((), description="Parts of the taught board that were measured as absent before.")
+
+
+class MarkedPart(Strict):
+    """A part of a board that limits mark."""
+
+    run: str
+    part: str
+    measures: tuple[str, ...] = Field(description="The measures that are beyond a limit.")
+
+
+class LimitsReport(Strict):
+    """Limits of the parts of a board type, and what they would have marked on the latest boards."""
+
+    board_type: str
+    limits: BoardLimits
+    runs: int = Field(description="Number of boards whose stored measures were compared: of the latest 200.")
+    measured: int = Field(description="Number of parts on these boards.")
+    marked_parts: int = Field(description="Number of parts that would have been marked.")
+    marked_runs: int = Field(description="Number of boards with such a part.")
+    marked: tuple[MarkedPart, ...] = Field(description="These parts, those of the newest boards first; 500 at most.")
 
 
 Point = tuple[float, float]
