@@ -71,9 +71,16 @@ def bare_connection(address: str) -> Iterator[BareConnection]:
         yield BareConnection(connection, f"{host}:{port}")
 
 
+def guide_samples(language: str) -> list[str]:
+    """Return the samples in one language of the guide for authors of tester software, as they are printed."""
+    pages = (DOCS / "rest.md", DOCS / "rest" / "clients.md")
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
 def plain_calls() -> list[tuple[str, str]]:
     """Return method and path of each call in the guide's table for LabVIEW."""
-    guide = (DOCS / "rest.md").read_text(encoding="utf-8")
+    guide = (DOCS / "rest" / "clients.md").read_text(encoding="utf-8")
     table = guide.partition("## LabVIEW")[2].partition("\n## ")[0]
     return re.findall(r"^\| \d+ \| `([A-Z]+) (\S+)` ", table, re.MULTILINE)
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from pydantic import BaseModel
 
 from vaoi_station.acquisition.process.backends import check_backends
 from vaoi_station.acquisition.ring import RingLayout
-from vaoi_station.config import StationConfig, read_config
+from vaoi_station.config import read_config
 from vaoi_station.optics import make_plan
 from vaoi_station.optics.report import PAPER
 from vaoi_station.simulation import scenario_path
@@ -43,18 +42,3 @@ def test_example_of_the_paper_agrees_with_the_plan() -> None:
     assert -half_view_mm < config.line.barrier_mm + config.line.start_delay_s * PAPER.speed_mm_s < 0
     assert config.line.barrier_mm + config.line.tail_s * PAPER.speed_mm_s > half_view_mm
     assert f"{RingLayout.of(config).file_bytes / 1e9:.1f} GB" in (ROOT / "deploy" / "station-paper.toml").read_text()
-
-
-def keys_of(model: type[BaseModel]) -> set[str]:
-    keys: set[str] = set()
-    for name, field in model.model_fields.items():
-        keys.add(name)
-        for part in (field.annotation, *getattr(field.annotation, "__args__", ())):
-            if isinstance(part, type) and issubclass(part, BaseModel):
-                keys |= keys_of(part)
-    return keys
-
-
-def test_documentation_names_every_key() -> None:
-    page = (ROOT / "docs" / "configuration.md").read_text()
-    assert [key for key in keys_of(StationConfig) if key not in page] == []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 import threading
@@ -19,19 +18,17 @@ import pytest
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
+from tests.clients import guide_samples
 from tests.needs import need
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.files.images import read_image
 
-GUIDE = Path(__file__).parents[3] / "docs" / "rest.md"
-
 
 def sample(language: str) -> str:
-    found = re.findall(rf"^```{language}\n(.*?)^```", GUIDE.read_text(), re.MULTILINE | re.DOTALL)
-    assert len(found) == 1
-    return str(found[0])
+    [found] = guide_samples(language)
+    return found
 
 
 class Keyed(Served):
@@ -116,10 +113,3 @@ def test_c(served: Any, tmp_path: Path) -> None:
     run(["cc", "-Wall", "-Wextra", "-Werror", "tester.c", "-o", "tester", "-lcurl"], served, tmp_path)
     found = run([str(tmp_path / "tester"), served.station.film(), "U1"], served, tmp_path)
     assert found == "80 x 64, 80 bytes per line, 5120 bytes\n"
-
-
-def test_every_address_is_in_the_guide(client: Any) -> None:
-    guide = GUIDE.read_text()
-    for path in client.get("/api/v1/openapi.json").json()["paths"]:
-        noun = path.removeprefix("/api/v1/").replace("{run}", "{id}")
-        assert noun in guide, noun

@@ -1,0 +1,261 @@
+"""Write the generated pages of docs/reference: addresses of the REST interface, commands, keys of station.toml.
+
+python docs/generate.py           # after a change of the interface, the command line or the configuration
+python docs/generate.py --check   # ends with 1 if a page is outdated (tests/project does the same)
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import typer.main
+
+from vaoi_station.api.access import scope_needed
+from vaoi_station.cli import app
+from vaoi_station.settings.keys import Setting, keys
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ROOT / "docs" / "reference"
+OPENAPI = ROOT / "tests" / "api" / "openapi.json"
+"""The interface as published; tests/api/test_openapi.py holds it equal to the program's."""
+HEAD = "<!-- Written by docs/generate.py: change its source, not this page. -->\n\n"
+SECTIONS = {
+    "runs": "Runs",
+    "pictures": "Pictures",
+    "station": "Station and orders",
+    "board-types": "Board types",
+    "access": "Keys and logins",
+    "setup": "Setting up",
+}
+"""Titles of the tags that name themselves badly."""
+HEADERS = {
+    "Idempotency-Key": "a new text in quotes for each command: repeated with it, the command acts once",
+    "If-Match": "the ETag of what was read: refused with 412 if it has changed since",
+    "If-None-Match": "`*`: refused with 412 if there is one already",
+}
+"""Headers that mean the same at every address."""
+COMMON = {"400", "401", "403", "408", "413", "421", "422", "500", "503", "304"}
+"""Replies that every address may give; the page states them once."""
+REST_HEAD = """# REST addresses
+
+All addresses begin with `/api/v1/`, but those that begin with `/`. [The guide](../rest.md) explains how to use them; a
+station shows this page with forms under `/docs`.
+
+Every address may refuse with 400 (malformed), 401 (key needed), 403 (beyond the key's scope), 408 and 413 (body too
+slow, too large), 421 (unknown host name), 422 (a value outside its limits), 500 and 503 (busy). A refusal is a problem
+document with a `code` ([codes](../codes.md)). `GET` with `If-None-Match` gives 304.
+"""
+COMMANDS_HEAD = """# Commands
+
+Exit status: 0 without errors, 2 for wrong input, 3 for a device or the present state, 4 for an internal error. `vaoi
+check-config` and `vaoi doctor`: 0 without problems, 1 with warnings, 2 with faults.
+"""
+SETTINGS_HEAD = """# Keys of station.toml
+
+`[]` after a name: one table for each element, as `[[cameras]]`. `NAME`: a name that you choose. *required*: the table
+needs it; *optional table*: the table may be absent. [How to configure a station](../configuration.md).
+"""
+EXAMPLE_LINES, EXAMPLE_WIDTH = 16, 110
+
+
+def _cell(text: object) -> str:
+    return " ".join(str(text).split()).replace("|", "\\|")
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
+    yield "| " + " | ".join(head) + " |"
+    yield "|" + "---|" * len(head)
+    for row in rows:
+        yield "| " + " | ".join(map(_cell, row)) + " |"
+    yield ""
+
+
+def _limits(schema: dict[str, Any]) -> str:
+    """Return type, choices and limits of a schema in words."""
+    if "enum" in schema:
+        return ", ".join(f"`{choice}`" for choice in schema["enum"])
+    if schema.get("type") == "array":
+        return f"{_limits(schema.get('items', {}))}, several"
+    words = schema.get("format", "") if schema.get("format") in {"date-time"} else schema.get("type", "")
+    low, high = (
+        schema.get("minimum", schema.get("exclusiveMinimum")),
+        schema.get("maximum", schema.get("exclusiveMaximum")),
+    )
+    if low is not None and high is not None:
+        return f"{words}, {low:g} to {high:g}"
+    if low is not None:
+        return f"{words}, from {low:g}"
+    return f"{words}, up to {high:g}" if high is not None else words
+
+
+def _example(content: dict[str, Any]) -> str | None:
+    """Return the first example of a body, one line for each of its members."""
+    example = next(
+        (body["example"] for kind, body in content.items() if kind.endswith("json") and "example" in body), None
+    )
+    if not isinstance(example, dict):
+        return None if example is None else _line(example)
+    members = [f"  {json.dumps(key)}: {_line(value)}" for key, value in example.items()]
+    more = ["  …"] if len(members) > EXAMPLE_LINES else []
+    return "{\n" + ",\n".join(members[:EXAMPLE_LINES] + more) + "\n}"
+
+
+def _line(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= EXAMPLE_WIDTH else text[: EXAMPLE_WIDTH - 2] + " …"
+
+
+def _operation(method: str, path: str, operation: dict[str, Any], schemas: dict[str, Any]) -> Iterator[str]:
+    yield f"### {method.upper()} {path.removeprefix('/api/v1/')}"
+    yield ""
+    purpose, _, more = operation.get("description", "").partition("\n\n")
+    scope = scope_needed(method.upper(), path)
+    yield " ".join(purpose.split()) + (f" Scope: {scope}." if scope else "")
+    yield ""
+    if more:
+        yield from (" ".join(part.split()) + "\n" for part in more.split("\n\n"))
+    rows = []
+    for parameter in operation.get("parameters", ()):
+        name, schema = parameter["name"], parameter["schema"]
+        if name in HEADERS:
+            continue
+        default = schema.get("default")
+        stated = "required" if parameter.get("required") and parameter["in"] != "path" else ""
+        rows.append(
+            (
+                f"`{name}`",
+                parameter.get("description", ""),
+                _limits(schema),
+                stated if default is None else f"`{default}`",
+            )
+        )
+    wanted = operation.get("requestBody", {}).get("content", {})
+    body = wanted.get("application/json", {})
+    reference = body.get("schema", {}).get("$ref", "").rsplit("/", 1)[-1]
+    model = schemas.get(reference, {})
+    needed = model.get("required", ())
+    for name, schema in model.get("properties", {}).items():
+        default = "required" if name in needed else "" if schema.get("default") is None else f"`{schema['default']}`"
+        rows.append((f"`{name}` (body)", schema.get("description", ""), _limits(schema), default))
+    if rows:
+        yield from _table(("parameter", "meaning", "values", "default"), rows)
+    sent = _example(wanted)
+    if sent:
+        yield f"Body:\n\n```json\n{sent}\n```\n"
+    for status, reply in operation["responses"].items():
+        if status.startswith("2"):
+            kinds = ", ".join(f"`{kind}`" for kind in reply.get("content", {}))
+            shown = _example(reply.get("content", {}))
+            yield (
+                f"Reply {status}{': ' + kinds if kinds else ''}{'' if shown else '.'}"
+                + (f"\n\n```json\n{shown}\n```" if shown else "")
+                + "\n"
+            )
+    own = [status for status in operation["responses"] if status[0] in "45" and status not in COMMON]
+    if own:
+        yield f"Refusals: {', '.join(own)}, and those of every address.\n"
+
+
+def addresses() -> str:
+    """Return the page of all REST addresses."""
+    document = json.loads(OPENAPI.read_text(encoding="utf-8"))
+    stated = [(f"`{name}`", text) for name, text in HEADERS.items()]
+    lines = [REST_HEAD, *_table(("header of commands", "meaning"), stated)]
+    groups: dict[str, list[tuple[str, str, dict[str, Any]]]] = {}
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            groups.setdefault(operation.get("tags", ["station"])[0], []).append((method, path, operation))
+    for tag in sorted(groups, key=lambda tag: (list(SECTIONS).index(tag) if tag in SECTIONS else 9, tag)):
+        lines += [f"## {SECTIONS.get(tag, tag.capitalize())}\n"]
+        for method, path, operation in groups[tag]:
+            lines += _operation(method, path, operation, document["components"]["schemas"])
+    return HEAD + "\n".join(lines).rstrip() + "\n"
+
+
+def commands() -> str:
+    """Return the page of all commands of `vaoi`."""
+    lines = [COMMANDS_HEAD]
+
+    def visit(group: Any, prefix: str) -> None:
+        for name, command in sorted(group.commands.items()):
+            if hasattr(command, "commands"):
+                visit(command, f"{prefix}{name} ")
+                continue
+            arguments = [p for p in command.params if p.param_type_name == "argument"]
+            words = " ".join(f"{p.name.upper()}{'…' if p.nargs == -1 else ''}" for p in arguments)
+            lines.append(f"## vaoi {prefix}{name}\n")
+            lines.append(f"```sh\nvaoi {prefix}{name}{' ' + words if words else ''}\n```\n")
+            lines.extend(" ".join(part.split()) + "\n" for part in (command.help or "").split("\n\n"))
+            rows = []
+            for p in command.params:
+                option = p.param_type_name == "option"
+                text = (getattr(p, "help", None) or "").strip()
+                default = (
+                    ""
+                    if p.default in (None, False, ()) or callable(p.default)
+                    else f"`{getattr(p.default, 'value', p.default)}`"
+                )
+                shown = ", ".join(f"`{o}`" for o in p.opts) if option else f"`{p.name.upper()}`"
+                rows.append((shown, text, default or ("required" if p.required and option else "")))
+            if rows:
+                lines.extend(_table(("option", "meaning", "default"), rows))
+
+    visit(typer.main.get_command(app), "")
+    return HEAD + "\n".join(lines).rstrip() + "\n"
+
+
+def _values(setting: Setting) -> str:
+    if setting.choices:
+        return ", ".join(f"`{choice}`" for choice in setting.choices)
+    low = setting.minimum if setting.minimum is not None else setting.above
+    high = setting.maximum if setting.maximum is not None else setting.below
+    limits = (
+        f"{low:g} to {high:g}"
+        if low is not None and high is not None
+        else f"from {low:g}"
+        if low is not None
+        else f"up to {high:g}"
+        if high is not None
+        else ""
+    )
+    if setting.above is not None and high is None:
+        limits = f"above {setting.above:g}"
+    return " ".join(filter(None, (limits or setting.kind, setting.unit)))
+
+
+def settings() -> str:
+    """Return the page of all keys of station.toml."""
+    lines = [SETTINGS_HEAD]
+    table = None
+    for setting in keys():
+        if setting.table != table:
+            table = setting.table
+            title = f"[{table}]" if table else "The file itself"
+            lines.append(f"\n## {title}{', optional table' if setting.optional_table else ''}\n")
+            lines += ["| key | meaning | values | default |", "|---|---|---|---|"]
+        name = setting.key.removeprefix(table).lstrip(".") if table else setting.key
+        default = "required" if setting.required else f"`{setting.default}`" if setting.default is not None else ""
+        lines.append(f"| `{name}` | {_cell(setting.description)} | {_cell(_values(setting))} | {_cell(default)} |")
+    return HEAD + "\n".join(lines).rstrip() + "\n"
+
+
+def pages() -> dict[Path, str]:
+    """Return every generated page by its path."""
+    return {PAGES / "addresses.md": addresses(), PAGES / "commands.md": commands(), PAGES / "settings.md": settings()}
+
+
+def main() -> None:
+    """Write the pages, or compare them."""
+    outdated = [path for path, text in pages().items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    if "--check" in sys.argv:
+        sys.exit("".join(f"{path.relative_to(ROOT)} is outdated: python docs/generate.py\n" for path in outdated))
+    for path in outdated:
+        path.write_text(pages()[path], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
