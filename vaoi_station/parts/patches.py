@@ -180,7 +180,7 @@ def cut_patches(  # noqa: PLR0915  (one pass over the parts, with arrays of all 
                     mean = joined
                 values[g, c][rank[k]], frames[k, c] = mean, len(whole) or len(use)
                 middle = values[g, c][rank[k]][masks[0]]
-                said[k] |= np.count_nonzero((middle > _BRIGHT) | (middle < _DARK)) <= _BLANK * len(middle)
+                said[k] |= np.count_nonzero((middle > _BRIGHT) | (middle < _DARK)) <= _BLANK * middle.size
                 if len(whole) > 1:
                     slopes = lift[[use[n] for n in whole]] * (grid.px_per_mm / resolution)
                     seen.append(_Views(k, values[g, c][rank[k]], [stack[n] for n in whole], slopes))
@@ -251,12 +251,14 @@ def _grids(names: Sequence[str], table: ViewTable, strips_px: float, classes: in
     return tuple(found.values()), np.array([order[name] for name in names], np.int_)
 
 
-def _inside(grid: Grid, beyond_px: float) -> NDArray[np.bool_]:
-    """Return which pixels of a patch lie on the body, or so far beyond its edges."""
-    x = np.abs(np.arange(grid.width) - (grid.width - 1) / 2) <= grid.body_px[0] / 2 + beyond_px
-    y = np.abs(np.arange(grid.height) - (grid.height - 1) / 2) <= grid.body_px[1] / 2 + beyond_px
-    inside = np.asarray(y[:, None] & x, np.bool_)
-    return inside if inside.any() else np.ones((grid.height, grid.width), np.bool_)
+def _inside(grid: Grid, beyond_px: float) -> tuple[slice, slice]:
+    """Return which rows and columns of a patch lie on the body, or so far beyond its edges."""
+
+    def within(size: int, body: float) -> slice:
+        at = np.flatnonzero(np.abs(np.arange(size) - (size - 1) / 2) <= body / 2 + beyond_px)
+        return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, size)
+
+    return within(grid.height, grid.body_px[1]), within(grid.width, grid.body_px[0])
 
 
 def _whole(table: ViewTable, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
@@ -297,7 +299,7 @@ def _seen(table: ViewTable, view: int, grid: Grid, cameras: Sequence[Camera]) ->
     return np.asarray(((px >= 2) & (px <= np.array([camera.width_px - 3, camera.height_px - 3]))).all(-1))
 
 
-def _joined(stack: Floats32, seen: NDArray[np.bool_], inside: NDArray[np.bool_]) -> Floats32 | None:
+def _joined(stack: Floats32, seen: NDArray[np.bool_], inside: tuple[slice, slice]) -> Floats32 | None:
     """Return the picture of a part of which no frame shows the whole patch; None if too little of it is shown.
 
     What no frame shows, at the border, repeats what is next to it.
@@ -330,32 +332,34 @@ class _Views(NamedTuple):
     """(k, 2) by how much each frame shows it displaced, px of the patch per mm of height."""
 
 
-def _parallax(seen: Sequence[_Views], mask: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _parallax(seen: Sequence[_Views], inside: tuple[slice, slice]) -> tuple[Floats, Floats]:
     """Return how far above the plane of their patches n parts lie (n,), mm, and the inverses of the variances."""
-    count = np.array([len(one.pictures) for one in seen])
-    starts, of = np.concatenate([[0], np.cumsum(count)[:-1]]), np.repeat(np.arange(len(seen)), count)
+    n, count = len(seen), np.array([len(one.pictures) for one in seen])
+    starts, of = np.concatenate([[0], np.cumsum(count)[:-1]]), np.repeat(np.arange(n), count)
     means: Floats32 = np.stack([one.mean for one in seen])
-    dy, dx = (np.asarray(g) for g in np.gradient(means, axis=(1, 2)))
-    middle, gx, gy = (np.asarray(v[:, mask], np.float32) for v in (means, dx, dy))
+    dy, dx = (np.asarray(v) for v in np.gradient(means, axis=(1, 2)))
+    middle, gx, gy = (np.asarray(v[:, *inside], np.float32).reshape(n, -1) for v in (means, dx, dy))
     slopes = np.concatenate([one.slopes_px for one in seen])
     slopes = slopes - np.asarray(np.add.reduceat(slopes, starts) / count[:, None])[of]
-    rest = np.stack([picture[mask] for one in seen for picture in one.pictures]) - middle[of]
+    rest = np.stack([picture[inside] for one in seen for picture in one.pictures]).reshape(len(of), -1) - middle[of]
     # Lamp and lens shade the views differently: gain, offset and a slope of the brightness say nothing of the height.
-    y, x = ((v - v.mean()) / max(float(np.ptp(v)), 1.0) for v in np.nonzero(mask))
+    at = np.indices(np.shape(means[0, *inside]), np.float32).reshape(2, -1)
+    y, x = ((v - v.mean()) / max(float(np.ptp(v)), 1.0) for v in at)
     scaled = middle / np.maximum(middle.mean(1, keepdims=True), 1.0)
-    basis = np.stack([np.ones_like(scaled), scaled, scaled * np.float32(x), scaled * np.float32(y)], 1)
-    normal = (basis @ basis.swapaxes(1, 2)).astype(np.float64)
-    inverse = np.linalg.inv(normal + 1e-6 * normal[:, :1, :1] * np.eye(4))
-    gx, gy = (g - ((inverse @ (basis @ g[:, :, None]))[:, None, :, 0] @ basis)[:, 0] for g in (gx, gy))
-    in_basis = np.stack([(basis[:, k][of] * rest).sum(1) for k in range(4)], -1).astype(np.float64)
-    unexplained = np.square(rest).sum(1) - np.einsum("vi,vij,vj->v", in_basis, inverse[of], in_basis)
-    s = slopes.astype(np.float32)
-    along = [np.add.reduceat(rest * s[:, k : k + 1], starts) for k in range(2)]
-    product = (gx * along[0]).sum(1) + (gy * along[1]).sum(1)
-    sxx, sxy, syy = (np.add.reduceat(slopes[:, a] * slopes[:, b], starts) for a, b in ((0, 0), (0, 1), (1, 1)))
-    power = sxx * np.square(gx).sum(1) + 2 * sxy * (gx * gy).sum(1) + syy * np.square(gy).sum(1)
-    safe = np.maximum(power, 1e-9)
+    columns = np.stack([np.ones_like(scaled), scaled, scaled * x, scaled * y, gx, gy], 1)
+    normal = (columns @ columns.swapaxes(1, 2)).astype(np.float64)
+    pairs = zip(np.split(rest, starts[1:]), columns, strict=True)
+    along = np.concatenate([some @ own.T for some, own in pairs]).astype(np.float64)
+    inverse = np.linalg.inv(normal[:, :4, :4] + 1e-6 * normal[:, :1, :1] * np.eye(4))
+    shading = inverse @ normal[:, :4, 4:]
+    gradients = normal[:, 4:, 4:] - normal[:, 4:, :4] @ shading
+    found = along[:, 4:] - (along[:, None, :4] @ shading[of])[:, 0]
+    unexplained = np.square(rest).sum(1) - np.einsum("vi,vij,vj->v", along[:, :4], inverse[of], along[:, :4])
+    product = np.add.reduceat((slopes * found).sum(1), starts)
+    squares = np.add.reduceat(slopes[:, :, None] * slopes[:, None], starts)
+    safe = np.maximum((squares * gradients).sum((1, 2)), 1e-9)
     off = -product / safe
     noise = (np.add.reduceat(unexplained, starts) - off**2 * safe) / (count * middle.shape[1])
-    variance = 4 * np.maximum(noise, _LEAST_NOISE**2) / safe + _MATRIX_PX**2 / np.maximum(sxx + syy, 1e-12)
-    return np.where(power > 1e-9, off, 0.0), np.where(power > 1e-9, 1 / variance, 0.0)
+    apart = np.maximum(squares[:, 0, 0] + squares[:, 1, 1], 1e-12)
+    variance = 4 * np.maximum(noise, _LEAST_NOISE**2) / safe + _MATRIX_PX**2 / apart
+    return np.where(safe > 1e-9, off, 0.0), np.where(safe > 1e-9, 1 / variance, 0.0)

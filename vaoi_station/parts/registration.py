@@ -15,6 +15,8 @@ _ROUNDS = 5
 _LARGEST_STEP_PX = 1.5
 """Largest change of the place in one round; the equations hold for a pixel or so."""
 _LARGEST_STEP_RAD = 0.08
+_SMALL_STEP = (0.01, 0.01, 0.001)
+"""Change of the pose, px and rad, after which a patch is not moved again."""
 
 
 class Fit(NamedTuple):
@@ -61,21 +63,24 @@ class Template:
 
     def fit(self, patches: Floats32, start: Floats | None = None, rounds: int = _ROUNDS, limit_px: float = 1e9) -> Fit:
         """Fit patches (n, h, w), starting at poses (n, 3)."""
-        n, (h, w) = len(patches), self.picture.shape
-        pose = np.zeros((n, 3)) if start is None else start.copy()
-        found = np.zeros((n, 5))
+        pose = np.zeros((len(patches), 3)) if start is None else start.copy()
+        left = np.arange(len(patches))
         for _ in range(rounds):
-            warped = warp(patches, pose).reshape(n, h * w)
-            found = (warped @ self._weighted) @ self._inverse
+            at = pose[left]
+            found = (warp(patches[left], at).reshape(len(left), -1) @ self._weighted) @ self._inverse
             gain = np.where(np.abs(found[:, 0]) < 0.05, 0.05, found[:, 0])
             step = found[:, 2:] / gain[:, None]
             step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
             step[:, 2] = np.clip(step[:, 2], -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
-            c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-            pose[:, 0] += c * step[:, 0] - s * step[:, 1]
-            pose[:, 1] += s * step[:, 0] + c * step[:, 1]
-            pose[:, 2] += step[:, 2]
-            pose[:, :2] = np.clip(pose[:, :2], -limit_px, limit_px)
+            c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
+            at[:, 0] += c * step[:, 0] - s * step[:, 1]
+            at[:, 1] += s * step[:, 0] + c * step[:, 1]
+            at[:, 2] += step[:, 2]
+            at[:, :2] = np.clip(at[:, :2], -limit_px, limit_px)
+            pose[left] = at
+            left = left[(np.abs(step) > _SMALL_STEP).any(1)]
+            if not len(left):
+                break
         return self.compare(patches, pose)
 
     def compare(self, patches: Floats32, pose: Floats) -> Fit:
