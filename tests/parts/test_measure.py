@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.parts.conftest import stitched, taught
 from vaoi_station.model import Status
-from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
+from vaoi_station.parts.document import Remark, changes, disagreement_steps, measure_parts, parts_document
 from vaoi_station.parts.learned import TaughtBoard
 from vaoi_station.parts.models import Models
+from vaoi_station.runs.archive.measured_parts import event_message
 from vaoi_station.steps import completed
 
 ABSENT = ("C2", "C4", "R3", "R7", "R11", "R15", "R17", "R21", "R25", "C11")
@@ -39,7 +42,7 @@ def test_a_board_without_good_ones_says_what_heights_alone_tell() -> None:
 def test_an_absent_part_on_a_good_board_is_shown_with_board_and_part(good_boards: tuple[TaughtBoard, ...]) -> None:
     bad = taught(stitched(2, ("R7",)), "not-good")
     assert ("not-good", "R7") in {(d["board"], d["part"]) for d in completed(disagreement_steps((*good_boards, bad)))}
-    assert not any(d["part"] == "R7" for d in completed(disagreement_steps(good_boards)))
+    assert completed(disagreement_steps((good_boards[0], bad))) == [], "two do not show which of them is right"
 
 
 def test_a_board_on_which_most_parts_are_unlike_is_called_another_revision(
@@ -50,17 +53,30 @@ def test_a_board_on_which_most_parts_are_unlike_is_called_another_revision(
     assert not parts_document(run, models, parts, ())["remarks"]
     for n, part in enumerate(parts.values()):
         part["alike"] = 0.01 if n % 4 else part["alike"]
-    (remark,) = parts_document(run, models, parts, ())["remarks"]
-    assert "another revision" in remark
+    document = parts_document(run, models, parts, ())
+    (remark,) = document["remarks"]
+    assert document["remark_codes"] == ["other-revision"]
+    assert remark.startswith("{unlike} of {said} parts are unlike".format(**document["remark_values"][0]))
+    assert event_message(document) == remark, "one statement, and not a fault for each part"
+
+
+def codes(remarks: list[Remark]) -> list[str]:
+    """Return the codes of remarks except that two boards are few."""
+    return [remark.code for remark in remarks if remark.code != "few-good-boards"]
 
 
 def test_what_changed_since_teaching_is_said(good_boards: tuple[TaughtBoard, ...]) -> None:
     run = stitched(0)
-    assert changes(run, good_boards, "c") == []
-    assert "calibration differs" in changes(run, good_boards, "other")[0]
+    (few,) = changes(run, good_boards, "c")
+    assert str(few).startswith("good boards: 2. How far good parts differ is hardly known from fewer than 3")
+    assert codes(changes(run, good_boards, "other")) == ["calibration-differs"]
     moved = run.board_type.components[0].model_copy(update={"rotation": 90.0})
     other = run.board_type.model_copy(update={"components": (moved, *run.board_type.components[1:])})
-    assert "board type has changed" in changes(run._replace(board_type=other), good_boards, "c")[0]
+    (remark,) = [r for r in changes(run._replace(board_type=other), good_boards, "c") if r.code == "board-type-changed"]
+    assert "since good-0, good-1 became" in str(remark)
+    dark = tuple(replace(b, classes=tuple(c._replace(light="uv") for c in b.classes)) for b in good_boards)
+    assert codes(changes(run, dark, "c")) == ["other-lights"]
+    assert changes(run, (), "c") == []
 
 
 def test_two_measurements_give_the_same_digits(good_boards: tuple[TaughtBoard, ...]) -> None:
@@ -79,6 +95,6 @@ def test_parts_can_be_measured_in_shares(good_boards: tuple[TaughtBoard, ...], p
 def test_doubts_about_the_run_itself_are_remarks(good_boards: tuple[TaughtBoard, ...]) -> None:
     run = stitched(0)
     degraded = run._replace(stitch=run.stitch.model_copy(update={"status": Status.DEGRADED}))
-    assert any("degraded" in remark for remark in changes(degraded, good_boards, "c"))
-    assert any("one of the good boards" in remark for remark in changes(run, good_boards, "c", "good-0"))
-    assert not changes(run, good_boards, "c", "another")
+    assert codes(changes(degraded, good_boards, "c")) == ["run-not-ok"]
+    assert codes(changes(run, good_boards, "c", "good-0")) == ["own-board"]
+    assert codes(changes(run, good_boards, "c", "another")) == []

@@ -32,6 +32,7 @@ def parts(
 ) -> None:
     """Measure every part of a board: is it there, where, turned by how much, which way round, like good ones."""
     from vaoi_station.cli.opened_case import refuse_input
+    from vaoi_station.errors import InputError
     from vaoi_station.files.documents import write_json
     from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
     from vaoi_station.parts.learned import ENDING, TaughtBoard, merged, parts_digest, read_taught_board
@@ -56,6 +57,11 @@ def parts(
         if keep is not None:
             boards[-1].write(keep / f"{path.resolve().name}{ENDING}")
     known = merged(boards)
+    if others := [board.name for board in known if not board.is_of(run.board_type)]:
+        raise InputError(
+            f"good board {others[0]}: most of its parts are not those of board type {run.board_type.name!r}.",
+            action="Give good boards of this type only.",
+        )
     models = Models(known)
     measured = measure_parts(run, models)
     disagreeing = completed(disagreement_steps(known))

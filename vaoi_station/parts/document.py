@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,36 @@ REASONS = {
     "not-found": "the part is not where it belongs, or looks otherwise than good ones, so its place is not known",
     "no-marks": "the part looks alike either way round",
 }
+_FEW_BOARDS = 3
+"""Number of good boards from which on it shows which of them is unlike the others."""
+REMARKS = {
+    "run-not-ok": "the run is {status}: its reasons hold for the measures of its parts, too.",
+    "own-board": "this board is one of the good boards, so that its own faults are not seen.",
+    "few-good-boards": "good boards: {count}. How far good parts differ is hardly known from fewer than {least}, so "
+    "that more good parts look unlike; places hold. Teach further boards.",
+    "good-board-unusable": "{why}",
+    "good-board-of-other-type": "{boards}: most parts are not those of this board type, so that they are left out. "
+    "Remove them from its good boards.",
+    "board-type-changed": "the board type has changed since {boards} became good boards: parts of the same package and "
+    "size are compared, others are not. Teach a board again.",
+    "calibration-differs": "the calibration differs from that of {boards}: presence, orientation and likeness hold; "
+    "places hold as far as both calibrations are right.",
+    "other-lights": "no good board was filmed under the light {lights}: only other lights are compared.",
+    "other-revision": "{unlike} of {said} parts are unlike those of good boards: this is a board of another revision "
+    "or type. Check which product passes, or teach good boards of this revision.",
+}
+"""What limits the measures of a run, by code: sentences in which values are put."""
+
+
+class Remark(NamedTuple):
+    """What limits the measures of a run: a code of `REMARKS`, and the values for its sentence."""
+
+    code: str
+    values: dict[str, Any]
+
+    def __str__(self) -> str:
+        texts = {k: ", ".join(v) if isinstance(v, list) else v for k, v in self.values.items()}
+        return REMARKS[self.code].format_map(texts)
 
 
 def measure_parts(
@@ -129,20 +159,20 @@ def scale_of(patches: RunPatches, e: Evidence) -> probability.Scale:
     )  # fmt: skip
 
 
-def parts_document(run: Run, models: Models, parts: dict[str, dict[str, Any]], doubts: Sequence[str]) -> dict[str, Any]:
+def parts_document(
+    run: Run, models: Models, parts: dict[str, dict[str, Any]], doubts: Sequence[Remark]
+) -> dict[str, Any]:
     """Return the document of a run: measures, with those beyond limits marked, good boards, and doubts."""
     _mark(run.board_type, parts)
     said = [p for p in parts.values() if p["alike"] is not None]
     unlike = sum(p["alike"] < _ALIKE for p in said)
     remarks = [*doubts]
     if unlike >= _LEAST_UNLIKE and unlike > _OTHER_REVISION * len(said):
-        remarks.append(
-            f"{unlike} of {len(said)} parts are unlike those of good boards: this is a board of another revision or "
-            "type. Check which product passes, or teach good boards of this revision."
-        )
+        remarks.append(Remark("other-revision", {"unlike": unlike, "said": len(said)}))
     return {
         "format": FORMAT, "version": VERSION, "board_type": run.board_type.name,
-        "good_boards": [b.name for b in models.boards], "remarks": remarks, "parts": parts,
+        "good_boards": [b.name for b in models.boards], "remarks": [str(r) for r in remarks],
+        "remark_codes": [r.code for r in remarks], "remark_values": [r.values for r in remarks], "parts": parts,
         "reason_texts": {c: REASONS[c] for c in sorted({c for p in parts.values() for c in p["reasons"]})},
     }  # fmt: skip
 
@@ -159,8 +189,11 @@ def _mark(board_type: BoardType, parts: dict[str, dict[str, Any]]) -> None:
 def disagreement_steps(boards: Sequence[TaughtBoard]) -> Steps[list[dict[str, Any]]]:
     """Return the parts of good boards that look unlike others of their kind: board, part and unlikeness.
 
-    Each step compares the parts of one kind.
+    Each step compares the parts of one kind. Of two boards it does not show which one is right, and a part of another
+    make or lettering looks as unlike: there are no such parts then.
     """
+    if len(boards) < _FEW_BOARDS:
+        return []
     found: dict[tuple[str, str], float] = {}
     models = Models(boards)
     for grid, view in sorted({(g, c) for b in boards for g in b.grids for c in b.classes}):
@@ -176,33 +209,25 @@ def disagreement_steps(boards: Sequence[TaughtBoard]) -> Steps[list[dict[str, An
     return [{"board": b, "part": a, "unlike": round(u, 1)} for (b, a), u in sorted(found.items())]
 
 
-def changes(run: Run, boards: Sequence[TaughtBoard], calibration: str, name: str = "") -> list[str]:
+def changes(run: Run, boards: Sequence[TaughtBoard], calibration: str, name: str = "") -> list[Remark]:
     """Return what limits the measures of a run: its own doubts, and what has changed since boards were taught.
 
     `name` is that of the run among good boards.
     """
     out = []
     if run.stitch.status is not Status.OK:
-        out.append(f"the run is {run.stitch.status.value}: its reasons hold for the measures of its parts, too.")
+        out.append(Remark("run-not-ok", {"status": run.stitch.status.value}))
+    if 0 < len(boards) < _FEW_BOARDS:
+        out.append(Remark("few-good-boards", {"count": len(boards), "least": _FEW_BOARDS}))
     if name in {b.name for b in boards}:
-        out.append("this board is one of the good boards, so that its own faults are not seen.")
+        out.append(Remark("own-board", {}))
     digest = parts_digest(run.board_type)
     if other := [b.name for b in boards if b.board_type != digest]:
-        out.append(
-            f"the board type has changed since {', '.join(other)} {_were(other)} taught: parts of the same package and "
-            "size are compared, others are not. Teach a board again."
-        )
+        out.append(Remark("board-type-changed", {"boards": other}))
     if other := [b.name for b in boards if b.calibration != calibration]:
-        out.append(
-            f"the calibration differs from that of {', '.join(other)}: presence, orientation and likeness hold; places "
-            "hold as far as both calibrations are right."
-        )
+        out.append(Remark("calibration-differs", {"boards": other}))
     missing = [c for c in run.classes() if not any(same_class(c, d) for b in boards for d in b.classes)]
     if boards and missing:
-        named = ", ".join(f"{c.light or 'no name'} at {c.exposure:g} µs" for c in missing)
-        out.append(f"no good board was filmed under the light {named}: only other lights are compared.")
+        lights = [f"{c.light or 'no name'} at {c.exposure:g} µs" for c in missing]
+        out.append(Remark("other-lights", {"lights": lights}))
     return out
-
-
-def _were(names: Sequence[str]) -> str:
-    return "was" if len(names) == 1 else "were"

@@ -9,9 +9,11 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import zipfile
 import zlib
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,11 +24,15 @@ from numpy.typing import NDArray
 from vaoi_station.errors import InputError
 from vaoi_station.files.documents import write_bytes
 from vaoi_station.model import BoardType
-from vaoi_station.parts.patches import Grid, RunPatches, ViewClass
+from vaoi_station.parts.patches import MOST_PX, Grid, RunPatches, ViewClass, kind_of
 
 FORMAT, VERSION = "vaoi-good-board", 1
 ENDING = ".parts"
 """Ending of the names of files of taught boards."""
+_OWN_SHARE = 0.5
+"""Least share of the parts of a taught board that a board type must have, if it is to be compared with it."""
+_MOST_CLASSES, _MOST_PARTS, _MOST_MM = 16, 20_000, 1000.0
+"""Limits of what a file may hold: number of view classes and of parts, heights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +76,12 @@ class TaughtBoard:
             tuple(heights),
         )  # fmt: skip
 
+    def is_of(self, board_type: BoardType) -> bool:
+        """Return whether most parts of this board are those of a board type, by address, package and size."""
+        kinds = {c.address: kind_of(c, board_type) for c in board_type.components}
+        same = [kinds.get(a) == grid.name for grid, some in zip(self.grids, self.addresses, strict=True) for a in some]
+        return sum(same) >= _OWN_SHARE * len(same)
+
     def write(self, path: Path) -> None:
         """Write the board to a file, atomically."""
         head: dict[str, Any] = {
@@ -106,20 +118,26 @@ def read_taught_board(path: Path) -> TaughtBoard:
                     f"version {VERSION}.",
                     action="Teach the board again with this version.",
                 )
-            grids = tuple(
-                Grid(str(g["name"]), int(g["width"]), int(g["height"]), float(g["px_per_mm"]), _size(g["body_px"]))
-                for g in head["grids"]
-            )
+            grids = tuple(_grid(g, f"grids[{n}]") for n, g in enumerate(head["grids"]))
             addresses = tuple(tuple(str(part) for part in g["parts"]) for g in head["grids"])
+            every = [address for some in addresses for address in some]
+            _within("the number of parts", len(every), 0, _MOST_PARTS)
+            if len(set(every)) < len(every):
+                raise ValueError(f"grids[].parts names {Counter(every).most_common(1)[0][0]!r} twice")
             name, board_type, calibration = (str(head[key]) for key in ("name", "board_type", "calibration"))
-            classes = tuple(ViewClass(str(light), float(exposure)) for light, exposure in head["classes"])
+            classes = tuple(
+                ViewClass(str(light), _within("classes[].exposure", exposure, 1e-6, 1e12))
+                for light, exposure in head["classes"]
+            )
+            _within("the number of classes", len(classes), 0, _MOST_CLASSES)
             pictures, heights = [], []
             for n, (grid, parts) in enumerate(zip(grids, addresses, strict=True)):
                 shape = (len(parts), len(classes), grid.height, grid.width)
-                pictures.append(np.frombuffer(file.read(f"{n}.patches"), np.uint8).reshape(shape))
-                heights.append(
-                    np.frombuffer(file.read(f"{n}.heights"), "<f4").reshape(len(parts), 3).astype(np.float32)
-                )
+                pictures.append(np.frombuffer(_member(file, f"{n}.patches", math.prod(shape)), np.uint8).reshape(shape))
+                values = np.frombuffer(_member(file, f"{n}.heights", 12 * len(parts)), "<f4").reshape(len(parts), 3)
+                if (np.isinf(values) | (np.abs(values) > _MOST_MM)).any():
+                    raise ValueError(f"{n}.heights has a height beyond ±{_MOST_MM:g} mm")
+                heights.append(values.astype(np.float32))
     except (
         OSError,
         zipfile.BadZipFile,
@@ -137,9 +155,30 @@ def read_taught_board(path: Path) -> TaughtBoard:
     return TaughtBoard(name, board_type, calibration, classes, grids, addresses, tuple(pictures), tuple(heights))
 
 
-def _size(value: Sequence[float]) -> tuple[float, float]:
-    width, height = value
-    return float(width), float(height)
+def _grid(document: Mapping[str, Any], where: str) -> Grid:
+    """Return a grid of a head; raise ValueError that names key, value and limit if it is none."""
+    width, height = (int(_within(f"{where}.{key}", document[key], 1, MOST_PX)) for key in ("width", "height"))
+    _within(f"{where}: width · height", width * height, 1, 4 * MOST_PX)
+    across, along = document["body_px"]
+    # A body of less than a pixel may have lost it to rounding.
+    body = _within(f"{where}.body_px", across, -1, width), _within(f"{where}.body_px", along, -1, height)
+    return Grid(
+        str(document["name"]), width, height, _within(f"{where}.px_per_mm", document["px_per_mm"], 0.1, 1e4), body
+    )
+
+
+def _within(name: str, value: Any, least: float, most: float) -> float:
+    """Return a number; raise ValueError, with its name, if it is not between two limits."""
+    if not least <= float(value) <= most:
+        raise ValueError(f"{name} is {value}, must be {least:g} to {most:g}")
+    return float(value)
+
+
+def _member(file: zipfile.ZipFile, name: str, size: int) -> bytes:
+    """Read a member of a file that must have this size: it is not unpacked if it is larger."""
+    if (found := file.getinfo(name).file_size) != size:
+        raise ValueError(f"{name} has {found} bytes, must have {size}")
+    return file.read(name)
 
 
 def joined(pieces: Sequence[TaughtBoard]) -> TaughtBoard:

@@ -123,17 +123,18 @@ def test_limits_mark_parts_and_say_what_they_would_have_marked(client: Any, stat
 def test_parts_are_compared_with_boards_that_were_taught_as_good_until_these_are_removed(
     client: Any, station: Any
 ) -> None:
-    first, second, third = (station.film() for _ in range(3))
+    first, second, third, fourth = (station.film() for _ in range(4))
     untaught = client.get(f"{RUNS}/{first}/parts").json()
     assert untaught["parts"]["U1"]["reasons"] == ["untaught", "undecided"]
     assert set(untaught["reason_texts"]) == {"untaught", "undecided"}
     assert [b["run"] for b in client.put(f"{RUNS}/{first}/good").json()["boards"]] == [first]
-    taught = client.put(f"{RUNS}/{second}/good").json()
+    assert client.put(f"{RUNS}/{second}/good").json()["disagreements"] == [], "two do not show which is right"
+    taught = client.put(f"{RUNS}/{fourth}/good").json()
     assert {d["part"] for d in taught["disagreements"]} == {"R1"}, "it is noise, and U1 a square"
     assert client.get("/api/v1/board-types/demo-board/good").json()["boards"] == taught["boards"]
     answer = client.get(f"{RUNS}/{third}/parts")
     found = answer.json()
-    assert found["good_boards"] == [first, second]
+    assert found["good_boards"] == [first, second, fourth]
     assert found["parts"]["U1"]["presence"] > 0.99
     assert found["parts"]["R1"]["presence"] < 0.5
     assert client.delete(f"{RUNS}/{first}/good").json()["boards"] == taught["boards"][1:]
@@ -142,7 +143,7 @@ def test_parts_are_compared_with_boards_that_were_taught_as_good_until_these_are
     assert client.get(f"{RUNS}/{third}/parts").content == answer.content, "measured once"
     assert client.get(f"{RUNS}/{third}/parts", headers={"if-none-match": answer.headers["etag"]}).status_code == 304
     assert [(e.run, e.state) for e in station.log if e.kind == "parts"] == [
-        (first, "good"), (second, "good"), (first, "not-good"),
+        (first, "good"), (second, "good"), (fourth, "good"), (first, "not-good"),
     ]  # fmt: skip
     client.post(f"{RUNS}/{second}/release")
     assert client.put(f"{RUNS}/{second}/good").status_code == 410

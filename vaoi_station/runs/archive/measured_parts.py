@@ -213,7 +213,7 @@ class MeasuredParts:
             _log.warning("parts of run %s failed", run, exc_info=True)
             self._events.add("trouble", f"Parts were not measured: {fault}", run=run, code="parts-not-measured")
             return
-        self._events.add("parts", _sentence(json.loads(content)), run=run, state="measured")
+        self._events.add("parts", event_message(json.loads(content)), run=run, state="measured")
 
 
 def _checked(finished: FinishedRun) -> FinishedRun:
@@ -237,20 +237,20 @@ def _head(finished: FinishedRun) -> Any:
     return finished.head
 
 
-def _sentence(document: dict[str, Any]) -> str:
+def event_message(document: dict[str, Any]) -> str:
     """Return the message of the event of measured parts."""
-    parts = document["parts"]
+    parts, remarks = document["parts"], dict(zip(document["remark_codes"], document["remarks"], strict=True))
+    # Parts of another revision are no faults of this board.
+    if "other-revision" in remarks:
+        return str(remarks["other-revision"])
     said = {ref: entry["presence"] for ref, entry in parts.items() if "presence" in entry}
-    absent = [ref for ref, p in said.items() if p < _ABSENT]
     text = f"{len(said)} of {len(parts)} parts are measured"
-    if absent:
-        text += f", {len(absent)} of them look absent: {_some(absent)}"
-    if marked := [ref for ref, entry in parts.items() if "marked" in entry]:
-        text += f", {len(marked)} of them are beyond limits: {_some(marked)}"
-    if document["remarks"]:
-        text += f"; {document['remarks'][-1]}"
+    for what, found in (
+        ("look absent", [ref for ref, p in said.items() if p < _ABSENT]),
+        ("are beyond limits", [ref for ref, entry in parts.items() if "marked" in entry]),
+    ):
+        if found:
+            text += f", {len(found)} of them {what}: {', '.join(found[:5])}{' …' if len(found) > 5 else ''}"
+    if others := [remark for code, remark in remarks.items() if code != "few-good-boards"]:
+        text += f"; {others[-1]}"
     return f"{text.removesuffix('.')}."
-
-
-def _some(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}"

@@ -667,6 +667,10 @@ class PartsDocument(Strict):
     board_type: str
     good_boards: tuple[str, ...] = Field(description="Runs with which it was compared.")
     remarks: tuple[str, ...] = Field(description="What changed since teaching; whether this is another revision.")
+    remark_codes: tuple[str, ...] = Field((), description="The code of each remark.")
+    remark_values: tuple[dict[str, int | str | tuple[str, ...]], ...] = Field(
+        (), description="The values in the sentence of each remark."
+    )
     parts: dict[str, PartMeasure]
     reason_texts: dict[str, str]
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 from vaoi_station.errors import InputError
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
-from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
+from vaoi_station.parts.document import Remark, changes, disagreement_steps, measure_parts, parts_document
 from vaoi_station.parts.learned import TaughtBoard, joined, parts_digest, read_taught_board
 from vaoi_station.parts.measure import Run, SoFar
 from vaoi_station.parts.models import Models
@@ -64,13 +64,16 @@ class PartsJob(_PartsOfRun):
     def steps(self, frame: ReadSlot) -> Steps[bytes]:
         """Measure some parts in each step."""
         known: list[TaughtBoard] = []
-        remarks: list[str] = []
+        remarks: list[Remark] = []
         for path, changed_ns in self.good:
             try:
                 known.append(_board(path, changed_ns))
             except InputError as error:  # The other good boards hold.
-                remarks.append(error.message)
+                remarks.append(Remark("good-board-unusable", {"why": error.message}))
             yield
+        if others := [board.name for board in known if not board.is_of(self.board_type)]:
+            remarks.append(Remark("good-board-of-other-type", {"boards": others}))
+            known = [board for board in known if board.name not in others]
         models = _models(tuple(known))
         run = self.opened(frame)
         measured: dict[str, dict[str, Any]] = {}

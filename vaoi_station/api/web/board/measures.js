@@ -28,6 +28,9 @@ export function linesOf(measure, reason_texts) {
   ];
 }
 
+// A remark in the language of the page; undefined for one that a newer station makes, or an older one has stored.
+const remarkText = ({ remark_codes, remark_values }, n) => texts.board.remarks[remark_codes?.[n]]?.(remark_values[n]);
+
 // The parts in doubt, as [address, what is said of it]: absent, turned otherwise, unlike, most shifted; in each group the worst first.
 function doubtsOf(measures) {
   const rest = Object.entries(measures);
@@ -99,7 +102,7 @@ export class Measures extends View {
     const all = Object.values(found.parts);
     this.part("measures-note").replaceChildren(
       texts.board.measured(all.filter((measure) => measure.presence != null).length, all.length, found.good_boards.length));
-    this.part("measures-remarks").replaceChildren(...found.remarks.map((remark) => make("li", {}, ...said(remark))));
+    this.part("measures-remarks").replaceChildren(...found.remarks.map((remark, n) => make("li", {}, ...said(remarkText(found, n) ?? remark))));
     const doubts = doubtsOf(found.parts);
     const buttons = doubts.slice(0, MOST_DOUBTS).map(([address, word]) => this.#button(address, `${address}: ${word}`));
     const more = doubts.length > MOST_DOUBTS ? [texts.board.moreDoubts(doubts.length - MOST_DOUBTS)] : [];

@@ -58,6 +58,21 @@ const board = {
     "not-found": "das Bauteil ist nicht an seinem Ort oder sieht anders aus als gute; sein Ort ist nicht bekannt",
     "no-marks": "das Bauteil sieht in jeder Richtung gleich aus",
   },
+  remarks: {
+    "run-not-ok": ({ status }) => `Der Befund der Baugruppe ist ${status}: Seine Gründe gelten auch für die Messungen ihrer Bauteile.`,
+    "own-board": () => "Diese Baugruppe ist eine der guten, deshalb sind ihre eigenen Fehler nicht zu sehen.",
+    "few-good-boards": ({ count, least }) =>
+      `Gute Baugruppen: ${count}. Bei weniger als ${least} ist kaum bekannt, wie weit gute Bauteile voneinander abweichen; mehr gute Bauteile sehen anders aus, Orte gelten. Weitere Baugruppen einlernen.`,
+    "good-board-unusable": ({ why }) => why,
+    "good-board-of-other-type": ({ boards }) => `${boards.join(", ")}: Die meisten Bauteile sind nicht die dieses Typs, deshalb zählen sie nicht. Aus den guten Baugruppen entfernen.`,
+    "board-type-changed": ({ boards }) =>
+      `Der Typ hat sich geändert, seit ${boards.join(", ")} gute Baugruppen wurden: Bauteile mit gleichem Gehäuse und gleicher Größe werden verglichen, andere nicht. Eine Baugruppe neu einlernen.`,
+    "calibration-differs": ({ boards }) =>
+      `Die Kalibrierung ist eine andere als bei ${boards.join(", ")}: Anwesenheit, Richtung und Ähnlichkeit gelten; Orte gelten, soweit beide Kalibrierungen stimmen.`,
+    "other-lights": ({ lights }) => `Keine gute Baugruppe wurde mit dem Licht ${lights.join(", ")} aufgenommen: Nur andere Lichter werden verglichen.`,
+    "other-revision": ({ unlike, said }) =>
+      `${unlike} von ${said} Bauteilen sehen anders aus als auf guten Baugruppen: Das ist ein anderer Stand oder ein anderer Typ. Prüfen, welches Produkt läuft, oder gute Baugruppen dieses Standes einlernen.`,
+  },
   restsOn: "Beruht auf",
   basis: (frames, boards) => `${frames} ${frames === 1 ? "Einzelbild" : "Einzelbildern"}, ${boards} ${boards === 1 ? "guten Baugruppe" : "guten Baugruppen"}`,
   parallax: "Höhe aus Parallaxe",

@@ -60,6 +60,21 @@ const board = {
     "not-found": "the part is not where it belongs, or looks otherwise than good ones, so its place is not known",
     "no-marks": "the part looks alike either way round",
   },
+  remarks: {
+    "run-not-ok": ({ status }) => `The board is ${status}: its reasons hold for the measures of its parts, too.`,
+    "own-board": () => "This board is one of the good boards, so that its own faults are not seen.",
+    "few-good-boards": ({ count, least }) =>
+      `Good boards: ${count}. How far good parts differ is hardly known from fewer than ${least}, so that more good parts look unlike; places hold. Teach further boards.`,
+    "good-board-unusable": ({ why }) => why,
+    "good-board-of-other-type": ({ boards }) => `${boards.join(", ")}: most parts are not those of this board type, so that they are left out. Remove them from its good boards.`,
+    "board-type-changed": ({ boards }) =>
+      `The board type has changed since ${boards.join(", ")} became good boards: parts of the same package and size are compared, others are not. Teach a board again.`,
+    "calibration-differs": ({ boards }) =>
+      `The calibration differs from that of ${boards.join(", ")}: presence, orientation and likeness hold; places hold as far as both calibrations are right.`,
+    "other-lights": ({ lights }) => `No good board was filmed under the light ${lights.join(", ")}: only other lights are compared.`,
+    "other-revision": ({ unlike, said }) =>
+      `${unlike} of ${said} parts are unlike those of good boards: this is a board of another revision or type. Check which product passes, or teach good boards of this revision.`,
+  },
   restsOn: "Rests on",
   basis: (frames, boards) => `${frames} ${frames === 1 ? "frame" : "frames"}, ${boards} good ${boards === 1 ? "board" : "boards"}`,
   parallax: "Height by parallax",
