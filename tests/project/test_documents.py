@@ -159,11 +159,6 @@ def test_every_option_in_backticks_exists(name: str) -> None:
     assert sorted(named - known) == []
 
 
-def test_the_readme_lists_every_command() -> None:
-    listed = set(re.findall(r"`vaoi ([a-z-]+)", (ROOT / "README.md").read_text(encoding="utf-8")))
-    assert {command.split()[1] for command in commands() if " " in command} <= listed
-
-
 # ── tables of modules ──
 
 
