@@ -1,4 +1,4 @@
-"""Write the generated pages of docs/reference: addresses of the REST interface, commands, keys of station.toml.
+"""Write the generated pages of docs/reference: addresses of REST, commands, keys of station.toml, modules.
 
 python docs/generate.py           # after a change of the interface, the command line or the configuration
 python docs/generate.py --check   # ends with 1 if a page is outdated (tests/project does the same)
@@ -6,8 +6,10 @@ python docs/generate.py --check   # ends with 1 if a page is outdated (tests/pro
 
 from __future__ import annotations
 
+import ast
 import json
 import sys
+import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -58,6 +60,12 @@ SETTINGS_HEAD = """# Keys of station.toml
 
 `[]` after a name: one table for each element, as `[[cameras]]`. `NAME`: a name that you choose. *required*: the table
 needs it; *optional table*: the table may be absent. [How to configure a station](../configuration.md).
+"""
+MODULES_HEAD = """# Modules
+
+Each with the first sentence of its docstring, from the bottom of the import order to its top where a contract of
+pyproject.toml states one: a module may import what stands above it. How they work together:
+[architecture](../architecture.md).
 """
 EXAMPLE_LINES, EXAMPLE_WIDTH = 16, 110
 
@@ -243,9 +251,52 @@ def settings() -> str:
     return HEAD + "\n".join(lines).rstrip() + "\n"
 
 
+def _doc(path: Path) -> str:
+    """Return the first sentence of a module's docstring."""
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return " ".join(text.partition("\n\n")[0].split()).removesuffix(".")
+
+
+def modules() -> str:
+    """Return the page of all modules, in the order of the imports where contracts state it."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    layers = {c["containers"][0]: c["layers"] for c in contracts if c["type"] == "layers"}
+    lines = [MODULES_HEAD]
+
+    def ordered(folder: Path) -> list[Path]:
+        stated = layers.get(".".join(folder.relative_to(ROOT).parts), [])
+        level = {name.strip(): k for k, layer in enumerate(reversed(stated)) for name in layer.split("|")}
+        inside = [
+            p for p in folder.iterdir() if (p.suffix == ".py" and p.stem != "__init__") or (p / "__init__.py").exists()
+        ]
+        return sorted(inside, key=lambda p: (level.get(p.stem, len(level)), p.name))
+
+    def rows(folder: Path, prefix: str) -> Iterator[tuple[str, ...]]:
+        for path in ordered(folder):
+            if path.is_dir():
+                yield f"`{prefix}{path.name}/`", _doc(path / "__init__.py")
+                yield from rows(path, f"{prefix}{path.name}/")
+            else:
+                yield f"`{prefix}{path.name}`", _doc(path)
+
+    package = ROOT / "vaoi_station"
+    top = ordered(package)
+    lines += [
+        "## vaoi_station\n",
+        *_table(("module", "contents"), [(f"`{p.name}`", _doc(p)) for p in top if p.is_file()]),
+    ]
+    for folder in filter(Path.is_dir, top):
+        lines += [f"## {folder.name}\n", _doc(folder / "__init__.py") + ".\n"]
+        lines += _table(("module", "contents"), rows(folder, ""))
+    return HEAD + "\n".join(lines).rstrip() + "\n"
+
+
 def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
-    return {PAGES / "addresses.md": addresses(), PAGES / "commands.md": commands(), PAGES / "settings.md": settings()}
+    made = {"addresses": addresses, "commands": commands, "modules": modules, "settings": settings}
+    return {PAGES / f"{name}.md": make() for name, make in made.items()}
 
 
 def main() -> None:

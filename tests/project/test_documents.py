@@ -1,10 +1,9 @@
-"""Documents name only what exists: links, anchors, paths, commands and options; tables of modules are complete."""
+"""Documents name only what exists: links, anchors, paths, commands and options."""
 
 from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -18,8 +17,6 @@ from vaoi_station.cli import app
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "vaoi_station"
 VENDORED = "vaoi_station/api/web/vendor/"
-ROOMS = ("acquisition", "cli", "doctor", "reporting", "rig", "runs", "simulation", "stitching")
-"""Packages whose children docs/architecture.md lists one by one."""
 SOURCE = re.compile(r"[\w.*-]+(?:/[\w.*-]+)*\.(?:py|c|h|js|css|md|rules|conf|service)")
 """A token that names a source file, with or without its folders."""
 FOLDER = re.compile(r"(?:\.ci|deploy|docs|hw|tests|vaoi_station)/[\w./*-]*")
@@ -157,51 +154,6 @@ def test_every_option_in_backticks_exists(name: str) -> None:
     known = frozenset().union(*commands().values()) | FOREIGN_OPTIONS
     named = {word.split("=")[0] for span in spans(name) for word in span.split()[:1] if word.startswith("--")}
     assert sorted(named - known) == []
-
-
-# ── tables of modules ──
-
-
-def children(folder: Path) -> set[str]:
-    """Return the folders (with a slash) and modules of a package."""
-    packages = {f"{child.name}/" for child in folder.iterdir() if (child / "__init__.py").is_file()}
-    return packages | {child.name for child in folder.glob("*.py") if child.name != "__init__.py"}
-
-
-def table_of(heading: str) -> list[str]:
-    """Return the first cells of the first table below a heading of docs/architecture.md."""
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    assert f"\n{heading}\n" in text, f"docs/architecture.md has no heading {heading!r}"
-    rows = re.search(r"^\|.*?(?=\n(?!\|)|\Z)", text.split(f"\n{heading}\n", 1)[1], re.MULTILINE | re.DOTALL)
-    assert rows is not None
-    cells = (row.split("|")[1] for row in rows[0].splitlines()[2:])
-    return [name for cell in cells for name in re.findall(r"`([^`]+)`", cell)]
-
-
-def test_the_table_of_the_package_is_complete() -> None:
-    listed = table_of("## The package")
-    assert len(set(listed)) == len(listed)
-    assert set(listed) == children(PACKAGE)
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_the_table_of_a_room_is_complete(room: str) -> None:
-    listed = table_of(f"### `{room}/`")
-    assert len(set(listed)) == len(listed)
-    assert set(listed) == children(PACKAGE / room)
-
-
-def test_the_tables_follow_the_order_of_imports() -> None:
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
-        "contracts"
-    ]
-    layered = {c["containers"][0]: c["layers"] for c in contracts if c["type"] == "layers"}
-    for container, layers in layered.items():
-        room = container.partition(".")[2]
-        level = {name.strip(): k for k, layer in enumerate(reversed(layers)) for name in layer.split("|")}
-        listed = table_of(f"### `{room}/`" if room else "## The package")
-        levels = [level[name.removesuffix("/").removesuffix(".py")] for name in listed]
-        assert levels == sorted(levels), container
 
 
 # ── decisions ──
