@@ -111,7 +111,11 @@ class Station:
             events = EventLog(store)
             # Workers and the acquisition process open the ring by its path, so the ring must exist before they start.
             workers = WorkerPool(config.workers, ring.path)
-            link = AcquisitionLink(self._launch or spawn_launcher(lambda: self.config, ring.path))
+
+            def to_open() -> StationConfig:
+                return coordinator.to_open()  # it is built below
+
+            link = AcquisitionLink(self._launch or spawn_launcher(to_open, ring.path))
             grants = BayGrants(ring.blacken, link)
             archive = Archive(store, events, config.flat_fields)
             watch = CalibrationWatch(store.checks, events, calibration, [c.name for c in config.cameras], config.heads)

@@ -9,6 +9,7 @@ import pytest
 
 from tests.runs.conftest import a_head, a_stitch, explained
 from tests.runs.doubles import Acquisition, CountingRing, Workers
+from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InternalError, StateError
@@ -17,6 +18,7 @@ from vaoi_station.model import Calibration, FrameRecord, Pulse, Status, Verdict
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
+from vaoi_station.runs.control.camera_places import CameraPlaces
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.line_control import Completion
 from vaoi_station.runs.run.order import Order
@@ -216,6 +218,24 @@ def test_a_camera_is_exchanged_only_while_no_board_may_come(station: Station) ->
     exchanged = station.core.config.cameras[1]
     assert (exchanged.serial, exchanged.address) == ("S9", None)
     assert any("S9 is in the place of" in message for message in station.events("camera"))
+
+
+def test_a_place_named_by_address_keeps_its_serial_number_over_a_restart(
+    config: StationConfig, store: Store, calibration: Calibration, progress: Progress
+) -> None:
+    cameras = [c.model_copy(update={"address": f"10.0.0.{k}"}) for k, c in enumerate(config.cameras)]
+    config = config.model_copy(update={"cameras": tuple(cameras)})
+    there = CameraHealth(connected=True, serial="S0", model="M", address="10.0.0.0")
+    places = CameraPlaces(store.standing, 2)
+    places.note(messages.Health((there, CameraHealth(connected=False)), "", 0.0), config.cameras)
+    store.standing.set("later", "").result()
+    places = CameraPlaces(store.standing, 2)
+    to_open = places.to_open(config)
+    assert [camera.serial for camera in to_open.cameras] == ["S0", None]
+    assert [camera.address for camera in to_open.cameras] == ["10.0.0.0", "10.0.0.1"]
+    renamed = config.cameras[0].model_copy(update={"address": "10.0.0.9"})
+    moved = config.model_copy(update={"cameras": (renamed, config.cameras[1])})
+    assert places.to_open(moved) == moved, "an edit of station.toml is meant so"
 
 
 def test_an_order_with_a_calibration_that_is_not_in_force_any_more_is_refused(station: Station) -> None:

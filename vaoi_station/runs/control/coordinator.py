@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.acquisition.ring import Ring
+from vaoi_station.config import StationConfig
 from vaoi_station.drift.recalibrate import Proposal
 from vaoi_station.errors import DeviceError, InputError, StateError
 from vaoi_station.model import BoardType, Calibration, FrameRecord, Reason, Stitch
@@ -258,6 +259,10 @@ class StationCoordinator(BoardTypeRequests):
         StateError: the line is armed.
         """
         self._inbox.ask(self._core.exchange_camera, camera, serial, address, calibration)
+
+    def to_open(self) -> StationConfig:
+        """Return the configuration for an acquisition process that begins now."""
+        return self._core.places.to_open(self._core.config)
 
     def use_calibration(self, calibration: Calibration) -> None:
         """Use another calibration from now on. StateError: the line is armed."""

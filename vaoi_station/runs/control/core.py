@@ -290,7 +290,7 @@ class Core:
                 for change in readiness.changes(self.health, message, self._config.cameras):
                     self._events.add("camera", change)
                 self.line.health = message
-                self.places.note(message)
+                self.places.note(message, self._config.cameras)
             case messages.RunStarted():
                 self._on_run_started(message)
             case messages.RunFinished():

@@ -166,7 +166,7 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
         waiting = core.machine.state in (StationState.STARTING, StationState.FAULTED)
         message = "not open yet" if waiting else "no report yet"
         return tuple(
-            CameraStatus(camera=k, name=c.name, connected=False, message=message, **core.places.cameras[k].model_dump())
+            CameraStatus(camera=k, name=c.name, connected=False, message=message, **_camera_at(core, k))
             for k, c in enumerate(config.cameras)
         )
     return tuple(
@@ -182,10 +182,14 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
             next_try=None if seen.next_try_s is None else utc_of_host(seen.next_try_s),
             recovery=_recovery(seen.recovery),
             counters=dict(seen.counters),
-            **core.places.cameras[k].model_dump(),
+            **_camera_at(core, k),
         )
         for k, seen in enumerate(health.cameras)
     )
+
+
+def _camera_at(core: Core, place: int) -> dict[str, str]:
+    return core.places.cameras[place].model_dump(exclude={"named"})
 
 
 def _recovery(seen: CameraRecovery | None) -> CameraRecoveryStatus | None:

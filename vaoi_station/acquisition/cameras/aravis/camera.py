@@ -438,15 +438,8 @@ class AravisCamera:
         # frame arrives (measured, Aravis 0.8.26; camera_aravis2 #41 and Aravis #735 report failures there).
         connection = Connection(self.config, self._locate(), self._sequence, self._share)
         try:
-            # A camera that was not there at the start is known by its address only.
-            if self._identity.serial and connection.identity.serial != self._identity.serial:
-                raise InputError.field(
-                    self.config.label,
-                    "serial number of the camera that came back",
-                    connection.identity.serial,
-                    f"{self._identity.serial!r}",
-                    "Exchange the camera on the page Cameras, or with `vaoi cameras replace`.",
-                )
+            # Empty: a camera that was never there is known by its address only.
+            connection.require_serial(self._identity.serial)
             connection.configure()
             if not self._epoch_ns:  # it was never open before
                 self._epoch_ns = _epoch_ns(connection)
@@ -506,10 +499,18 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
 
 
 def _opened(config: CameraConfig, where: str | VaoiError) -> Connection | Unopened:
+    if isinstance(where, VaoiError):
+        return Unopened(config, where)
+    connection = None
     try:
-        return Unopened(config, where) if isinstance(where, VaoiError) else Connection(config, where)
+        connection = Connection(config, where)
+        if config.address is not None:
+            connection.require_serial(config.serial)
     except VaoiError as error:
+        if connection is not None:
+            connection.close()
         return Unopened(config, _detached(error))
+    return connection
 
 
 def _open(members: Sequence[Connection | Unopened]) -> list[Connection]:

@@ -88,7 +88,7 @@ def locate(camera: CameraConfig) -> str:
 
 def locate_each(cameras: Sequence[CameraConfig]) -> list[str | VaoiError]:
     """Return where each camera replies, or why it does not. One search covers all serial numbers."""
-    found = search() if any(camera.serial for camera in cameras) else ()
+    found = search() if any(camera.address is None for camera in cameras) else ()
     places: list[str | VaoiError] = []
     for camera in cameras:
         try:
@@ -235,6 +235,17 @@ class Connection:
             self.identity = self._identity(where)
             self._clock_ns: Callable[[], int] | None = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
+
+    def require_serial(self, serial: str | None) -> None:
+        """Raise DeviceError if another serial number than this camera's is known of its place."""
+        if serial and self.identity.serial != serial:
+            raise DeviceError(
+                f"{self.config.label}: at {self.identity.address} is the camera {self.identity.serial}, but until now "
+                f"it was {serial}, to which calibration and flat fields belong.",
+                action=f"Plug {serial} in again; or put {self.identity.serial} in its place on the page Cameras, or "
+                "with `vaoi cameras replace`.",
+                code="camera-other",
+            )
 
     def measure_link(self) -> None:
         """Find the packet size of a GigE camera, and what it states of its link. It is not acquiring afterwards."""

@@ -1013,6 +1013,7 @@ const findings = {
 
   // Kameras
   "camera-absent": ["Diese Kamera antwortet nicht.", "Kabel, Stromversorgung und ihre Adresse in station.toml prüfen."],
+  "camera-other": ["An der Adresse dieses Platzes ist eine andere Kamera als bisher: Kalibrierung und Hellfelder gehören zur bisherigen.", "Die bisherige wieder einstecken, oder auf der Seite Kameras diese an ihre Stelle setzen."],
   "camera-in-use": ["Ein anderes Programm benutzt diese Kamera.", "Dieses Programm beenden."],
   "camera-ambiguous": ["Mehrere Kameras haben dieselbe Seriennummer, oder zwei Einträge meinen dieselbe Kamera.", "Die Adressen in station.toml berichtigen."],
   "address-taken": ["Ein anderes Gerät hat die Adresse, die diese Kamera bekommen soll, oder es ist keine frei.", "Eine freie Adresse wählen."],

@@ -62,6 +62,22 @@ def test_cameras_are_found_by_serial_number_whatever_their_order(device: Plug, s
     assert stage.arrival().camera == 1
 
 
+def test_another_camera_at_the_address_of_a_place_is_refused_until_that_of_before_is_back(
+    device: Plug, station: Make, opened: Open
+) -> None:
+    """As after a restart of the station, which remembers the serial number."""
+    mine, other = device(0), device(1, serial="OTHER")
+    config = station(mine, other)
+    known = [camera.model_copy(update={"serial": f"WIRE{k}"}) for k, camera in enumerate(config.cameras)]
+    stage = opened(config.model_copy(update={"cameras": tuple(known)}))
+    assert (stage.until(CameraLost).camera, stage.cameras[0].health().connected) == (1, True)
+    refused = stage.cameras[1].health()
+    assert "at 127.0.0.3 is the camera OTHER, but until now it was WIRE1" in refused.message
+    assert "put OTHER in its place on the page Cameras" in refused.action
+    stage.cameras[1].replace("OTHER", other.address)
+    assert stage.until(CameraBack).camera == 1
+
+
 def test_settings_are_on_the_camera(device: Plug, station: Make, opened: Open) -> None:
     """Read by a second client, by the names of the device's own registers."""
     camera = device(0)
