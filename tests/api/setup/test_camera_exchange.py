@@ -13,6 +13,7 @@ from fastapi.testclient import TestClient
 from tests.api.held.exchange import RealStation, real_station
 from tests.drift.conftest import check
 from tests.gige.foreign import ForeignCamera
+from vaoi_station.acquisition.cameras.aravis.discovery import discover, find, free_address
 from vaoi_station.api.access import scope_needed
 from vaoi_station.api.app import create_app
 from vaoi_station.errors import StateError
@@ -151,3 +152,16 @@ def test_all_of_it_needs_the_scope_admin() -> None:
         ("POST", f"{exchange}/confirm"),
     ):
         assert scope_needed(method, f"/api/v1/cameras/{path}") == "admin"
+
+
+def test_the_address_of_a_camera_that_is_absent_now_is_not_given_to_another(
+    client: TestClient, station: RealStation, new: ForeignCamera
+) -> None:
+    """It will come back, and be at an address that two cameras have."""
+    first = free_address(find(new.serial, discover()), (), ())
+    config = station.files.config
+    absent = config.cameras[2].model_copy(update={"serial": None, "address": first})
+    station.files.config = config.model_copy(update={"cameras": (*config.cameras[:2], absent)})
+    given = post(client, "search/address", serial=new.serial)[1]["address"]
+    assert given.startswith("127.")
+    assert given != first

@@ -190,7 +190,7 @@ class CameraExchange:
         with self._lock:
             found = self._broadcast()
             camera = find(wanted.serial, found)
-            address = wanted.address or free_address(camera, (), {other.address for other in found})
+            address = wanted.address or free_address(camera, (), self._used(found, camera))
             set_address(camera, address)
             _log.info("camera %s has the address %s in place of %s", camera.serial, address, camera.address)
             return self._shown(find(wanted.serial, self._broadcast()), self._places())
@@ -218,7 +218,7 @@ class CameraExchange:
             require_writable(self._files.path)
             if calibration is not None:
                 require_writable(self._files.config.calibration)
-            new = self._addressed(new, wanted.address, status.address, found)
+            new = self._addressed(new, wanted.address, config.address or status.address, found)
             saved = self._settings_saved(camera, config, new.serial)
             backup = None
             try:
@@ -340,9 +340,16 @@ class CameraExchange:
         """Return the camera with an address at which the station reaches it: that of its predecessor, if it is free."""
         if wanted is None and new.in_network:
             return new
-        address = wanted or free_address(new, [before] if before else (), {other.address for other in found})
+        used = self._used(found, new) - {before}
+        address = wanted or free_address(new, [before] if before else (), used)
         set_address(new, address)
         return find(new.serial, self._broadcast())
+
+    def _used(self, found: tuple[FoundCamera, ...], camera: FoundCamera) -> set[str]:
+        """Return the addresses that others have: that answer, or that are absent now and will come back."""
+        places = {address for config, status in self._places() for address in (config.address, status.address)}
+        others = {other.address for other in found if other != camera}
+        return {address for address in places if address} | others
 
     def _calibration_in_force(self) -> Calibration | None:
         """Return the calibration in force; None if the array is not calibrated. `StateError`: the file is another."""
