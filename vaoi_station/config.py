@@ -273,7 +273,7 @@ class CameraPowerConfig(Section):
     """Absolute path of the program, and its arguments, in which {name}, {address} and {serial} stand for the camera's.
     It is run without a shell, and ends once the power is on again."""
     limit_s: Annotated[Positive, Field(le=600)] = 30.0
-    """Longest time that the command may take; it is ended then."""
+    """Longest time that the command may take; then it gets SIGTERM, and SIGKILL 5 s later."""
 
     @model_validator(mode="after")
     def _by_path(self) -> Self:

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from vaoi_station.acquisition.cameras.aravis.recovery import END_S
 from vaoi_station.acquisition.process.backends import row_lights
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.calibration.nominal_view import nominal_matrix
@@ -56,6 +57,8 @@ GRACE_S = 10.0
 """Longest wait for unfinished runs to end when the station is stopped, beside the time of the board that passes."""
 STOP_S = 20.0
 """Time after that for which systemd waits until all processes have ended."""
+CLOSING_S = 5.0
+"""Longest time in which the acquisition process closes its devices, beside a command that switches a camera's power."""
 REMOUNT_S = 5.0
 """Period of the check whether a disk that was read-only is writable again."""
 REPORT_S = 1.0
@@ -172,7 +175,7 @@ class Station:
                 (partial(workers.start, coordinator.worker_ended, coordinator.workers_ready), workers.stop),
                 (
                     partial(link.start, coordinator.acquisition_message, coordinator.acquisition_ended, workers.warm),
-                    link.stop,
+                    partial(link.stop, CLOSING_S + self._power_s),
                 ),
                 (housekeeping.start, housekeeping.stop),
             ):
@@ -201,6 +204,11 @@ class Station:
                 parts.enter_context(publisher.running(supervisor.watch))
             self._supervisor, self.publisher = supervisor, publisher
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
+
+    @property
+    def _power_s(self) -> float:
+        """Longest time of a command for a camera's power, which the end of the station must not cut short."""
+        return self.config.camera_power.limit_s + END_S if self.config.camera_power else 0.0
 
     def watch(self, thread: SupervisedThread) -> None:
         """Supervise a thread of the running station that the caller has started, such as that of its web server."""
@@ -231,7 +239,7 @@ class Station:
             self._wound_down = True
             limit_s = self._coordinator.grace_s + GRACE_S
             # A slow belt may need longer than TimeoutStopSec of the unit, which stays as short as it can be.
-            notify(f"EXTEND_TIMEOUT_USEC={round((limit_s + STOP_S) * 1e6)}")
+            notify(f"EXTEND_TIMEOUT_USEC={round((limit_s + STOP_S + self._power_s) * 1e6)}")
             self._coordinator.wind_down(limit_s)
 
     def stop(self) -> None:

@@ -250,7 +250,8 @@ class AcquisitionLink:
                 self._on_message(pending.popleft())
             if not reports and attempt.process.sentinel in ready:
                 return ended
-            if attempt.silence_s > (HEARTBEAT_LIMIT_S if attempt.has_reported else START_LIMIT_S):
+            limit_s = HEARTBEAT_LIMIT_S if attempt.has_reported else START_LIMIT_S
+            if attempt.silence_s > limit_s and not self._stopping.is_set():  # `stop` has a limit of its own
                 attempt.process.kill()
                 return f"the acquisition process sent no heartbeat for {attempt.silence_s:.0f} s"
 

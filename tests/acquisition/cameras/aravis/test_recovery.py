@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import pytest
 
+from tests.acquisition.cameras.aravis.stand_in import camera_config
+from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera, Unopened
 from vaoi_station.acquisition.cameras.aravis.recovery import (
     POWER,
     REOPEN,
@@ -20,6 +22,7 @@ from vaoi_station.acquisition.cameras.aravis.recovery import (
     switch_power,
 )
 from vaoi_station.config import CameraPowerConfig
+from vaoi_station.errors import DeviceError
 
 
 class Clock:
@@ -116,25 +119,45 @@ def command(tmp_path: Path, *words: str, limit_s: float = 20.0) -> CameraPowerCo
 
 def test_the_command_gets_the_camera_as_arguments_and_no_shell_reads_them(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert switch_power(command(tmp_path, f'printf "%s|" "$@" > {out}'), NAMES, threading.Event()) == ""
+    assert switch_power(command(tmp_path, f'printf "%s|" "$@" > {out}'), NAMES) == ""
     assert out.read_text() == "--camera=left|S 1; rm x|"
 
 
 def test_a_command_that_fails_is_reported_with_its_last_words(tmp_path: Path) -> None:
     failing = command(tmp_path, "echo first", "echo port 7 is unknown >&2", "exit 3")
-    assert switch_power(failing, NAMES, threading.Event()).endswith("ended with code 3: port 7 is unknown")
+    assert switch_power(failing, NAMES).endswith("ended with code 3: port 7 is unknown")
     absent = CameraPowerConfig(command=("/nowhere/power",))
-    assert switch_power(absent, NAMES, threading.Event()) == "/nowhere/power cannot be run (No such file or directory)"
+    assert switch_power(absent, NAMES) == "/nowhere/power cannot be run (No such file or directory)"
 
 
 def test_a_command_that_does_not_end_is_ended_with_all_that_it_started(tmp_path: Path) -> None:
     before_s = time.monotonic()
     endless = command(tmp_path, "sleep 600 & wait", limit_s=0.3)
-    assert switch_power(endless, NAMES, threading.Event()).endswith("did not end within 0.3 s (camera_power.limit_s)")
-    closing = threading.Event()
-    closing.set()
-    assert switch_power(command(tmp_path, "sleep 600"), NAMES, closing)
+    assert switch_power(endless, NAMES).endswith("did not end within 0.3 s (camera_power.limit_s)")
     assert time.monotonic() - before_s < 20
+
+
+def test_a_command_that_takes_too_long_may_switch_the_power_on_before_it_ends(tmp_path: Path) -> None:
+    on = tmp_path / "on"
+    slow = command(tmp_path, f"trap 'touch {on}; exit 1' TERM", "sleep 600 & wait", limit_s=0.3)
+    assert "did not end within" in switch_power(slow, NAMES)
+    assert on.exists()
+
+
+def test_the_end_of_the_station_waits_for_the_command(tmp_path: Path) -> None:
+    """Ended half-way, it would leave the camera without power."""
+    begun, on = tmp_path / "begun", tmp_path / "on"
+    power = command(tmp_path, f"touch {begun}", "sleep 0.5", f"touch {on}")
+    config = camera_config(address="127.0.0.99")
+    camera = AravisCamera(0, Unopened(config, DeviceError("gone", code="camera-absent")), power)
+    camera._power_is_due = True
+    camera.start(SimpleQueue())
+    until_s = time.monotonic() + 20
+    while not begun.exists():
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+    camera.close()
+    assert on.exists()
 
 
 def test_a_command_is_named_by_its_whole_path() -> None:

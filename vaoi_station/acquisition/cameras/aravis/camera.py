@@ -379,8 +379,8 @@ class AravisCamera:
         names = {"name": self.config.name, "address": self._identity.address, "serial": self._identity.serial}
         _log.warning("%s: its power is switched off and on", self.config.label)
         with self._thread.waiting():
-            failure = switch_power(self._power, names, self._closing)
-        if failure and not self._closing.is_set():
+            failure = switch_power(self._power, names)
+        if failure:
             message = f"{self.config.label}: its power could not be switched: {failure}."
             error = DeviceError(message, action="Run the command of camera_power by hand.", code="camera-power")
             _log.error("%s", error.message)

@@ -6,11 +6,11 @@ its link is up. Each step has the time that the camera gets afterwards, and a nu
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -102,13 +102,15 @@ class Recovery:
         return f"{what}; {done}. The next board shows whether that helped."
 
 
-def switch_power(config: CameraPowerConfig, named: dict[str, str], closing: threading.Event) -> str:
+END_S = 5.0
+"""Time that a command gets to switch the power on again and to end, once its own time has passed."""
+
+
+def switch_power(config: CameraPowerConfig, named: dict[str, str]) -> str:
     """Run the administrator's command for one camera; return what went wrong, empty if nothing did.
 
-    Args:
-        config: the command and its time limit.
-        named: what stands for {name}, {address} and {serial} in its arguments.
-        closing: ends the command early.
+    `named` is what stands for {name}, {address} and {serial} in its arguments. The end of the station does not end the
+    command: the power would stay off.
     """
     words = list(config.command)
     for name, value in named.items():
@@ -120,12 +122,13 @@ def switch_power(config: CameraPowerConfig, named: dict[str, str], closing: thre
             )
         except OSError as error:
             return f"{words[0]} cannot be run ({error.strerror})"
-        until_s = time.monotonic() + config.limit_s
-        while process.poll() is None and time.monotonic() < until_s and not closing.wait(0.05):
-            pass
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+        for end, limit_s in ((None, config.limit_s), (signal.SIGTERM, END_S), (signal.SIGKILL, None)):
+            if end is not None:
+                os.killpg(process.pid, end)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(limit_s)
+                break
+        if end is not None:
             return f"{words[0]} did not end within {config.limit_s:g} s (camera_power.limit_s)"
         if process.returncode == 0:
             return ""
