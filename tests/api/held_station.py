@@ -302,6 +302,9 @@ class HeldStation(StationCoordinator):
             raise NotFoundError(f"There is no run {run!r}.", code="unknown-run")
         return self.filmed[run]
 
+    def camera_serials(self, run: str) -> tuple[str | None, ...]:
+        return ()
+
     def run_figures(self) -> RunFigures:
         return RunFigures({"ok": 2, "degraded": 1}, {"ok": 30}, [0, 2, 1, *[0] * 8], 0.4)
 

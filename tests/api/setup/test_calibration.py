@@ -97,6 +97,22 @@ def test_a_trial_is_not_accepted_once_another_calibration_is_in_force(
     assert read_calibration(files.config.calibration).uncalibrated == exchanged.uncalibrated != ()
 
 
+def test_a_run_that_was_filmed_before_a_camera_was_exchanged_is_refused(
+    station: HeldStation, files: StationFiles, wanted: TrialRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station, "camera_serials", lambda _run: ("S0", "OLD", "S2"))
+    for camera, serial in enumerate(("S0", "OLD", "S2")):
+        files.config = files.config.with_serial(camera, serial)
+    trials = Trials(station, files)
+    assert trials.begin(wanted).state == "reading"
+    trials.perform(wanted)
+    files.config = files.config.with_serial(1, "NEW")
+    for alone in (None, 1):
+        with pytest.raises(StateError, match="filmed with camera OLD at place cam1, where NEW is now") as refused:
+            trials.begin(wanted.model_copy(update={"camera": alone}))
+        assert refused.value.code == "camera-exchanged"
+
+
 def test_what_cannot_be_tried_is_refused_at_once(
     station: HeldStation, files: StationFiles, wanted: TrialRequest
 ) -> None:

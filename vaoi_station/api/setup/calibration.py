@@ -237,7 +237,8 @@ def router(services: Services, files: StationFiles, camera_trials: CameraTrials)
         """Calibrate the array from one row of a run that shows the calibration board, and reply at once.
 
         `GET calibration/trial` states how far it is. Nothing is changed until it is accepted. 409 `line-armed`: the
-        line is armed; 409 `trial-running`: another trial is being made.
+        line is armed; 409 `trial-running`: another trial is being made; 409 `camera-exchanged`: a camera was exchanged
+        after the run.
         """
         begun = await ask(trials.begin, wanted)
         task = asyncio.create_task(making.ask(trials.perform, wanted))
@@ -334,6 +335,14 @@ class Trials:
             raise InputError.field("body", "camera", wanted.camera, limit)
         if wanted.row >= run.rows:
             raise InputError.field("body", "row", wanted.row, f"below {run.rows}, the rows of run {run.id}")
+        for place, filmed in zip(self._files.config.cameras, self._coordinator.camera_serials(run.id), strict=False):
+            if place.serial not in (None, filmed):
+                before = filmed or "of unknown serial number"
+                raise StateError(
+                    f"Run {run.id} was filmed with camera {before} at place {place.name}, where {place.serial} is now.",
+                    action="Film the board of marks again.",
+                    code="camera-exchanged",
+                )
         frames = len(self._files.config.cameras)
         begun = {"run": wanted.run, "row": wanted.row, "camera": wanted.camera, "begun": utc(), "frames": frames}
         return self._replace(state="reading", **begun)

@@ -281,6 +281,11 @@ class StationCoordinator(BoardTypeRequests):
         except StateError:  # The run began between the two look-ups, so it is now among the active runs.
             return self._inbox.ask(self._active, run) or self._parts.archive.get(run).detail
 
+    def camera_serials(self, run: str) -> tuple[str | None, ...]:
+        """Return the serial numbers of the cameras that filmed a finished run, by place; None if one is not known."""
+        head = self._parts.archive.get(run).head
+        return tuple(camera.serial for camera in head.cameras) if head is not None else ()
+
     def run_figures(self) -> RunFigures:
         """Return counts and waiting times of the runs that ended since the start."""
         return self._parts.archive.statistics.figures()

@@ -1241,6 +1241,7 @@ const translated = {
     "upload-too-slow": "Die Datei kam nicht in 300 s an.",
     "line-armed": "Die Linie ist aktiv. Erst deaktivieren.",
     "trial-running": "Ein Versuch läuft noch. Warten, bis er endet.",
+    "camera-exchanged": "Nach diesem Lauf wurde eine Kamera getauscht. Die Kalibrierplatte noch einmal filmen.",
     "no-trial": "Es gibt keinen Versuch, der gut geendet hat.",
     "camera-connected": "Die bisherige Kamera antwortet noch. Erst ausstecken, einige Sekunden warten.",
     "camera-not-real": "Diese Kamera ist nur nachgebildet.",
