@@ -9,6 +9,7 @@ With a running station, the state is read from its REST service instead.
 from __future__ import annotations
 
 import gc
+import math
 import sys
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -90,7 +91,8 @@ class Offered:
     sources: tuple[str, ...]
     formats: tuple[str, ...]
     exposure_us: tuple[float, float] | None
-    sensor: tuple[int, int]
+    sensor: tuple[int | None, int | None]
+    """Its columns and lines; None: the description does not state them."""
     trigger_mode: str
     """Present trigger mode of the camera. The station sets the mode when it starts."""
     port: str = ""
@@ -176,7 +178,6 @@ def ask(camera: CameraConfig) -> Offered:
         control = Control(opened, camera.label)
         features = control.features
         black_level = features.read("BlackLevel") if features.has("BlackLevel") else None
-        width, height = opened.get_sensor_size()
         return Offered(
             vendor=opened.get_vendor_name() or "",
             model=opened.get_model_name() or "",
@@ -189,14 +190,19 @@ def ask(camera: CameraConfig) -> Offered:
             without=missing_features(features),
             left=tuple(_left_over(control, camera)),
             black_level=None if black_level is None else float(black_level),
-            sensor=(width, height),
-            trigger_mode=device.get_string_feature_value("TriggerMode"),
+            sensor=(_first(features, "SensorWidth", "WidthMax"), _first(features, "SensorHeight", "HeightMax")),
+            trigger_mode=str(features.read("TriggerMode")) if features.has("TriggerMode") else "Off",
             port=port,
             address=address,
             packets=packets,
             passing=passing,
             speed_mbit_s=speed_mbit_s,
         )
+
+
+def _first(features: Features, *names: str) -> int | None:
+    """Return the value of the first feature that the camera has; None if it has none of them."""
+    return next((int(features.read(name)) for name in names if features.has(name)), None)
 
 
 def _left_over(control: Control, camera: CameraConfig) -> Iterator[str]:
@@ -274,7 +280,7 @@ def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
         message = f"has no sequencer, as exposure_by states: {', '.join(offered.without)} missing."
         yield fault("sequencer-absent", message, by_register, name)
     right, bottom = camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height
-    width, height = offered.sensor
+    width, height = (size or math.inf for size in offered.sensor)
     if right > width or bottom > height:
         message = f"has a sensor of {width}×{height} px, but the configured frame ends at column {right}, row {bottom}."
         yield fault("frame-exceeds-sensor", message, "Correct width, height and offset_px in station.toml.", name)

@@ -48,7 +48,11 @@ class Device(VirtualCamera):
 
 def main(address: str, serial: str, *changes: str) -> None:
     text = read_description(OWN_DESCRIPTION)
-    device = Device(address, serial, SENSOR, sys.stdout, all_formats(text) if "formats" in changes else text)
+    if "formats" in changes:
+        text = all_formats(text)
+    if "sizeless" in changes:
+        text = re.sub(r"<pMax>Sensor\w+</pMax>", "<Max>640</Max>", text).replace("Sensor", "Other")
+    device = Device(address, serial, SENSOR, sys.stdout, text)
     if "stubborn" in changes:
         device.camera.faults.keeps["ExposureTime"] = 5000
     over = threading.Event()

@@ -71,6 +71,9 @@ def test_nothing_that_was_left_in_a_camera_survives(
         assert [referee.value(f) for f in ("Width", "Height", "PixelFormat")] == [WIDTH, HEIGHT, formats[name]], name
         exposure = next(f for f in ("ExposureTime", "ExposureTimeAbs") if referee.has(f))
         assert referee.value(exposure) == pytest.approx(EXPOSURE_US, rel=0.01), name
+    scout = Referee(cameras["Basler-scA1400-30gm"])
+    scout.select({"TriggerSelector": "FrameStart"})  # its other implementation of triggers has no FrameStart
+    assert scout.value("TriggerMode") == "On"
 
 
 def test_the_user_set_default_replaces_one_that_an_earlier_program_has_saved(

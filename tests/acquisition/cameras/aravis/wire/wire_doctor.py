@@ -55,6 +55,11 @@ def test_cameras_that_are_fit_stay_as_they_are(device: Plug, station: Make) -> N
     assert (port.subject, port.figures["cameras"], port.figures["packet_bytes"]) == ("lo", 2, 9000)
 
 
+def test_a_camera_that_does_not_state_the_size_of_its_sensor_is_fit(device: Plug, station: Make) -> None:
+    camera, _port = cameras(context(station(device(0, "sizeless"))))
+    assert (camera.level, camera.subject) == (Level.OK, "c0"), camera.message
+
+
 def test_the_station_opens_them_afterwards(device: Plug, station: Make, opened: Callable[..., Stage]) -> None:
     config = station(device(0))
     assert {finding.level for finding in cameras(context(config))} == {Level.OK}
