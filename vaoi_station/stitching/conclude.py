@@ -46,7 +46,7 @@ from vaoi_station.stitching.matching.link import are_copies
 from vaoi_station.stitching.matching.relinking import Relinker
 from vaoi_station.stitching.quality.confirmation import dark_lights
 from vaoi_station.stitching.quality.findings import Findings
-from vaoi_station.stitching.quality.quality_document import LATER, explanation, quality_document
+from vaoi_station.stitching.quality.quality_document import LATER, explanation, fiducial_places, quality_document
 from vaoi_station.stitching.quality.verdict import judge_result
 from vaoi_station.version import __version__
 
@@ -188,6 +188,8 @@ class Stitcher:
         findings = without_unknown_rows(findings)
         status, reasons = judge_result(findings)
         quality = quality_document(findings)
+        if findings.mapping is None:
+            quality["fiducial_places"] = fiducial_places(known.detections, self.scene.cameras)
         clock_s.append(time.perf_counter())
         stages = zip(("motion", "cad", "verdict"), pairwise(clock_s), strict=True)
         quality["timings_ms"] = {name: round((end - start) * 1e3, 3) for name, (start, end) in stages}

@@ -49,11 +49,22 @@ def test_no_row_of_a_board_that_is_filmed_is_measured_while_an_earlier_frame_is_
 
 def test_a_large_frame_is_shown_as_a_small_picture(station: HeldStation, monkeypatch: pytest.MonkeyPatch) -> None:
     large = np.full((1000, 2000), 40_000, np.uint16)
-    monkeypatch.setattr(station, "frame", lambda *_: (large, None))
+    monkeypatch.setattr(station, "frame", lambda *_, **__: (large, None))
     picture = cv2.imdecode(np.frombuffer(NewestFrames(station).picture(0, "r", 0), np.uint8), cv2.IMREAD_UNCHANGED)
     assert picture is not None
     assert picture.shape == (LARGEST_PX // 2, LARGEST_PX)
     assert int(picture.mean()) == pytest.approx(40_000 / 65535 * 255, abs=1)
+
+
+def test_an_incomplete_frame_of_a_run_is_shown_as_small_as_asked_for(client: Any, station: Any) -> None:
+    """The page of a board without pictures shows the frames as they were filmed."""
+    path, run = "/api/v1/cameras/0/picture", station.film()
+    reply = client.get(f"{path}?run={run}&row=1&largest_px=64")
+    shown = cv2.imdecode(np.frombuffer(reply.content, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert shown is not None
+    assert shown.shape == (48, 64)
+    station.release(run)
+    assert client.get(f"{path}?run={run}&row=1").status_code == 410
 
 
 PATH = "/api/v1/cameras/1/trial"

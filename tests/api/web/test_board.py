@@ -165,6 +165,57 @@ def test_a_board_whose_frames_are_gone_has_its_kept_picture(page: Page, served: 
     expect(page.get_by_role("link", name="Kept picture, JPEG")).to_be_visible()
 
 
+def test_a_failed_board_opens_on_the_reasons_and_its_frames_as_they_were_filmed(
+    page: Page, served: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    station, stitch = served.station, served.station.stitch
+    place = {"frame": [1, 0], "px": [160.0, 60.0], "score": 0.9, "frame_px": [320, 240]}
+
+    def with_place(run: str) -> Any:
+        return (found := stitch(run)).model_copy(update={"quality": found.quality | {"fiducial_places": [place]}})
+
+    monkeypatch.setattr(station, "stitch", with_place)
+    run = fail(station, "SN-47")
+    page.goto(f"{served.url}/#/board/{run}")
+    expect(page.locator("#first-reason")).to_have_text("Rows are lost.")
+    expect(page.locator("#verdict-reasons li")).to_have_text(["Rows are lost."])
+    expect(page.locator("#tabs button:visible")).to_have_text(["Report", "Timing", "Export"])
+    expect(page.locator("#decisions button")).to_have_text(["Film again"])
+    expect(page.locator("#zoom")).to_be_hidden()
+    expect(page.locator("#raw tbody tr")).to_have_count(4)
+    expect(page.locator("#raw td img")).to_have_count(11)
+    expect(page.locator("#raw .missing, #raw .incomplete")).to_have_text(["incomplete: cable", "missing: cable"])
+    expect(page.locator("#raw circle title")).to_have_text("like a fiducial: 0.90")
+    circle, frame = (page.locator(f"#raw a:has(circle) {name}").bounding_box() for name in ("circle", "img"))
+    assert circle is not None
+    assert frame is not None
+    assert circle["x"] + circle["width"] / 2 - frame["x"] == pytest.approx(frame["width"] / 2, abs=1)
+    with page.expect_popup() as large:
+        page.locator("#raw a").first.click()
+    assert large.value.url.endswith(f"/runs/{run}/frames/0/0?incomplete=show&format=png")
+    station.release(run)
+    expect(page.locator("#raw")).to_contain_text("released by the tester. They were not kept as a recording.")
+
+
+def test_the_first_reason_against_a_board_leads_to_its_place(page: Page, served: Any) -> None:
+    run = fail(served.station, "SN-47", Status.DEGRADED)
+    page.goto(f"{served.url}/#/board/{run}")
+    expect(page.locator("#first-reason p")).to_have_text("Rows are lost.")
+    expect(page.locator("#first-reason .board-picture img").first).to_be_visible()
+    page.get_by_role("button", name="Show the place").click()
+    expect(page.get_by_role("button", name="Frames")).to_have_attribute("aria-pressed", "true")
+    page.wait_for_function("() => OpenSeadragon.getViewer('zoom-view').viewport.getBounds().width < 0.95")
+
+
+def test_what_is_shown_of_a_recording_is_not_called_gone(page: Page, served: Any) -> None:
+    station = served.station
+    run = station.film(board_id="SN-1")
+    station.filmed[run] = station.filmed[run].model_copy(update={"frames_available": False, "recording": True})
+    page.goto(f"{served.url}/#/board/{run}")
+    expect(page.locator("#zoom-note")).to_contain_text("on disk as a recording")
+    expect(page.locator("#zoom-note")).not_to_contain_text("gone")
+
+
 def test_a_board_is_taught_as_good_and_the_parts_in_doubt_of_another_one_are_gone_through(
     page: Page, served: Any
 ) -> None:

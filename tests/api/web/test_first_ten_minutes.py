@@ -48,7 +48,7 @@ class Shift:
         run = self.station.film(finish=False, board_id="SN-47")
         lost = Reason(code="frames-missing", message="The frames of camera 1 did not arrive.", action="Check it.")
         self.station.finish(run, Status.FAILED, (lost,))
-        expect(self.page.get_by_role("button", name="Use it anyway")).to_be_in_viewport(ratio=1)
+        expect(self.page.get_by_role("button", name="Film again")).to_be_in_viewport(ratio=1)
 
     def step_6(self) -> None:
         self.page.get_by_role("button", name="Film again").click()

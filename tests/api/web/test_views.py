@@ -22,6 +22,7 @@ VIEWS = {
     "/": "#verdict-word:not(:empty)",
     "/#/boards": "#list tbody tr",
     "/#/board/r000001": 'button img[alt*="amera"]',
+    "/#/board/r000002": "#raw td img",
     "/#/trends": ".trends[data-shown]",
     "/#/cameras": ".cameras[data-shown]",
     "/#/setup": "#view h2",
@@ -66,7 +67,8 @@ def wide_elements(page: Page) -> Any:
 def test_every_view_fits_and_everyone_can_use_it(browser: Browser, served: Any, language: str) -> None:
     served.station.kept.trends.fill(150)
     served.station.film(board_id="SN-47-of-a-long-series")
-    served.station.film(verdict=Status.DEGRADED, board_id="SN-48")
+    served.station.film(verdict=Status.FAILED, board_id="SN-48-of-a-long-series")
+    served.station.film(verdict=Status.DEGRADED, board_id="SN-49")
     context = browser.new_context(locale=language, has_touch=True)
     page = context.new_page()
     found: dict[str, Any] = {}

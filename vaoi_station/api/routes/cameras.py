@@ -122,12 +122,12 @@ class NewestFrames:
         with self._measuring.setdefault(camera, threading.Lock()):
             return self._newest(camera)
 
-    def picture(self, camera: int, run: str | None, row: int | None) -> bytes:
-        """Return a frame as JPEG of 8 bits, at most `LARGEST_PX` long: without a run and a row, the newest."""
+    def picture(self, camera: int, run: str | None, row: int | None, largest_px: int = LARGEST_PX) -> bytes:
+        """Return a frame as JPEG of 8 bits: without a run and a row the newest, else also an incomplete one."""
         if run is None or row is None:
             newest = self.frame(camera)
             run, row = newest.run, newest.row
-        return for_display(self._coordinator.frame(run, camera, row)[0])
+        return for_display(self._coordinator.frame(run, camera, row, allow_incomplete=True)[0], largest_px)
 
     def _newest(self, camera: int) -> CameraFrame:
         """Return the figures of a camera's newest frame; the caller holds the lock of the camera."""
@@ -216,12 +216,16 @@ def router(services: Services, trials: CameraTrials) -> APIRouter:
         camera: Camera,
         run: Annotated[str | None, Query(description="Run of the frame.", min_length=1, max_length=64)] = None,
         row: Annotated[int | None, Query(description="Row of the frame.", ge=0, le=99999)] = None,
+        largest_px: Annotated[
+            int, Query(description="Longest side of the picture.", ge=64, le=LARGEST_PX)
+        ] = LARGEST_PX,
     ) -> Response:
         """Return a frame as JPEG of at most 960 px, for display; without `run` and `row` the newest in memory.
 
-        Without loss, and in full size: `runs/{run}/frames/{camera}/{row}`.
+        With them also an incomplete or unproven one, of a run that is in memory or kept as a recording. Without loss,
+        and in full size: `runs/{run}/frames/{camera}/{row}`.
         """
-        content = await services.pictures.ask(frames.picture, camera, run, row)
+        content = await services.pictures.ask(frames.picture, camera, run, row, largest_px)
         return Response(content, media_type="image/jpeg")
 
     @routes.post("/trial")
@@ -250,9 +254,9 @@ def router(services: Services, trials: CameraTrials) -> APIRouter:
     return routes
 
 
-def for_display(pixels: Image) -> bytes:
-    """Return a frame as JPEG of 8 bits, at most `LARGEST_PX` long."""
-    scale = LARGEST_PX / max(pixels.shape[:2])
+def for_display(pixels: Image, largest_px: int = LARGEST_PX) -> bytes:
+    """Return a frame as JPEG of 8 bits, at most `largest_px` long."""
+    scale = largest_px / max(pixels.shape[:2])
     if scale < 1:
         pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if pixels.dtype != np.uint8:

@@ -6,16 +6,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from heapq import nlargest
 from typing import Any
 
 import numpy as np
 
+from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.stitching.adjustment.motion import measured_velocity
 from vaoi_station.stitching.adjustment.problem import FIXTURE, REFERENCE, USED
 from vaoi_station.stitching.board.reference import inliers
 from vaoi_station.stitching.components.centres import unnoticed_mm
 from vaoi_station.stitching.components.places import OwnPlace
+from vaoi_station.stitching.matching.evidence import Detections
 from vaoi_station.stitching.quality.findings import Findings
 from vaoi_station.stitching.quality.uncertainty import matrix_sigmas, row_covariances, surface_sigma_mm
 from vaoi_station.stitching.quality.verdict import rows_apart
@@ -31,6 +35,7 @@ LATER = (
 """Names of the entries that `explanation` returns."""
 AMBIGUOUS = "ambiguous"
 """Value of `quality.orientation` if the board turned by 180° would fit as well."""
+_MOST_PLACES = 60
 
 
 def quality_document(f: Findings) -> dict[str, Any]:
@@ -54,6 +59,16 @@ def quality_document(f: Findings) -> dict[str, Any]:
         "unseen": unseen,
         "belt": _belt(f),
     }
+
+
+def fiducial_places(detections: Sequence[Detections], cameras: Sequence[Camera]) -> list[dict[str, Any]]:
+    """List the places that look most like fiducials, best first: of a board that was not found, they show why."""
+    found = ((float(score), d.task.a, px) for d in detections for score, px in zip(d.score, d.px.tolist(), strict=True))
+    return [
+        {"frame": list(key), "px": [_rounded(v, 1) for v in px], "score": _rounded(score, 3),
+         "frame_px": [cameras[key[0]].width_px, cameras[key[0]].height_px]}
+        for score, key, px in nlargest(_MOST_PLACES, found)
+    ]  # fmt: skip
 
 
 def explanation(f: Findings) -> dict[str, Any]:

@@ -11,6 +11,8 @@ import { showExports } from "./exports.js";
 import { Measures } from "./measures.js";
 import { PageState } from "./page_state.js";
 import { Pictures } from "./pictures.js";
+import { showRawFrames } from "./raw_frames.js";
+import { FirstReason } from "./first_reason.js";
 import { showReport } from "./report.js";
 import { timing } from "./timing.js";
 import { ZoomSide } from "./zoom.js";
@@ -26,7 +28,9 @@ const PART = `
   <div id="decisions"></div>
   <a href="#/boards" class="button" data-text="back"></a>
 </section>
+<section id="first-reason"></section>
 <section id="zoom" data-label="mosaic"></section>
+<section id="raw" data-label="board.rawFrames" hidden></section>
 <section id="side">
   <div id="tabs" role="tablist" data-label="board.tabs"></div>
   <div id="tab-part" role="tabpanel"><div id="measures"></div><div id="compare"></div><div id="part"></div></div>
@@ -47,6 +51,7 @@ export class BoardView extends View {
   #comparison;
   #measures;
   #decisions;
+  #reason;
   #opening = null;
   #closed = new AbortController();
 
@@ -59,6 +64,7 @@ export class BoardView extends View {
     this.#pictures = new Pictures(this.part("part"), this.#state);
     this.#comparison = new Comparison(this.part("compare"), this.#state, (other) => this.#compare(other));
     this.#measures = new Measures(this.part("measures"), (address) => this.#choose(address), (found) => this.#showMeasured(found));
+    this.#reason = new FirstReason(this.part("first-reason"), (place) => this.#lead(place));
     this.#makeTabs();
     this.#placeTabs();
     NARROW.addEventListener("change", () => this.#placeTabs(), this.#closed);
@@ -148,12 +154,23 @@ export class BoardView extends View {
     setText(this.part("board-title"), `${run.board_id ?? texts.noId}: ${texts.verdicts[verdict]}`);
     const decided = run.decision && `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}`;
     setText(this.part("board-order"), decided ?? (verdict === "ok" || verdict === "none" ? "" : boardAdvice(run)));
+    this.#reason.show(run);
     showReport(this.part("tab-report"), run, { parts: [], overlay: null });
+    // Without pictures the page opens on the reasons, beside the frames as they were filmed.
+    const failed = verdict === "failed";
+    this.part("zoom").hidden = this.part("to-part").hidden = failed;
+    this.part("raw").hidden = !failed;
+    if (failed && this.#state.get("tab") === "part") this.#open("report");
+    if (failed) rest.unattended(showRawFrames(this.part("raw"), run));
   }
 
   async #showBoard(run, list) {
     const result = run.verdict != null && run.verdict !== "failed";
-    const mosaics = result ? await shownMosaics(run, list).catch(() => []) : [];
+    let refused = null;
+    const mosaics = await shownMosaics(run, list).catch((error) => {
+      refused = error;
+      return [];
+    });
     // The lists take the station as long as all tiles of the picture, which would have to share its processor with them.
     if (run === this.#run && mosaics.length) await Promise.race([this.#zoom.begin(mosaics).catch(() => {}), pause(PICTURE_FIRST_MS)]);
     if (run !== this.#run) return;
@@ -167,7 +184,8 @@ export class BoardView extends View {
     this.part("part").hidden = this.part("compare").hidden = this.part("measures").hidden = parts.length === 0;
     const asked = parts.some((part) => part.address === this.#state.get("component"));
     if (!asked) this.#state.set({ component: (largestSeen(parts) ?? parts[0])?.address ?? "" });
-    await this.#zoom.show({ parts, mosaics, overlay, why: mosaics.length ? whatIsShown(mosaics[0]) : why(run, parts) });
+    await this.#zoom.show({ parts, mosaics, overlay, why: mosaics.length ? whatIsShown(run, mosaics[0]) : why(run, parts, refused) });
+    this.#reason.show(run, this.#shown);
     if (!parts.length) return;
     this.#choose(this.#state.get("component"), asked);
     rest.unattended(this.#showHeights(run).then(() => run === this.#run && this.#measures.show(run)));
@@ -199,6 +217,13 @@ export class BoardView extends View {
     rest.unattended(this.#pictures.show(this.#run, part, this.#shown, matrix?.[0][0] < 0));
   }
 
+  // Lead to the place where a reason is seen.
+  #lead({ drawing, colour, component, points }) {
+    if (component) this.#choose(component, false);
+    this.#zoom.lead(drawing, colour, points);
+    this.part("zoom").scrollIntoView({ block: "nearest" });
+  }
+
   #compare({ run, mosaics, visible, from }) {
     const wanted = this.#state.get("mosaic");
     this.#zoom.compare(mosaics.find((m) => m.name === wanted) ?? mosaics[0] ?? null, visible, from);
@@ -208,17 +233,19 @@ export class BoardView extends View {
 
 const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
-// What is shown in place of the mosaics of a run whose frames are gone.
-function whatIsShown(mosaic) {
-  return mosaic.kept ? texts.board.keptShown : "";
+// What is shown in place of the mosaics of a run whose frames are no longer in memory.
+function whatIsShown(run, mosaic) {
+  const words = texts.board;
+  return !mosaic.kept ? "" : run.recording ? `${words.keptSmall} ${words.recordingKept}` : `${words.framesGone(run.state)} ${words.keptSmall}`;
 }
 
 // Why there is no picture of the whole board.
-function why(run, parts) {
-  if (run.verdict === "failed") return texts.board.failedNote;
+function why(run, parts, refused) {
+  const words = texts.board;
   if (run.verdict == null) return texts.verdicts.none;
-  if (!parts.length && run.frames_available) return texts.noComponents;
-  return `${texts.board.framesGone(run.state)} ${run.recording ? texts.board.recordingKept : texts.board.notRecorded} ${texts.board.nothingKept}`;
+  if (refused) return saidOf(refused);
+  if (run.frames_available) return parts.length ? texts.noMosaic : texts.noComponents;
+  return `${run.recording ? words.recordingKept : `${words.framesGone(run.state)} ${words.notRecorded}`} ${words.nothingKept}`;
 }
 
 // The default choice: defects are seen best on the largest component.

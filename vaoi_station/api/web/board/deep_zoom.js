@@ -1,6 +1,6 @@
 // The whole board to zoom into, with its parts and what is drawn over them, beside another board if one is compared.
 import { loadScript } from "../parts/elements.js";
-import { fullLevel, TILE_PX, tileAddress, toPicture } from "../parts/board_picture.js";
+import { boxOf, fullLevel, TILE_PX, tileAddress, toPicture } from "../parts/board_picture.js";
 import { svg, titled } from "../parts/svg.js";
 import { texts } from "../texts/texts.js";
 import { classOf } from "./colours.js";
@@ -129,12 +129,8 @@ export class DeepZoom {
     this.#viewer?.viewport?.goHome();
   }
 
-  #corners(part) {
-    return part.footprint.map((point) => toPicture(this.#mosaic.image_from_cad, point));
-  }
-
   #shape(part) {
-    const shape = svg("polygon", { points: this.#corners(part).map((p) => p.map((v) => v.toFixed(2)).join(",")).join(" ") });
+    const shape = svg("polygon", { points: part.footprint.map((point) => toPicture(this.#mosaic.image_from_cad, point)).map((p) => p.map((v) => v.toFixed(2)).join(",")).join(" ") });
     shape.dataset.address = part.address;
     return titled(shape, part.address);
   }
@@ -175,15 +171,18 @@ export class DeepZoom {
   select(address, fly) {
     this.#wanted = [address, fly];
     for (const [name, shape] of this.#shapes) shape.classList.toggle("chosen", name === address);
-    const image = this.#viewer?.world?.getItemAt(0);
     const part = this.#parts.find((p) => p.address === address);
     const chosen = this.#shapes.get(address);
     chosen?.parentNode.append(chosen); // in front of its neighbours
-    if (!fly || !image || !part) return;
-    const points = this.#corners(part);
-    const [xs, ys] = [points.map((p) => p[0]), points.map((p) => p[1])];
-    const [x, y, w, h] = [Math.min(...xs), Math.min(...ys), Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys)];
-    this.#viewer.viewport.fitBounds(image.imageToViewportRectangle(x - w * MARGIN, y - h * MARGIN, w * (1 + 2 * MARGIN), h * (1 + 2 * MARGIN)));
+    if (fly && part) this.fly(part.footprint, MARGIN);
+  }
+
+  // Move to these points, CAD coordinates, with a margin in sizes of their box.
+  fly(points, margin = 0) {
+    const image = this.#viewer?.world?.getItemAt(0);
+    if (!image) return;
+    const [x0, y0, x1, y1] = boxOf(this.#mosaic, points, margin);
+    this.#viewer.viewport.fitBounds(image.imageToViewportRectangle(x0, y0, x1 - x0, y1 - y0));
   }
 
   // Lay another board over this one: `mosaic` or null; shown or not, from this share of the width on.

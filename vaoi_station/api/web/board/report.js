@@ -7,15 +7,15 @@ const SEAM = "seam_px:"; // and the numbers of two cameras
 const figureNames = texts.trends.figures;
 
 export function showReport(root, run, { parts, overlay }) {
-  const reasons = run.reasons.map((reason) => make("li", {}, ...said(`${reason.message} ${reason.action}`.trim(), translatedReason(reason))));
+  const reasons = run.reasons.map((reason) => make("li", {}, ...reasonSaid(reason)));
   root.replaceChildren(
     make("ul", { id: "verdict-reasons" }, ...reasons),
     make("dl", { id: "facts" }, ...lines([...facts(run), ...figures(run.figures ?? {}, parts, overlay)])),
   );
 }
 
-// By its cause, or its code.
-const translatedReason = ({ cause, code }) => texts.reasons[cause] ?? texts.reasons[code];
+// A reason with what to do; translated by its cause, or its code.
+export const reasonSaid = ({ cause, code, message, action }) => said(`${message} ${action}`.trim(), texts.reasons[cause] ?? texts.reasons[code]);
 
 // The largest residual of the proof in µs; "" if no frame has one.
 function within(proof) {

@@ -81,7 +81,7 @@ export class ZoomSide extends View {
     await this.#deep?.complete;
   }
 
-  // Show a run: its parts, mosaics (none: `why` says so), and overlay, or null.
+  // Show a run: its parts, mosaics (none: `why` says so, a text or elements), and overlay, or null.
   async show({ parts, mosaics, overlay, why }) {
     [this.#parts, this.#mosaics, this.#overlay] = [parts, mosaics, overlay];
     this.part("component-names").replaceChildren(...parts.map((part) => make("option", { value: part.address })));
@@ -90,7 +90,7 @@ export class ZoomSide extends View {
     this.part("finder").hidden = parts.length === 0;
     for (const button of this.part("drawings").children) button.disabled = !overlay || mosaics.length === 0;
     this.part("colour").disabled = mosaics.length === 0;
-    setText(this.part("zoom-note"), why);
+    this.part("zoom-note").replaceChildren(...[why].flat());
     this.root.classList.toggle("empty", mosaics.length === 0);
     if (mosaics.length) await this.#open();
     else {
@@ -158,6 +158,14 @@ export class ZoomSide extends View {
     this.part("component").value = address;
     setText(this.part("finder-answer"), "");
     this.#deep?.select(address, fly);
+  }
+
+  // Lead to these points of the board, CAD coordinates, with a drawing and a colouring that show why.
+  lead(drawing, colour, points) {
+    const button = this.root.querySelector(`[data-drawing="${drawing}"][aria-pressed="false"]`);
+    button?.click();
+    if (colour) this.#recolour(colour);
+    this.#deep?.fly(points);
   }
 
   compare(mosaic, visible, from) {

@@ -15,29 +15,43 @@ export function toPicture(matrix, [x, y]) {
   return [u / w, v / w];
 }
 
-// Resolves to an element, or to null if there is no mosaic. `steps`: how often the smallest level is doubled.
-export async function boardPicture(run, { steps = 1, alt = "" } = {}) {
+// The box around points in CAD coordinates, [x0, y0, x1, y1] in pixels of a mosaic, with a margin in its own sizes.
+export function boxOf(mosaic, points, margin = 0) {
+  const places = points.map((point) => toPicture(mosaic.image_from_cad, point));
+  const [low, high] = [Math.min, Math.max].map((most) => [0, 1].map((n) => most(...places.map((place) => place[n]))));
+  const [w, h] = [margin * (high[0] - low[0]), margin * (high[1] - low[1])];
+  return [low[0] - w, low[1] - h, high[0] + w, high[1] + h];
+}
+
+const REGION_PX = 240; // a region is shown at least as large, if its pixels suffice
+
+// Resolves to an element, or to null if there is no mosaic. `steps`: how often the smallest level is doubled. `region`: only this part,
+// [x0, y0, x1, y1] in pixels of the mosaic.
+export async function boardPicture(run, { steps = 1, alt = "", mosaic = null, region = null } = {}) {
   if (run.verdict === "failed" || run.verdict == null || (!run.frames_available && !run.recording)) return null;
-  const [mosaic] = await rest.mosaics(run.id);
+  mosaic ??= (await rest.mosaics(run.id))[0];
   if (!mosaic) return null;
-  const reduction = Math.max(mosaic.levels - 1 - steps, 0);
-  const [width, height] = [mosaic.width_px, mosaic.height_px].map((side) => Math.ceil(side / 2 ** reduction));
-  const box = make("div", { className: "board-picture", role: "img", ariaLabel: alt });
+  const [x0, y0, x1, y1] = region ?? [0, 0, mosaic.width_px, mosaic.height_px];
+  const least = region ? Math.floor(Math.log2(Math.max(x1 - x0, y1 - y0) / REGION_PX)) : mosaic.levels - 1 - steps;
+  const reduction = Math.min(Math.max(least, 0), mosaic.levels - 1);
+  const [left, top, width, height] = [x0, y0, x1 - x0, y1 - y0].map((px) => px / 2 ** reduction);
+  const [across, down] = [mosaic.width_px, mosaic.height_px].map((side) => Math.ceil(side / 2 ** reduction));
+  const box = make("div", { className: "board-picture", ...(alt ? { role: "img", ariaLabel: alt } : { ariaHidden: "true" }) });
   box.style.aspectRatio = `${width} / ${height}`;
   box.style.setProperty("--ratio", width / height); // the style sheet fits it into its place
   const waits = [];
-  for (let row = 0; row * TILE_PX < height; row++) {
-    for (let column = 0; column * TILE_PX < width; column++) {
+  for (let row = Math.max(Math.floor(top / TILE_PX), 0); row * TILE_PX < Math.min(top + height, down); row++) {
+    for (let column = Math.max(Math.floor(left / TILE_PX), 0); column * TILE_PX < Math.min(left + width, across); column++) {
       const tile = make("img", { alt: "", src: tileOfRun(run, mosaic, fullLevel(mosaic) - reduction, column, row) });
       Object.assign(tile.style, {
-        left: `${(column * TILE_PX * 100) / width}%`, top: `${(row * TILE_PX * 100) / height}%`,
-        width: `${(Math.min(TILE_PX, width - column * TILE_PX) * 100) / width}%`,
+        left: `${((column * TILE_PX - left) * 100) / width}%`, top: `${((row * TILE_PX - top) * 100) / height}%`,
+        width: `${(Math.min(TILE_PX, across - column * TILE_PX) * 100) / width}%`,
       });
       waits.push(tile.decode().catch(() => tile.remove()));
       box.append(tile);
     }
   }
-  if (run.unseen?.length) box.append(await hatched(run, mosaic));
+  if (run.unseen?.length && !region) box.append(await hatched(run, mosaic));
   await Promise.all(waits);
   return box;
 }

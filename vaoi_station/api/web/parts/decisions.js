@@ -5,7 +5,8 @@ import * as rest from "./rest.js";
 import { keep, kept } from "./settings.js";
 import { clock, texts } from "../texts/texts.js";
 
-const CHOICES = ["film-again", "use"];
+// Without pictures there is nothing to use.
+const choicesOf = (run) => (run.verdict === "degraded" ? ["film-again", "use"] : ["film-again"]);
 const name_of = (choice) => (choice === "use" ? texts.use : texts.filmAgain);
 
 export class Decisions {
@@ -32,7 +33,7 @@ export class Decisions {
   }
 
   #offer(run, label) {
-    const buttons = !run ? [] : CHOICES.map((choice) => {
+    const buttons = !run ? [] : choicesOf(run).map((choice) => {
       const button = make("button", { type: "button", textContent: label ? `${label}: ${name_of(choice)}` : name_of(choice) });
       button.addEventListener("click", () => this.#ask(run, choice));
       return button;

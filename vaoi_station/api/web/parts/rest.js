@@ -50,7 +50,7 @@ export const trends = (query) => call("GET", `/trends?${new URLSearchParams(quer
 export const trendComparison = (query) => call("GET", `/trends/comparison?${new URLSearchParams(query)}`);
 export const calibration = () => call("GET", "/calibration");
 export const cameraFrame = (camera) => call("GET", `/cameras/${camera}/frame`);
-export const cameraPicture = (frame) => `${api}/cameras/${frame.camera}/picture?${new URLSearchParams({ run: frame.run, row: frame.row })}`;
+export const cameraPicture = ({ camera, run, row }, query = {}) => `${api}/cameras/${camera}/picture?${new URLSearchParams({ run, row, ...query })}`;
 export const tryCamera = (camera, settings) => call("POST", `/cameras/${camera}/trial`, settings);
 export const endTrial = (camera) => call("DELETE", `/cameras/${camera}/trial`);
 export const trialPicture = (frame) => `${api}/cameras/${frame.camera}/trial/picture?number=${frame.number}`;
@@ -68,6 +68,7 @@ export const components = async (id, query = {}) =>
   (await call("GET", `/runs/${encodeURIComponent(id)}/components?${new URLSearchParams(query)}`)).components;
 export const component = (id, ref, query = {}) =>
   call("GET", `/runs/${encodeURIComponent(id)}/components/${part(ref)}?${new URLSearchParams(query)}`);
+export const matrices = (id) => call("GET", `/runs/${encodeURIComponent(id)}/matrices`);
 export const timeline = (id) => call("GET", `/runs/${encodeURIComponent(id)}/timeline`);
 export const overlay = (id) => call("GET", `/runs/${encodeURIComponent(id)}/overlay`);
 export const heights = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/heights`)).heights;

@@ -39,14 +39,21 @@ const board = {
   linksOf: (used, found) => `${used} von ${found} Verbindungen genutzt`,
   sightings: (n) => (n === 0 ? "nicht gefunden" : n === 1 ? "in 1 Einzelbild gesehen" : `in ${n} Einzelbildern gesehen`),
   kept: "behaltenes Bild",
-  keptShown: "Die Einzelbilder sind weg: Dies ist das kleine Bild der Baugruppe, das die Station behalten hat.",
+  keptSmall: "Dies ist das kleine Bild der Baugruppe, das die Station behalten hat.",
   tilesFailed: "Ein Stück dieses Bildes konnte nicht geladen werden.",
-  failedNote: "Von dieser Baugruppe gibt es keine brauchbaren Bilder, also auch kein Bild der ganzen Baugruppe.",
   framesGone: (state) =>
     ({ released: "Der Tester hat die Einzelbilder freigegeben.", gone: "Die Einzelbilder haben einer späteren Baugruppe Platz gemacht, oder die Station wurde neu gestartet." })[state] ?? "Die Einzelbilder sind nicht mehr im Speicher.",
   notRecorded: "Sie wurden nicht als Aufnahme behalten.",
   nothingKept: "Ein kleines Bild der Baugruppe wurde nicht behalten: Die Station macht es, wenn sie Zeit hat, innerhalb von [keep] mosaics_gb.",
-  recordingKept: "Sie sind als Aufnahme behalten: Die Bilder der Bauteile sind zu sehen.",
+  recordingKept: "Die Einzelbilder liegen als Aufnahme auf der Festplatte: Aus ihnen entstehen die Bilder der Bauteile.",
+
+  showPlace: "Stelle zeigen",
+  rawFrames: "Einzelbilder, wie sie aufgenommen wurden",
+  row: "Reihe",
+  asFilmed: "Die Einzelbilder, wie sie aufgenommen wurden, nicht entzerrt, nach Kamera und Reihe; ein Druck zeigt eines in voller Größe.",
+  placesTaken: (n) => (n ? `Eingekreist: die ${n} Stellen, die Passmarken am ähnlichsten sehen.` : ""),
+  likeFiducial: (score) => `Passmarken ähnlich: ${score}`,
+  frameStates: { incomplete: "unvollständig", missing: "fehlt", unproven: "nicht erwiesen, dass es zu dieser Reihe gehört" },
 
   cannotSay: "nicht zu sagen",
   cannotSayWhy: {

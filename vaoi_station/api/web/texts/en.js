@@ -40,14 +40,22 @@ const board = {
   linksOf: (used, found) => `${used} of ${found} links used`,
   sightings: (n) => (n === 0 ? "not found" : n === 1 ? "seen in 1 frame" : `seen in ${n} frames`),
   kept: "kept picture",
-  keptShown: "The frames are gone: this is the small picture of the board that the station has kept.",
+  keptSmall: "This is the small picture of the board that the station has kept.",
   tilesFailed: "A piece of this picture could not be loaded.",
-  failedNote: "There are no usable pictures of this board, so there is no picture of the whole board.",
   framesGone: (state) =>
     ({ released: "The frames were released by the tester.", gone: "The frames made room for a later board, or the station was started again." })[state] ?? "The frames are no longer in memory.",
   notRecorded: "They were not kept as a recording.",
   nothingKept: "No small picture of the board was kept: the station makes one in spare time, within [keep] mosaics_gb.",
-  recordingKept: "They are kept as a recording: the pictures of its parts can be seen.",
+  recordingKept: "Its frames are on disk as a recording: the pictures of its parts are made from them.",
+
+  // a board without usable pictures, and the first reason against one
+  showPlace: "Show the place",
+  rawFrames: "Frames as they were filmed",
+  row: "Row",
+  asFilmed: "The frames as they were filmed, uncorrected, by camera and row; press one to see it in full size.",
+  placesTaken: (n) => (n ? `Circled: the ${n} places that look most like fiducials.` : ""),
+  likeFiducial: (score) => `like a fiducial: ${score}`,
+  frameStates: { incomplete: "incomplete", missing: "missing", unproven: "not proven to be of this row" },
 
   // measures of parts
   cannotSay: "cannot say",
