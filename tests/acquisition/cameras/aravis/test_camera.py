@@ -78,6 +78,8 @@ class StandInConnection:
         self.on_slot: Callable[[SlotResult], None] = lambda _result: None
         self.made.append(self)
 
+    require_serial = Connection.require_serial
+
     def configure(self) -> None:
         if self.refusal is not None:
             raise self.refusal
@@ -194,7 +196,7 @@ def test_another_camera_in_its_place_is_not_taken(bench: Bench, monkeypatch: pyt
     monkeypatch.setattr(StandInConnection, "serial", "S9")
     bench.camera.start(bench.events)
     bench.lose()
-    bench.wait(lambda: "'S9'" in bench.camera.health().message)
+    bench.wait(lambda: "S9" in bench.camera.health().message)
     assert not bench.camera.health().connected
 
 
