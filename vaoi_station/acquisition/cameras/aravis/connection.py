@@ -34,8 +34,6 @@ from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 
-FAKE_VENDOR = "Aravis"
-
 
 def find_clock(camera: Any, name: str) -> Callable[[], int]:
     """Return a function that reads the clock of a camera, ns."""
@@ -46,8 +44,6 @@ def find_clock(camera: Any, name: str) -> Callable[[], int]:
             # Aravis converts the time stamps of GigE frames by the same frequency; SFNC 2 counts ns.
             hertz = device.get_timestamp_tick_frequency() if command.startswith("Gev") or camera.is_gv_device() else 0
             return partial(_latch, device, command, value, 1e9 / hertz if hertz else 1.0)
-    if (camera.get_vendor_name() or "") == FAKE_VENDOR:
-        return time.time_ns
     raise DeviceError(
         f"{name}: has no time stamp that can be latched ({', '.join(' or '.join(pair) for pair in families.CLOCKS)}).",
         action="Use a camera whose clock can be latched; without it, frames cannot be assigned to pulses.",
@@ -156,8 +152,6 @@ def find_packet_size(
 ) -> tuple[int, int | None]:
     """Return the largest packet that camera, MTU and station.toml permit, and the largest that came here in a test."""
     most = network.packet_bytes(config.packet_bytes, network.mtu_to(address), limits)
-    if (camera.get_vendor_name() or "") == FAKE_VENDOR:  # Aravis' fake camera sends no test packets
-        return most, None
     return most, network.largest_passing(camera.get_device(), most, limits, local_address)
 
 

@@ -264,7 +264,6 @@ MAKES = {
     # "Units are usually in dB": AVT_Mako_G234B, AVT_GC1380H. Mako, Manta, GT and GC have no Line0; Alvium has it.
     "alliedvision": _ALLIED_VISION,
     "prosilica": _ALLIED_VISION,
-    "aravis": Make("Line0", gain_in_db=True),
 }
 """What is particular to each make, by the beginning of its vendor's plain name; the longest one counts."""
 GENERIC = Make()
