@@ -30,7 +30,7 @@ _MONITORING = "for systemd, monitoring and the checks of set-up pages, which rea
 LEFT_OUT = {
     **dict.fromkeys(("get_dzi", "get_dzi_tile"), _PAGE),
     **dict.fromkeys(("log_in", "log_out", "get_session"), _PAGE),
-    **dict.fromkeys(("get_overlay", "get_trends", "compare_trends", "get_kept_mosaic"), _DRAWN),
+    **dict.fromkeys(("get_overlay", "get_trends", "compare_trends", "get_kept_mosaic", "get_part_picture"), _DRAWN),
     **dict.fromkeys(
         (
             "get_camera_picture",
@@ -161,6 +161,7 @@ def _calls(station: vaoi.Station, folder: Path) -> dict[type, dict[str, Callable
         "save_mosaic": lambda r: r.save_mosaic("all", folder / "board.tif"),
         "heights": lambda r: r.heights(),
         "parts": lambda r: r.parts(),
+        "part": lambda r: r.part("U1"),
         "keep_as_good": lambda r: r.keep_as_good(),
         "remove_from_good": lambda r: r.remove_from_good(),
         "timeline": lambda r: r.timeline(),

@@ -116,6 +116,7 @@ class AsyncStationRun(_InThreads[StationRun]):
     save_mosaic = in_thread(StationRun.save_mosaic)
     heights = in_thread(StationRun.heights)
     parts = in_thread(StationRun.parts)
+    part = in_thread(StationRun.part)
     keep_as_good = in_thread(StationRun.keep_as_good)
     remove_from_good = in_thread(StationRun.remove_from_good)
     timeline = in_thread(StationRun.timeline)

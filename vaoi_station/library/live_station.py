@@ -59,6 +59,7 @@ from vaoi_station.runs.states.schemas import (
     HeightList,
     LeaseStatus,
     LimitsReport,
+    PartPage,
     PartsDocument,
     ReferenceStatus,
     RunCounts,
@@ -351,6 +352,10 @@ class StationRun:
     def parts(self) -> PartsDocument:
         """Return the measures of the parts of the run; GoneError if they were not measured while frames were there."""
         return self._client.read(PartsDocument, self._path("parts"))
+
+    def part(self, ref: str) -> PartPage:
+        """Return one part: its measure, its limits, and the addresses of its pictures beside those of a good board."""
+        return self._client.read(PartPage, self._path(f"parts/{quote(require_text('part', 'ref', ref))}"))
 
     def keep_as_good(self) -> GoodBoards:
         """Keep what the parts of this board look like, as those of a good board; see the reply's doubts."""

@@ -82,6 +82,14 @@ class TaughtBoard:
         same = [kinds.get(a) == grid.name for grid, some in zip(self.grids, self.addresses, strict=True) for a in some]
         return sum(same) >= _OWN_SHARE * len(same)
 
+    def views(self, address: str) -> dict[ViewClass, NDArray[np.uint8]]:
+        """Return the pictures of a part by view class; none of a part that it does not show."""
+        for addresses, patches in zip(self.addresses, self.patches, strict=True):
+            if address in addresses:
+                mine = zip(self.classes, patches[addresses.index(address)], strict=True)
+                return {view: picture for view, picture in mine if picture.any()}
+        return {}
+
     def write(self, path: Path) -> None:
         """Write the board to a file, atomically."""
         head: dict[str, Any] = {

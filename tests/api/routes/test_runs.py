@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from vaoi_station.files.images import decode, write_image
 from vaoi_station.files.results import stitch_document
 from vaoi_station.model import Status, Stitch
 from vaoi_station.runs.states.run_ids import RunIds
@@ -118,6 +121,56 @@ def test_limits_mark_parts_and_say_what_they_would_have_marked(client: Any, stat
         refused = client.put(address, json=wrong)
         assert refused.status_code == 422, wrong
     assert "evry" in refused.text
+
+
+def test_a_part_is_shown_beside_that_of_a_good_board(client: Any, station: Any) -> None:
+    first, second, third = (station.film() for _ in range(3))
+    untaught = client.get(f"{RUNS}/{second}/parts/U1").json()
+    assert untaught["views"]
+    assert not {"good", "measure"} & untaught.keys()
+    assert "good" not in untaught["views"][0]
+    client.put(f"{RUNS}/{first}/good")
+    client.put(f"{RUNS}/{third}/good")
+    client.get(f"{RUNS}/{second}/parts")
+    page = client.get(f"{RUNS}/{second}/parts/2/R1").json()
+    assert (page["address"], page["good"] in (first, third), page["limits"]) == ("2/R1", True, {})
+    measured = client.get(f"{RUNS}/{second}/parts").json()["parts"]["2/R1"]
+    assert page["measure"] == {**measured, "marked": []}
+    part, good, difference = (
+        np.asarray(decode(client.get(page["views"][0][name]).content), np.int_)
+        for name in ("part", "good", "difference")
+    )
+    assert part.shape == good.shape
+    assert np.abs(difference - np.clip(128 + part - good, 0, 255)).max() <= 1
+    client.post(f"{RUNS}/{second}/release")
+    assert client.get(page["views"][0]["part"]).status_code == 200, "it was made already"
+    assert client.get(f"{RUNS}/{second}/parts/U1").json()["views"] == []
+    refused = client.get(f"{RUNS}/{second}/parts/U1/pictures/0/part")
+    assert (refused.status_code, refused.json()["code"]) == (404, "no-such-image")
+    client.post(f"{RUNS}/{first}/release")
+    kept = client.get(f"{RUNS}/{first}/parts/U1").json()
+    assert (len(kept["views"]), kept["good"]) == (1, third), "of a good board its pictures are kept"
+    refused = client.get(f"{RUNS}/{first}/parts/U99")
+    assert (refused.status_code, refused.json()["code"]) == (404, "unknown-component")
+
+
+def test_a_board_is_taught_and_measured_from_its_recording(client: Any, station: Any, tmp_path: Path) -> None:
+    run, other = station.film(), station.film()
+    known = client.put(f"{RUNS}/{other}/good").json()["boards"][0]
+    in_memory = client.get(f"{RUNS}/{run}/parts/U1").json()
+    for one in (run, other):
+        client.post(f"{RUNS}/{one}/release")
+    refused = client.put(f"{RUNS}/{run}/good")
+    assert (refused.status_code, refused.json()["code"]) == (410, "frames-gone")
+    files = {}
+    for (name, camera, row), pixels in station.pixels.items():
+        files[name, camera, row] = tmp_path / f"{name}-{camera}-{row}.tiff"
+        write_image(files[name, camera, row], pixels)
+    station.parts.recorded = lambda *key: files.get(key)
+    client.delete(f"{RUNS}/{other}/good")
+    assert client.put(f"{RUNS}/{other}/good").json()["boards"] == [known]
+    assert client.get(f"{RUNS}/{run}/parts").json()["parts"]["U1"]["presence"] > 0.99
+    assert client.get(f"{RUNS}/{run}/parts/U1").json()["views"] == in_memory["views"]
 
 
 def test_parts_are_compared_with_boards_that_were_taught_as_good_until_these_are_removed(

@@ -5,14 +5,23 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Literal
+from urllib.parse import quote
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import AwareDatetime, BaseModel, Field
 
-from vaoi_station.api.http_caching import IMMUTABLE, LIVE, REVALIDATE, json_of, json_response, require_unchanged
+from vaoi_station.api.http_caching import (
+    IMMUTABLE,
+    LIVE,
+    REVALIDATE,
+    conditional_response,
+    json_of,
+    json_response,
+    require_unchanged,
+)
 from vaoi_station.api.limits import caller_of
-from vaoi_station.api.parameters import IfMatch, Moment, RunId, TimeoutS, rest_router
+from vaoi_station.api.parameters import Address, IfMatch, Moment, RunId, TimeoutS, file_reply, rest_router
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, PlainText, RunPage
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import InputError, NotFoundError
@@ -23,6 +32,8 @@ from vaoi_station.runs.states.schemas import (
     GoodBoards,
     HeightList,
     LeaseStatus,
+    PartPage,
+    PartPictures,
     PartsDocument,
     RunCounts,
     RunDetail,
@@ -166,17 +177,71 @@ def router(services: Services) -> APIRouter:
         """Measure all parts: is it there, where, turned by how much, which way round, like good ones. No verdict.
 
         They are measured after each run of a board type with good boards, and kept with the result; without good
-        boards at each request, by heights alone. 409: no CAD mapping. 410: the frames are no longer in memory, and the
-        parts were not measured while they were.
+        boards at each request, by heights alone. `remark_codes` says what limits the measures, `marked` of a part which
+        are beyond the limits of its board type. 409: no CAD mapping. 410: the frames are no longer in memory, no
+        recording of the run is kept, and the parts were not measured before.
         """
         return json_response(request, await services.pictures.ask(coordinator.parts.document, run), REVALIDATE)
+
+    # Before "/parts/{ref:path}", whose path parameter would match these addresses as well.
+    @routes.get(
+        "/{run}/parts/{ref:path}/pictures/{view}/{what}",
+        response_class=Response,
+        responses=file_reply("The picture.", "image/png"),
+        dependencies=[Depends(services.picture_seats.hold)],
+    )
+    async def get_part_picture(
+        request: Request,
+        run: RunId,
+        ref: Address,
+        view: Annotated[int, Path(description="Index of the view in the list of the part, from 0.", ge=0, le=99)],
+        what: Literal["part", "good", "difference"],
+    ) -> Response:
+        """Return a picture of a part, of the same part of a good board, or their difference, under one light."""
+        views = (await services.pictures.ask(coordinator.parts.views, run, ref)).views
+        content = getattr(views[view], what) if view < len(views) else None
+        if content is None:
+            raise NotFoundError(
+                f"Part {ref!r} of run {run} has no picture {what!r} of view {view}; it has {len(views)} views.",
+                action="Read the list of its views again: the frames, or the good boards, are others now.",
+                code="no-such-image",
+            )
+        return conditional_response(request, content, "image/png", cache=REVALIDATE)
+
+    @routes.get("/{run}/parts/{ref:path}", response_model=PartPage, dependencies=[Depends(services.picture_seats.hold)])
+    async def get_part(request: Request, run: RunId, ref: Address) -> Response:
+        """Return one part: its stored measure, limits, and its pictures beside those of the most similar good board.
+
+        The pictures are averaged from all frames that show the part, in memory or in the recording of the run; of a
+        good board they are what was kept of it. Otherwise, `views` is empty.
+        """
+
+        def page() -> PartPage:
+            found, board_type = coordinator.parts.views(run, ref), coordinator.run(run).board_type
+            address, measure = quote(request.url.path), coordinator.parts.measure_of(run, ref)
+            pictures = tuple(
+                PartPictures(
+                    light=v.light,
+                    exposure=v.exposure,
+                    **{k: f"{address}/pictures/{n}/{k}" for k in ("part", "good", "difference") if getattr(v, k)},
+                )
+                for n, v in enumerate(found.views)
+            )
+            limits = coordinator.parts.limits_of(run, ref)
+            return PartPage(
+                run=run, board_type=board_type, address=ref, measure=measure, limits=limits, good=found.good,
+                views=pictures,
+            )  # fmt: skip
+
+        return json_response(request, await services.pictures.ask(page), REVALIDATE)
 
     @routes.put("/{run}/good", dependencies=[Depends(services.picture_seats.hold)])
     async def keep_as_good(run: RunId) -> GoodBoards:
         """Keep what the parts of this board look like: it is a good one. Later runs of its type are compared with it.
 
         The reply lists the good boards, parts that look unlike others of their kind, and parts that were measured as
-        absent on this one: check these, and remove the board if one is wrong. 410: its frames are no longer in memory.
+        absent on this one: check these, and remove the board if one is wrong. 410: its frames are no longer in memory,
+        and no recording of the run is kept.
         """
         return await services.pictures.ask(coordinator.parts.teach, run)
 

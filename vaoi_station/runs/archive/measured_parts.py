@@ -13,17 +13,20 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from vaoi_station.errors import BusyError, GoneError, InputError, NotFoundError, StateError
-from vaoi_station.model import BoardLimits, BoardType
+from vaoi_station.model import BoardLimits, BoardType, PartLimits
 from vaoi_station.model.board_type import STORED_NAME
 from vaoi_station.model.part_limits import beyond
 from vaoi_station.parts.learned import ENDING
+from vaoi_station.runs.archive.component_views import component_of
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive, FinishedRun
 from vaoi_station.runs.archive.kept_documents import KeptDocuments
+from vaoi_station.runs.archive.recordings import recorded_files
 from vaoi_station.runs.run.memory import Bay
 from vaoi_station.runs.states.schemas import (
     Disagreement,
@@ -34,12 +37,23 @@ from vaoi_station.runs.states.schemas import (
     RunDetail,
 )
 from vaoi_station.runs.workers.jobs import PictureJob, Priority
-from vaoi_station.runs.workers.parts_jobs import MOST_GOOD, PartsJob, Taught, TeachJob
+from vaoi_station.runs.workers.parts_jobs import (
+    MOST_GOOD,
+    GoodFiles,
+    PartsJob,
+    PartViews,
+    PartViewsJob,
+    Taught,
+    TeachJob,
+)
 from vaoi_station.supervised_queue import SupervisedQueue
 
 _log = logging.getLogger(__name__)
 
 DIRECTORY = "good-boards"
+T = TypeVar("T")
+_KEPT_VIEWS = 64
+"""Number of parts whose pictures are kept in memory: they are asked for one by one."""
 _KEPT = 16
 """Number of runs whose document is kept in memory."""
 _MOST_WAITING = 8
@@ -48,6 +62,14 @@ _MOST_NAMED = 500
 """Largest number of parts that the report about limits names."""
 _ABSENT = 0.5
 """Probability of presence below which a part counts as absent in messages."""
+
+
+class _Place(NamedTuple):
+    """Where the frames of a run are: a bay of the ring, or files."""
+
+    bay: int
+    generation: int
+    files: dict[tuple[int, int], Path] | None = None
 
 
 class MeasuredParts:
@@ -65,6 +87,9 @@ class MeasuredParts:
         """Store the parts, as `MeasuredHeights` does. `directory` is that of the good boards."""
         self._archive, self._lease, self._render, self._bay_of = archive, lease, render, bay_of
         self._events, self._directory = events, directory
+        self.recorded: Callable[[str, int, int], Path | None] = lambda _run, _camera, _row: None
+        """Function that returns the file of a frame in the run's recording, as `Recordings.frame_file` does."""
+        self._views = lru_cache(_KEPT_VIEWS)(self._made_views)
         self._documents = KeptDocuments(archive.store.parts, _KEPT)
         self._lock = threading.Lock()
         """Held during a measurement for a caller, or a teaching."""
@@ -87,19 +112,52 @@ class MeasuredParts:
         if (found := self._documents.get(run)) is not None:
             return found
         # Of a run without frames it is said at once.
-        _checked(self._archive.get(run))
-        self._bay_of(run)
+        finished = _checked(self._archive.get(run))
+        if not recorded_files(self.recorded, run, finished.slots):
+            self._bay_of(run)
         with self._lock:
             if (found := self._documents.get(run)) is not None:
                 return found
-            finished = _checked(self._archive.get(run))
-            with self._lease(run, "measures of parts") as bay:
-                return self._measured(finished, bay, Priority.RENDER)
+            return self._with_frames(finished, lambda place: self._measured(finished, place, Priority.RENDER))
+
+    def measure_of(self, run: str, address: str) -> dict[str, Any] | None:
+        """Return the stored measure of a part; None if the parts of the run were not measured."""
+        content = self._documents.get(run)
+        return None if content is None else json.loads(content)["parts"].get(address)
+
+    def limits_of(self, run: str, address: str) -> PartLimits:
+        """Return the limits of a part of a run, by the version of the board type with which it was filmed."""
+        board_type = self._archive.get(run).board_type
+        part, limits = component_of(board_type, address), board_type.limits or BoardLimits()
+        return PartLimits.model_validate(limits.by_part({address: part.package}).get(address, {}))
+
+    def views(self, run: str, address: str) -> PartViews:
+        """Return the pictures of a part beside those of a good board; none if the frames of the run are gone.
+
+        Raises the errors of `document`, except GoneError; NotFoundError: there is no such part.
+        """
+        return self._views(run, address, self._good_files(self._archive.get(run).board_type.name))
+
+    def _made_views(self, run: str, address: str, good: GoodFiles) -> PartViews:
+        finished = _checked(self._archive.get(run))
+        part = component_of(finished.board_type, address)
+
+        def perform(place: _Place) -> PartViews:
+            job = PartViewsJob(**_of(finished, place), good=good, part=part)
+            views: PartViews = self._render(job, f"of {address}")
+            return views
+
+        try:
+            return self._with_frames(finished, perform)
+        except GoneError:
+            is_good = any(path.name == f"{run}{ENDING}" for path, _ in good)
+            return perform(_Place(0, 0, {})) if is_good else PartViews()
 
     def teach(self, run: str) -> GoodBoards:
         """Keep a run as that of a good board of its type, and return the good boards.
 
-        Raises the errors of `document`, and StateError: the board type has `MOST_GOOD` good boards.
+        Its frames are those in memory, or of its recording. Raises the errors of `document`, and StateError: the board
+        type has `MOST_GOOD` good boards.
         """
         with self._lock:
             finished = _checked(self._archive.get(run))
@@ -112,12 +170,13 @@ class MeasuredParts:
                     action="Remove one of them from the good boards first.",
                     code="too-many-good-boards",
                 )
-            with self._lease(run, "teaching of parts") as bay:
-                job = TeachJob(
-                    run, bay.number, bay.generation, finished.board_type, finished.lean, finished.cameras,
-                    _head(finished), finished.slots, finished.detail.calibration, others, file,
-                )  # fmt: skip
-                taught: Taught = self._render(job, "good board")
+
+            def perform(place: _Place) -> Taught:
+                job = TeachJob(**_of(finished, place), good=others, file=file)
+                kept: Taught = self._render(job, "good board")
+                return kept
+
+            taught = self._with_frames(finished, perform)
         self._events.add("parts", f"The board is kept as a good one of {name!r}.", run=run, state="good")
         absent = [
             ref
@@ -186,13 +245,21 @@ class MeasuredParts:
                 found.append((path, path.stat().st_mtime_ns))
         return tuple(found)
 
-    def _measured(self, finished: FinishedRun, bay: Bay, priority: Priority) -> bytes:
+    def _with_frames(self, finished: FinishedRun, perform: Callable[[_Place], T]) -> T:
+        """Call `perform` with the place of a run's frames: the ring, or its recording; GoneError without either."""
+        run = finished.detail.id
+        try:
+            with self._lease(run, "measures of parts") as bay:
+                return perform(_Place(bay.number, bay.generation))
+        except GoneError:
+            if not (files := recorded_files(self.recorded, run, finished.slots)):
+                raise
+        return perform(_Place(0, 0, files))
+
+    def _measured(self, finished: FinishedRun, place: _Place, priority: Priority) -> bytes:
         """Have all parts measured, and store their document if there are good boards: without, it is not final."""
         run, good = finished.detail.id, self._good_files(finished.board_type.name)
-        job = PartsJob(
-            run, bay.number, bay.generation, finished.board_type, finished.lean, finished.cameras, _head(finished),
-            finished.slots, finished.detail.calibration, good, priority=priority,
-        )  # fmt: skip
+        job = PartsJob(**_of(finished, place), good=good, priority=priority)
         content: bytes = self._render(job, "parts")
         if good:
             self._documents.put(run, content)
@@ -206,7 +273,8 @@ class MeasuredParts:
             # Without the lock: callers do not wait for spare time. Measuring twice is harmless.
             if self._documents.get(run) is not None:
                 return
-            content = self._measured(finished, self._bay_of(run), Priority.HEIGHTS)
+            bay = self._bay_of(run)
+            content = self._measured(finished, _Place(bay.number, bay.generation), Priority.HEIGHTS)
         except (StateError, GoneError, NotFoundError, BusyError):
             return  # It has no result, its frames were needed, or the station stops.
         except Exception as fault:  # noqa: BLE001  the thread must go on: later runs need it
@@ -225,6 +293,16 @@ def _checked(finished: FinishedRun) -> FinishedRun:
             action="Rename it where the run was exported.",
         )
     return finished
+
+
+def _of(finished: FinishedRun, place: _Place) -> dict[str, Any]:
+    """Return what all jobs on the parts of a run have in common."""
+    detail = finished.detail
+    return {
+        "run": detail.id, "bay": place.bay, "generation": place.generation, "files": place.files,
+        "board_type": finished.board_type, "stitch": finished.lean, "cameras": finished.cameras,
+        "head": _head(finished), "slots": finished.slots, "calibration": detail.calibration,
+    }  # fmt: skip
 
 
 def _head(finished: FinishedRun) -> Any:

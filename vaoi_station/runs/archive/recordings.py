@@ -399,6 +399,18 @@ class Recordings:
         self._for_archive.discard(run)
 
 
+def recorded_files(
+    recorded: Callable[[str, int, int], Path | None], run: str, frames: Iterable[tuple[int, int]]
+) -> dict[tuple[int, int], Path]:
+    """Return the files of those frames (camera, row) of a run that its recording has; `recorded` is `frame_file`."""
+    found = {}
+    for camera, row in frames:
+        with suppress(GoneError):  # the recording has only complete, proven frames
+            if (file := recorded(run, camera, row)) is not None:
+                found[camera, row] = file
+    return found
+
+
 def head_of(run: RunDetail, head: RecordingHead) -> RecordingHead:
     """Return the head of the recording: frames that are not usable are missing, with causes under `x_verdicts`."""
     there = {(f.camera, f.row) for f in run.frames if f.usable and f.slot is not None}

@@ -26,6 +26,7 @@ from vaoi_station.model.stitch_result import Heights, with_heights
 from vaoi_station.rendering import ImageRequest, choose_all
 from vaoi_station.runs.archive.component_views import component_of, tables_of
 from vaoi_station.runs.archive.finished_runs import FinishedRun
+from vaoi_station.runs.archive.recordings import recorded_files
 from vaoi_station.runs.batches.batch_job import (
     MEDIA,
     BatchJob,
@@ -276,11 +277,7 @@ class BatchAccess:
             with self.lease(run, "batch of pictures"):
                 return {}
         except GoneError:
-            files = {}
-            for key in slots:
-                with suppress(GoneError):  # the recording has only complete, proven frames
-                    if (file := self.recorded(run, *key)) is not None:
-                        files[key] = file
+            files = recorded_files(self.recorded, run, slots)
             if not files:
                 raise
             return files

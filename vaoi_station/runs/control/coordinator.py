@@ -121,7 +121,7 @@ class StationCoordinator(BoardTypeRequests):
         access.heights, parts.watch.on_checked = known, self.kept.trends.checked
         if parts.px_per_mm:
             self.kept.trends.sigma_limit_px = sigma_limit_px(sum(parts.px_per_mm) / len(parts.px_per_mm))
-        recorded = access.recorded = self.kept.recordings.frame_file
+        recorded = access.recorded = self.parts.recorded = self.kept.recordings.frame_file
         of_runs = parts.archive.get, parts.archive.explained, access.lease, recorded, access.render
         self.merged = MergedAccess(*of_runs, fields, known)
         self.batches = BatchAccess(*of_runs, self.merged, known, self.kept.shown)

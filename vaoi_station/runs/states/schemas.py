@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.config import MethodName
-from vaoi_station.model import BoardLimits, FrameRecord, Reason, Status, Strict
+from vaoi_station.model import BoardLimits, FrameRecord, PartLimits, Reason, Status, Strict
 from vaoi_station.model.board_identity import IdentityDocument, IdentityState
 from vaoi_station.model.board_type import BoardTypeState, UnseenCause
 from vaoi_station.runs.states.tables import RunState, StationState
@@ -673,6 +673,28 @@ class PartsDocument(Strict):
     )
     parts: dict[str, PartMeasure]
     reason_texts: dict[str, str]
+
+
+class PartPictures(Strict):
+    """Addresses of the pictures of a part under one light: grey, upright, of equal size and place."""
+
+    light: str
+    exposure: Number = Field(description="Exposure time times gain of its frames, µs.")
+    part: str = Field(description="The part, averaged over the frames that show it.")
+    good: str | None = Field(None, description="The same part of the good board `good`.")
+    difference: str | None = Field(None, description="Part less good one; equal pixels are grey (128).")
+
+
+class PartPage(Strict):
+    """What is known of one part of a run, with its pictures beside those of a good board."""
+
+    run: str
+    board_type: str
+    address: str
+    measure: PartMeasure | None = Field(None, description="As in the document of all parts, if it is stored.")
+    limits: PartLimits = Field(description="The limits by which it was marked.")
+    good: str | None = Field(None, description="The good board whose part looks most like this one.")
+    views: tuple[PartPictures, ...] = Field(description="By light; none if the frames are no longer kept.")
 
 
 class GoodBoard(Strict):

@@ -208,14 +208,20 @@ class WorkerRuntime:
 
     def _step(self, number: int, job: SteppedJob, steps: Steps[Any]) -> Any:
         """Go on with a stepped job for a while; return its value, or `Paused` if it is not finished."""
-        until_s = time.monotonic() + SLICE_S
-        self._ring.check_generation(job.bay, job.generation)
-        try:
-            while time.monotonic() < until_s:
-                next(steps)
-        except StopIteration as end:
-            self._ring.check_generation(job.bay, job.generation)
-            return end.value
+        until_s, value = time.monotonic() + SLICE_S, None
+
+        def some() -> bool:
+            nonlocal value
+            try:
+                while time.monotonic() < until_s:
+                    next(steps)
+            except StopIteration as end:
+                value = end.value
+                return True
+            return False
+
+        if some() if job.recorded else _guarded(self._ring, job.bay, job.generation, some):
+            return value
         self._paused[number] = job, steps
         return Paused()
 
