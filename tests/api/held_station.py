@@ -167,7 +167,15 @@ class HeldStation(StationCoordinator):
             raise RuntimeError("a secret path /etc/passwd")
         done, held = self._finished(), (*(() if self.despite_lost else self._lost_cameras()), *self.held_back)
         camera = [
-            CameraStatus(camera=i, name=f"cam{i}", connected=i not in self.lost, recovery=self.recovering.get(i))
+            CameraStatus(
+                camera=i,
+                name=f"cam{i}",
+                connected=i not in self.lost,
+                recovery=self.recovering.get(i),
+                lost_since=NOW if i in self.lost else None,
+                address=f"10.1.0.{i}",
+                link="switch A",
+            )
             for i in range(CAMERAS)
         ]
         ring = RingStatus(path="ring", size_bytes=1, bays=(), leases=())

@@ -58,6 +58,7 @@ class Shift:
 
     def step_7(self) -> None:
         self.station.lose(2)
+        expect(self.page.locator("#lost")).to_contain_text("Camera cam2 (10.1.0.2, switch A) does not answer")
         self.page.get_by_role("button", name="Why?").click()
         expect(self.page.locator("#reasons")).to_contain_text("Camera cam2 is not connected.")
         self.page.get_by_role("button", name="Close").click()

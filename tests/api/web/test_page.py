@@ -104,10 +104,32 @@ def test_a_camera_that_is_lost_holds_the_next_board_back(page: Page, served: Any
     served.station.lose(2)
     expect(page.locator("#state-word")).to_have_text("Camera missing")
     expect(page.locator("#order")).to_have_text("Hold the next board back. Check the camera's cable.")
+    expect(page.locator("#lost")).to_have_text(
+        re.compile(r"^Camera cam2 \(10\.1\.0\.2, switch A\) does not answer, since \d")
+    )
+    expect(page.locator("#armed-with")).to_have_text("Waits with demo-board")
     expect(page.locator("#state-shape")).to_have_attribute("data-mark", "lacking")
     expect(page.locator("#state-word")).to_have_css("color", "rgb(122, 75, 0)")
     page.locator("#why").click()
     expect(page.locator("#reasons li")).to_have_count(2)
+
+
+def test_a_wide_screen_has_the_measures_of_the_last_board_and_the_next_order(page: Page, served: Any) -> None:
+    station = served.station
+    station.kept.trends.figures = lambda runs: {run: {"sigma_px": 0.0431, "ready_ms": 83.0} for run in runs}
+    station.arm("demo-board", board_id="SN-48", runs=3)
+    station.parts.teach(station.film())
+    station.film(board_id="SN-47")
+    page.set_viewport_size({"width": 1366, "height": 768})
+    page.goto(served.url)
+    measures = page.locator("#last-measures")
+    expect(measures).to_contain_text("Parts in doubt2 of 3Frames10 of 12Parts not seen0")
+    expect(measures).to_contain_text("σ of the worst part0.043 pxResult after the last frame83 ms")
+    expect(page.locator("#next-orders li")).to_have_text(["demo-board, SN-48, 3 left"])
+    served.station.finish(served.station.film(finish=False, board_id="SN-49"), Status.FAILED)
+    expect(measures).not_to_contain_text("Parts in doubt")
+    page.set_viewport_size({"width": 1280, "height": 800})
+    expect(page.locator("#beside")).to_be_hidden()
 
 
 def test_arming_works_by_keyboard_or_scanner_alone(page: Page, served: Any) -> None:

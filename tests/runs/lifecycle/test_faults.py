@@ -77,6 +77,10 @@ def test_a_line_that_loses_a_camera_continues_but_refuses_new_orders(rig: Any) -
     _lose(rig, 0)
     seen = rig.coordinator.snapshot()
     assert (seen.state, seen.all_cameras_ready) == ("armed", False)
+    event = next(event for event in rig.coordinator.events() if event.kind == "camera")
+    assert seen.cameras[0].lost_since is not None
+    assert seen.cameras[0].lost_since[:16] == event.time[:16]
+    assert {camera.lost_since for camera in seen.cameras[1:]} == {None}
     assert seen.reasons[0].message.startswith("Camera c0 is not connected.")
     with pytest.raises(DeviceError, match="The array is not complete"):
         rig.coordinator.arm("small", "b 2")

@@ -36,7 +36,7 @@ from vaoi_station.runs.run.memory import Memory
 from vaoi_station.runs.run.order import Order, Passing, Resumed, StandingOrder
 from vaoi_station.runs.run.progress import WHOLE, Progress
 from vaoi_station.runs.run.verdict import conclude, with_faults
-from vaoi_station.runs.states.run_ids import RunIds
+from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
 from vaoi_station.runs.workers.jobs import Explained, ExplainJob, Reply
 from vaoi_station.runs.workers.run_stitcher import Stitched, Workers
@@ -108,6 +108,8 @@ class Core:
         interlocked = config.controller.interlock == "on"
         self.permit = LinePermit(parts.acquisition.send if interlocked else None, events.add)
         self.places = CameraPlaces(parts.cameras, len(config.cameras))
+        self.lost_since: dict[int, str] = {}
+        """Time at which each camera was lost that is not connected."""
         self._stopping: list[Completion] = []
         on_evicted = partial(self.line.evicted, room_for="a trial of a camera")
         self.trial = CameraTrial(parts.acquisition, lambda: self.machine.state, self.memory, on_evicted)
@@ -289,6 +291,7 @@ class Core:
             case messages.Health():
                 for change in readiness.changes(self.health, message, self._config.cameras):
                     self._events.add("camera", change)
+                self.lost_since = {k: self.lost_since.get(k) or utc() for k in readiness.disconnected(message)}
                 self.line.health = message
                 self.places.note(message, self._config.cameras)
             case messages.RunStarted():

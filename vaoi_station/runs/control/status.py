@@ -182,6 +182,8 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
             next_try=None if seen.next_try_s is None else utc_of_host(seen.next_try_s),
             recovery=_recovery(seen.recovery),
             counters=dict(seen.counters),
+            lost_since=core.lost_since.get(k),
+            link=config.cameras[k].link or "",
             **_camera_at(core, k),
         )
         for k, seen in enumerate(health.cameras)

@@ -153,6 +153,8 @@ class CameraStatus(Strict):
     delivered: int = 0
     incomplete: int = 0
     last_frame_age_s: float | None = None
+    lost_since: str | None = None
+    """Time at which it was lost, or at the start of the station not found; None while it is connected."""
     next_try: str | None = None
     """Time of the next attempt to open the camera; None while the camera is connected or being opened."""
     recovery: CameraRecoveryStatus | None = None
@@ -163,6 +165,8 @@ class CameraStatus(Strict):
     """Serial number of the camera that is, or was last, connected at this place; empty if none was a real one."""
     model: str = ""
     address: str = ""
+    link: str = ""
+    """Name of the link by which it hangs on the station, as the uplink of a switch: `link` in station.toml."""
 
 
 STARTING = "starting"

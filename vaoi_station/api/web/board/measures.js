@@ -32,7 +32,7 @@ export function linesOf(measure, reason_texts) {
 const remarkText = ({ remark_codes, remark_values }, n) => texts.board.remarks[remark_codes?.[n]]?.(remark_values[n]);
 
 // The parts in doubt, as [address, what is said of it]: absent, turned otherwise, unlike, most shifted; in each group the worst first.
-function doubtsOf(measures) {
+export function doubtsOf(measures) {
   const rest = Object.entries(measures);
   const take = (rank, word) => {
     const found = rest.filter(([, measure]) => rank(measure) > 0).sort((a, b) => rank(b[1]) - rank(a[1]));

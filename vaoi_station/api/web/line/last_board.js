@@ -21,7 +21,7 @@ const PART = `
 
 export class LastBoard extends View {
   #decisions;
-  #run = null;
+  run = null; // the one that is shown, with its frames and figures
   #seen = "";
 
   constructor(root, onDecided) {
@@ -37,7 +37,7 @@ export class LastBoard extends View {
   }
 
   tick(now_ms) {
-    if (this.#run) setText(this.part("age"), texts.ago((now_ms - Date.parse(this.#run.finished)) / 1000));
+    if (this.run) setText(this.part("age"), texts.ago((now_ms - Date.parse(this.run.finished)) / 1000));
   }
 
   // `runs`: the last boards, oldest first; `open`: the one that needs a decision, or null.
@@ -51,8 +51,8 @@ export class LastBoard extends View {
     const seen = JSON.stringify([id, frames_available, decision?.decided, word, reasons]);
     if (seen === this.#seen) return;
     const run = await rest.run(summary.id);
-    const changed = this.#run?.id !== run.id;
-    this.#run = run;
+    const changed = this.run?.id !== run.id;
+    this.run = run;
     const verdict = run.verdict ?? "failed";
     this.root.dataset.verdict = verdict;
     draw(this.part("verdict-shape"), verdict);
@@ -75,7 +75,7 @@ export class LastBoard extends View {
     // Words in its place, also in place of the picture of the board before: a worker reads all frames first.
     this.part("last-picture").replaceChildren(make("p", { textContent: texts.pictureBeingMade }));
     const picture = await boardPicture(run, { alt: texts.lastBoard }).catch(() => null);
-    if (run !== this.#run) return; // overtaken by a later board
+    if (run !== this.run) return; // overtaken by a later board
     this.part("last-picture").replaceChildren(picture ?? make("p", { textContent: texts.noMosaic }));
   }
 }

@@ -1,8 +1,10 @@
 // The operator's view: one word, one order, the last board, the last twenty, and one button.
 import { make, setText, showLines, View } from "../parts/elements.js";
+import * as rest from "../parts/rest.js";
 import { draw } from "../parts/signs.js";
 import { clock, texts } from "../texts/texts.js";
 import { Arming } from "./arming.js";
+import { Beside } from "./beside.js";
 import { LastBoard } from "./last_board.js";
 import { Strip } from "./strip.js";
 
@@ -15,6 +17,7 @@ const PAGE = `
     <svg id="state-shape" viewBox="0 0 100 100" aria-hidden="true"></svg>
     <div id="state-word"></div>
     <p id="order"></p>
+    <p id="lost"></p>
   </div>
   <p id="armed-with"></p>
   <button type="button" id="why" aria-expanded="false" aria-controls="details" data-text="why" hidden></button>
@@ -27,11 +30,18 @@ const PAGE = `
   <button type="button" id="close-details" data-text="close"></button>
 </section>
 <section id="last" aria-labelledby="last-title"></section>
+<section id="beside" tabindex="0" data-label="lastMeasures"></section>
 <section id="history" aria-labelledby="strip-title"></section>
 <form id="controls"></form>`;
 
 // The lost cameras without which boards are filmed, because a person has accepted it.
 const without = (now) => (now.line_ready ? now.cameras.filter((c) => !c.connected).map((c) => texts.camera(c.name)) : []);
+
+// Which cameras do not answer: their names, where they hang, and since when. At the start all are still to come.
+function lostOf(now) {
+  const lost = ["starting", "stopping"].includes(now.state) ? [] : now.cameras.filter((camera) => !camera.connected);
+  return lost.map((camera) => texts.lostCamera(texts.camera(camera.name), [camera.address, camera.link].filter(Boolean).join(", "), camera.lost_since && clock(camera.lost_since))).join(" · ");
+}
 
 export class LineView extends View {
   name = "line-view";
@@ -45,6 +55,7 @@ export class LineView extends View {
     [this.#station, this.#refresh] = [station, refresh];
     this.boards = station.boards;
     this.last = new LastBoard(this.part("last"), () => this.#decided());
+    this.beside = new Beside(this.part("beside"));
     this.strip = new Strip(this.part("history"));
     this.arming = new Arming(this.part("controls"), this.part("set-aside"), refresh);
     this.part("why").addEventListener("click", () => this.#openDetails(this.part("details").hidden));
@@ -61,6 +72,7 @@ export class LineView extends View {
 
   onEvent(event) {
     if (event.kind === "board-type") this.arming.reload();
+    if (event.kind === "parts") rest.unattended(this.beside.measured(event.run));
   }
 
   onAge(old) {
@@ -77,12 +89,14 @@ export class LineView extends View {
   show(now) {
     this.#shownAt = performance.now();
     this.arming.show(now);
+    this.beside.showOrders(now);
     this.#showDetails(now);
   }
 
   async showBoards() {
     this.strip.show(this.boards);
     await this.last.show(this.boards.runs, this.#station.situation.board, this.#station.time_ms());
+    await this.beside.showBoard(this.last.run);
   }
 
   async #decided() {
@@ -96,7 +110,9 @@ export class LineView extends View {
     this.part("state-shape").dataset.state = shown.state;
     setText(this.part("state-word"), shown.word);
     setText(this.part("order"), shown.order);
-    const armed = !stale && now?.armed_with ? texts.armedWith(now.armed_with, without(now)) : "";
+    setText(this.part("lost"), !stale && now ? lostOf(now) : "");
+    const held = ["lacking", "held"].includes(shown.state);
+    const armed = !stale && now?.armed_with ? texts.armedWith(now.armed_with, without(now), held) : "";
     setText(this.part("armed-with"), armed);
   }
 

@@ -1382,13 +1382,15 @@ export const texts = {
   nextTry: (name, time) => `Nächster Versuch für ${name}: ${time}.`,
   camera: (name) => (name.toLowerCase().startsWith("camera") ? name : `Kamera ${name}`),
 
+  lostCamera: (name, where, since) => `${name.charAt(0).toUpperCase()}${name.slice(1)}${where ? ` (${where})` : ""} antwortet nicht${since ? `, seit ${since}` : ""}.`,
+
   boardType: "Typ",
   boardId: "Nummer",
   arm: "Aktivieren",
   armAnyway: "Ohne diese Kamera",
   disarm: "Deaktivieren: halten",
-  armedWith: (armed, lost) =>
-    [`Aktiv für ${armed.board_type}`, armed.board_id && `Nr. ${armed.board_id}`, armed.job_id && `Auftrag ${armed.job_id}`, lost.length && `ohne ${lost.join(", ")}`]
+  armedWith: (armed, lost, held) =>
+    [held ? `Wartet mit ${armed.board_type}` : `Aktiv für ${armed.board_type}`, armed.board_id && `Nr. ${armed.board_id}`, armed.job_id && `Auftrag ${armed.job_id}`, lost.length && `ohne ${lost.join(", ")}`]
       .filter(Boolean)
       .join(", "),
   armedFor: (type) => `Aktiv für ${type}.`,
@@ -1443,6 +1445,12 @@ export const texts = {
   cancel: "Abbrechen",
   open: "Alle Bilder",
   noMosaic: "Kein Bild",
+  lastMeasures: "Messwerte der letzten Baugruppe",
+  nextOrders: "Nächste Aufträge",
+  noOrder: "keine",
+  orderOf: ({ board_type, board_id, job_id, runs_left, state, certain }) =>
+    [[board_type, board_id, job_id && `Auftrag ${job_id}`, runs_left && `noch ${runs_left}`].filter(Boolean).join(", "), state === "coming" && "kommt", certain === false && "unsicher, welche Baugruppe"].filter(Boolean).join(": "),
+  moreOrders: (n) => `und ${n} weitere`,
   pictureBeingMade: "Das Bild wird gerade erstellt.",
 
   today: "Heute",

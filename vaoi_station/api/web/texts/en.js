@@ -874,14 +874,16 @@ export const texts = {
   nextTry: (name, time) => `Next attempt for ${name}: ${time}.`,
   camera: (name) => (name.toLowerCase().startsWith("camera") ? name : `camera ${name}`),
 
+  lostCamera: (name, where, since) => `${name.charAt(0).toUpperCase()}${name.slice(1)}${where ? ` (${where})` : ""} does not answer${since ? `, since ${since}` : ""}.`,
+
   // arming
   boardType: "Board type",
   boardId: "Board id",
   arm: "Arm",
   armAnyway: "Arm without this camera",
   disarm: "Disarm: hold",
-  armedWith: (armed, lost) =>
-    [`Armed for ${armed.board_type}`, armed.board_id && `board ${armed.board_id}`, armed.job_id && `job ${armed.job_id}`, lost.length && `without ${lost.join(", ")}`]
+  armedWith: (armed, lost, held) =>
+    [held ? `Waits with ${armed.board_type}` : `Armed for ${armed.board_type}`, armed.board_id && `board ${armed.board_id}`, armed.job_id && `job ${armed.job_id}`, lost.length && `without ${lost.join(", ")}`]
       .filter(Boolean)
       .join(", "),
   armedFor: (type) => `Armed for ${type}.`,
@@ -938,6 +940,12 @@ export const texts = {
   cancel: "Cancel",
   open: "All pictures",
   noMosaic: "No picture",
+  lastMeasures: "Measures of the last board",
+  nextOrders: "Next orders",
+  noOrder: "none",
+  orderOf: ({ board_type, board_id, job_id, runs_left, state, certain }) =>
+    [[board_type, board_id, job_id && `job ${job_id}`, runs_left && `${runs_left} left`].filter(Boolean).join(", "), state === "coming" && "is coming", certain === false && "uncertain which board"].filter(Boolean).join(": "),
+  moreOrders: (n) => `and ${n} more`,
   pictureBeingMade: "The picture is being made.",
 
   // counters and strip
