@@ -7,9 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fastapi.testclient import TestClient
 
+from tests.api.held_station import HeldStation
+from vaoi_station.api import pages
+from vaoi_station.api.access import AccessControl
+from vaoi_station.api.app import create_app
+from vaoi_station.api.audit import AuditLog
 from vaoi_station.api.problems import KINDS
 from vaoi_station.doctor.runner import MACHINE_CHECKS, STATION_CHECKS
+from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.model import ReasonCode
 
 CODES = Path(__file__).parents[2] / "docs" / "codes.md"
@@ -112,3 +119,20 @@ def test_german_pages_translate_every_finding_of_the_doctor(untouched_client: An
 def test_german_pages_translate_every_note(untouched_client: Any, name: str, section: str) -> None:
     texts = dictionary(untouched_client, "de", name)
     assert set(re.findall(r'^  "([a-z-]+)": \(', texts, re.MULTILINE)) == codes_of(section)
+
+
+def test_the_documents_are_served_without_a_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.html").write_text("<title>Documents</title>")
+    monkeypatch.setattr(pages, "HELP", tmp_path)
+    audit = AuditLog(tmp_path / "audit.jsonl")
+    access = AccessControl(KeyFile(tmp_path / "keys"), audit, open_loopback=False)
+    client = TestClient(create_app(HeldStation(), (), access), base_url="http://127.0.0.1")
+    reply = client.get("/help")
+    assert reply.url.path == "/help/docs/index.html"
+    assert reply.text == "<title>Documents</title>"
+    assert "script-src" not in reply.headers["content-security-policy"]  # default-src 'self' holds for scripts
+    assert client.get("/api/v1/runs").status_code == 401
+    (tmp_path / "docs" / "index.html").unlink()
+    assert "docs/build_site" in client.get("/help").text
+    audit.close()

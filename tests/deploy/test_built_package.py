@@ -110,6 +110,15 @@ def test_the_documents_that_messages_name_are_in_it(built: Built) -> None:
     assert (built.root / guide).is_file()
 
 
+def test_the_documents_are_in_it_as_a_site(built: Built) -> None:
+    site = built.root / VENV / "lib/python3.11/site-packages/vaoi_station/help"
+    pages = [page.read_text("utf-8") for page in site.rglob("*.html")]
+    assert (site / "docs/index.html").is_file()
+    assert "verdict" in (site / "searchindex.js").read_text("utf-8")
+    assert len(pages) > 50
+    assert not any("<script>" in page or "http-equiv" in page for page in pages)
+
+
 def test_lintian_finds_nothing_where_it_is_installed(built: Built) -> None:
     if shutil.which("lintian") is None:
         return  # CI has none; deploy/boot runs it on the whole package

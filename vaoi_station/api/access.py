@@ -32,7 +32,9 @@ SESSION_S = 12 * 3600
 """Longest duration of a login: one shift."""
 MOST_SESSIONS = 256
 COOKIE = "vaoi-session"
-PUBLIC = re.compile(r"/?|/docs|/favicon\.ico|/(web|problems)/.*|/healthz|/readyz|/api/v1/(openapi\.json|session)")
+PUBLIC = re.compile(
+    r"/?|/docs|/favicon\.ico|/help|/(web|problems|help)/.*|/healthz|/readyz|/api/v1/(openapi\.json|session)"
+)
 """Addresses that need no key: the page itself, documentation, health for process supervisors, and the login."""
 _ADMIN = re.compile(r"/api/v1/(keys|audit|settings|calibration/(artwork|layout|trial)|cameras/search)(/.*)?")
 _COMMANDS: tuple[tuple[re.Pattern[str], Scope], ...] = (

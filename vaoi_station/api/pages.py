@@ -1,4 +1,4 @@
-"""The operator's page at `/`, the API documentation at `/docs`, and explanations of problem types.
+"""The operator's page at `/`, the API at `/docs`, the documents at `/help`, and explanations of problem types.
 
 Every page is a local file and loads nothing from other sites. A page consists of dozens of small files, which are
 answered from memory: Starlette's `StaticFiles` finds, opens and reads each in threads of a pool, which costs the
@@ -14,17 +14,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fastapi import FastAPI, Request
-from fastapi.responses import PlainTextResponse
+from fastapi.responses import PlainTextResponse, RedirectResponse
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.routing import Mount, Route
 from starlette.types import Receive, Scope, Send
 
+from vaoi_station.api.addresses import root_of
 from vaoi_station.api.http_caching import REVALIDATE, matches, tag_of
+from vaoi_station.api.middleware import CSP
 from vaoi_station.api.problems import KINDS
 
 WEB = Path(__file__).parent / "web"
+HELP = Path(__file__).parents[1] / "help"
+"""The documents as a site, which `docs/build_site` makes; the Debian package has it."""
 _PAGES = {"/": "index.html", "/docs": "docs.html", "/favicon.ico": "icon.svg"}
 """Addresses with a file of their own."""
 _STYLES = (
@@ -41,6 +45,8 @@ _STYLES = (
     "board/board.css",
 )
 """The style sheets of the page in the order in which they apply: later ones before earlier ones."""
+HELP_POLICY = f"{CSP}; style-src 'self' 'unsafe-inline'"
+"""The theme of the documents has styles in its pages; scripts are files."""
 _NO_NAMES = frozenset({"", ".", ".."})
 
 
@@ -57,8 +63,8 @@ class _Kept(NamedTuple):
 class StaticFiles:
     """ASGI application of the files in a folder. Browsers revalidate them by ETag: an updated file is shown at once."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, policy: str | None = None) -> None:
+        self._folder, self._policy = folder, policy
         self._kept: dict[str, _Kept] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -82,6 +88,8 @@ class StaticFiles:
         content = b"".join(file.content for file in files)
         tag = files[0].tag if len(files) == 1 else tag_of(content)
         headers = {"ETag": tag, "Cache-Control": REVALIDATE}
+        if self._policy is not None:
+            headers["Content-Security-Policy"] = self._policy
         if matches(asked.get("if-none-match"), tag):
             return Response(status_code=304, headers=headers)
         return Response(content, media_type=files[0].media_type, headers=headers)
@@ -105,6 +113,13 @@ class StaticFiles:
         return kept
 
 
+async def help_page(request: Request) -> Response:
+    """Lead to the first page of the documents; say how to make them where there are none."""
+    if not (HELP / "docs" / "index.html").is_file():
+        return PlainTextResponse("This installation has no documents as pages: docs/build_site makes them.\n", 404)
+    return RedirectResponse(f"{root_of(request.scope)}/help/docs/index.html", 307)
+
+
 def install(app: FastAPI) -> None:
     """Add the pages to the application. They are not part of the OpenAPI document."""
     files = StaticFiles(WEB)
@@ -112,6 +127,8 @@ def install(app: FastAPI) -> None:
     app.router.routes += [Route("/web/styles.css", files.page(*_STYLES)), Mount("/web", files, name="web")]
     # Routes of Starlette: those of FastAPI would read parameters, which these addresses do not have.
     app.router.routes += [Route(address, files.page(name)) for address, name in _PAGES.items()]
+
+    app.router.routes += [Route("/help", help_page), Mount("/help", StaticFiles(HELP, HELP_POLICY), name="help")]
 
     @app.get("/problems/{kind}", include_in_schema=False)
     async def problem(request: Request, kind: str) -> PlainTextResponse:

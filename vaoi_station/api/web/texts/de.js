@@ -1304,6 +1304,7 @@ export const texts = {
   line: "Linie",
   boards: "Baugruppen",
   setUp: "Einrichten",
+  help: "Hilfe",
   interface: "API",
   otherLanguage: "English",
   soundOn: "Ton an",

@@ -793,6 +793,7 @@ export const texts = {
   line: "Line",
   boards: "Boards",
   setUp: "Set up",
+  help: "Help",
   interface: "API",
   otherLanguage: "Deutsch",
   soundOn: "Sound on",
