@@ -57,6 +57,23 @@ def test_a_deleted_board_type_is_restored_with_a_key(
     assert vaoi("board-types", "state", "demo-board", "old", *secret).code == 2
 
 
+def test_runs_are_taught_as_good_boards_and_taken_out_again(
+    closed: tuple[HeldStation, KeyFile], vaoi: Callable[..., Result], tmp_path: Path
+) -> None:
+    station, keys = closed
+    (tmp_path / "key").write_text(keys.create("teach", ["read", "teach"]).secret)
+    first, second = station.film(), station.film()
+    done = vaoi("teach", "--good", first, "--good", second, "--key-file", tmp_path / "key")
+    assert done.out.splitlines() == [
+        f"{first}: is kept as a good board of 'demo-board', which has 1.",
+        f"{second}: is kept as a good board of 'demo-board', which has 2.",
+    ], done.err
+    done = vaoi("teach", "--not-good", first, "--key-file", tmp_path / "key")
+    assert done.out == f"{first}: is no longer a good board of 'demo-board', which has 1.\n"
+    done = vaoi("teach", "--not-good", first, "--key-file", tmp_path / "key")
+    assert (done.code, "is not one of the good boards" in done.err) == (2, True)
+
+
 def test_board_data_is_imported_shown_and_confirmed(
     closed: tuple[HeldStation, KeyFile], vaoi: Callable[..., Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

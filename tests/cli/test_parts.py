@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -40,3 +41,17 @@ def test_a_board_that_is_not_there_is_named_and_a_kept_one_stays(tmp_path: Path,
     done = vaoi("parts", tmp_path / "case", *options)
     assert (done.code, "good.parts: exists already" in done.err) == (2, True)
     assert kept.read_bytes() == b"another board"
+
+
+def test_a_recording_is_taught_as_a_good_board_into_a_file_that_parts_are_compared_with(
+    tmp_path: Path, vaoi: Callable[..., Result], small_recording: Path
+) -> None:
+    for wrong in ((small_recording, "--good", "r1"), ("--good", small_recording), ("--out", tmp_path), ()):
+        assert vaoi("teach", *wrong).code == 2
+    done = vaoi("teach", "--good", small_recording, "--keep", tmp_path)
+    kept = tmp_path / f"{small_recording.name}.parts"
+    assert (done.code, done.out.endswith(f"part(s) are kept → {tmp_path}\n")) == (0, True), done.err
+    assert vaoi("parts", small_recording, "--good", kept, "--out", tmp_path / "parts.json").code == 0
+    document = json.loads((tmp_path / "parts.json").read_text())
+    assert document["remark_codes"] == ["few-good-boards", "own-board"]
+    assert all(p["presence"] > 0.5 for p in document["parts"].values() if p["presence"] is not None)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import quote
 
 import typer
 
 from vaoi_station.cli.options import BoardOf, CalibrationOf, CaseOf
 
 if TYPE_CHECKING:
+    from vaoi_station.demo.client import Client
+    from vaoi_station.parts.learned import TaughtBoard
     from vaoi_station.parts.measure import Run
 
 _KEPT_FRAMES = 96
@@ -35,7 +39,7 @@ def parts(
     from vaoi_station.errors import InputError
     from vaoi_station.files.documents import write_json
     from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
-    from vaoi_station.parts.learned import ENDING, TaughtBoard, merged, parts_digest, read_taught_board
+    from vaoi_station.parts.learned import merged, read_taught_board
     from vaoi_station.parts.models import Models
     from vaoi_station.steps import completed
 
@@ -47,15 +51,7 @@ def parts(
     run, taken_with = _stitched(case, calibration, board)
     boards = []
     for path in good or ():
-        if path.is_file():
-            boards.append(read_taught_board(path))
-            continue
-        taught, with_calibration = _stitched(path, None, board)
-        patches = taught.cut(taught.board_type.components)
-        digest = parts_digest(taught.board_type)
-        boards.append(TaughtBoard.of_run(path.resolve().name, patches, digest, with_calibration))
-        if keep is not None:
-            boards[-1].write(keep / f"{path.resolve().name}{ENDING}")
+        boards.append(read_taught_board(path) if path.is_file() else _taught(path, board, keep))
     known = merged(boards)
     if others := [board.name for board in known if not board.is_of(run.board_type)]:
         raise InputError(
@@ -70,10 +66,52 @@ def parts(
     said = [p["presence"] for p in measured.values() if p["presence"] is not None]
     absent = sum(p < 0.5 for p in said)
     typer.echo(f"{len(measured)} part(s): {len(said)} measured, {absent} absent → {out}")
-    for one in disagreeing:
-        typer.echo(f"- good board {one['board']}: {one['part']} looks unlike others of its kind; is it right there?")
+    _say_disagreements(disagreeing)
     for remark in document["remarks"]:
         typer.echo(f"- {remark}")
+
+
+def teach_good(
+    good: list[str], not_good: list[str], keep: Path | None, board: Path | None, station: Callable[[], Client]
+) -> None:
+    """Keep runs of a station, and recordings, as good boards; take runs out of those of the station."""
+    from vaoi_station.errors import InputError
+    from vaoi_station.parts.document import disagreement_steps
+    from vaoi_station.steps import completed
+
+    recordings = [Path(one) for one in good if Path(one).is_dir()]
+    if recordings and keep is None:
+        raise InputError(f"{recordings[0]}: is a recording, and --keep is missing.", action="Give it a directory.")
+    _refuse_wrong(recordings, keep)
+    boards = [_taught(path, board, keep) for path in recordings]
+    for taught in boards:
+        typer.echo(f"{taught.name}: {sum(map(len, taught.addresses))} part(s) are kept → {keep}")
+    _say_disagreements(completed(disagreement_steps(boards)))
+    wanted = [("PUT", run) for run in good if not Path(run).is_dir()] + [("DELETE", run) for run in not_good]
+    for method, run in wanted:
+        reply = station().act("PUT" if method == "PUT" else "DELETE", f"/runs/{quote(run, safe='')}/good")
+        what = "is kept as a good board" if method == "PUT" else "is no longer a good board"
+        typer.echo(f"{run}: {what} of {reply['board_type']!r}, which has {len(reply['boards'])}.")
+        for part in reply["absent"]:
+            typer.echo(f"- {part} was measured as absent on it; is it right there?")
+        _say_disagreements(reply["disagreements"])
+
+
+def _say_disagreements(found: list[dict[str, Any]]) -> None:
+    for one in found:
+        typer.echo(f"- good board {one['board']}: {one['part']} looks unlike others of its kind; is it right there?")
+
+
+def _taught(path: Path, board: Path | None, keep: Path | None) -> TaughtBoard:
+    """Return what a recording of a good board looks like, and keep it in the directory `keep`, if there is one."""
+    from vaoi_station.parts.learned import ENDING, TaughtBoard, parts_digest
+
+    run, calibration = _stitched(path, None, board)
+    name, patches = path.resolve().name, run.cut(run.board_type.components)
+    taught = TaughtBoard.of_run(name, patches, parts_digest(run.board_type), calibration)
+    if keep is not None:
+        taught.write(keep / f"{name}{ENDING}")
+    return taught
 
 
 def _refuse_wrong(good: list[Path], keep: Path | None) -> None:

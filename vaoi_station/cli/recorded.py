@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from vaoi_station.cli.options import BoardOf, CalibrationOf, CaseOf, FlatFieldOf, ReferenceOf, ResultOf, RotationOf
+from vaoi_station.cli.options import (
+    STATION,
+    BoardOf,
+    CalibrationOf,
+    CaOf,
+    CaseOf,
+    FlatFieldOf,
+    KeyFileOf,
+    ReferenceOf,
+    ResultOf,
+    RotationOf,
+    StationOf,
+    client_of,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -102,8 +115,20 @@ def stitch(
 
 
 def teach(
-    case: CaseOf,
-    out: Annotated[Path, typer.Option(help="Write the reference to this directory, which must not exist.")],
+    case: Annotated[Path | None, typer.Argument(help="Recording (a directory) that becomes a reference.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the reference to this directory, which must not exist.")
+    ] = None,
+    good: Annotated[
+        list[str] | None,
+        typer.Option(help="Keep this board as a good one: a run of the station, or a recording; give it for each."),
+    ] = None,
+    not_good: Annotated[
+        list[str] | None, typer.Option(help="Remove this run from the good boards of the station.")
+    ] = None,
+    keep: Annotated[
+        Path | None, typer.Option(help="Good recordings: keep what they look like here, one file a board.")
+    ] = None,
     calibration: CalibrationOf = None,
     board: BoardOf = None,
     confirm_orientation: Annotated[
@@ -114,11 +139,28 @@ def teach(
         ),
     ] = False,
     rotation: RotationOf = None,
+    station: StationOf = STATION,
+    key_file: KeyFileOf = None,
+    ca: CaOf = None,
 ) -> None:
-    """Stitch a recording and keep it as the reference against which later runs of its board type are placed."""
-    from vaoi_station.stitching.recordings.references import teach as keep
+    """Keep a recording as the reference of its board type, or boards as good ones with which parts are compared.
 
-    stitch = keep(
+    With --good and --not-good the boards are runs of a station, or recordings, for `vaoi parts` on this machine.
+    """
+    from vaoi_station.errors import InputError
+
+    if good or not_good:
+        from vaoi_station.cli.parts import teach_good
+
+        if case is not None or out is not None:
+            raise InputError("--good and --not-good take neither CASE nor --out.", action="Give one or the other.")
+        teach_good(good or [], not_good or [], keep, board, lambda: client_of(station, key_file, ca))
+        return
+    if case is None or out is None:
+        raise InputError("a reference needs a recording and --out.", action="Give both, or good boards by --good.")
+    from vaoi_station.stitching.recordings.references import teach as teach_reference
+
+    stitch = teach_reference(
         case,
         calibration or case / "calibration.json",
         board or case / "board.json",
