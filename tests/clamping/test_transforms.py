@@ -1,0 +1,164 @@
+"""Points of a clamped board are where they are stated, within their stated errors; what is not known is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.clamping.boards import FIDUCIALS, Clamp, board_type, filmed, request
+from vaoi_station.clamping import CadPoint, Clamped, clamp
+from vaoi_station.model import Component, Status
+from vaoi_station.model.board_type import Fiducial
+
+ALL = tuple(FIDUCIALS)
+PARTS = tuple(f"U{n}" for n in range(9))
+CENTERS = np.array([c.center for c in board_type().components])
+
+
+def places(answer: Clamped) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    return np.array([(p.x, p.y, p.z) for p in answer.points])
+
+
+def test_errors_are_as_large_as_stated() -> None:
+    random, film = np.random.default_rng(7), filmed()
+    errors = []
+    for _ in range(120):
+        there = Clamp(
+            random.uniform(-3, 3), tuple(random.uniform(-200, 200, 2)), tuple(random.normal(0, 1e-4, 3)),
+            tuple(random.normal(0, 1, 3)), tuple(random.normal(0, 0.2, 3)),
+        )  # fmt: skip
+        names = random.permutation(ALL)[: random.integers(2, 6)]
+        noise = random.normal(0, 1, (len(names), 3)) * (0.01, 0.01, 0.02)
+        readings = there.readings(*names, z=True, noise=noise)
+        asked = request(readings, sigma_z=0.02, turn_deg=np.degrees(there.turn_rad), points=PARTS)
+        answer = clamp(film, asked)
+        assert answer.status is not Status.FAILED
+        if len(names) > 2:
+            sigma = np.array([(p.sigma_x, p.sigma_y, p.sigma_z) for p in answer.points])
+            errors.append((places(answer) - there(CENTERS)) / sigma)
+    ratio = np.sqrt((np.array(errors) ** 2).mean((0, 1)))
+    assert (ratio > 0.7).all(), ratio
+    assert (ratio < 1.4).all(), ratio
+
+
+def test_the_transform_is_that_of_least_squares_when_nothing_is_assumed() -> None:
+    random, film = np.random.default_rng(3), filmed()
+    noise = random.normal(0, 0.05, (5, 3))
+    readings = Clamp(strain=(2e-3, 0.0, 0.0)).readings(*ALL, noise=noise)
+    asked = request(readings, sigma=0.05, scale_ppm=1e5, shear_ppm=1e-3, bow=1e-6)
+    matrix = np.array(clamp(film, asked).transforms[0].matrix)
+    cad, read = np.array(list(FIDUCIALS.values())), np.array([(r.x, r.y) for r in readings])
+    # Umeyama 1991: rotation and scale by the singular values of the covariance of both sets of points.
+    a, b = cad - cad.mean(0), read - read.mean(0)
+    left, values, right = np.linalg.svd(b.T @ a)
+    sign = np.diag([1.0, np.linalg.det(left) * np.linalg.det(right)])
+    linear = left @ sign @ right * (values @ sign.diagonal()) / (a**2).sum()
+    expected = np.column_stack([linear, read.mean(0) - linear @ cad.mean(0)])
+    assert matrix[:2] == pytest.approx(expected, abs=2e-5)
+
+
+@pytest.mark.parametrize("side", ["top", "bottom"])
+@pytest.mark.parametrize("unit", ["mm", "inch"])
+def test_units_sides_and_axes(side: str, unit: str) -> None:
+    """The tester sees the filmed side: CAD x, which is stated as seen from the top, runs to the left on the bottom."""
+    mm = {"mm": 1.0, "inch": 25.4}[unit]
+    film, there = filmed(board_type(side=side)), Clamp()
+    flip = np.array([-1.0 if side == "bottom" else 1.0, 1.0])
+    at = there(np.array(list(FIDUCIALS.values())) * flip)
+    readings = [{"fiducial": n, "x": x / mm, "y": y / mm} for n, (x, y, _) in zip(FIDUCIALS, at.tolist(), strict=True)]
+    answer = clamp(film, request(readings, unit=unit, sigma=0.01 / mm, points=PARTS))  # type: ignore[arg-type]
+    assert answer.status is Status.OK, answer.reasons
+    assert places(answer)[:, :2] * mm == pytest.approx(there(CENTERS * flip)[:, :2], abs=1e-4)
+
+
+def test_a_single_reading_shifts_and_says_what_it_does_not_show() -> None:
+    film, one = filmed(), Clamp().readings("F1")
+    assert [r.code for r in clamp(film, request(one)).reasons] == ["turn-not-known"]
+    answer = clamp(film, request(one, turn_deg=float(np.degrees(0.7)), points=("F1", "U8")))
+    assert answer.status is Status.OK
+    assert any("shift only" in text for text in answer.remarks)
+    near, far = answer.points
+    assert near.sigma_x < 0.02
+    assert np.hypot(far.sigma_x, far.sigma_y) == pytest.approx(np.radians(0.5) * np.hypot(135, 75), rel=0.01)
+
+
+def test_readings_on_a_line_leave_the_shape_across_it_to_what_is_stated() -> None:
+    line = {"A": (10.0, 50.0), "B": (80.0, 50.0), "C": (150.0, 50.0)}
+    film = filmed(board_type(fiducials=tuple(Fiducial(name=n, x=x, y=y, diameter=1.0) for n, (x, y) in line.items())))
+    at = Clamp()(np.array(list(line.values()))).tolist()
+    readings = [{"fiducial": n, "x": x, "y": y} for n, (x, y, _) in zip(line, at, strict=True)]
+    answer = clamp(film, request(readings, turn_deg=float(np.degrees(0.7))))  # type: ignore[arg-type]
+    assert any("show less than" in text for text in answer.remarks)
+    assert answer.transforms[0].stretch.sigma_ppm > 50
+
+
+def test_scale_and_shear_beyond_what_the_tester_states_are_named() -> None:
+    answer = clamp(filmed(), request(Clamp(0.0, strain=(0.0, 0.0, 1.5e-3)).readings(*ALL), points=PARTS, bow=0.01))
+    assert answer.status is Status.DEGRADED
+    assert "shear" in answer.reasons[0].message
+    assert "scale" not in answer.reasons[0].message
+    true = Clamp(0.0, strain=(0.0, 0.0, 1.5e-3))(CENTERS)
+    assert places(answer)[:, :2] == pytest.approx(true[:, :2], abs=3e-3), "points follow the readings"
+
+
+def test_z_slopes_and_bow_follow_readings_of_z() -> None:
+    places_of = {f"F{n}{m}": (20.0 + 60.0 * n, 10.0 + 40.0 * m) for n in range(3) for m in range(3)}
+    marks = tuple(Fiducial(name=n, x=x, y=y, diameter=1.0) for n, (x, y) in places_of.items())
+    there = Clamp(0.0, bow_mm=(0.4, 0.1, -0.2))
+    at = there(np.array(list(places_of.values()))).tolist()
+    readings = [{"fiducial": n, "x": x, "y": y, "z": z} for n, (x, y, z) in zip(places_of, at, strict=True)]
+    cad = CadPoint(x=120.0, y=70.0)
+    asked = request(readings, sigma_z=0.005, points=(cad,), turn_deg=0.0)  # type: ignore[arg-type]
+    answer = clamp(filmed(board_type(fiducials=marks)), asked)
+    assert answer.bend is not None
+    assert answer.bend.bow_change == pytest.approx((0.4, 0.1, -0.2), abs=0.01)
+    point, step = answer.points[0], np.array([(119.0, 70.0), (121.0, 70.0), (120.0, 69.0), (120.0, 71.0)])
+    z = there(step)[:, 2]
+    assert point.z == pytest.approx(there(np.array([[120.0, 70.0]]))[0, 2], abs=0.01)
+    assert (point.slope_x, point.slope_y) == pytest.approx(((z[1] - z[0]) / 2, (z[3] - z[2]) / 2), abs=3e-4)
+
+
+def test_without_z_heights_count_from_the_plane_of_the_fiducials() -> None:
+    surface = {"lift_mm": 0.3, "tilt_mm": (0.2, 0.0), "about": (80.0, 50.0), "half_span": (80.0, 50.0)}
+    answer = clamp(filmed(surface=surface), request(Clamp().readings(*ALL), points=("F1", "F3")))
+    assert answer.z_from == "fiducials"
+    assert [p.z for p in answer.points] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert any("no bow below" in text for text in answer.remarks)
+
+
+def test_high_bodies_are_kept_out_with_their_errors_and_a_margin() -> None:
+    low = Component(ref="R1", center=(40.0, 40.0), width=1.0, height=0.5, body_height=0.4)
+    tall = Component(ref="C1", center=(120.0, 30.0), width=6.0, height=6.0, body_height=9.0)
+    unknown = Component(ref="J1", center=(120.0, 60.0), width=6.0, height=6.0)
+    film = filmed(board_type(components=(*board_type().components[:1], low, tall, unknown)))
+    answer = clamp(film, request(Clamp(0.0).readings(*ALL), clearance=2.0, margin=0.5, turn_deg=0.0, bow=0.01))
+    solids = {k.component: k for k in answer.keep_outs}
+    assert [(k, solids[k].source) for k in solids] == [("U0", "measured"), ("C1", "board-type"), ("J1", "unknown")]
+    assert solids["C1"].top is not None
+    assert 9.5 < solids["C1"].top < 10.5
+    assert solids["J1"].top is None
+    width = np.ptp(np.array(solids["J1"].corners), axis=0)
+    assert (width >= 7.0).all()
+    assert (width < 7.3).all()
+
+
+def test_a_board_of_a_panel_and_a_part_with_local_fiducials_have_transforms_of_their_own() -> None:
+    parts = tuple(
+        Component(ref="U1", panel=p, center=(x, 50.0), width=4.0, height=4.0) for p, x in (("A", 40.0), ("B", 120.0))
+    )
+    marks = [Fiducial(name=n, x=x, y=y, diameter=1.0) for n, (x, y) in FIDUCIALS.items()]
+    marks += [
+        Fiducial(name=f"A{n}", x=x, y=y, diameter=1.0, panel="A")
+        for n, (x, y) in enumerate(((20.0, 20.0), (60.0, 80.0)))
+    ]
+    marks += [Fiducial(name="L1", x=122.0, y=52.0, diameter=1.0, kind="local", components=("B/U1",))]
+    film, there = filmed(board_type(components=parts, fiducials=tuple(marks))), Clamp(0.0)
+    moved = {"A0": (0.05, 0.0), "A1": (0.05, 0.0), "L1": (0.0, 0.03)}
+    readings = []
+    for mark in marks:
+        x, y, _ = there(np.array([(mark.x, mark.y)]))[0] + np.array([*moved.get(mark.name, (0.0, 0.0)), 0.0])
+        readings.append({"fiducial": mark.name, "x": x, "y": y})
+    answer = clamp(film, request(readings, points=("A/U1", "B/U1", "U1"[:0] or "F5"), turn_deg=0.0))  # type: ignore[arg-type]
+    assert [(t.board, t.components) for t in answer.transforms] == [(None, ()), ("A", ()), (None, ("B/U1",))]
+    off = places(answer)[:, :2] - there(np.array([(40.0, 50.0), (120.0, 50.0), FIDUCIALS["F5"]]))[:, :2]
+    assert off == pytest.approx(np.array([(0.05, 0.0), (0.0, 0.03), (0.0, 0.0)]), abs=0.012)

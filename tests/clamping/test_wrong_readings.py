@@ -1,0 +1,145 @@
+"""Readings that are not of the fiducials that they name are found where that is possible, and named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from tests.clamping.boards import FIDUCIALS, Clamp, board_type, filmed, request
+from vaoi_station.clamping import Clamped, Reading, clamp
+from vaoi_station.errors import InputError, StateError
+from vaoi_station.model import Status
+from vaoi_station.model.board_type import Fiducial
+
+ALL = tuple(FIDUCIALS)
+
+
+def codes(answer: Clamped) -> list[str]:
+    return [reason.code for reason in answer.reasons]
+
+
+def test_two_exchanged_readings_of_three_are_named() -> None:
+    first, second, third = Clamp().readings("F1", "F2", "F4")
+    swapped = (first.model_copy(update={"fiducial": "F2"}), second.model_copy(update={"fiducial": "F1"}), third)
+    answer = clamp(filmed(), request(swapped))
+    assert answer.status is Status.FAILED
+    assert codes(answer) == ["fiducials-exchanged"]
+    assert "F2 is F1, F1 is F2" in answer.reasons[0].message
+
+
+def test_two_exchanged_readings_of_five_are_left_out() -> None:
+    first, second, *rest = Clamp().readings(*ALL)
+    swapped = (first.model_copy(update={"fiducial": "F2"}), second.model_copy(update={"fiducial": "F1"}), *rest)
+    answer = clamp(filmed(), request(swapped))
+    assert answer.status is Status.DEGRADED
+    assert codes(answer) == ["reading-wrong", "reading-wrong"]
+    assert "F2 is left out: it is at the place of F1" in answer.reasons[0].message
+
+
+def test_one_wrong_reading_of_four_is_left_out_and_named() -> None:
+    readings = Clamp().readings("F1", "F2", "F3") + (Clamp().readings("F5")[0].model_copy(update={"fiducial": "F4"}),)
+    answer = clamp(filmed(), request(readings, points=("U4",)))
+    assert answer.status is Status.DEGRADED
+    assert "F4 is left out: it is at the place of F5" in answer.reasons[0].message
+    x, y, _ = Clamp()(np.array([[80.0, 50.0]]))[0]
+    assert (answer.points[0].x, answer.points[0].y) == pytest.approx((x, y), abs=1e-3)
+
+
+def test_a_reading_that_is_off_by_ten_sigma_is_left_out() -> None:
+    noise = np.zeros((5, 3))
+    noise[4] = 0.08, 0.08, 0.0
+    answer = clamp(filmed(), request(Clamp().readings(*ALL, noise=noise)))
+    assert codes(answer) == ["reading-wrong"]
+    assert [r.fiducial for r in answer.residuals if not r.used] == ["F5"]
+
+
+def test_three_readings_that_disagree_count_as_a_change_of_shape_with_larger_errors() -> None:
+    noise = np.zeros((3, 3))
+    noise[2, 0] = 0.1
+    stiff = {"scale_ppm": 5.0, "shear_ppm": 5.0, "bow": 0.001, "points": ("U8",)}
+    good, bad = (
+        clamp(filmed(), request(Clamp().readings("F1", "F2", "F3", noise=n), **stiff)) for n in (noise * 0, noise)
+    )
+    assert codes(bad) == ["shape-changed"]
+    assert bad.points[0].sigma_x > 1.05 * good.points[0].sigma_x
+
+
+def test_a_board_turned_by_180_degrees_is_noticed_by_the_turn_that_is_stated() -> None:
+    answer = clamp(filmed(), request(Clamp().readings(*ALL), turn_deg=np.degrees(0.7) + 180))
+    assert codes(answer) == ["board-turned"]
+
+
+def test_a_symmetrical_pattern_is_not_ok_without_a_turn() -> None:
+    corners = {"A": (10.0, 10.0), "B": (150.0, 10.0), "C": (150.0, 90.0), "D": (10.0, 90.0)}
+    marks = tuple(Fiducial(name=name, x=x, y=y, diameter=1.0) for name, (x, y) in corners.items())
+    at = Clamp()(np.array(list(corners.values()))).tolist()
+    readings = tuple(Reading(fiducial=name, x=x, y=y) for name, (x, y, _) in zip(corners, at, strict=True))
+    film = filmed(board_type(fiducials=marks))
+    assert codes(clamp(film, request(readings))) == ["orientation-not-shown"]
+    assert clamp(film, request(readings, turn_deg=np.degrees(0.7))).status is Status.OK
+    turned = tuple(r.model_copy(update={"fiducial": n}) for r, n in zip(readings, "CDAB", strict=True))
+    exchanged = clamp(film, request(turned, turn_deg=np.degrees(0.7)))
+    assert codes(exchanged) == ["fiducials-exchanged"], "the stated turn shows it although the pattern does not"
+
+
+def test_millimetres_that_are_sent_as_inches_are_named() -> None:
+    answer = clamp(filmed(), request(Clamp().readings(*ALL), unit="inch", sigma=0.0004))
+    assert codes(answer) == ["readings-other-unit"]
+    assert "mm read as inch" in answer.reasons[0].message
+
+
+def test_a_mirrored_side_is_named() -> None:
+    answer = clamp(filmed(), request(Clamp().readings(*ALL), y_axis="down"))
+    assert codes(answer) == ["readings-mirrored"]
+
+
+def test_readings_of_another_board_are_refused_with_a_distance() -> None:
+    stretched = tuple(r.model_copy(update={"x": r.x * 1.3}) for r in Clamp().readings(*ALL))
+    answer = clamp(filmed(), request(stretched))
+    assert codes(answer) == ["readings-disagree"]
+    assert "apart, filmed" in answer.reasons[0].message
+    assert not answer.points
+    assert not answer.transforms
+
+
+def test_readings_at_one_place_are_refused() -> None:
+    same = tuple(r.model_copy(update={"x": 1.0, "y": 2.0}) for r in Clamp().readings(*ALL))
+    assert codes(clamp(filmed(), request(same))) == ["readings-disagree"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "field"),
+    [
+        ({"readings": Clamp().readings("F1", "F1")}, "read once"),
+        ({"readings": (Reading(fiducial="F9", x=0.0, y=0.0),)}, "F1, F2"),
+        ({"readings": Clamp().readings("F1", z=True)}, "sigma_z"),
+        ({"points": ("R99",)}, "R99"),
+    ],
+)
+def test_names_that_the_board_type_does_not_have_are_refused(fields: dict[str, object], field: str) -> None:
+    known = {"readings": Clamp().readings("F1", "F2"), **fields}
+    with pytest.raises(InputError, match=field):
+        clamp(filmed(), request(**known))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("fields", [{"sigma": 0.0}, {"sigma": float("nan")}, {"readings": ()}, {"margin": -1.0}])
+def test_numbers_that_are_none_are_refused(fields: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        request(**{"readings": Clamp().readings("F1"), **fields})  # type: ignore[arg-type]
+
+
+def test_a_run_without_a_cad_mapping_has_no_answer() -> None:
+    with pytest.raises(StateError, match="no CAD mapping"):
+        filmed(cad_matrix=None)
+
+
+@pytest.mark.parametrize("status", [Status.DEGRADED, Status.FAILED])
+def test_an_answer_is_no_better_than_the_verdict_of_the_run(status: Status) -> None:
+    film = replace(filmed(), status=status, reasons=("links scatter",))
+    answer = clamp(film, request(Clamp().readings(*ALL), points=("U1",)))
+    assert answer.status is status
+    assert "links scatter" in answer.reasons[0].message
+    assert bool(answer.points) is (status is Status.DEGRADED)

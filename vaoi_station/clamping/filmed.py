@@ -1,0 +1,114 @@
+"""What a run knows of its board for the hand-over: places of fiducials and points, heights, and their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from vaoi_station.errors import StateError
+from vaoi_station.geometry.transforms import Floats, apply
+from vaoi_station.model import BoardType, Component, Status, Stitch
+
+_UNKNOWN_PX, _UNSEEN_MM = 0.3, 0.03
+"""Standard deviation of places in results that state none, and of a fiducial that was not found."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilmedBoard:
+    """A board type and the result of a run. StateError: the run has no CAD mapping."""
+
+    board_type: BoardType
+    result: Stitch
+    """With the heights of bodies in its `quality`, if they are known."""
+    px_per_mm: float
+    status: Status = Status.OK
+    """The verdict of the run."""
+    reasons: tuple[str, ...] = ()
+    """Why it is not `ok`."""
+
+    def __post_init__(self) -> None:
+        if self.result.cad_matrix is None:
+            raise StateError(
+                "The run has no CAD mapping: its fiducials were not found.",
+                action="See the reasons of the run; film the board again.",
+                code="no-cad-mapping",
+            )
+
+    def matrix(self, board: object) -> Floats:
+        """Return the matrix (3, 3) from CAD to filmed coordinates of a board of a panel; None: of the panel."""
+        own = (self.result.board_matrices or {}).get(str(board)) if board is not None else None
+        return np.asarray(self.result.cad_matrix if own is None else own, np.float64)
+
+    @cached_property
+    def numbers(self) -> Mapping[str, int]:
+        """The numbers of the fiducials by name."""
+        return {f.name: n for n, f in enumerate(self.board_type.fiducials)}
+
+    @cached_property
+    def parts(self) -> Mapping[str, Component]:
+        """The components by address."""
+        return {c.address: c for c in self.board_type.components}
+
+    @cached_property
+    def cad(self) -> Floats:
+        """(f, 2) CAD coordinates of the fiducials."""
+        return np.array([(f.x, f.y) for f in self.board_type.fiducials], np.float64).reshape(-1, 2)
+
+    @cached_property
+    def _by_cad(self) -> Floats:
+        """(f, 2) filmed places of the fiducials if they are at their CAD positions, on their boards."""
+        boards = [self.matrix(f.panel) for f in self.board_type.fiducials]
+        return np.array([apply(m, at) for m, at in zip(boards, self.cad, strict=True)]).reshape(-1, 2)
+
+    @cached_property
+    def _off_px(self) -> Floats:
+        """(f, 2) mean residuals against C; NaN for fiducials that were not found."""
+        listed = {e["name"]: e["residual_px"] for e in self.result.quality.get("fiducials", ())}
+        none = (np.nan, np.nan)
+        return np.array([listed.get(f.name) or none for f in self.board_type.fiducials], np.float64).reshape(-1, 2)
+
+    @cached_property
+    def places(self) -> Floats:
+        """(f, 2) places of the fiducials as filmed, mm."""
+        seen = apply(self.matrix(None), self.cad) + self._off_px / self.px_per_mm
+        return np.where(np.isfinite(self._off_px), seen, self._by_cad)
+
+    @cached_property
+    def sigma_mm(self) -> Floats:
+        """(f,) their standard deviations, per axis."""
+        px = self.result.quality.get("cad_sigma_px")
+        own = (_UNKNOWN_PX if px is None else float(px)) / self.px_per_mm
+        return np.where(np.isfinite(self._off_px[:, 0]), own, float(np.hypot(own, _UNSEEN_MM)))
+
+    @cached_property
+    def place_sigma_mm(self) -> float:
+        """Standard deviation of a point against the fiducials: of the film, and of the artwork as fiducials show it."""
+        seen = np.isfinite(self._off_px[:, 0])
+        off = (self.places - self._by_cad)[seen]
+        # C takes four numbers from the residuals.
+        artwork = float(np.sqrt((off**2).sum() / max(2 * len(off) - 4, 1)))
+        return float(np.hypot(self.sigma_mm.min(initial=_UNKNOWN_PX / self.px_per_mm), artwork))
+
+    @cached_property
+    def half(self) -> tuple[Floats, Floats]:
+        """Middle and half extent of the board, CAD units."""
+        low, high = self.board_type.extent()
+        return (low + high) / 2, (high - low) / 2
+
+    def corners(self, part: Component) -> list[tuple[float, float]]:
+        """Return the corners of a component's footprint, CAD coordinates."""
+        return [(x, y) for x, y in self.board_type.footprint(part).tolist()]
+
+    def height_mm(self, cad: Floats) -> Floats:
+        """Return the height (k,) of the surface as filmed; 0 if it was not estimated."""
+        surface = self.result.surface
+        return np.zeros(len(cad)) if surface is None else surface.height_mm(cad)
+
+    @property
+    def surface_sigma_mm(self) -> float:
+        """Standard deviation of `height_mm`; 0.5 mm if the surface was not estimated."""
+        sigma = self.result.quality.get("surface_sigma_mm")
+        return 0.5 if sigma is None or self.result.surface is None else float(sigma)
