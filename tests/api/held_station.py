@@ -16,6 +16,7 @@ from tests.api.held.lighting import HeldLighting
 from tests.api.held.mosaics import HeldKeptMosaics, HeldMerged, HeldMosaics
 from tests.api.held.pins import HeldPins, HeldStorage
 from vaoi_station.api.encoders import ImageFormat, encode_image
+from vaoi_station.clamping import Clamped, ClampedRequest, clamp
 from vaoi_station.config import MethodName
 from vaoi_station.errors import DeviceError, GoneError, InternalError, NotFoundError, StateError
 from vaoi_station.files.results import stitch_text
@@ -30,6 +31,7 @@ from vaoi_station.rendering import (
     measure,
     render_chosen,
 )
+from vaoi_station.runs.archive.component_views import filmed_board
 from vaoi_station.runs.archive.finished_runs import RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.run.order import Passing
@@ -353,6 +355,9 @@ class HeldStation(StationCoordinator):
 
     def stitch_text(self, run: str) -> str:
         return stitch_text(self.stitch(run))
+
+    def clamped(self, run: str, request: ClampedRequest) -> Clamped:
+        return clamp(filmed_board(self.mosaics._archive.explained(run), self.heights.known(run)), request)
 
     def is_complete(self, run: str) -> bool:
         return "later" not in self.stitch(run).quality

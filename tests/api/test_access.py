@@ -133,6 +133,7 @@ EXPECTED = {
     "operate": {
         "POST /station/arm",
         "POST /station/disarm",
+        "POST /runs/{run}/clamped",
         "POST /runs/{run}/release",
         "PUT /runs/{run}/hold",
         "DELETE /runs/{run}/hold",

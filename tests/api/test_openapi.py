@@ -64,7 +64,9 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
     assert closed == {
         "AddressRequest",
         "ArmRequest",
+        "CadPoint",
         "CameraTrialRequest",
+        "ClampedRequest",
         "CorrectionRequest",
         "DecisionRequest",
         "ExchangeRequest",
@@ -73,6 +75,7 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
         "MarksRequest",
         "MethodRequest",
         "ProgramRequest",
+        "Reading",
         "SettingChange",
         "SettingsChange",
         "StateRequest",

@@ -46,6 +46,21 @@ def test_images_from_a_station(tmp_path: Path) -> None:
     assert list(tmp_path.glob("U1_*.png"))
 
 
+def test_probe_a_clamped_board() -> None:
+    station = HeldStation()
+    station.film()
+    served = Served(station)
+    try:
+        lines = run_example("probe_a_clamped_board.py", served.url).splitlines()
+    finally:
+        served.stop()
+    places = {line.split()[0]: line.split() for line in lines if " x " in line}
+    # A turn by 30° about the origin, then a shift by (400, 250): U1 is at (20, 20).
+    assert float(places["U1"][2]) == pytest.approx(400 + 20 * 0.866025 - 20 * 0.5, abs=2e-2)
+    assert "R1" in places
+    assert any(line.startswith("keep out U1: unknown height") for line in lines)
+
+
 def test_pictures_of_every_board() -> None:
     served = Served(HeldStation())
 

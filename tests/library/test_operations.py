@@ -160,6 +160,7 @@ def _calls(station: vaoi.Station, folder: Path) -> dict[type, dict[str, Callable
         "mosaics": lambda r: r.mosaics(),
         "save_mosaic": lambda r: r.save_mosaic("all", folder / "board.tif"),
         "heights": lambda r: r.heights(),
+        "clamped": lambda r: r.clamped({"FID1": (1.0, 2.0)}, sigma=0.01),
         "parts": lambda r: r.parts(),
         "part": lambda r: r.part("U1"),
         "keep_as_good": lambda r: r.keep_as_good(),

@@ -12,9 +12,9 @@ from vaoi_station.clamping.bending import Bending
 from vaoi_station.clamping.filmed import FilmedBoard
 from vaoi_station.clamping.fit import SCALE, SHEAR, STRETCH, Fit, left_out
 from vaoi_station.clamping.points import Placing, wanted_points
-from vaoi_station.clamping.readings import Readings, Refusal
+from vaoi_station.clamping.readings import MisfitError, Readings
 from vaoi_station.geometry.transforms import apply
-from vaoi_station.model import Status
+from vaoi_station.model import Reason, Status
 
 _MOST_DISTANCES, _MOST_FOR_DISTANCES = 20, 60
 
@@ -29,14 +29,14 @@ def clamp(film: FilmedBoard, request: doc.ClampedRequest) -> doc.Clamped:
     answer = doc.Clamped(status=Status.FAILED, unit=request.unit, z_from="readings" if readings.with_z else "fiducials")
     if film.status is not Status.OK:
         message = f"the verdict of the run is {film.status}: {'; '.join(film.reasons)}"
-        readings.doubt("film-not-ok", message, "See the reasons of the run; film the board again.")
+        readings.add_reason("film-not-ok", message, "See the reasons of the run; film the board again.")
     if film.status is Status.FAILED:
         return answer.model_copy(update={"reasons": tuple(readings.reasons)})
     try:
         named = readings.assigned()
         whole, used = readings.fitted(named)
-    except Refusal as refusal:
-        return answer.model_copy(update={"reasons": (*readings.reasons, refusal.reason)})
+    except MisfitError as refusal:
+        return answer.model_copy(update={"reasons": (*readings.reasons, Reason.of(refusal))})
     bending, regions = readings.heights(used), readings.regions(whole, named)
     readings.remark(whole, used, bending)
     every = {(): (whole, used), **regions}
@@ -82,7 +82,7 @@ def _transform(readings: Readings, key: tuple[str, ...], found: Fit, used: list[
 
 def _residuals(
     readings: Readings, whole: Fit, used: list[int], count: set[int], bending: Bending
-) -> tuple[doc.Residual, ...]:
+) -> tuple[doc.ReadingResidual, ...]:
     at, mm = apply(whole.matrix, readings.place), readings.mm
     off, sigmas = readings.at - at, np.full(len(at), np.nan)
     sigmas = np.hypot(*off.T) / np.sqrt(readings.sigma**2 + whole.variance(at).mean(1))
@@ -91,7 +91,7 @@ def _residuals(
     above = readings.z - bending.z_mm(readings.film.cad[readings.of[readings.with_z]]) if readings.with_z else ()
     z = dict(zip(readings.with_z, above, strict=True))
     return tuple(
-        doc.Residual(
+        doc.ReadingResidual(
             fiducial=name,
             x=_r(off[n, 0] / mm),
             y=_r(off[n, 1] / mm),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from vaoi_station.files.documents import parse
 from vaoi_station.model import Reason, Status, Strict
 from vaoi_station.model.board_type import ONE_LINE, Position
 from vaoi_station.model.frozen_model import Finite, Point, Positive
@@ -39,7 +41,9 @@ class CadPoint(Strict):
 class ClampedRequest(Strict):
     """The tester's readings of fiducials, and what it asks for."""
 
-    readings: tuple[Reading, ...] = Field(min_length=1, max_length=MOST_READINGS)
+    readings: tuple[Reading, ...] = Field(
+        min_length=1, max_length=MOST_READINGS, description="Fiducials where the tester has found them."
+    )
     sigma: Positive = Field(description="Standard deviation of a reading, of x and of y.")
     sigma_z: Positive | None = Field(default=None, description="That of z; needed if readings state z.")
     unit: Literal["mm", "um", "inch", "mil"] = "mm"
@@ -61,6 +65,12 @@ class ClampedRequest(Strict):
         default=None, description="Height above the board at which the probe travels: higher bodies are returned."
     )
     margin: Annotated[Finite, Field(ge=0)] = Field(default=0.0, description="Added around each keep-out solid.")
+
+
+def request_of(readings: Mapping[str, Sequence[float]], options: Mapping[str, Any]) -> ClampedRequest:
+    """Return a request with readings (x, y) or (x, y, z) by the name of their fiducial; raise InputError for others."""
+    listed = [{"fiducial": name, **dict(zip("xyz", map(float, at), strict=False))} for name, at in readings.items()]
+    return parse(ClampedRequest, {"readings": listed, **options}, "clamped")
 
 
 class Strain(Strict):
@@ -87,14 +97,16 @@ class ClampedTransform(Strict):
     shear: Strain
 
 
-class Residual(Strict):
+class ReadingResidual(Strict):
     """How far a reading lies from where the others expect it."""
 
     fiducial: str
     x: float
     y: float
     z: float | None = None
-    sigmas: float | None = Field(description="Its distance in standard deviations; absent if it cannot be checked.")
+    sigmas: float | None = Field(
+        default=None, description="Its distance in standard deviations; absent if it cannot be checked."
+    )
     used: bool
 
 
@@ -152,7 +164,7 @@ class Clamped(Strict):
         description="The tester's z, or the height above the plane through the fiducials, as filmed."
     )
     transforms: tuple[ClampedTransform, ...] = ()
-    residuals: tuple[Residual, ...] = ()
+    residuals: tuple[ReadingResidual, ...] = ()
     distances: tuple[DistanceChange, ...] = Field(default=(), description="The 20 that changed most, by their σ.")
     bend: Bend | None = Field(default=None, description="Only if readings state z.")
     points: tuple[ClampedPoint, ...] = ()

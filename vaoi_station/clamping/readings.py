@@ -14,7 +14,7 @@ from vaoi_station.clamping.bending import Bending, bent, level
 from vaoi_station.clamping.filmed import FilmedBoard
 from vaoi_station.clamping.fit import FREE, SCALE, SHEAR, STRETCH, TURN, Fit, fit, left_out, refined
 from vaoi_station.clamping.wrong_fiducials import Assignment, Ints, assignments
-from vaoi_station.errors import InputError
+from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.geometry.robust import Failure, fit_similarity
 from vaoi_station.geometry.transforms import Floats, Similarity, System, apply
 from vaoi_station.model import Reason
@@ -33,12 +33,8 @@ _UNIT_FACTORS = {25.4: "mm read as inch", 1 / 25.4: "inch read as mm", 1e3: "µm
 _SHAPE = {SCALE: "scale", STRETCH: "stretch (x longer, y shorter)", SHEAR: "shear"}
 
 
-class Refusal(Exception):  # noqa: N818  it never leaves this module
-    """Readings that place no board, with the reason."""
-
-    def __init__(self, code: str, message: str, action: str) -> None:
-        super().__init__(message)
-        self.reason = Reason(code, message, action)
+class MisfitError(VaoiError):
+    """Readings that place no board."""
 
 
 @dataclass(eq=False)
@@ -80,7 +76,7 @@ class Readings:
         self.prior = np.r_[FREE, FREE, FREE, np.hypot([scale, shear, shear], bent)]
         self.reasons, self.remarks, self.left_out = list[Reason](), list[str](), set[int]()
 
-    def doubt(self, code: str, message: str, action: str) -> None:
+    def add_reason(self, code: str, message: str, action: str) -> None:
         """Add a reason why the answer is not `ok`."""
         self.reasons.append(Reason(code, message, action))
 
@@ -92,11 +88,11 @@ class Readings:
         return math.remainder(off, math.tau)
 
     def assigned(self) -> list[int]:
-        """Return the readings that are of the fiducials that they name. Raise `Refusal` if too few are."""
+        """Return the readings that are of the fiducials that they name. Raise `MisfitError` if too few are."""
         ppm, count = 1e6 * float(self.prior[3:].max()), len(self.of)
         if count == 1 and self.request.turn_deg is None:
             message = f"one reading shows where {self.names[0]} is, not how the board is turned"
-            raise Refusal("turn-not-known", message, "Read a second fiducial, or state turn_deg.")
+            raise MisfitError(message, action="Read a second fiducial, or state turn_deg.", code="turn-not-known")
         if count == 1:
             return [0]
         film = self.film.places
@@ -108,10 +104,12 @@ class Readings:
         if likely and (wrong or (few and likely[0].explained > best.explained)):
             swaps = self._other_names(likely[0])
             message = f"{likely[0].explained} of {count} readings fit if {swaps}: they name other fiducials"
-            raise Refusal("fiducials-exchanged", message, "Check names, and which way round the board lies.")
+            raise MisfitError(
+                message, action="Check names, and which way round the board lies.", code="fiducials-exchanged"
+            )
         if wrong:
             message = f"the board lies turned by {math.degrees(turned):.1f}° against turn_deg"
-            raise Refusal("board-turned", message, "Check which way round it lies, and the value.")
+            raise MisfitError(message, action="Check which way round it lies, and the value.", code="board-turned")
         if best.explained < 2 or 2 * best.explained <= count:
             raise self._misfit(best, ppm)
         for n in np.flatnonzero(best.of < 0).tolist():
@@ -119,7 +117,9 @@ class Readings:
         if alike := [a for a in likely if a.explained == best.explained]:
             message = f"the readings fit as well if {self._other_names(alike[0])}"
             if self.request.turn_deg is None and abs(math.remainder(alike[0].turn_rad - best.turn_rad, math.tau)) > 0.1:
-                self.doubt("orientation-not-shown", message, "State turn_deg, or read a fiducial off their symmetry.")
+                self.add_reason(
+                    "orientation-not-shown", message, "State turn_deg, or read a fiducial off their symmetry."
+                )
             else:
                 self.remarks.append(message)
         return np.flatnonzero(best.of >= 0).tolist()
@@ -141,7 +141,7 @@ class Readings:
             return f"it is at the place of {self.film.board_type.fiducials[near].name}"
         return f"it is {own / self.mm:.4g} {self.request.unit} from where the others expect it"
 
-    def _misfit(self, best: Assignment, ppm: float) -> Refusal:
+    def _misfit(self, best: Assignment, ppm: float) -> MisfitError:
         """Return why the readings do not fit: another unit, the mirror image, or another board."""
         unit, of = self.request.unit, (self.of, self.sigma, ppm)
         read, filmed = (np.abs(p[:, None] @ (1, 1j) - p @ (1, 1j)) for p in (self.at, self.place))
@@ -150,17 +150,21 @@ class Readings:
         for wrong, meaning in _UNIT_FACTORS.items():
             if abs(factor / wrong - 1) < 0.01:
                 message = f"distances are {factor:.4g} times those filmed: {meaning}?"
-                return Refusal("readings-other-unit", message, f"Check unit, which is {unit}.")
+                return MisfitError(message, action=f"Check unit, which is {unit}.", code="readings-other-unit")
         flipped, _ = assignments(self.film.places, self.at, *of, mirrored=not self.mirrored)
         if flipped.explained > max(best.explained, 2):
             message = f"{flipped.explained} of {len(self.of)} readings fit the mirror image of the board"
-            return Refusal("readings-mirrored", message, "Check y_axis, the side that is up, and the run.")
+            return MisfitError(
+                message, action="Check y_axis, the side that is up, and the run.", code="readings-mirrored"
+            )
         a, b = self.names[i], self.names[j]
         message = (
             f"the readings are not of this board: {a} and {b} are {read[i, j] / self.mm:.6g} {unit} apart, filmed "
             f"{filmed[i, j] / self.mm:.6g} {unit}"
         )
-        return Refusal("readings-disagree", message, "Check names and run, and read the fiducials again.")
+        return MisfitError(
+            message, action="Check names and run, and read the fiducials again.", code="readings-disagree"
+        )
 
     def _rigid(self, used: Sequence[int] | Ints) -> Floats:
         """Return the rigid motion (3, 3) that fits readings best; for a single one with the turn that is stated."""
@@ -171,7 +175,7 @@ class Readings:
             pairs = self.at[known], self.place[known]
             similar = fit_similarity(*pairs, System.TESTER, System.ROW, mirrored=self.mirrored)
             if isinstance(similar, Failure):
-                raise Refusal("readings-disagree", similar.reason, "Read fiducials that are apart.")
+                raise MisfitError(similar.reason, action="Read fiducials that are apart.", code="readings-disagree")
             turn = similar.angle_rad
         rigid = Similarity.of(1.0, turn, (0, 0), System.TESTER, System.ROW, mirrored=self.mirrored).matrix.copy()
         rigid[:2, 2] = (self.at[known] - apply(rigid, self.place[known])).mean(0)
@@ -204,7 +208,7 @@ class Readings:
                 f"{_SHAPE[n]} {1e6 * found.values[n]:+.0f} ppm (expected {1e6 * self.prior[n]:.0f})" for n in changed
             )
             action = "Check the readings, the tester's calibration, the temperature of the board, and its clamping."
-            self.doubt("shape-changed", f"the board as clamped differs from the one filmed: {shown}", action)
+            self.add_reason("shape-changed", f"the board as clamped differs from the one filmed: {shown}", action)
         return found, used
 
     def _fit(self, used: list[int], changed: Sequence[int] = ()) -> tuple[Fit, tuple[int, str] | None]:
@@ -224,7 +228,9 @@ class Readings:
 
     def _leave_out(self, n: int, why: str) -> None:
         self.left_out.add(n)
-        self.doubt("reading-wrong", f"the reading of {self.names[n]} is left out: {why}", "Read this fiducial again.")
+        self.add_reason(
+            "reading-wrong", f"the reading of {self.names[n]} is left out: {why}", "Read this fiducial again."
+        )
 
     def regions(self, whole: Fit, named: list[int]) -> dict[tuple[str, ...], tuple[Fit, list[int]]]:
         """Return the transforms of boards of a panel, and of components with local fiducials, by their own readings.

@@ -115,6 +115,7 @@ class AsyncStationRun(_InThreads[StationRun]):
     mosaics = in_thread(StationRun.mosaics)
     save_mosaic = in_thread(StationRun.save_mosaic)
     heights = in_thread(StationRun.heights)
+    clamped = in_thread(StationRun.clamped)
     parts = in_thread(StationRun.parts)
     part = in_thread(StationRun.part)
     keep_as_good = in_thread(StationRun.keep_as_good)

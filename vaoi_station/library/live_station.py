@@ -6,7 +6,7 @@ import io
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property, partial
@@ -30,6 +30,7 @@ from vaoi_station.api.rest_models import (
     MosaicList,
 )
 from vaoi_station.board_check.report import BoardCheck
+from vaoi_station.clamping import Clamped, request_of
 from vaoi_station.config import MethodName
 from vaoi_station.demo.client import Client, checked, unusable_reply
 from vaoi_station.errors import InputError, NotFoundError
@@ -348,6 +349,16 @@ class StationRun:
     def heights(self) -> Mapping[str, HeightEntry]:
         """Return the heights of the components above the board, by address; GoneError if they were not measured."""
         return self._client.read(HeightList, self._path("heights")).heights
+
+    def clamped(self, readings: Mapping[str, Sequence[float]], /, **options: Any) -> Clamped:
+        """Return where the board lies that a tester has clamped, in the tester's coordinates.
+
+        Args:
+            readings: where it reads fiducials, (x, y) or (x, y, z), by name.
+            **options: other fields of the request of `POST runs/{id}/clamped`: `sigma=0.01`, `points=["U1"]`, …
+        """
+        wanted = request_of(readings, options)
+        return self._client.write(Clamped, "POST", self._path("clamped"), wanted.model_dump(exclude_none=True))
 
     def parts(self) -> PartsDocument:
         """Return the measures of the parts of the run; GoneError if they were not measured while frames were there."""

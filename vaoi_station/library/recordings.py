@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.board_check.check import CheckedBoardType, checked_board_type
 from vaoi_station.board_check.overview import CheckedRun
+from vaoi_station.clamping import Clamped, FilmedBoard, clamp, request_of
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files import Recording, read_stitch, write_stitch
 from vaoi_station.geometry import Camera, apply
@@ -293,6 +294,15 @@ class StitchedRun:
         """Return the centre of a component in CAD coordinates, in the unit of the board type."""
         require_text("center", "ref", ref)
         return self._part(ref).center
+
+    def clamped(self, readings: Mapping[str, Sequence[float]], /, **options: Any) -> Clamped:
+        """Return where the board lies that a tester has clamped; arguments as of `StationRun.clamped`.
+
+        StateError: the run has no board type or no CAD mapping.
+        """
+        px_per_mm = float(np.mean([camera.px_per_mm for camera in self.cameras]))
+        film = FilmedBoard(self._board_type, self.result, px_per_mm, self.status, self.reasons)
+        return clamp(film, request_of(readings, options))
 
     def check_board_type(self, board_type: BoardType) -> CheckedBoardType:
         """Compare a board type with the pictures of this run, which may have been stitched with another one.

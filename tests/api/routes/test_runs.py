@@ -240,3 +240,25 @@ def test_the_timeline_has_every_step_since_the_barrier(client: Any, station: Any
     assert found["barrier"] == [{"blocked_s": 0.0, "clear_s": 0.33}]
     assert found["last_frame_s"] < found["ready_s"]
     assert "immutable" in answer.headers["cache-control"]
+
+
+def test_a_clamped_board_is_placed_by_the_readings_of_the_tester(client: Any, station: Any) -> None:
+    address = f"{RUNS}/{station.film()}/clamped"
+    # Filmed and clamped coordinates are CAD's here, moved by (100, 200), and F1 was seen off its place.
+    readings = [{"fiducial": "F1", "x": 103.0, "y": 203.0}, {"fiducial": "F2", "x": 157.0, "y": 237.0}]
+    wanted = {
+        "readings": readings,
+        "sigma": 0.01,
+        "turn_deg": 0.0,
+        "points": ["U1", {"x": 30.0, "y": 20.0, "name": "TP1"}],
+    }
+    found = client.post(address, json=wanted)
+    assert found.status_code == 200, found.text
+    placed = {point["name"]: point for point in found.json()["points"]}
+    assert placed["U1"]["x"] == pytest.approx(120.0, abs=0.02)
+    assert placed["TP1"]["y"] == pytest.approx(220.0, abs=0.02)
+    assert found.json()["status"] == "ok", found.json()["reasons"]
+    refused: list[dict[str, Any]] = [{"sigma": 0}, {"readings": []}, {"points": ["R99"]}, {"unit": "furlong"}]
+    for fields in refused:
+        assert client.post(address, json={**wanted, **fields}).status_code == 422
+    assert client.post(f"{RUNS}/r999999/clamped", json=wanted).status_code == 404

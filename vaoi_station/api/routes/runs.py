@@ -24,6 +24,7 @@ from vaoi_station.api.limits import caller_of
 from vaoi_station.api.parameters import Address, IfMatch, Moment, RunId, TimeoutS, file_reply, rest_router
 from vaoi_station.api.rest_models import DecisionRequest, IdentityReport, Matrices, PlainText, RunPage
 from vaoi_station.api.routes.services import Services
+from vaoi_station.clamping import Clamped, ClampedRequest
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model.board_identity import IdentityDocument, ReportedId
 from vaoi_station.runs.kept_runs import Wanted
@@ -234,6 +235,17 @@ def router(services: Services) -> APIRouter:
             )  # fmt: skip
 
         return json_response(request, await services.pictures.ask(page), REVALIDATE)
+
+    @routes.post("/{run}/clamped", response_model=Clamped)
+    async def hand_over_clamped(request: Request, run: RunId, readings: ClampedRequest) -> Response:
+        """Return where the board lies that a tester has clamped: transforms, points with z and slope, keep-out solids.
+
+        The tester sends where it reads fiducials, in its coordinates and unit; the answer is in these, each number with
+        its standard deviation. `status` is never better than the verdict of the run. Readings of the wrong fiducial, of
+        another unit, side or board are named in `reasons`; `remarks` state what the readings do not show. Nothing is
+        stored. 409: the run has no CAD mapping.
+        """
+        return json_response(request, await services.explained.ask(coordinator.clamped, run, readings), LIVE)
 
     @routes.put("/{run}/good", dependencies=[Depends(services.picture_seats.hold)])
     async def keep_as_good(run: RunId) -> GoodBoards:

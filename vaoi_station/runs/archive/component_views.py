@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from vaoi_station.clamping import FilmedBoard
 from vaoi_station.errors import InputError, NotFoundError, StateError
 from vaoi_station.files.results import component_tables
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
-from vaoi_station.model import BoardType, Component, FrameRecord, Verdict
+from vaoi_station.model import BoardType, Component, FrameRecord, Status, Verdict
 from vaoi_station.model.stitch_result import Heights, with_heights
 from vaoi_station.rendering import (
     ChosenImages,
@@ -179,6 +180,20 @@ def tables_of(finished: FinishedRun) -> Mapping[str, Mapping[str, Any]]:
     To read them from the text takes more than ten milliseconds for a large board, so that they are kept.
     """
     return component_tables(finished.text)
+
+
+def filmed_board(finished: FinishedRun, heights_mm: Heights | None) -> FilmedBoard:
+    """Return what a run knows of its board, for a tester that has clamped it; raises the errors of `FilmedBoard`.
+
+    `heights_mm` are the heights measured from all frames; None: those that follow from links.
+    """
+    tables = tables_of(finished)
+    by_links = tables.get("heights_mm", {}), tables.get("height_sigma_mm", {})
+    known = {ref: (mm, by_links[1][ref]) for ref, mm in by_links[0].items() if ref in by_links[1]}
+    px_per_mm = float(np.mean([c.px_per_mm for c in finished.cameras]))
+    reasons, verdict = tuple(r.message for r in finished.detail.reasons), finished.detail.verdict
+    result = with_heights(finished.lean, {**known, **(heights_mm or {})})
+    return FilmedBoard(finished.board_type, result, px_per_mm, verdict or Status.FAILED, reasons)
 
 
 def component_of(board_type: BoardType, ref: str) -> Component:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.process.messages import Report
 from vaoi_station.acquisition.ring import Ring
+from vaoi_station.clamping import Clamped, ClampedRequest, clamp
 from vaoi_station.config import StationConfig
 from vaoi_station.drift.recalibrate import Proposal
 from vaoi_station.errors import DeviceError, InputError, StateError
@@ -353,6 +354,14 @@ class StationCoordinator(BoardTypeRequests):
                 False.
         """
         return self._frames.frame(self.run(run), camera, row, allow_incomplete)
+
+    def clamped(self, run: str, request: ClampedRequest) -> Clamped:
+        """Return where the board of a run lies that a tester has clamped, from its readings of fiducials.
+
+        InputError: a reading or a point names what the board type does not have. StateError: no CAD mapping.
+        """
+        film = component_views.filmed_board(self._parts.archive.explained(run), self.heights.known(run))
+        return clamp(film, request)
 
     def components(self, run: str) -> tuple[ComponentSummary, ...]:
         """Return the components of the run's board type, with their positions in tester coordinates."""
